@@ -1,0 +1,1 @@
+"""Houses on disk, houses drawn procedurally, and training pairs made from them."""

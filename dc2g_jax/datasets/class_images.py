@@ -1,0 +1,155 @@
+"""Pictures of terrain: PNG files whose exact colours stand for classes, and the palette that says which."""
+
+import functools
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from dc2g_jax.datasets.png import Pixels, read_png
+from dc2g_jax.datasets.tables import read_table
+from dc2g_jax.errors import InputError
+from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, UNKNOWN
+
+#: Names in published palettes that stand for "unknown or not observed".
+ALIASES = {"_boundary_": UNKNOWN, "_background_": UNKNOWN}
+
+_NO_ENTRY = 255
+_FOREIGN_CLASS = 254
+
+
+@dataclass(frozen=True, eq=False)
+class Palette:
+    """The colours of a dataset.
+
+    Several classes may share a colour; the first in file order has it. A class that the package does not
+    know is refused only where a pixel uses its colour, so that a palette may list more than is drawn.
+
+    Attributes:
+        path: the file it was read from.
+        names: n class names, in file order.
+        colors: uint8 [n 3], RGB.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    colors: np.ndarray
+
+    @functools.cached_property
+    def class_of_color(self) -> np.ndarray:
+        """Terrain class of every RGB colour, uint8 [2**24]; above the classes: 254 foreign, 255 no entry."""
+        table = np.full(2**24, _NO_ENTRY, np.uint8)
+        known = {**ALIASES, **{name: index for index, name in enumerate(CLASS_NAMES)}}
+        for name, code in zip(self.names[::-1], _color_codes(self.colors)[::-1], strict=True):
+            table[code] = known.get(name, _FOREIGN_CLASS)
+        return table
+
+    def name_of(self, color: Sequence[int]) -> str:
+        """Return the name of the class that has this RGB colour, which must be in the palette."""
+        return self.names[int(np.flatnonzero((self.colors == np.asarray(color)).all(axis=1))[0])]
+
+    def nearest(self, color: Sequence[int]) -> tuple[str, tuple[int, int, int]]:
+        """Return name and RGB of the entry closest to a colour, by Euclidean distance in RGB."""
+        difference = self.colors.astype(int) - np.asarray(color, int)
+        index = int(np.argmin((difference**2).sum(axis=1)))
+        red, green, blue = (int(value) for value in self.colors[index])
+        return self.names[index], (red, green, blue)
+
+
+def read_palette(csv_path: Path) -> Palette:
+    """Read a palette file: CSV with the columns `class`, `r`, `g`, `b`, colour values 0 to 255.
+
+    Classes are known by name, so the order of the rows is free.
+
+    Raises:
+        InputError: no such file, a column is missing, a value is not a whole number from 0 to 255, or the
+            file has no rows.
+    """
+    csv_path = Path(csv_path)
+    rows = read_table(
+        csv_path, ("class", "r", "g", "b"), remedy="a dataset needs this palette, with columns class,r,g,b"
+    )
+    colors = np.zeros((len(rows), 3), np.uint8)
+    for index, (line, row) in enumerate(rows):
+        for channel, column in enumerate("rgb"):
+            value = row[column]
+            if not re.fullmatch(r"[0-9]{1,9}", value) or int(value) > 255:
+                raise InputError(
+                    f"{csv_path}: line {line} has {value!r} in column {column!r} of class {row['class']!r}; "
+                    "write a whole number from 0 to 255"
+                )
+            colors[index, channel] = int(value)
+    return Palette(csv_path, tuple(row["class"] for _, row in rows), colors)
+
+
+def read_class_image(png_path: Path, palette: Palette) -> np.ndarray:
+    """Read a palette or RGB PNG as terrain classes, uint8 [H W].
+
+    Colours are exact. An alpha channel must be opaque everywhere.
+
+    Raises:
+        InputError: the file is no intact PNG with 8-bit colours, or a pixel has a colour that is not in the
+            palette or belongs to a class the package does not know.
+    """
+    png_path = Path(png_path)
+    image = read_png(png_path)
+    if image.colors is not None:
+        entries = palette.class_of_color[_color_codes(image.colors)]
+        classes = entries[image.samples]
+    else:
+        classes = palette.class_of_color[_color_codes(image.samples)]
+    if classes.max() >= _FOREIGN_CLASS:
+        raise InputError(_explain_color(png_path, palette, image, classes))
+    return classes
+
+
+def write_class_image(png_path: Path, classes: np.ndarray) -> None:
+    """Write terrain classes, uint8 [H W], as an RGB PNG in the published colours.
+
+    Raises:
+        InputError: the array is not two-dimensional or holds a value that is no class.
+        OSError: the file cannot be written.
+    """
+    classes = np.asarray(classes)
+    if classes.ndim != 2 or 0 in classes.shape:
+        raise InputError(
+            f"{png_path}: a class image has shape [H W], not {list(classes.shape)}; pass one image"
+        )
+    if not np.issubdtype(classes.dtype, np.integer) or classes.min() < 0 or classes.max() >= len(CLASS_NAMES):
+        raise InputError(
+            f"{png_path}: a class image holds whole numbers from 0 to {len(CLASS_NAMES) - 1}, "
+            f"not {classes.dtype} up to {classes.max()}; pass class indices"
+        )
+    encoded, data = cv2.imencode(".png", np.ascontiguousarray(CLASS_COLORS[classes][..., ::-1]))
+    if not encoded:
+        raise InputError(f"{png_path}: an image of {classes.shape[1]} x {classes.shape[0]} cannot be encoded")
+    Path(png_path).write_bytes(data.tobytes())
+
+
+def _color_codes(colors: np.ndarray) -> np.ndarray:
+    wide = colors.astype(np.int32)
+    return (wide[..., 0] << 16) | (wide[..., 1] << 8) | wide[..., 2]
+
+
+def _explain_color(png_path: Path, palette: Palette, image: Pixels, classes: np.ndarray) -> str:
+    """One line about the raster-first pixel that has no class."""
+    y, x = (int(value) for value in np.argwhere(classes >= _FOREIGN_CLASS)[0])
+    pixel = image.samples[y, x]
+    red, green, blue = (int(value) for value in (pixel if image.colors is None else image.colors[pixel]))
+    color = (red, green, blue)
+    count = int((classes == classes[y, x]).sum())
+    where = f"{png_path}: pixel x={x}, y={y} has the colour {color}"
+    if classes[y, x] == _FOREIGN_CLASS:
+        return (
+            f"{where} of class {palette.name_of(color)!r} in {palette.path}, which is not a known class; "
+            f"rename it to one of: {', '.join(CLASS_NAMES)}"
+        )
+    name, nearest = palette.nearest(color)
+    more = f", as {count - 1} more have colours" if count > 1 else ""
+    return (
+        f"{where}{more} outside the palette {palette.path} (nearest: {name} {nearest}); "
+        "repaint it in exact colours, without smoothing, or add the colour to the palette"
+    )

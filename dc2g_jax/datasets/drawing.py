@@ -1,0 +1,248 @@
+"""Geometry in metres and a layered sketch in pixels: what the procedural neighbourhoods are drawn with.
+
+Shapes live in a plane measured in metres. A shape is a list of polygons, each float [k 2] (x, y). A `View` says which
+turned rectangle of that plane becomes the picture, and a `Sketch` fills polygons into one mask per layer.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from dc2g_jax.grid.sampling import ClassImage
+from dc2g_jax.grid.terrain import CAR, DRIVEWAY, FRONT_DOOR, GRASS, HOUSE, PATH, ROAD, SIDEWALK
+
+Points = npt.NDArray[np.float64]
+Shape = list[Points]
+Range = tuple[float, float]
+
+#: Layer -> terrain class, in painting order: later layers cover earlier ones. `pavement` less `verge` is sidewalk.
+LAYERS: dict[str, int] = {
+    "path": PATH,
+    "pavement": SIDEWALK,
+    "driveway": DRIVEWAY,
+    "pavement_over_driveway": SIDEWALK,
+    "road": ROAD,
+    "crossing": SIDEWALK,
+    "island": GRASS,
+    "car": CAR,
+    "house": HOUSE,
+    "court": GRASS,
+    "court_path": PATH,
+    "door": FRONT_DOOR,
+}
+
+
+def uniform(rng: np.random.Generator, limits: Range) -> float:
+    """One number between two limits."""
+    return float(rng.uniform(*limits))
+
+
+def choose(rng: np.random.Generator, weights: Mapping[str, float]) -> str:
+    """One name, drawn in proportion to its weight."""
+    shares = np.array(list(weights.values()))
+    return list(weights)[int(np.searchsorted(np.cumsum(shares), rng.uniform(0, shares.sum())))]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A place and a direction: local coordinates are mirrored (x -> -x) if asked, turned by `angle`, then moved."""
+
+    origin: Points
+    angle: float
+    mirrored: bool = False
+
+    def place(self, points: npt.ArrayLike) -> Points:
+        """Local points [... 2] in the coordinates this frame stands in, [... 2]."""
+        local = np.asarray(points, dtype=float)
+        x, y = (-local[..., 0] if self.mirrored else local[..., 0]), local[..., 1]
+        cosine, sine = np.cos(self.angle), np.sin(self.angle)
+        return np.stack([x * cosine - y * sine, x * sine + y * cosine], axis=-1) + self.origin
+
+    def place_all(self, shape: Iterable[Points]) -> Shape:
+        """Every polygon of a shape, placed."""
+        return [self.place(polygon) for polygon in shape]
+
+
+def rectangle(left: float, bottom: float, right: float, top: float) -> Points:
+    """Corners of an upright rectangle, [4 2]."""
+    return np.array([(left, bottom), (right, bottom), (right, top), (left, top)], dtype=float)
+
+
+def jitter(rng: np.random.Generator, points: Points, amount: float) -> Points:
+    """Points moved by a normal random step: the unsteady hand of whoever outlined them."""
+    return points + rng.normal(0.0, amount, points.shape)
+
+
+def disc(
+    rng: np.random.Generator,
+    center: npt.ArrayLike,
+    radius: float,
+    unevenness: float = 0.03,
+    corners: int | None = None,
+) -> Points:
+    """A circle outlined by hand: a polygon [corners 2], of 10 to 24 corners if not said."""
+    count = int(rng.integers(10, 25)) if corners is None else corners
+    angles = 2 * np.pi * (np.arange(count) + rng.uniform(-0.25, 0.25, count)) / count
+    radii = radius * (1 + rng.normal(0, unevenness, count))
+    return np.asarray(center, dtype=float) + np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=-1)
+
+
+def smooth(points: npt.ArrayLike, rounds: int) -> Points:
+    """A polyline with its corners cut `rounds` times (Chaikin), ends kept."""
+    line = np.asarray(points, dtype=float)
+    for _ in range(rounds):
+        near, far = 0.75 * line[:-1] + 0.25 * line[1:], 0.25 * line[:-1] + 0.75 * line[1:]
+        line = np.concatenate([line[:1], np.stack([near, far], axis=1).reshape(-1, 2)[1:-1], line[-1:]])
+    return line
+
+
+def travelled(line: Points) -> Points:
+    """Distance from the start of a polyline [n 2] at each of its points, [n]."""
+    steps = np.hypot(*np.diff(line, axis=0).T)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def resample(line: Points, spacing: float) -> Points:
+    """A polyline with a point about every `spacing` metres, ends kept."""
+    distance = travelled(line)
+    at = np.linspace(0, distance[-1], max(2, round(distance[-1] / spacing) + 1))
+    return np.stack([np.interp(at, distance, line[:, 0]), np.interp(at, distance, line[:, 1])], axis=-1)
+
+
+def left_normals(line: Points) -> Points:
+    """Unit normals to the left of a polyline [n 2], [n 2]."""
+    direction = np.gradient(line, axis=0)
+    length = np.maximum(np.hypot(direction[:, 0], direction[:, 1]), 1e-9)
+    return np.stack([-direction[:, 1] / length, direction[:, 0] / length], axis=-1)
+
+
+def ribbon(line: Points, left: npt.ArrayLike, right: npt.ArrayLike) -> Shape:
+    """The strip from `left` to `right` metres beside a polyline [n 2], as quadrilaterals that share edges.
+
+    Offsets count leftward (negative is to the right); each is one number or [n].
+    """
+    normals = left_normals(line)
+    sides = [line + normals * np.broadcast_to(offset, len(line))[:, None] for offset in (left, right)]
+    return [np.array([sides[0][i], sides[0][i + 1], sides[1][i + 1], sides[1][i]]) for i in range(len(line) - 1)]
+
+
+def stroke(line: Points, width: npt.ArrayLike) -> Shape:
+    """A polyline drawn with a pen of the given full width, one number or [n]."""
+    half = np.asarray(width) / 2
+    return ribbon(line, half, -half)
+
+
+def wobble(rng: np.random.Generator, count: int, amount: float) -> Points:
+    """A slowly changing offset with about `amount` spread at each of `count` points, [count]."""
+    knots = rng.normal(0, amount, count // 6 + 2)
+    return np.interp(np.linspace(0, len(knots) - 1, count), np.arange(len(knots)), knots)
+
+
+@dataclass(frozen=True)
+class View:
+    """The picture's frame: points are turned by `angle`, moved by -`corner` and scaled to pixels."""
+
+    angle: float
+    corner: Points
+    scale: float
+    height: int
+    width: int
+
+    def to_pixels(self, points: Points) -> npt.NDArray[np.int32]:
+        """Points in metres [k 2] as pixels (column, row), int32 [k 2]."""
+        turned = Frame(-self.corner, self.angle).place(points)
+        return np.clip(np.rint(turned * self.scale), -30000, 30000).astype(np.int32)
+
+
+def view_around(
+    rng: np.random.Generator, shape: Sequence[Points], angle: float, margins: Range, pixels_per_metre: Range
+) -> View:
+    """The picture that holds a shape, with a random margin in metres at each side.
+
+    Sides come out between 200 and 930 pixels, and no side more than `longest` times the other,
+    a ratio that is drawn anew for each picture from 1.25 to 2.4.
+    """
+    turned = Frame(np.zeros(2), angle).place(np.concatenate(list(shape)))
+    low = turned.min(axis=0) - rng.uniform(*margins, 2)
+    high = turned.max(axis=0) + rng.uniform(*margins, 2)
+    extent = high - low
+    longest = 1.25 + 1.15 * uniform(rng, (0, 1)) ** 1.5
+    missing = np.maximum(extent.max() / longest - extent, 0)
+    corner, extent = low - missing * rng.uniform(0, 1, 2), extent + missing
+    scale = uniform(rng, pixels_per_metre)
+    scale = min(max(scale, 205 / extent.min()), 925 / extent.max())
+    width, height = (round(float(side) * scale) for side in extent)
+    return View(angle, corner, scale, height, width)
+
+
+@dataclass
+class Sketch:
+    """A picture in the making: one mask per layer of `LAYERS`, and `verge`, which takes sidewalk away."""
+
+    view: View
+    masks: dict[str, ClassImage] = field(default_factory=dict)
+
+    def mask(self, shape: Iterable[Points]) -> ClassImage:
+        """The pixels that a shape covers, uint8 [H W] of 0 and 1."""
+        canvas = np.zeros((self.view.height, self.view.width), np.uint8)
+        self._fill(canvas, shape)
+        return canvas
+
+    def add(self, layer: str, shape: Iterable[Points]) -> None:
+        """Fill a shape into a layer."""
+        if layer not in self.masks:
+            self.masks[layer] = np.zeros((self.view.height, self.view.width), np.uint8)
+        self._fill(self.masks[layer], shape)
+
+    def add_all(self, shapes: Mapping[str, Iterable[Points]]) -> None:
+        """Fill shapes into the layers they are named after."""
+        for layer, shape in shapes.items():
+            self.add(layer, shape)
+
+    def add_clear(self, layer: str, shape: Iterable[Points]) -> None:
+        """Fill polygons into a layer one by one, leaving out those that touch what the layer holds already."""
+        for polygon in shape:
+            if self.overlap(self.mask([polygon]), layer) == 0:
+                self.add(layer, [polygon])
+
+    def overlap(self, mask: ClassImage, *layers: str) -> float:
+        """Share of a mask's pixels that the layers already cover; 0 for an empty mask."""
+        total = int(np.count_nonzero(mask))
+        if total == 0:
+            return 0.0
+        taken = sum((self.masks[layer] for layer in layers if layer in self.masks), np.zeros_like(mask))
+        return int(np.count_nonzero(mask & (taken > 0))) / total
+
+    def classes(self) -> ClassImage:
+        """The finished picture: class indices, uint8 [H W]."""
+        picture = np.full((self.view.height, self.view.width), GRASS, np.uint8)
+        for layer, terrain in LAYERS.items():
+            if layer not in self.masks:
+                continue
+            mask = self.masks[layer].astype(bool)
+            if layer == "house":
+                mask = self._without_slits(self.masks[layer])
+            if layer.startswith("pavement") and "verge" in self.masks:
+                mask &= ~self.masks["verge"].astype(bool)
+            picture[mask] = terrain
+        return picture
+
+    def _without_slits(self, mask: ClassImage) -> npt.NDArray[np.bool_]:
+        """A mask with its gaps of less than about 0.8 m closed."""
+        size = max(round(0.8 * self.view.scale), 1) | 1
+        return cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((size, size), np.uint8)).astype(bool)
+
+    def _fill(self, canvas: ClassImage, shape: Iterable[Points]) -> None:
+        polygons = list(shape)
+        if not polygons:
+            return
+        ends = np.cumsum([len(polygon) for polygon in polygons])
+        starts = np.concatenate([[0], ends[:-1]])
+        pixels = self.view.to_pixels(np.concatenate(polygons))
+        inside = (np.maximum.reduceat(pixels, starts) >= 0).all(axis=1)
+        inside &= (np.minimum.reduceat(pixels, starts) < (self.view.width, self.view.height)).all(axis=1)
+        for start, end in zip(starts[inside], ends[inside], strict=True):
+            cv2.fillPoly(canvas, [pixels[start:end]], 1)

@@ -1,0 +1,315 @@
+"""Houses as class grids: the published dataset, folders in its format, and the embedded procedural ones."""
+
+import difflib
+import os
+import re
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dc2g_jax.datasets.class_images import Palette, read_class_image, read_palette, write_class_image
+from dc2g_jax.datasets.download import NetworkUnavailable, fetch_dataset, matches_published
+from dc2g_jax.datasets.procedural import procedural_houses
+from dc2g_jax.datasets.tables import read_table
+from dc2g_jax.errors import InputError
+from dc2g_jax.grid.sampling import sample_grid
+from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES
+
+SPLIT_FILES = {"train": "training_houses.csv", "val": "validation_houses.csv", "test": "testing_houses.csv"}
+PALETTE_FILE = "labels_colors.csv"
+IMAGE_FOLDER = "full_semantic"
+PUBLISHED_NAME = "driveways_bing_iros19"
+
+#: The word that stands for the embedded houses where a location is asked for.
+PROCEDURAL = "procedural"
+
+_TEST_GROUPS = {"001": "same_neighborhood", "002": "new_neighborhood", "004": "urban"}
+
+
+@dataclass(frozen=True, eq=False)
+class House:
+    """One house with its surroundings.
+
+    Attributes:
+        name: `nNNNmMMMhHHH` in the published dataset (neighbourhood, map, house).
+        split: 'train', 'val' or 'test'.
+        terrain: uint8 [cells cells], class indices, read-only.
+    """
+
+    name: str
+    split: str
+    terrain: np.ndarray
+
+    @property
+    def neighborhood(self) -> str:
+        """The first four characters of the name, such as `n001`."""
+        return self.name[:4]
+
+
+@dataclass(frozen=True, eq=False)
+class HouseDataset:
+    """Houses in the order of training, validation and test split, each split in the order of its list.
+
+    Attributes:
+        name: what to call the dataset in results.
+        source: 'published' (every file equals the authors'), 'procedural' or 'folder'.
+        houses: all of them; names are unique.
+    """
+
+    name: str
+    source: str
+    houses: tuple[House, ...]
+
+    def split(self, split: str) -> tuple[House, ...]:
+        """Return the houses of 'train', 'val' or 'test'; InputError for any other word."""
+        if split not in SPLIT_FILES:
+            raise InputError(
+                f"{self.name}: no split is called {split!r}; use one of: {', '.join(SPLIT_FILES)}"
+            )
+        return tuple(house for house in self.houses if house.split == split)
+
+    def house(self, name: str) -> House:
+        """Return the house of this name; InputError with the closest names where there is none."""
+        for house in self.houses:
+            if house.name == name:
+                return house
+        close = difflib.get_close_matches(name, [house.name for house in self.houses], n=3, cutoff=0.5)
+        remedy = f"did you mean {' or '.join(close)}?" if close else "see the dataset's house lists for names"
+        raise InputError(f"{self.name}: no house is called {name!r}; {remedy}")
+
+
+def group_of(house: House) -> str | None:
+    """Return the paper's category of a house (section IV).
+
+    'train' and 'val' follow the split. Test houses are 'same_neighborhood' in neighbourhood ?001, which
+    training saw parts of, 'new_neighborhood' in ?002, 'urban' in ?004, and 'test' anywhere else. None for
+    a split of another name.
+    """
+    if house.split == "test":
+        return _TEST_GROUPS.get(house.neighborhood[1:], "test")
+    return house.split if house.split in SPLIT_FILES else None
+
+
+def load_dataset(folder: str | os.PathLike[str], *, cells: int = 50) -> HouseDataset:
+    """Read a folder in the published layout.
+
+    The layout: `labels_colors.csv`; the house lists `training_houses.csv`, `validation_houses.csv` and
+    `testing_houses.csv` with the column `house_id`, of which up to two may be absent; and one image a house,
+    `full_semantic/{train,val,test}/world<house_id>.png`. Images that no list names are left alone.
+
+    Args:
+        folder: the dataset.
+        cells: cells a side of the grid that every image is sampled to.
+
+    Raises:
+        InputError: anything in the folder is missing, damaged or contradicts itself; the message names the
+            file, the value and the remedy.
+    """
+    folder = Path(folder)
+    if cells < 1:
+        raise InputError(f"{folder}: a grid of {cells} cells a side is no grid; ask for at least 1")
+    try:
+        _check_folder(folder)
+        lists = _read_house_lists(folder)
+        palette = read_palette(folder / PALETTE_FILE)
+        houses = tuple(
+            _read_house(folder, split, name, line, palette, cells)
+            for split, entries in lists.items()
+            for name, line in entries.items()
+        )
+        if matches_published(folder):
+            return HouseDataset(PUBLISHED_NAME, "published", houses)
+        return HouseDataset(folder.resolve().name, "folder", houses)
+    except OSError as error:
+        where = error.filename or folder
+        raise InputError(f"{where}: cannot be read ({error.strerror}); allow reading or copy it") from None
+
+
+def procedural_dataset(seed: int = 0, *, cells: int = 50) -> HouseDataset:
+    """Return the embedded procedural houses, sampled to `cells` a side like images from a folder.
+
+    Raises:
+        InputError: `cells` is less than 1 or more than the drawn maps have pixels.
+    """
+    name = PROCEDURAL if seed == 0 else f"{PROCEDURAL}-{seed}"
+    return HouseDataset(
+        name,
+        PROCEDURAL,
+        tuple(
+            House(house, split, _sample(f"procedural house {house}", classes, cells))
+            for house, split, classes in procedural_houses(seed)
+        ),
+    )
+
+
+def save_dataset(
+    dataset_images: Iterable[tuple[str, str, np.ndarray]], folder: str | os.PathLike[str]
+) -> Path:
+    """Write class images in the published layout, as RGB PNGs.
+
+    Args:
+        dataset_images: `(name, split, classes uint8 [H W])` of each house; read once, in order.
+        folder: new or empty.
+
+    Returns:
+        The folder, which `load_dataset` reads back.
+
+    Raises:
+        InputError: the folder is in use or cannot be written, or a name, split or image is not valid.
+    """
+    folder = Path(folder)
+    names: dict[str, list[str]] = {}
+    try:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise InputError(f"{folder}: exists and is not an empty folder; name a new one")
+        for name, split, classes in dataset_images:
+            if split not in SPLIT_FILES:
+                known = ", ".join(SPLIT_FILES)
+                raise InputError(f"{folder}: house {name!r} has the split {split!r}; use one of: {known}")
+            _check_name(folder, name)
+            if any(name in others for others in names.values()):
+                raise InputError(f"{folder}: house {name!r} is given twice; names must be unique")
+            image = _image_path(folder, split, name)
+            image.parent.mkdir(parents=True, exist_ok=True)
+            write_class_image(image, classes)
+            names.setdefault(split, []).append(name)
+        if not names:
+            raise InputError(f"{folder}: there are no houses to save; give at least one")
+        for split, listed in names.items():
+            (folder / SPLIT_FILES[split]).write_text("\n".join(["house_id", *listed, ""]), encoding="utf-8")
+        rows = [f"{name},{r},{g},{b}" for name, (r, g, b) in zip(CLASS_NAMES, CLASS_COLORS, strict=True)]
+        (folder / PALETTE_FILE).write_text("\n".join(["class,r,g,b", *rows, ""]), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{error.filename or folder}: cannot be written ({error.strerror})") from None
+    return folder
+
+
+def tell_on_stderr(line: str) -> None:
+    """Print one line to the error stream, where it does not mix with results."""
+    print(line, file=sys.stderr, flush=True)
+
+
+def open_dataset(
+    location: str | os.PathLike[str] | None = None,
+    *,
+    cells: int = 50,
+    log: Callable[[str], None] = tell_on_stderr,
+) -> HouseDataset:
+    """Open the dataset that is meant, fetching the published one where nothing else is said.
+
+    In this order: `location`; the environment variable `DC2G_DATA`; the copy downloaded earlier; a download
+    from the authors' repository; and, only where there is no network, the embedded procedural houses with
+    one line through `log`.
+
+    Args:
+        location: a folder in the published layout, or the word 'procedural'.
+        cells: cells a side of the grids.
+        log: takes the line about the fallback.
+
+    Raises:
+        InputError: a location that was asked for is no good, or a downloaded file is not the published one.
+            Neither is ever replaced by other houses.
+    """
+    if location is not None:
+        return _open_location(os.fspath(location), "the dataset location", cells)
+    if os.environ.get("DC2G_DATA"):
+        return _open_location(os.environ["DC2G_DATA"], "DC2G_DATA", cells)
+    try:
+        folder = fetch_dataset()
+    except NetworkUnavailable as reason:
+        log(
+            f"The published dataset is not here and cannot be downloaded ({reason}): using the embedded "
+            "procedural houses instead. To use the published houses, pass --dataset FOLDER or set DC2G_DATA."
+        )
+        return procedural_dataset(cells=cells)
+    return load_dataset(folder, cells=cells)
+
+
+def _open_location(location: str, setting: str, cells: int) -> HouseDataset:
+    if location == PROCEDURAL:
+        return procedural_dataset(cells=cells)
+    try:
+        folder = Path(location).expanduser()
+        found = bool(location) and folder.is_dir()
+    except (OSError, RuntimeError):
+        found = False
+    if not found:
+        raise InputError(
+            f"{location!r}: {setting} is not an existing folder; give a dataset's folder or 'procedural'"
+        )
+    return load_dataset(folder, cells=cells)
+
+
+def _check_folder(folder: Path) -> None:
+    needed = f"{PALETTE_FILE}, {IMAGE_FOLDER}/ and house lists such as {SPLIT_FILES['test']}"
+    if not folder.exists():
+        raise InputError(f"{folder}: no such folder; give a folder with {needed}")
+    if not folder.is_dir():
+        raise InputError(f"{folder}: is a file, not a folder; give a folder with {needed}")
+    if not any(folder.iterdir()):
+        raise InputError(f"{folder}: the folder is empty; it needs {needed}")
+    if not any((folder / name).exists() for name in SPLIT_FILES.values()):
+        lists = ", ".join(SPLIT_FILES.values())
+        raise InputError(f"{folder}: has no house list; add at least one of {lists} with the column house_id")
+
+
+def _read_house_lists(folder: Path) -> dict[str, dict[str, int]]:
+    """Return split -> house -> line number in its list."""
+    lists: dict[str, dict[str, int]] = {}
+    for split, file_name in SPLIT_FILES.items():
+        path = folder / file_name
+        if not path.exists() and not any((folder / IMAGE_FOLDER / split).glob("world*.png")):
+            continue
+        remedy = f"list the houses of {IMAGE_FOLDER}/{split} there, one a line below the header house_id"
+        entries: dict[str, int] = {}
+        for line, row in read_table(path, ["house_id"], remedy=remedy):
+            name = row["house_id"]
+            _check_name(f"{path}: line {line}", name)
+            if name in entries:
+                raise InputError(
+                    f"{path}: line {line} lists house {name!r} again, first on line {entries[name]}; "
+                    "delete one of the two"
+                )
+            for other, others in lists.items():
+                if name in others:
+                    raise InputError(
+                        f"{path}: line {line} lists house {name!r}, which {SPLIT_FILES[other]} has on line "
+                        f"{others[name]}; a house belongs to one split, delete one of the two"
+                    )
+            entries[name] = line
+        lists[split] = entries
+    return lists
+
+
+def _check_name(where: object, name: str) -> None:
+    if not re.fullmatch(r"\w[\w.-]*", name):
+        raise InputError(f"{where}: {name!r} cannot be a house name; use letters, digits, '_', '-' and '.'")
+
+
+def _image_path(folder: Path, split: str, name: str) -> Path:
+    return folder / IMAGE_FOLDER / split / f"world{name}.png"
+
+
+def _read_house(folder: Path, split: str, name: str, line: int, palette: Palette, cells: int) -> House:
+    path = _image_path(folder, split, name)
+    if not path.exists():
+        raise InputError(
+            f"{path}: no such file, but line {line} of {SPLIT_FILES[split]} lists house {name!r}; "
+            "add the image or delete the line"
+        )
+    return House(name, split, _sample(str(path), read_class_image(path, palette), cells))
+
+
+def _sample(where: str, classes: np.ndarray, cells: int) -> np.ndarray:
+    height, width = classes.shape
+    if cells < 1 or min(height, width) < cells:
+        raise InputError(
+            f"{where}: wrong grid size: {width} x {height} pixels cannot fill {cells} x {cells} cells; "
+            f"use a larger image or 1 to {min(height, width)} cells"
+        )
+    terrain = np.array(sample_grid(classes, cells), dtype=np.uint8)
+    terrain.setflags(write=False)
+    return terrain

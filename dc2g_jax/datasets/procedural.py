@@ -1,0 +1,130 @@
+"""Procedural houses: a seeded set of semantic maps shaped like the published one, and endless further ones.
+
+Nothing is downloaded: a map is drawn from streets, lots, driveways and walkways, and redrawn until a robot that starts
+on the road can reach a front door in the 50x50 grid that the map is squeezed into.
+"""
+
+import cv2
+import numpy as np
+
+from dc2g_jax.datasets.city import draw_city
+from dc2g_jax.datasets.suburbs import SUBURBS, draw_suburb
+from dc2g_jax.grid.sampling import ClassImage, sample_grid
+from dc2g_jax.grid.terrain import FRONT_DOOR, ROAD, TRAVERSABLE
+
+#: The four neighbourhoods' styles; "urban" is the one no training house has.
+STYLES: tuple[str, ...] = (*SUBURBS, "urban")
+
+#: Road cells of the 50x50 grid from which a front door can be reached, at least.
+MIN_ROAD_CELLS = 20
+
+_ATTEMPTS = 100
+# Houses per neighbourhood and split, as in the published dataset.
+_COUNTS = (
+    ("p000", "train", STYLES[0], 21),
+    ("p001", "train", STYLES[1], 10),
+    ("p001", "val", STYLES[1], 4),
+    ("p001", "test", STYLES[1], 6),
+    ("p002", "test", STYLES[2], 31),
+    ("p004", "test", STYLES[3], 5),
+)
+
+
+def _split() -> tuple[tuple[str, str, str], ...]:
+    houses, numbers = [], dict.fromkeys(("p000", "p001", "p002", "p004"), 0)
+    for neighbourhood, split, style, count in _COUNTS:
+        for _ in range(count):
+            number = numbers[neighbourhood]
+            houses.append((f"{neighbourhood}m{number // 10:03d}h{number % 10:03d}", split, style))
+            numbers[neighbourhood] += 1
+    return tuple(houses)
+
+
+#: (name, split, style) of the 77 houses of the default dataset: 31 train, 4 val, 42 test.
+PROCEDURAL_SPLIT: tuple[tuple[str, str, str], ...] = _split()
+
+
+def house_seed(seed: int, index: int) -> int:
+    """The seed that `draw_house` gets for house `index` of `procedural_houses(seed)`: an even number."""
+    return 2 * _paired(seed, index)
+
+
+def extra_house_seed(seed: int, index: int) -> int:
+    """The seed that `draw_house` gets for house `index` of `extra_training_houses(_, seed)`: an odd number."""
+    return 2 * _paired(seed, index) + 1
+
+
+def _paired(seed: int, index: int) -> int:
+    """One number for two, no two pairs alike.
+
+    Raises:
+        ValueError: if either is negative or 2^32 or more.
+    """
+    if not (0 <= seed < 2**32 and 0 <= index < 2**32):
+        raise ValueError(f"seed and index must be in [0, 2^32), got {seed} and {index}")
+    return (seed << 32) | index
+
+
+def is_usable(classes: ClassImage, min_road_cells: int = MIN_ROAD_CELLS) -> bool:
+    """Can a front door be reached, 4-connected, from enough road cells of the map's 50x50 grid?
+
+    Args:
+        classes: class indices, uint8 [H W].
+        min_road_cells: how many road cells are enough.
+    """
+    grid = sample_grid(classes)
+    _, component = cv2.connectedComponents(TRAVERSABLE[grid].astype(np.uint8), connectivity=4)
+    with_door = np.unique(component[grid == FRONT_DOOR])
+    return int(np.isin(component[grid == ROAD], with_door).sum()) >= min_road_cells
+
+
+def draw_house(seed: int, style: str) -> ClassImage:
+    """One house's semantic map, the same for a seed everywhere.
+
+    Args:
+        seed: any integer from 0 on; seeds below 2^128 give different streams of random numbers.
+        style: one of `STYLES`.
+
+    Returns:
+        Class indices, uint8 [H W], each side 200 to 930 pixels; `is_usable` holds for it.
+
+    Raises:
+        ValueError: if there is no such style, or the seed is negative.
+        RuntimeError: if 100 drawings in a row turn out unusable.
+    """
+    if style not in STYLES:
+        raise ValueError(f"no style {style!r}; there are {', '.join(STYLES)}")
+    for attempt in range(_ATTEMPTS):
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(STYLES.index(style), attempt)))
+        classes = draw_city(rng) if style == "urban" else draw_suburb(rng, SUBURBS[style])
+        if classes is not None and is_usable(classes):
+            return classes
+    raise RuntimeError(f"no usable {style} house within {_ATTEMPTS} drawings of seed {seed}")
+
+
+def procedural_houses(seed: int = 0) -> list[tuple[str, str, ClassImage]]:
+    """The default dataset: (name, split, class indices uint8 [H W]) of 77 houses, in the order of `PROCEDURAL_SPLIT`.
+
+    Raises:
+        ValueError: if the seed is not in [0, 2^32).
+    """
+    return [
+        (name, split, draw_house(house_seed(seed, index), style))
+        for index, (name, split, style) in enumerate(PROCEDURAL_SPLIT)
+    ]
+
+
+def extra_training_houses(count: int, seed: int) -> list[ClassImage]:
+    """Further houses for training, over all four styles in turn; none shares its seed with a procedural house.
+
+    Args:
+        count: how many.
+        seed: in [0, 2^32).
+
+    Returns:
+        Class indices of each, uint8 [H W].
+
+    Raises:
+        ValueError: if the seed is not in [0, 2^32).
+    """
+    return [draw_house(extra_house_seed(seed, index), STYLES[index % len(STYLES)]) for index in range(count)]

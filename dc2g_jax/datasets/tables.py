@@ -1,0 +1,88 @@
+"""Small CSV tables, read strictly: what is wrong is said in one line with file and line number."""
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+from dc2g_jax.errors import InputError
+
+
+def read_table(path: Path, columns: Sequence[str], *, remedy: str) -> list[tuple[int, dict[str, str]]]:
+    """Read the named columns of a CSV file with a header row.
+
+    A byte-order mark, CRLF line ends, blank lines, further columns and a missing last line end are fine.
+
+    Args:
+        path: the CSV file, UTF-8.
+        columns: names that the header must have; cells come back stripped of surrounding blanks.
+        remedy: what to do where the file is missing, the end of the message.
+
+    Returns:
+        One `(line number, {column: value})` for each row, in file order; at least one.
+
+    Raises:
+        InputError: the file is missing, unreadable, not UTF-8, without one of the columns, without a
+            value in one of them, or without rows.
+    """
+    text = _read_text(path, remedy)
+    reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True)
+    rows = []
+    header: list[str] | None = None
+    try:
+        for row in reader:
+            cells = [cell.strip() for cell in row]
+            if not any(cells):
+                continue
+            if header is None:
+                header = cells
+                _check_header(path, header, columns)
+            else:
+                rows.append((reader.line_num, _pick(path, reader.line_num, header, cells, columns)))
+    except csv.Error as error:
+        raise InputError(f"{path}: line {reader.line_num} is not CSV ({error}); repair the file") from None
+    if not rows:
+        found = "is empty" if header is None else f"has the header {','.join(header)!r} but no rows"
+        raise InputError(f"{path}: {found}; expected a header with {','.join(columns)} and one row an entry")
+    return rows
+
+
+def _read_text(path: Path, remedy: str) -> str:
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; {remedy}") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); {remedy}") from None
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        byte = data[error.start]
+        raise InputError(
+            f"{path}: byte 0x{byte:02x} at offset {error.start} is not UTF-8; save the file as UTF-8 text"
+        ) from None
+
+
+def _check_header(path: Path, header: list[str], columns: Sequence[str]) -> None:
+    missing = [column for column in columns if column not in header]
+    if missing:
+        raise InputError(
+            f"{path}: the header {','.join(header)!r} lacks the column {', '.join(map(repr, missing))}; "
+            f"the first line must name {','.join(columns)}"
+        )
+
+
+def _pick(
+    path: Path, line: int, header: list[str], cells: list[str], columns: Sequence[str]
+) -> dict[str, str]:
+    if len(cells) > len(header):
+        raise InputError(
+            f"{path}: line {line} has {len(cells)} values for {len(header)} columns; repair the line"
+        )
+    values = dict(zip(header, cells, strict=False))
+    for column in columns:
+        if not values.get(column):
+            raise InputError(
+                f"{path}: line {line} has no value in column {column!r}; fill it in or delete it"
+            )
+    return {column: values[column] for column in columns}

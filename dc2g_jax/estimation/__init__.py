@@ -1,0 +1,1 @@
+"""Cost-to-go estimators: networks, losses, training and checkpoints."""

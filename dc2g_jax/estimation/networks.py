@@ -1,0 +1,107 @@
+"""Networks that read a partial map and write a cost-to-go grid."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from flax import nnx
+from jaxtyping import Array, Float, UInt8
+
+from dc2g_jax.grid.terrain import CLASS_NAMES
+
+#: The network halves its input this many times; maps are padded to a multiple of 2 to this power.
+_HALVINGS = 5
+
+
+@dataclasses.dataclass(frozen=True)
+class Architecture:
+    """What it takes to build a `CompactUNet` again.
+
+    Attributes:
+      widths: channels at 1/2, 1/4, 1/8, 1/16 and 1/32 of the map's resolution.
+      cost_scale: cells of cost-to-go per unit of the last layer's output.
+    """
+
+    widths: tuple[int, ...] = (32, 48, 64, 96, 128)
+    cost_scale: float = 32.0
+
+
+class _Residual(nnx.Module):
+    """Two 3x3 convolutions beside an identity."""
+
+    def __init__(self, width: int, *, rngs: nnx.Rngs):
+        self.first = nnx.Conv(width, width, (3, 3), rngs=rngs)
+        self.second = nnx.Conv(width, width, (3, 3), kernel_init=nnx.initializers.zeros, rngs=rngs)
+
+    def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h w c"]:
+        return features + self.second(nnx.relu(self.first(nnx.relu(features))))
+
+
+class _Down(nnx.Module):
+    """Halve the resolution."""
+
+    def __init__(self, width_in: int, width_out: int, *, rngs: nnx.Rngs):
+        self.halve = nnx.Conv(width_in, width_out, (3, 3), strides=(2, 2), rngs=rngs)
+        self.residual = _Residual(width_out, rngs=rngs)
+
+    def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h2 w2 d"]:
+        return self.residual(self.halve(nnx.relu(features)))
+
+
+class _Up(nnx.Module):
+    """Double the resolution and join what the encoder saw at that scale (the U-Net's skip connection)."""
+
+    def __init__(self, width_in: int, width_out: int, *, rngs: nnx.Rngs):
+        self.narrow = nnx.Conv(width_in, width_out, (1, 1), rngs=rngs)
+        self.residual = _Residual(width_out, rngs=rngs)
+
+    def __call__(
+        self, features: Float[Array, "b h w c"], skipped: Float[Array, "b h2 w2 d"]
+    ) -> Float[Array, "b h2 w2 d"]:
+        narrow = self.narrow(nnx.relu(features))
+        doubled = jnp.repeat(jnp.repeat(narrow, 2, axis=1), 2, axis=2)
+        return self.residual(skipped + doubled)
+
+
+class CompactUNet(nnx.Module):
+    """A small U-Net from classes to cost-to-go, in cells.
+
+    The map is read one-hot, so an unobserved cell (class 0) differs from a cell outside the map (all zeros), and
+    through 2x2 patches: all convolutions work at half the map's resolution or less.
+    """
+
+    def __init__(self, architecture: Architecture, *, rngs: nnx.Rngs):
+        widths = architecture.widths
+        if len(widths) != _HALVINGS:
+            raise ValueError(f"widths {widths}: the network has {_HALVINGS} scales; give one width for each")
+        self.architecture = architecture
+        self.embed = nnx.Conv(len(CLASS_NAMES), widths[0], (2, 2), strides=(2, 2), rngs=rngs)
+        self.local = _Residual(widths[0], rngs=rngs)
+        self.down1 = _Down(widths[0], widths[1], rngs=rngs)
+        self.down2 = _Down(widths[1], widths[2], rngs=rngs)
+        self.down3 = _Down(widths[2], widths[3], rngs=rngs)
+        self.down4 = _Down(widths[3], widths[4], rngs=rngs)
+        self.up4 = _Up(widths[4], widths[3], rngs=rngs)
+        self.up3 = _Up(widths[3], widths[2], rngs=rngs)
+        self.up2 = _Up(widths[2], widths[1], rngs=rngs)
+        self.up1 = _Up(widths[1], widths[0], rngs=rngs)
+        self.head = nnx.Conv(widths[0], 4, (1, 1), rngs=rngs)
+
+    def __call__(self, terrain: UInt8[Array, "b h w"]) -> Float[Array, "b h w"]:
+        """Estimated cost-to-go of every cell, in cells, from observed class indices (0 = not observed)."""
+        height, width = terrain.shape[1:]
+        multiple = 2**_HALVINGS
+        classes = jax.nn.one_hot(terrain, len(CLASS_NAMES))
+        classes = jnp.pad(classes, ((0, 0), (0, -height % multiple), (0, -width % multiple), (0, 0)))
+        at2 = self.local(self.embed(classes))
+        at4 = self.down1(at2)
+        at8 = self.down2(at4)
+        at16 = self.down3(at8)
+        at32 = self.down4(at16)
+        features = self.up1(self.up2(self.up3(self.up4(at32, at16), at8), at4), at2)
+        # Four numbers a patch, one for each of its 2x2 cells.
+        patches = self.head(nnx.relu(features))
+        batch, rows, columns, _ = patches.shape
+        cells = patches.reshape(batch, rows, columns, 2, 2).transpose(0, 1, 3, 2, 4)
+        cells = cells.reshape(batch, 2 * rows, 2 * columns)[:, :height, :width]
+        return self.architecture.cost_scale * (1 + cells)

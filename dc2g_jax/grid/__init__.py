@@ -1,0 +1,1 @@
+"""Grids: terrain classes, packed cell sets, worlds, sensing and search."""

@@ -1,0 +1,1 @@
+"""Frontiers and the planners built on them."""

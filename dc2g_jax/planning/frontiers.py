@@ -1,0 +1,57 @@
+"""Where exploration can go on: frontier cells and frontier-expanding poses (Algorithm 2, lines 6 to 8).
+
+Two ways to say it, both measured: as the paper's text means it (`complete`) and as the authors' published code does
+it (`reference`).
+"""
+
+import jax.numpy as jnp
+
+from dc2g_jax.grid import bitboard
+from dc2g_jax.grid.bitboard import Board
+from dc2g_jax.grid.poses import PoseSet, only
+from dc2g_jax.grid.sensing import Kernel, poses_that_see
+from dc2g_jax.gridworld import Belief
+
+
+def _unseen(belief: Belief) -> Board:
+    """In-bounds cells that have not been observed."""
+    return ~belief.seen & jnp.asarray(bitboard.full(belief.height, belief.width))
+
+
+def _reachable_but_here(poses: PoseSet, belief: Belief, reachable: Board) -> PoseSet:
+    """The poses on reachable cells, without the one the robot is in."""
+    return poses & reachable & ~only(belief.pose, *reachable.shape)
+
+
+def frontier_cells(belief: Belief, reachable: Board) -> Board:
+    """Reachable cells with an unobserved in-bounds 4-neighbour (paper, section III-D)."""
+    return reachable & bitboard.neighbours(_unseen(belief))
+
+
+def complete(belief: Belief, reachable: Board, sensing: Kernel) -> PoseSet:
+    """Reachable poses, not the current one, that see an unobserved 4-neighbour of a frontier cell.
+
+    Every such pose reveals something when it is reached, so exploration ends; when the set is empty the goal cannot
+    be reached.
+
+    Args:
+      belief: what the robot knows.
+      reachable: observed traversable cells connected to the robot.
+      sensing: the robot's field of view.
+    """
+    targets = _unseen(belief) & bitboard.neighbours(frontier_cells(belief, reachable))
+    return _reachable_but_here(poses_that_see(targets, sensing), belief, reachable)
+
+
+def reference(belief: Belief, reachable: Board, expanding: Kernel) -> PoseSet:
+    """Reachable poses, not the current one, whose `expanding` kernel covers a frontier cell, as the authors' code has it.
+
+    A frontier cell here is any observed cell, traversable or not, with an unobserved in-bounds 4-neighbour.
+
+    Args:
+      belief: what the robot knows.
+      reachable: observed traversable cells connected to the robot.
+      expanding: see `dc2g_jax.grid.sensing.expanding_kernel`.
+    """
+    frontier = belief.seen & bitboard.neighbours(_unseen(belief))
+    return _reachable_but_here(poses_that_see(frontier, expanding), belief, reachable)

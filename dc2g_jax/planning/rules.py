@@ -1,0 +1,81 @@
+"""The values in which the paper's text and the authors' published code differ, and the named settings made of them."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+
+import jax.numpy as jnp
+
+from dc2g_jax.grid import bitboard, search
+from dc2g_jax.grid.bitboard import Board
+from dc2g_jax.grid.poses import PoseSet, every_heading
+from dc2g_jax.grid.sensing import Kernel, expanding_kernel, field_of_view
+from dc2g_jax.gridworld import Belief
+from dc2g_jax.planning import frontiers
+
+
+@dataclasses.dataclass(frozen=True)
+class Rules:
+    """What a robot sees and what its planner counts. Hashable, so a static value under `jit`.
+
+    Attributes:
+      sensing: the field of view.
+      frontier_expanding: `(belief, reachable) ->` poses worth exploring from.
+      goal_poses: `(belief, reachable goal cells, reachable) ->` poses to head for once a goal is reachable.
+    """
+
+    sensing: Kernel
+    frontier_expanding: Callable[[Belief, Board], PoseSet]
+    goal_poses: Callable[[Belief, Board, Board], PoseSet]
+
+
+def nearest_goal(belief: Belief, goals: Board, reachable: Board) -> PoseSet:
+    """Every pose on a reachable observed goal cell: a shortest plan ends in the nearest."""
+    del belief, reachable
+    return every_heading(goals)
+
+
+def first_goal(belief: Belief, goals: Board, reachable: Board) -> PoseSet:
+    """The one pose the authors' code heads for: on the raster-first goal cell, in the heading it reaches soonest.
+
+    Ties between headings go to the smaller index.
+    """
+    target = bitboard.first(goals)
+    # An empty map where no goal is reachable: nothing is searched for nothing.
+    free = jnp.where(bitboard.is_empty(goals), jnp.uint32(0), reachable)
+    lengths = search.distances(belief.pose, free, belief.width)
+    at_target = bitboard.unpack(target, belief.width) & (lengths >= 0)
+    per_heading = jnp.min(jnp.where(at_target, lengths, jnp.iinfo(jnp.int32).max), axis=(1, 2))
+    soonest = jnp.arange(len(per_heading)) == jnp.argmin(per_heading)
+    return jnp.where(soonest[:, None, None], target, jnp.uint32(0))
+
+
+@functools.cache
+def complete_rules(sensing_range: int) -> Rules:
+    """The algorithm as the paper's text means it, with a guarantee that exploration ends.
+
+    Args:
+      sensing_range: reach of the 90-degree field of view, in cells.
+    """
+    sensing = field_of_view(sensing_range)
+    return Rules(
+        sensing=sensing,
+        frontier_expanding=functools.partial(frontiers.complete, sensing=sensing),
+        goal_poses=nearest_goal,
+    )
+
+
+@functools.cache
+def reference_rules(sensing_range: int, expanding_range: int | None = None) -> Rules:
+    """What the authors' published code does, to the action.
+
+    Args:
+      sensing_range: reach of the 90-degree field of view, in cells.
+      expanding_range: range of the frontier-expanding kernel, in cells; the sensing range where `None`.
+    """
+    expanding = expanding_kernel(sensing_range if expanding_range is None else expanding_range)
+    return Rules(
+        sensing=field_of_view(sensing_range),
+        frontier_expanding=functools.partial(frontiers.reference, expanding=expanding),
+        goal_poses=first_goal,
+    )
