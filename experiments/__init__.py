@@ -1,0 +1,1 @@
+"""Commands: options, calls, files. Run one with `python -m experiments.NAME --help`."""

@@ -24,7 +24,7 @@ from dc2g_jax.datasets.lots import car
 from dc2g_jax.datasets.streets import Kerb, Sidewalks, Streets, lay_streets
 from dc2g_jax.grid.sampling import ClassImage
 
-#: Layer -> shape, in the frame of a building: the sidewalk's inner edge is y = 0, the street towards negative y.
+#: Layer -> shape in a building's frame: the sidewalk's inner edge is y = 0, the street towards negative y.
 Building = dict[str, Shape]
 
 _STREETS = {"straight": 0.3, "curved": 0.08, "tee": 0.15, "corner": 0.25, "crossing": 0.22}
@@ -34,7 +34,7 @@ def draw_city(rng: np.random.Generator) -> ClassImage | None:
     """One picture of a city block's street front, uint8 [H W] of class indices."""
     streets = lay_streets(rng, _STREETS, (6.5, 13.0), uniform(rng, (30, 70)))
     sidewalks = Sidewalks(
-        verge=float(rng.choice((0.0, uniform(rng, (0.5, 2.0))), p=(0.65, 0.35))),
+        verge=float(rng.choice((0.0, uniform(rng, (0.5, 2.0))), p=(0.75, 0.25))),
         width=uniform(rng, (2.0, 5.0)),
         left=True,
         right=bool(rng.random() < 0.9),
@@ -47,7 +47,7 @@ def draw_city(rng: np.random.Generator) -> ClassImage | None:
         sketch.add("path", _kerb_crossings(rng, streets, sidewalks.verge))
     usual = {kind: weight * rng.gamma(0.7) for kind, weight in _WEIGHTS.items()}
     depth = uniform(rng, (22, 34))
-    alleys = _add_alleys(rng, sketch, streets, margin + depth) if rng.random() < 0.5 else []
+    alleys = _add_alleys(rng, sketch, streets, margin + depth) if rng.random() < 0.35 else []
     for edge in streets.kerbs:
         _line_with_buildings(rng, sketch, edge, margin, usual)
     for alley in alleys:
@@ -55,7 +55,7 @@ def draw_city(rng: np.random.Generator) -> ClassImage | None:
     behind = margin + uniform(rng, (13, 24))
     for _ in range(int(rng.integers(0, 4))):  # further rows, deeper in the block
         for edge in streets.kerbs:
-            _line_with_buildings(rng, sketch, edge, behind, _BEHIND)
+            _line_with_buildings(rng, sketch, edge, behind, {"annex": 1.0})
         behind += uniform(rng, (9, 18))
     if rng.random() < 0.75:
         sketch.add_clear("car", _parked_cars(rng, streets, uniform(rng, (0.1, 0.8))))
@@ -74,7 +74,7 @@ def _look(rng: np.random.Generator, streets: Streets, margin: float) -> View:
 def _kerb_crossings(rng: np.random.Generator, streets: Streets, verge: float) -> Shape:
     """Short walkways over the grass between sidewalk and kerb."""
     shape: Shape = []
-    spacing, width = uniform(rng, (7, 20)), uniform(rng, (1.2, 3.0))
+    spacing, width = uniform(rng, (12, 30)), uniform(rng, (1.2, 2.0))
     for kerb in streets.kerbs:
         for along in np.arange(-60, 60, spacing):
             frame = kerb.at(float(along) + rng.normal(0, 1.5))
@@ -89,7 +89,7 @@ def _turn(rng: np.random.Generator) -> float:
 
 
 def _add_alleys(rng: np.random.Generator, sketch: Sketch, streets: Streets, depth: float) -> list[Kerb]:
-    """An alley behind the first row of buildings, joined to the street by one or two passages; its two edges."""
+    """An alley behind the first row of buildings, with one or two passages to the street; its two edges."""
     kerb, width = streets.kerbs[0], uniform(rng, (3.5, 5.5))
     alley = np.array([kerb.at(offset).place((0, depth)) for offset in np.arange(-70, 71, 7.0)])
     shape = stroke(alley, width)
@@ -126,7 +126,9 @@ def _line_with_buildings(
 def _in_view(sketch: Sketch, stand: Frame, width: float) -> bool:
     pixels = sketch.view.to_pixels(stand.place([(0.0, 10.0)]))[0]
     slack = (width + 15) * sketch.view.scale
-    return bool((pixels > -slack).all() and (pixels < np.array([sketch.view.width, sketch.view.height]) + slack).all())
+    return bool(
+        (pixels > -slack).all() and (pixels < np.array([sketch.view.width, sketch.view.height]) + slack).all()
+    )
 
 
 def _fits(sketch: Sketch, shapes: Building) -> bool:
@@ -158,7 +160,9 @@ def _terraces(rng: np.random.Generator, width: float, setback: float) -> Buildin
         back = setback + depth + rng.normal(0, 1.0)
         building["house"].append(rectangle(left, front, left + unit + 0.2, back))
         if rng.random() < 0.3:
-            building["house"].append(rectangle(left + 0.15 * unit, back - 1, left + 0.6 * unit, back + uniform(rng, (2, 5))))
+            building["house"].append(
+                rectangle(left + 0.15 * unit, back - 1, left + 0.6 * unit, back + uniform(rng, (2, 5)))
+            )
         at = side if index % 2 == 0 or rng.random() < 0.5 else 1 - side
         if rng.random() < 0.85:
             _merge(building, _entrance(rng, left + at * unit, front, uniform(rng, (1.0, 1.6))))
@@ -168,14 +172,20 @@ def _terraces(rng: np.random.Generator, width: float, setback: float) -> Buildin
 def _slab(rng: np.random.Generator, width: float, setback: float) -> Building:
     """A long apartment house with several entrances, perhaps with a walkway that runs along its front."""
     depth = uniform(rng, (10, 18))
-    building: Building = {"house": [rectangle(-width / 2, setback, width / 2, setback + depth)], "path": [], "door": []}
+    building: Building = {
+        "house": [rectangle(-width / 2, setback, width / 2, setback + depth)],
+        "path": [],
+        "door": [],
+    }
     _relief(rng, building, width, setback, depth)
     count = max(round(width / uniform(rng, (9, 18))), 1)
     doors = -width / 2 + width * (np.arange(count) + uniform(rng, (0.3, 0.7))) / count
     if setback > 3.0 and rng.random() < 0.5:
         lane = setback - uniform(rng, (1.5, 2.5))
         ends = np.array([(doors[0], -1.5), (doors[0], lane), (doors[-1] + 0.1, lane)])
-        building["path"] += stroke(resample(smooth(ends, int(rng.integers(0, 2))), 1.0), uniform(rng, (1.2, 2.0)))
+        building["path"] += stroke(
+            resample(smooth(ends, int(rng.integers(0, 2))), 1.0), uniform(rng, (1.2, 2.0))
+        )
         for x in doors:
             entrance = _entrance(rng, float(x), setback, 1.4)
             building["path"] += stroke(np.array([(x, lane), (x, setback + 0.5)]), 1.5)
@@ -257,9 +267,18 @@ def _tower(rng: np.random.Generator, width: float, setback: float) -> Building:
     """A tower on a lawn or a paved square, a walkway bent to its door and a driveway down to its garage."""
     side, back = uniform(rng, (13, 20)), setback + uniform(rng, (3, 9))
     blocks = [rectangle(-side / 2, back, side / 2, back + side)]
-    blocks.append(rectangle(-side / 2 - uniform(rng, (-2, 3)), back + 3, side / 2 + uniform(rng, (-2, 3)), back + side - 3))
+    blocks.append(
+        rectangle(
+            -side / 2 - uniform(rng, (-2, 3)), back + 3, side / 2 + uniform(rng, (-2, 3)), back + side - 3
+        )
+    )
     x = uniform(rng, (-0.3, 0.3)) * side
-    corners = [(x + rng.normal(0, 4), -1.5), (x + rng.normal(0, 2), back * 0.5), (x, back - 1), (x, back + 0.5)]
+    corners = [
+        (x + rng.normal(0, 4), -1.5),
+        (x + rng.normal(0, 2), back * 0.5),
+        (x, back - 1),
+        (x, back + 0.5),
+    ]
     line = resample(smooth(corners, int(rng.integers(0, 3))), 1.0)
     half = uniform(rng, (1.0, 1.7))
     door = jitter(rng, rectangle(x - half, back - 0.7, x + half, back + 0.9), 0.1)
@@ -291,9 +310,16 @@ _BUILDINGS: dict[str, Callable[[np.random.Generator, float, float], Building]] =
     "tower": _tower,
     "annex": _annex,
 }
-#: Kinds of the second row, reached from alleys or not at all.
+#: Kinds of the buildings along alleys.
 _BEHIND = {"terraces": 0.5, "slab": 1.0, "annex": 1.2}
-_WEIGHTS = {"terraces": 1.0, "slab": 1.0, "court_block": 0.5, "closed_block": 0.3, "parking": 0.2, "tower": 0.25}
+_WEIGHTS = {
+    "terraces": 1.0,
+    "slab": 1.0,
+    "court_block": 0.5,
+    "closed_block": 0.3,
+    "parking": 0.2,
+    "tower": 0.25,
+}
 
 
 def _parked_cars(rng: np.random.Generator, streets: Streets, density: float) -> Shape:
@@ -324,4 +350,6 @@ def _crossing(rng: np.random.Generator, streets: Streets) -> Shape:
     index = int(np.searchsorted(travelled(line), off))
     half = float(half_widths[index]) + 0.5
     ahead = line[index + 1] - line[index]
-    return [Frame(line[index], float(np.arctan2(ahead[1], ahead[0]))).place(rectangle(-1.2, -half, 1.2, half))]
+    return [
+        Frame(line[index], float(np.arctan2(ahead[1], ahead[0]))).place(rectangle(-1.2, -half, 1.2, half))
+    ]

@@ -1,7 +1,8 @@
 """Geometry in metres and a layered sketch in pixels: what the procedural neighbourhoods are drawn with.
 
-Shapes live in a plane measured in metres. A shape is a list of polygons, each float [k 2] (x, y). A `View` says which
-turned rectangle of that plane becomes the picture, and a `Sketch` fills polygons into one mask per layer.
+Shapes live in a plane measured in metres. A shape is a list of polygons, each float [k 2] (x, y). A `View`
+says which turned rectangle of that plane becomes the picture, and a `Sketch` fills polygons into masks, one
+for each layer.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,7 +19,7 @@ Points = npt.NDArray[np.float64]
 Shape = list[Points]
 Range = tuple[float, float]
 
-#: Layer -> terrain class, in painting order: later layers cover earlier ones. `pavement` less `verge` is sidewalk.
+#: Layer -> terrain class, in painting order: later ones cover earlier ones. Pavement less verge is sidewalk.
 LAYERS: dict[str, int] = {
     "path": PATH,
     "pavement": SIDEWALK,
@@ -48,7 +49,7 @@ def choose(rng: np.random.Generator, weights: Mapping[str, float]) -> str:
 
 @dataclass(frozen=True)
 class Frame:
-    """A place and a direction: local coordinates are mirrored (x -> -x) if asked, turned by `angle`, then moved."""
+    """A place and a direction: local points are mirrored (x -> -x) if asked, turned by `angle`, moved."""
 
     origin: Points
     angle: float
@@ -87,7 +88,9 @@ def disc(
     count = int(rng.integers(10, 25)) if corners is None else corners
     angles = 2 * np.pi * (np.arange(count) + rng.uniform(-0.25, 0.25, count)) / count
     radii = radius * (1 + rng.normal(0, unevenness, count))
-    return np.asarray(center, dtype=float) + np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=-1)
+    return np.asarray(center, dtype=float) + np.stack(
+        [radii * np.cos(angles), radii * np.sin(angles)], axis=-1
+    )
 
 
 def smooth(points: npt.ArrayLike, rounds: int) -> Points:
@@ -126,7 +129,9 @@ def ribbon(line: Points, left: npt.ArrayLike, right: npt.ArrayLike) -> Shape:
     """
     normals = left_normals(line)
     sides = [line + normals * np.broadcast_to(offset, len(line))[:, None] for offset in (left, right)]
-    return [np.array([sides[0][i], sides[0][i + 1], sides[1][i + 1], sides[1][i]]) for i in range(len(line) - 1)]
+    return [
+        np.array([sides[0][i], sides[0][i + 1], sides[1][i + 1], sides[1][i]]) for i in range(len(line) - 1)
+    ]
 
 
 def stroke(line: Points, width: npt.ArrayLike) -> Shape:
@@ -203,7 +208,7 @@ class Sketch:
             self.add(layer, shape)
 
     def add_clear(self, layer: str, shape: Iterable[Points]) -> None:
-        """Fill polygons into a layer one by one, leaving out those that touch what the layer holds already."""
+        """Fill polygons into a layer one by one, but none that touches what the layer holds already."""
         for polygon in shape:
             if self.overlap(self.mask([polygon]), layer) == 0:
                 self.add(layer, [polygon])
@@ -213,8 +218,13 @@ class Sketch:
         total = int(np.count_nonzero(mask))
         if total == 0:
             return 0.0
-        taken = sum((self.masks[layer] for layer in layers if layer in self.masks), np.zeros_like(mask))
-        return int(np.count_nonzero(mask & (taken > 0))) / total
+        left, top, width, height = cv2.boundingRect(mask)
+        part = (slice(top, top + height), slice(left, left + width))
+        taken = np.zeros((height, width), np.uint8)
+        for layer in layers:
+            if layer in self.masks:
+                taken |= self.masks[layer][part]
+        return int(np.count_nonzero(mask[part] & taken)) / total
 
     def classes(self) -> ClassImage:
         """The finished picture: class indices, uint8 [H W]."""

@@ -1,7 +1,7 @@
 """One lot of a suburb: house, driveway, walkways, doors and cars, drawn in metres.
 
-A house has its own frame: its front runs along x near y = 0, the street lies towards negative y, the garage is at the left
-(negative x) unless the frame is mirrored.
+A house has its own frame: its front runs along x near y = 0, the street lies towards negative y, the garage
+is at the left (negative x); the frame may be mirrored.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ from dc2g_jax.datasets.streets import Kerb
 
 @dataclass(frozen=True)
 class LotStyle:
-    """What the lots of a neighbourhood are like; ranges in metres, `turn` in radians, weights and shares unitless."""
+    """What a neighbourhood's lots are like: ranges in metres, `turn` in radians, weights and shares."""
 
     width: Range
     setback: Range
@@ -42,7 +42,7 @@ class LotStyle:
 
 @dataclass(frozen=True)
 class House:
-    """A house in its own frame: blocks, its left end, the garage's (x, front y, width) and the front door's (x, y)."""
+    """A house in its own frame: blocks, ends, the garage's (x, front y, width), the front door's (x, y)."""
 
     blocks: list[Points]
     left: float
@@ -69,7 +69,9 @@ def build_house(rng: np.random.Generator, style: LotStyle) -> House:
     width, depth = uniform(rng, style.house_width), uniform(rng, style.house_depth)
     garage_width = min(uniform(rng, (4.5, 7.5)), 0.55 * width)
     left, right = -width / 2, width / 2
-    garage_front = float(rng.choice((uniform(rng, (-4.5, -0.5)), 0.0, uniform(rng, (0.3, 2.5))), p=(0.5, 0.2, 0.3)))
+    garage_front = float(
+        rng.choice((uniform(rng, (-4.5, -0.5)), 0.0, uniform(rng, (0.3, 2.5))), p=(0.5, 0.2, 0.3))
+    )
     garage_depth = uniform(rng, (6, 8)) + max(-garage_front, 0) * 0.4
     inner = left + garage_width
     blocks = [
@@ -129,7 +131,7 @@ def build_lot(rng: np.random.Generator, style: LotStyle, kerb: Kerb, has_sidewal
 
 @dataclass(frozen=True)
 class Driveway:
-    """A driveway: its shape, its centre line from road to house [n 2], its width there, where walkways may begin [m 2]."""
+    """A driveway: shape, centre line from road to house [n 2], width, where walkways may begin [m 2]."""
 
     shape: Shape
     line: Points
@@ -163,7 +165,7 @@ def _front_driveway(
 
 
 def _court(rng: np.random.Generator, house: House, width: float) -> tuple[Shape, Points, Points]:
-    """Paved ground beside a garage that opens sideways, in the house's frame: shape, where to enter it, its middle."""
+    """Paved ground beside a garage that opens sideways, in the house's frame: shape, entry, middle."""
     reach, back = uniform(rng, (5.0, 8.0)), uniform(rng, (4.5, 7.0))
     front = house.garage[1] + uniform(rng, (-0.5, 1.5))
     ground = rectangle(house.left - reach, front, house.left + 0.5, front + back)
@@ -192,7 +194,9 @@ def _winding_driveway(
     start, turn_in = mouth.place((0, 0)), stand.place(entry - (0, uniform(rng, (0.1, 0.3)) * setback))
     lean = mouth.place((rng.normal(0, 1.5), uniform(rng, (2, 6))))
     between = (lean + turn_in) / 2 + bend
-    line = np.array([mouth.place((0, -1.5)), start, lean, between, turn_in, stand.place(entry), stand.place(middle)])
+    line = np.array(
+        [mouth.place((0, -1.5)), start, lean, between, turn_in, stand.place(entry), stand.place(middle)]
+    )
     if rng.random() < 0.3:
         line = np.delete(line, (3, 4), axis=0)
     line = resample(smooth(line, int(rng.choice((0, 1, 2, 3), p=(0.12, 0.28, 0.3, 0.3)))), 1.2)
@@ -216,14 +220,25 @@ def _horseshoe_driveway(
     apex = [stand.place((door_x - spread, near)), stand.place((door_x + spread, near + rng.normal(0, 1.0)))]
     mouths = [kerb.at(left), kerb.at(right)]
     corners = np.array(
-        [mouths[0].place((0, -1.5)), mouths[0].place((0, 3)), *apex, mouths[1].place((0, 3)), mouths[1].place((0, -1.5))]
+        [
+            mouths[0].place((0, -1.5)),
+            mouths[0].place((0, 3)),
+            *apex,
+            mouths[1].place((0, 3)),
+            mouths[1].place((0, -1.5)),
+        ]
     )
     line = resample(smooth(corners, int(rng.integers(1, 4))), 1.2)
     distance = travelled(line)
     ends = np.minimum(distance, distance[-1] - distance)
     shape = stroke(line, width * (1 + 0.8 * np.clip(1 - (ends - 1) / 3, 0, 1)))
     leave = line[int(np.clip(len(line) * uniform(rng, (0.15, 0.4)), 1, len(line) - 2))]
-    spur_corners = [leave, stand.place(entry - (0, uniform(rng, (1.5, 4)))), stand.place(entry), stand.place(middle)]
+    spur_corners = [
+        leave,
+        stand.place(entry - (0, uniform(rng, (1.5, 4)))),
+        stand.place(entry),
+        stand.place(middle),
+    ]
     spur = resample(smooth(spur_corners, int(rng.integers(0, 3))), 1.2)
     shape += stroke(spur, width)
     closest = line[int(np.argmin(np.hypot(*(line - stand.place((door_x, near))).T)))]
@@ -265,7 +280,7 @@ def _walkway_starts(
 
 
 def _walkway(rng: np.random.Generator, house: House, stand: Frame, start: Points, width: float) -> Shape:
-    """A walkway from a start in the plane to the front door: bent square, slanted or curved, all before the house."""
+    """A walkway from a point of the plane to the front door: bent, slanted or curved, before the house."""
     door_x, door_y = house.door
     cosine, sine = np.cos(stand.angle), np.sin(stand.angle)
     dx, dy = start - stand.origin
@@ -290,7 +305,7 @@ def _walkway(rng: np.random.Generator, house: House, stand: Frame, start: Points
 
 def _door(rng: np.random.Generator, door: tuple[float, float], style: LotStyle) -> Points:
     """A front door's outline in the house's frame: a small quadrilateral that straddles the front."""
-    size = 1.35 if style.setback[1] > 20 else 1.0
+    size = 1.15 if style.setback[1] > 20 else 1.0
     half = size * uniform(rng, (0.9, 1.7))
     outer, inner = size * uniform(rng, (0.5, 1.1)), size * uniform(rng, (0.5, 1.2))
     corners = rectangle(door[0] - half, door[1] - outer, door[0] + half, door[1] + inner)
@@ -298,7 +313,7 @@ def _door(rng: np.random.Generator, door: tuple[float, float], style: LotStyle) 
 
 
 def _add_side_door(rng: np.random.Generator, lot: Lot, house: House, stand: Frame, width: float) -> None:
-    """A second door at the house's side or a patio behind it, with a walkway round the corner from the first."""
+    """A second door at the house's side or a patio there, with a walkway round the corner."""
     depth = max(float(block[:, 1].max()) for block in house.blocks[:1])
     beside, side_y = house.right + width * uniform(rng, (0.6, 1.2)), uniform(rng, (0.3, 0.8)) * depth
     front = min(float(block[:, 1].min()) for block in house.blocks) - width * uniform(rng, (0.5, 1.2))
@@ -310,7 +325,9 @@ def _add_side_door(rng: np.random.Generator, lot: Lot, house: House, stand: Fram
         door = rectangle(house.right - 0.7, side_y - half, beside, side_y + half)
         lot.shapes["door"].append(stand.place(jitter(rng, door, 0.1)))
     else:
-        patio = rectangle(beside - 1.0, side_y, beside + uniform(rng, (1, 3)), depth + uniform(rng, (0.0, 3.0)))
+        patio = rectangle(
+            beside - 1.0, side_y, beside + uniform(rng, (1, 3)), depth + uniform(rng, (0.0, 3.0))
+        )
         lot.shapes["path"].append(stand.place(jitter(rng, patio, 0.3)))
 
 
@@ -322,14 +339,16 @@ def car(rng: np.random.Generator, center: Points, angle: float) -> Points:
 
 
 def _park(rng: np.random.Generator, drive: Driveway) -> Shape:
-    """One or two cars on a driveway, left of its centre or right of it, so that it stays passable where it is wide."""
+    """One or two cars beside a driveway's centre line, so that it stays passable where it is wide."""
     cars = []
     for _ in range(1 + int(rng.random() < 0.25)):
         index = int(np.clip(uniform(rng, (0.35, 0.95)) * len(drive.line), 1, len(drive.line) - 2))
         ahead = drive.line[index + 1] - drive.line[index - 1]
         angle = float(np.arctan2(ahead[1], ahead[0]))
         aside = max(drive.width / 2 - uniform(rng, (0.9, 1.4)), 0.0) * float(rng.choice((-1, 1)))
-        cars.append(car(rng, Frame(drive.line[index], angle).place((0.0, aside)), angle + rng.normal(0, 0.08)))
+        cars.append(
+            car(rng, Frame(drive.line[index], angle).place((0.0, aside)), angle + rng.normal(0, 0.08))
+        )
     return cars
 
 

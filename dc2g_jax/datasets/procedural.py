@@ -1,7 +1,7 @@
 """Procedural houses: a seeded set of semantic maps shaped like the published one, and endless further ones.
 
-Nothing is downloaded: a map is drawn from streets, lots, driveways and walkways, and redrawn until a robot that starts
-on the road can reach a front door in the 50x50 grid that the map is squeezed into.
+Nothing is downloaded: a map is drawn from streets, lots, driveways and walkways, and redrawn until a robot
+that starts on the road can reach a front door in the 50x50 grid that the map is squeezed into.
 """
 
 import cv2
@@ -50,7 +50,7 @@ def house_seed(seed: int, index: int) -> int:
 
 
 def extra_house_seed(seed: int, index: int) -> int:
-    """The seed that `draw_house` gets for house `index` of `extra_training_houses(_, seed)`: an odd number."""
+    """The seed that `draw_house` gets for house `index` of `extra_training_houses`: an odd number."""
     return 2 * _paired(seed, index) + 1
 
 
@@ -103,7 +103,7 @@ def draw_house(seed: int, style: str) -> ClassImage:
 
 
 def procedural_houses(seed: int = 0) -> list[tuple[str, str, ClassImage]]:
-    """The default dataset: (name, split, class indices uint8 [H W]) of 77 houses, in the order of `PROCEDURAL_SPLIT`.
+    """The default dataset: (name, split, class indices uint8 [H W]) of 77 houses, as in `PROCEDURAL_SPLIT`.
 
     Raises:
         ValueError: if the seed is not in [0, 2^32).
@@ -115,7 +115,7 @@ def procedural_houses(seed: int = 0) -> list[tuple[str, str, ClassImage]]:
 
 
 def extra_training_houses(count: int, seed: int) -> list[ClassImage]:
-    """Further houses for training, over all four styles in turn; none shares its seed with a procedural house.
+    """Further houses for training, all four styles in turn; none shares its seed with a procedural house.
 
     Args:
         count: how many.

@@ -1,4 +1,4 @@
-"""Streets of the procedural neighbourhoods: roads, turning circles, their sidewalks and the kerbs lots lie along."""
+"""Streets of the procedural neighbourhoods: roads, turning circles, sidewalks and kerbs."""
 
 from dataclasses import dataclass, field
 
@@ -42,7 +42,10 @@ class Kerb:
 
 @dataclass(frozen=True)
 class Sidewalks:
-    """Where sidewalks run: grass between kerb and sidewalk, sidewalk width (metres), on the left and right?"""
+    """Where sidewalks run: width of the grass between kerb and sidewalk, sidewalk width (metres), sides.
+
+    A verge of 0.3 m or less is not drawn.
+    """
 
     verge: float
     width: float
@@ -53,7 +56,7 @@ class Sidewalks:
 
 @dataclass
 class Streets:
-    """Everything a car may drive on in public: roads as (centre line [n 2], half widths [n]), circles as ([2], radius).
+    """Public roads as (centre line [n 2], half widths [n]) and turning circles as (centre [2], radius).
 
     `bulges` are circles that only round off a junction and have no sidewalk round them.
     `kerbs` lists road edges; the first is the one the main lot lies along.
@@ -93,11 +96,13 @@ class Streets:
                 outer = inner + sidewalks.width * (1 + wobble(rng, len(line), 0.08))
                 if present:
                     sketch.add(layer, ribbon(line, sign * outer, 0.0))
-                sketch.add("verge", ribbon(line, sign * inner, 0.0))
+                if sidewalks.verge > 0.3:
+                    sketch.add("verge", ribbon(line, sign * inner, 0.0))
         for center, radius in self.circles:
-            inner = radius + sidewalks.verge
-            sketch.add(layer, [disc(rng, center, inner + sidewalks.width, 0.01, corners=40)])
-            sketch.add("verge", [disc(rng, center, inner, 0.01, corners=40)])
+            verge = radius + sidewalks.verge
+            sketch.add(layer, [disc(rng, center, verge + sidewalks.width, 0.01, corners=40)])
+            if sidewalks.verge > 0.3:
+                sketch.add("verge", [disc(rng, center, verge, 0.01, corners=40)])
 
 
 def wander(rng: np.random.Generator, heading: float, bend: float, length: float = _REACH) -> Points:
@@ -115,7 +120,9 @@ def through_road(rng: np.random.Generator, bend: float) -> Points:
     return np.concatenate([behind[:0:-1], ahead])
 
 
-def lay_streets(rng: np.random.Generator, kinds: dict[str, float], road_width: Range, lot_width: float) -> Streets:
+def lay_streets(
+    rng: np.random.Generator, kinds: dict[str, float], road_width: Range, lot_width: float
+) -> Streets:
     """Streets of one kind: straight, curved, circle (cul-de-sac), tee, corner, crossing, fork, knuckle."""
     kind = choose(rng, kinds)
     half = uniform(rng, road_width) / 2

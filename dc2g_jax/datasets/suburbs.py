@@ -63,7 +63,14 @@ SUBURBS = {
             cars=0.22,
             second_door=0.16,
         ),
-        streets={"straight": 0.25, "curved": 0.33, "circle": 0.22, "fork": 0.08, "tee": 0.08, "knuckle": 0.04},
+        streets={
+            "straight": 0.25,
+            "curved": 0.33,
+            "circle": 0.22,
+            "fork": 0.08,
+            "tee": 0.08,
+            "knuckle": 0.04,
+        },
         road_width=(6, 9.5),
         sidewalks=0.0,
         verge=(0, 1),
@@ -109,12 +116,20 @@ SUBURBS = {
 
 
 def draw_suburb(rng: np.random.Generator, suburb: Suburb) -> ClassImage | None:
-    """One picture around one house, uint8 [H W] of class indices; None where the house does not fit its lot."""
+    """One picture around one house, uint8 [H W] of class indices; None where the house does not fit."""
     lot_width = uniform(rng, suburb.lots.width)
     streets = lay_streets(rng, suburb.streets, suburb.road_width, lot_width)
     sidewalks = _choose_sidewalks(rng, suburb)
     lot = build_lot(rng, suburb.lots, streets.kerbs[0], sidewalks is not None)
-    sketch = Sketch(view_around(rng, _framing(rng, suburb, streets, lot.essentials), _turn(rng), suburb.margins, suburb.pixels_per_metre))
+    sketch = Sketch(
+        view_around(
+            rng,
+            _framing(rng, suburb, streets, lot.essentials),
+            _turn(rng),
+            suburb.margins,
+            suburb.pixels_per_metre,
+        )
+    )
     streets.draw(sketch, sidewalks, rng)
     if not _fits(sketch, lot.shapes):
         return None
@@ -150,7 +165,7 @@ def _choose_sidewalks(rng: np.random.Generator, suburb: Suburb) -> Sidewalks | N
 
 
 def _framing(rng: np.random.Generator, suburb: Suburb, streets: Streets, essentials: Shape) -> Shape:
-    """What the picture has to hold: the lot, some or all of the road before it, and perhaps more to the sides."""
+    """What the picture has to hold: the lot, some or all of the road before it, perhaps more beside it."""
     kerb = streets.kerbs[0].at(0.0)
     depth = 2 * float(streets.roads[0][1].mean()) + uniform(rng, suburb.beyond_road)
     left, right = rng.uniform(*suburb.extra_width, 2)
@@ -158,7 +173,7 @@ def _framing(rng: np.random.Generator, suburb: Suburb, streets: Streets, essenti
 
 
 def _fits(sketch: Sketch, shapes: dict[str, Shape]) -> bool:
-    """May a lot be drawn: its house clear of roads, driveways and other houses, its driveway clear of houses?"""
+    """May a lot be drawn: its house clear of roads, driveways and houses, its driveway clear of houses?"""
     house, driveway = sketch.mask(shapes["house"]), sketch.mask(shapes["driveway"])
     if sketch.overlap(house, "road", "driveway", "house", "pavement", "pavement_over_driveway", "path") > 0:
         return False
@@ -166,8 +181,10 @@ def _fits(sketch: Sketch, shapes: dict[str, Shape]) -> bool:
     return covered < 0.18 and sketch.overlap(driveway, "house", "door") == 0
 
 
-def _lots_along(rng: np.random.Generator, streets: Streets, lot_width: float, reach: float = 75.0) -> list[Kerb]:
-    """Places for neighbours: about every lot width along all kerbs within reach of the main lot, nearest first."""
+def _lots_along(
+    rng: np.random.Generator, streets: Streets, lot_width: float, reach: float = 75.0
+) -> list[Kerb]:
+    """Places for neighbours: about every lot width along all kerbs near the main lot, nearest first."""
     main = streets.kerbs[0]
     center = main.at(0.0).origin
     places = []
@@ -187,5 +204,7 @@ def _street_cars(rng: np.random.Generator, streets: Streets) -> Shape:
     for kerb in streets.kerbs:
         for _ in range(int(rng.integers(0, 4))):
             frame: Frame = kerb.at(rng.normal(0, 18))
-            cars.append(car(rng, frame.place((0.0, -uniform(rng, (1.2, 1.8)))), frame.angle + rng.normal(0, 0.05)))
+            cars.append(
+                car(rng, frame.place((0.0, -uniform(rng, (1.2, 1.8)))), frame.angle + rng.normal(0, 0.05))
+            )
     return cars

@@ -6,6 +6,8 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float, UInt8
 
+from dc2g_jax.estimation import networks
+from dc2g_jax.estimation.networks import Architecture
 from dc2g_jax.grid import bitboard, search
 from dc2g_jax.grid.world import World
 
@@ -20,6 +22,29 @@ class Estimator(Protocol):
     def estimate(self, terrain: UInt8[Array, "h w"], state: Any) -> Float[Array, "h w"]:
         """Cost-to-go of every cell given the observed class indices (0 = not observed). Finite, lower is better."""
         ...
+
+
+@struct.dataclass
+class NetworkCostToGo:
+    """A trained network's estimate.
+
+    Attributes:
+      weights: the network's weights.
+      architecture: the network.
+    """
+
+    weights: Any
+    architecture: Architecture = struct.field(pytree_node=False)
+
+    def init(self, world: World) -> tuple[()]:
+        """Nothing is kept between steps."""
+        del world
+        return ()
+
+    def estimate(self, terrain: UInt8[Array, "h w"], state: tuple[()]) -> Float[Array, "h w"]:
+        """The network's answer to a partial map, in cells."""
+        del state
+        return networks.apply(self.architecture, self.weights, terrain[None])[0]
 
 
 @struct.dataclass

@@ -1,6 +1,8 @@
 """Networks that read a partial map and write a cost-to-go grid."""
 
 import dataclasses
+import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +24,7 @@ class Architecture:
       cost_scale: cells of cost-to-go per unit of the last layer's output.
     """
 
-    widths: tuple[int, ...] = (32, 48, 64, 96, 128)
+    widths: tuple[int, ...] = (16, 32, 64, 96, 128)
     cost_scale: float = 32.0
 
 
@@ -105,3 +107,23 @@ class CompactUNet(nnx.Module):
         cells = patches.reshape(batch, rows, columns, 2, 2).transpose(0, 1, 3, 2, 4)
         cells = cells.reshape(batch, 2 * rows, 2 * columns)[:, :height, :width]
         return self.architecture.cost_scale * (1 + cells)
+
+
+def init_weights(architecture: Architecture, key: Array) -> dict[str, Any]:
+    """Fresh weights: a nested dictionary of float32 arrays."""
+    network = CompactUNet(architecture, rngs=nnx.Rngs(key))
+    return nnx.to_pure_dict(nnx.split(network)[1])
+
+
+def weight_shapes(architecture: Architecture) -> dict[str, Any]:
+    """What `init_weights` would give, as shapes and dtypes only."""
+    return jax.eval_shape(functools.partial(init_weights, architecture), jax.random.key(0))
+
+
+def apply(
+    architecture: Architecture, weights: dict[str, Any], terrain: UInt8[Array, "b h w"]
+) -> Float[Array, "b h w"]:
+    """Run the network on a batch of partial maps: cost-to-go in cells."""
+    graph, state = nnx.split(nnx.eval_shape(lambda: CompactUNet(architecture, rngs=nnx.Rngs(0))))
+    nnx.replace_by_pure_dict(state, weights)
+    return nnx.merge(graph, state)(terrain)

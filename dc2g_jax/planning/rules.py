@@ -22,11 +22,13 @@ class Rules:
       sensing: the field of view.
       frontier_expanding: `(belief, reachable) ->` poses worth exploring from.
       goal_poses: `(belief, reachable goal cells, reachable) ->` poses to head for once a goal is reachable.
+      expanding_range: range of the kernel in `frontier_expanding` in cells, where there is one.
     """
 
     sensing: Kernel
     frontier_expanding: Callable[[Belief, Board], PoseSet]
     goal_poses: Callable[[Belief, Board, Board], PoseSet]
+    expanding_range: int | None = None
 
 
 def nearest_goal(belief: Belief, goals: Board, reachable: Board) -> PoseSet:
@@ -73,9 +75,47 @@ def reference_rules(sensing_range: int, expanding_range: int | None = None) -> R
       sensing_range: reach of the 90-degree field of view, in cells.
       expanding_range: range of the frontier-expanding kernel, in cells; the sensing range where `None`.
     """
-    expanding = expanding_kernel(sensing_range if expanding_range is None else expanding_range)
+    expanding_range = sensing_range if expanding_range is None else expanding_range
+    expanding = expanding_kernel(expanding_range)
     return Rules(
         sensing=field_of_view(sensing_range),
         frontier_expanding=functools.partial(frontiers.reference, expanding=expanding),
         goal_poses=first_goal,
+        expanding_range=expanding_range,
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """A named choice of rules.
+
+    Attributes:
+      name: what users call it.
+      sensing_range: reach of the field of view in cells where an episode does not say.
+      expanding_range: range of the frontier-expanding kernel in cells where an episode does not say; `None` for the
+        sensing range.
+      make_rules: `(sensing range, expanding range or None) ->` rules.
+    """
+
+    name: str
+    sensing_range: int
+    expanding_range: int | None
+    make_rules: Callable[[int, int | None], Rules]
+
+    def rules(self, sensing_range: int | None = None, expanding_range: int | None = None) -> Rules:
+        """The rules for an episode that asks for these ranges, `None` for the setting's own."""
+        if sensing_range is None:
+            sensing_range = self.sensing_range
+            expanding_range = self.expanding_range if expanding_range is None else expanding_range
+        return self.make_rules(sensing_range, expanding_range)
+
+
+#: What the 400 published episodes were run with; what the authors' code does at any range; what the paper's text says.
+SETTINGS = {
+    settings.name: settings
+    for settings in (
+        Settings("published", 5, 4, reference_rules),
+        Settings("reference", 8, None, reference_rules),
+        Settings("paper", 8, None, lambda sensing_range, _: complete_rules(sensing_range)),
+    )
+}

@@ -1,0 +1,61 @@
+"""Observation masks: what a moving robot has seen at some moment (the masks of Algorithm 1)."""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Int, Int8, UInt32
+
+from dc2g_jax.grid import bitboard
+from dc2g_jax.grid.poses import Pose
+from dc2g_jax.grid.sensing import Kernel, visible
+from dc2g_jax.grid.world import World
+from dc2g_jax.gridworld import moved
+
+
+@struct.dataclass
+class Moments:
+    """Moments of one episode.
+
+    Attributes:
+      seen: board of the cells observed so far.
+      exploring: is a goal still out of reach, so that a planner would ask for a cost-to-go?
+    """
+
+    seen: UInt32[Array, "*batch h n_words"]
+    exploring: Bool[Array, "*batch"]
+
+
+def moments_along(
+    world: World, start: Pose, actions: Int8[Array, "t"], times: Int[Array, "k"], *, sensing: Kernel
+) -> Moments:
+    """What a robot that takes `actions` from `start` has seen after `times[k]` actions.
+
+    The path and the sensor are independent: any kernel may look along any path.
+
+    Args:
+      world: the map.
+      start: first pose.
+      actions: actions taken; those beyond the largest of `times` do not matter.
+      times: numbers of actions, each from 0 to `len(actions)`.
+      sensing: field of view.
+    """
+    height, width = world.terrain.shape
+
+    def look(carry: tuple[Pose, Array], action: Array) -> tuple[tuple[Pose, Array], tuple[Pose, Array]]:
+        pose, seen = carry
+        pose = moved(pose, action, height, width)
+        seen = seen | visible(sensing, pose, height, width)
+        return (pose, seen), (pose, seen)
+
+    first = (start, visible(sensing, start, height, width))
+    _, (poses, seen) = jax.lax.scan(look, first, actions.astype(jnp.int32))
+    poses, seen = jax.tree.map(
+        lambda one, rest: jnp.concatenate([one[None], rest])[times], first, (poses, seen)
+    )
+
+    def out_of_reach(pose: Pose, seen: UInt32[Array, "h n_words"]) -> Bool[Array, ""]:
+        robot = bitboard.single(pose.x, pose.y, *seen.shape)
+        reachable = bitboard.flood(robot, world.traversable & seen)
+        return ~bitboard.intersects(reachable, world.goals)
+
+    return Moments(seen=seen, exploring=jax.vmap(out_of_reach)(poses, seen))

@@ -1,0 +1,82 @@
+"""Training pairs: masked maps and the exact cost-to-go beneath them (Algorithm 1)."""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
+
+from dc2g_jax.grid import bitboard
+
+#: Number of ways to turn and mirror a square map.
+SYMMETRIES = 8
+
+
+@struct.dataclass
+class TrainingSet:
+    """Labels and observation masks; pairs are made from them on the device, a batch at a time.
+
+    Attributes:
+      terrain: class indices of every world.
+      cost_to_go: exact cost-to-go of every world in cells, infinity where there is none.
+      masks: boards of observed cells.
+      mask_world: index of the world that each mask belongs to.
+    """
+
+    terrain: UInt8[Array, "worlds h w"]
+    cost_to_go: Float[Array, "worlds h w"]
+    masks: UInt32[Array, "masks h n_words"]
+    mask_world: Int[Array, "masks"]
+
+
+@struct.dataclass
+class Pair:
+    """One training pair.
+
+    Attributes:
+      terrain: observed class indices, 0 where not observed.
+      target: exact cost-to-go in cells; infinite where its weight is 0.
+      weight: weight of each cell in the loss.
+    """
+
+    terrain: UInt8[Array, "*batch h w"]
+    target: Float[Array, "*batch h w"]
+    weight: Float[Array, "*batch h w"]
+
+
+def _turned(grid: Array, symmetry: Int[Array, ""]) -> Array:
+    """One of the symmetries of the square (of the rectangle where the grid is not square)."""
+    mirrored = jnp.where(symmetry & 1, grid[:, ::-1], grid)
+    flipped = jnp.where(symmetry & 2, mirrored[::-1], mirrored)
+    if grid.shape[0] != grid.shape[1]:
+        return flipped
+    return jnp.where(symmetry & 4, flipped.T, flipped)
+
+
+def _near(cells: Bool[Array, "h w"], distance: int) -> Bool[Array, "h w"]:
+    """Cells within `distance` columns and rows of one of the given cells."""
+    window = (2 * distance + 1, 2 * distance + 1)
+    return jax.lax.reduce_window(cells, False, jax.lax.bitwise_or, window, (1, 1), "SAME")
+
+
+def make_pair(
+    data: TrainingSet, index: Int[Array, ""], symmetry: Int[Array, ""], *, edge_weight: float, edge_width: int = 2
+) -> Pair:
+    """The training pair of one mask, turned or mirrored (Algorithm 1, lines 7 and 8).
+
+    Only observed cells with a cost-to-go count. Those within `edge_width` cells of unobserved ground, which is where a
+    planner's choices lie, count `edge_weight` times.
+
+    Args:
+      data: labels and masks.
+      index: which mask, 0 to masks - 1.
+      symmetry: 0 to `SYMMETRIES` - 1.
+      edge_weight: weight of cells near unobserved ground; other cells have weight 1.
+      edge_width: how near is near, in cells.
+    """
+    world = data.mask_world[index]
+    width = data.terrain.shape[-1]
+    seen = bitboard.unpack(data.masks[index], width)
+    target = data.cost_to_go[world]
+    weight = jnp.where(_near(~seen, edge_width), edge_weight, 1.0) * (seen & jnp.isfinite(target))
+    pair = Pair(terrain=jnp.where(seen, data.terrain[world], jnp.uint8(0)), target=target, weight=weight)
+    return jax.tree.map(lambda grid: _turned(grid, symmetry), pair)

@@ -1,0 +1,164 @@
+"""Where episodes start: sampled on the road, read from a CSV file, or as published."""
+
+import csv
+import functools
+import zlib
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, UInt8
+
+from dc2g_jax.datasets.houses import House, HouseDataset
+from dc2g_jax.errors import InputError
+from dc2g_jax.grid.poses import HEADINGS
+from dc2g_jax.grid.terrain import FRONT_DOOR, ROAD, TRAVERSABLE
+from dc2g_jax.shipped import shipped
+
+
+class Start(NamedTuple):
+    """First pose of an episode.
+
+    Attributes:
+      house: name of the house.
+      x: column.
+      y: row, growing downward.
+      heading: 0 = +x, 1 = +y, 2 = -x, 3 = -y.
+      sensing_range: reach of the field of view in cells, `None` for the setting's own.
+      expanding_range: range of the frontier-expanding kernel in cells, `None` for the setting's own.
+    """
+
+    house: str
+    x: int
+    y: int
+    heading: int
+    sensing_range: int | None = None
+    expanding_range: int | None = None
+
+
+class PublishedEpisode(NamedTuple):
+    """One of the 400 episodes behind the paper's headline figures.
+
+    Attributes:
+      group: `train`, `same_neighborhood`, `new_neighborhood` or `urban`.
+      start: first pose.
+      oracle: steps the authors' oracle took.
+      frontier: steps the authors' frontier planner took.
+      dc2g: steps the authors' DC2G took.
+    """
+
+    group: str
+    start: Start
+    oracle: int
+    frontier: int
+    dc2g: int
+
+
+@functools.cache
+def published_episodes() -> tuple[PublishedEpisode, ...]:
+    """The 400 published episodes with the authors' own step counts."""
+    with shipped("published_episodes.csv").open(newline="") as file:
+        lines = (line for line in file if not line.startswith("#"))
+        return tuple(
+            PublishedEpisode(
+                group=row["group"],
+                start=Start(row["house"], int(row["x"]), int(row["y"]), int(row["heading"])),
+                oracle=int(row["oracle"]),
+                frontier=int(row["frontier"]),
+                dc2g=int(row["dc2g"]),
+            )
+            for row in csv.DictReader(lines)
+        )
+
+
+def connected_to_goal(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Traversable cells from which a front door can be reached, 4-connected."""
+    _, labels = cv2.connectedComponents(TRAVERSABLE[terrain].astype(np.uint8), connectivity=4)
+    return TRAVERSABLE[terrain] & np.isin(labels, labels[terrain == FRONT_DOOR])
+
+
+def why_no_episode(house: House) -> str | None:
+    """Why no episode can be run in a house, or `None` where one can."""
+    if not np.any(house.terrain == FRONT_DOOR):
+        return "it has no front door"
+    if not np.any(connected_to_goal(house.terrain) & (house.terrain == ROAD)):
+        return "no front door can be reached from any of its road cells"
+    return None
+
+
+def sample_starts(houses: Iterable[House], per_house: int, *, seed: int) -> list[Start]:
+    """Random starts on road cells from which a front door can be reached, in random headings.
+
+    The starts of a house depend on the seed and the house's name alone. Houses in which no episode can be run have
+    none; see `why_no_episode`.
+    """
+    starts = []
+    for house in houses:
+        if why_no_episode(house) is not None:
+            continue
+        rng = np.random.default_rng([seed, zlib.crc32(house.name.encode())])
+        rows, columns = np.nonzero(connected_to_goal(house.terrain) & (house.terrain == ROAD))
+        for cell, heading in zip(
+            rng.integers(len(rows), size=per_house), rng.integers(HEADINGS, size=per_house), strict=True
+        ):
+            starts.append(Start(house.name, int(columns[cell]), int(rows[cell]), int(heading)))
+    return starts
+
+
+_REQUIRED = ("house", "x", "y", "heading")
+_OPTIONAL = ("range", "expanding_range")
+
+
+def _whole_number(path: Path, line: int, row: dict[str, str], column: str, low: int, high: int | None) -> int:
+    """One cell of the table as a whole number within bounds."""
+    text = (row[column] or "").strip()
+    bounds = f"of at least {low}" if high is None else f"from {low} to {high}"
+    if not text.lstrip("-").isdigit() or int(text) < low or (high is not None and int(text) > high):
+        raise InputError(f"{path}, line {line}: {column} is {text!r}; give a whole number {bounds}")
+    return int(text)
+
+
+def _read_start(path: Path, line: int, row: dict[str, str], dataset: HouseDataset) -> Start:
+    house = dataset.house((row["house"] or "").strip())
+    reason = why_no_episode(house)
+    if reason is not None:
+        raise InputError(f"{path}, line {line}: no episode can be run in {house.name}: {reason}; remove the line")
+    height, width = house.terrain.shape
+    x = _whole_number(path, line, row, "x", 0, width - 1)
+    y = _whole_number(path, line, row, "y", 0, height - 1)
+    if not connected_to_goal(house.terrain)[y, x]:
+        raise InputError(
+            f"{path}, line {line}: no front door of {house.name} can be reached from ({x}, {y}); "
+            "start on a traversable cell that is connected to one"
+        )
+    ranges = [
+        _whole_number(path, line, row, column, low, 64) if (row.get(column) or "").strip() else None
+        for column, low in zip(_OPTIONAL, (1, 2), strict=True)
+    ]
+    return Start(house.name, x, y, _whole_number(path, line, row, "heading", 0, HEADINGS - 1), *ranges)
+
+
+def read_starts(path: str | Path, dataset: HouseDataset) -> list[Start]:
+    """Read starts from a CSV file with columns `house,x,y,heading` and, optionally, `range,expanding_range`.
+
+    Other columns are ignored.
+
+    Raises:
+      InputError: for a file that cannot be read, a missing column, a bad number, an unknown house, or a start from
+        which no goal can be reached; names the line.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); give a CSV file with columns {', '.join(_REQUIRED)}") from None
+    reader = csv.DictReader(text.splitlines())
+    missing: Sequence[str] = [name for name in _REQUIRED if name not in (reader.fieldnames or ())]
+    if missing:
+        raise InputError(f"{path}: no column {missing[0]!r}; the first line must name {', '.join(_REQUIRED)}")
+    starts = [_read_start(path, reader.line_num, row, dataset) for row in reader]
+    if not starts:
+        raise InputError(f"{path}: lists no episode; give at least one line below the column names")
+    return starts

@@ -1,0 +1,121 @@
+"""Training a cost-to-go network: state, one step, many steps in one program."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+from jaxtyping import Array, Float, Int
+
+from dc2g_jax.estimation import networks
+from dc2g_jax.estimation.losses import weighted_l1
+from dc2g_jax.estimation.networks import Architecture
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainingConfig:
+    """How to train.
+
+    Attributes:
+      architecture: the network.
+      steps: optimiser steps in all; the learning rate falls to zero over them.
+      batch_size: pairs a step.
+      learning_rate: peak, after a short linear warm-up.
+      weight_decay: decoupled weight decay.
+      average_decay: decay of the running average of the weights, which is what is kept in the end.
+      edge_weight: weight of cells near unobserved ground, see `dc2g_jax.datasets.pairs.make_pair`.
+      seed: of weights and batches.
+    """
+
+    architecture: Architecture = Architecture()
+    steps: int = 8000
+    batch_size: int = 64
+    learning_rate: float = 1e-3
+    weight_decay: float = 1e-3
+    average_decay: float = 0.998
+    edge_weight: float = 4.0
+    seed: int = 0
+
+
+@struct.dataclass
+class TrainingState:
+    """Everything that training needs to go on; saved and restored as a whole.
+
+    Attributes:
+      step: optimiser steps taken.
+      weights: the network's weights.
+      average: running average of the weights.
+      optimizer: optax state.
+    """
+
+    step: Int[Array, ""]
+    weights: Any
+    average: Any
+    optimizer: Any
+
+
+#: `(key) -> (terrain [b h w], target [b h w], weight [b h w])`: draws one batch.
+DrawBatch = Callable[[Array, Any], tuple[Array, Array, Array]]
+
+
+def optimizer(config: TrainingConfig) -> optax.GradientTransformation:
+    """AdamW with clipped gradients, a linear warm-up and a cosine decay to zero."""
+    warmup = min(200, config.steps // 10)
+    schedule = optax.warmup_cosine_decay_schedule(0.0, config.learning_rate, warmup, config.steps)
+    return optax.chain(
+        optax.clip_by_global_norm(1.0), optax.adamw(schedule, weight_decay=config.weight_decay)
+    )
+
+
+def init_state(config: TrainingConfig) -> TrainingState:
+    """The state before the first step."""
+    weights = networks.init_weights(config.architecture, jax.random.key(config.seed))
+    return TrainingState(
+        step=jnp.int32(0),
+        weights=weights,
+        average=jax.tree.map(jnp.array, weights),
+        optimizer=optimizer(config).init(weights),
+    )
+
+
+def mean_loss(
+    architecture: Architecture, weights: Any, terrain: Array, target: Array, weight: Array
+) -> Float[Array, ""]:
+    """Mean over a batch of each map's weighted L1 error, in units of the architecture's cost scale."""
+    estimate = networks.apply(architecture, weights, terrain)
+    return jnp.mean(jax.vmap(weighted_l1)(estimate, target, weight)) / architecture.cost_scale
+
+
+@functools.partial(jax.jit, static_argnames=("config", "draw_batch", "count"), donate_argnames=("state",))
+def train_steps(
+    state: TrainingState, data: Any, *, config: TrainingConfig, draw_batch: DrawBatch, count: int
+) -> tuple[TrainingState, Float[Array, "count"]]:
+    """Take `count` optimiser steps.
+
+    The batch of a step depends on the seed and the number of the step alone, so training that was interrupted and
+    resumed gives the same weights as training that was not.
+
+    Returns:
+      The new state and the loss of every step, in cells.
+    """
+    transform = optimizer(config)
+    key = jax.random.fold_in(jax.random.key(config.seed), 1)
+
+    def one_step(state: TrainingState, _: None) -> tuple[TrainingState, Array]:
+        terrain, target, weight = draw_batch(jax.random.fold_in(key, state.step), data)
+        loss, gradient = jax.value_and_grad(
+            lambda weights: mean_loss(config.architecture, weights, terrain, target, weight)
+        )(state.weights)
+        updates, optimizer_state = transform.update(gradient, state.optimizer, state.weights)
+        weights = optax.apply_updates(state.weights, updates)
+        # Early on the average is of the steps so far, later exponential.
+        decay = jnp.minimum(config.average_decay, (1.0 + state.step) / (10.0 + state.step))
+        average = jax.tree.map(lambda a, w: decay * a + (1 - decay) * w, state.average, weights)
+        new = TrainingState(step=state.step + 1, weights=weights, average=average, optimizer=optimizer_state)
+        return new, loss * config.architecture.cost_scale
+
+    return jax.lax.scan(one_step, state, None, length=count)

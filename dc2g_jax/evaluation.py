@@ -1,0 +1,223 @@
+"""Episodes by house name, planners by name, and what the results mean (paper, section IV-B)."""
+
+import collections
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from dc2g_jax.datasets.houses import HouseDataset
+from dc2g_jax.datasets.starts import Start
+from dc2g_jax.estimation.estimators import Estimator, ExactCostToGo
+from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
+from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.planning.planners import DC2G, MODE_NAMES, Frontier, Oracle, Planner
+from dc2g_jax.planning.rules import Rules, Settings
+from dc2g_jax.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
+
+#: Planner names, in the order of the tables.
+PLANNERS = ("oracle", "frontier", "dc2g", "true_cost_to_go")
+
+#: Cost per action of distance to a subgoal in the `dc2g` planner, chosen on validation houses (see BENCHMARKS.md).
+DISTANCE_WEIGHT = 0.5
+
+
+def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) -> Planner:
+    """A planner by name.
+
+    Args:
+      name: one of `PLANNERS`.
+      rules: what is seen and what counts as frontier.
+      estimator: the network of `dc2g`.
+
+    Raises:
+      ValueError: for an unknown name, or `dc2g` without an estimator.
+    """
+    if name == "oracle":
+        return Oracle()
+    if name == "frontier":
+        return Frontier(rules=rules)
+    if name == "true_cost_to_go":
+        return DC2G(estimator=ExactCostToGo(), rules=rules)
+    if name == "dc2g" and estimator is not None:
+        return DC2G(estimator=estimator, rules=rules, distance_weight=DISTANCE_WEIGHT)
+    raise ValueError(f"no planner {name!r} can be made; known: {', '.join(PLANNERS)} (dc2g needs an estimator)")
+
+
+class EpisodeResult(NamedTuple):
+    """One episode of one planner; the columns of `episodes.csv`.
+
+    Attributes:
+      house: name of the house.
+      x: first column.
+      y: first row.
+      heading: first heading.
+      range: reach of the field of view, in cells.
+      expanding_range: range of the frontier-expanding kernel in cells, `None` where the rules have none.
+      planner: its name.
+      success: did the robot reach a goal within the step limit?
+      steps: actions taken.
+      oracle_steps: actions the oracle took from the same start.
+      extra: extra steps beyond the oracle's, in percent; `None` where the oracle took none.
+      mode: plan mode of the last decision.
+      actions: the actions as letters F, L, R.
+    """
+
+    house: str
+    x: int
+    y: int
+    heading: int
+    range: int
+    expanding_range: int | None
+    planner: str
+    success: bool
+    steps: int
+    oracle_steps: int
+    extra: float | None
+    mode: str
+    actions: str
+
+
+def extra_steps(steps: int, oracle_steps: int) -> float | None:
+    """Steps beyond the oracle's in percent, 100 (t - t_oracle) / t_oracle (paper, section IV-B)."""
+    return 100.0 * (steps - oracle_steps) / oracle_steps if oracle_steps else None
+
+
+def action_letters(trajectories: Trajectories, episode: int) -> str:
+    """The actions of one episode as letters F, L, R."""
+    return "".join(ACTION_LETTERS[action] for action in trajectories.actions[episode][: trajectories.steps[episode]])
+
+
+def episodes_from(starts: Sequence[Start], index: Mapping[str, int]) -> Episodes:
+    """Starts as a rollout wants them, given each house's index in the stack of worlds."""
+    table = np.array([(index[start.house], start.x, start.y, start.heading) for start in starts], np.int32)
+    world, x, y, heading = table.reshape(-1, 4).T
+    return Episodes(world=jnp.asarray(world), start=make_pose(x, y, heading))
+
+
+class Runner:
+    """Runs planners from given starts in the houses of one dataset, all episodes of a planner at once.
+
+    Args:
+      dataset: the houses.
+      settings: rules by sensing range.
+      step_limit: actions after which an episode ends without success.
+      progress: called as `progress(planner, finished, episodes)` now and then.
+    """
+
+    def __init__(
+        self,
+        dataset: HouseDataset,
+        settings: Settings,
+        *,
+        step_limit: int = STEP_LIMIT,
+        progress: Callable[[str, int, int], None] | None = None,
+    ):
+        self._index = {house.name: number for number, house in enumerate(dataset.houses)}
+        # Every house of the dataset, whether used or not: the compiled program is then the same for all requests.
+        self._worlds = world_from_terrain(np.stack([house.terrain for house in dataset.houses]))
+        self._settings = settings
+        self._step_limit = step_limit
+        self._progress = progress
+
+    def trajectories(self, planner: Planner, rules: Rules, starts: Sequence[Start], name: str = "") -> Trajectories:
+        """Run one planner from every start, whatever ranges the starts ask for."""
+        episodes = episodes_from(starts, self._index)
+        report = None
+        if self._progress is not None:
+            progress = self._progress
+            report = lambda finished: progress(name, finished, len(starts))  # noqa: E731
+        return rollout(
+            planner, self._worlds, episodes, sensing=rules.sensing, step_limit=self._step_limit, on_progress=report
+        )
+
+    def run(
+        self, starts: Sequence[Start], planners: Iterable[str], estimator: Estimator | None = None
+    ) -> list[EpisodeResult]:
+        """Run planners by name from every start.
+
+        Args:
+          starts: first poses; each may ask for its own ranges.
+          planners: names out of `PLANNERS`.
+          estimator: the network of `dc2g`.
+
+        Returns:
+          Results, planner by planner in the order given, each in the order of the starts.
+        """
+        by_ranges: dict[tuple[int | None, int | None], list[int]] = collections.defaultdict(list)
+        for number, start in enumerate(starts):
+            by_ranges[start.sensing_range, start.expanding_range].append(number)
+        names = list(dict.fromkeys(planners))
+        results: dict[tuple[str, int], EpisodeResult] = {}
+        for ranges, numbers in by_ranges.items():
+            rules = self._settings.rules(*ranges)
+            chosen = [starts[number] for number in numbers]
+            oracle = self.trajectories(Oracle(), rules, chosen, "oracle")
+            for name in names:
+                done = oracle
+                if name != "oracle":
+                    done = self.trajectories(make_planner(name, rules, estimator), rules, chosen, name)
+                for row, number in enumerate(numbers):
+                    results[name, number] = _result(chosen[row], rules, name, done, row, int(oracle.steps[row]))
+        return [results[name, number] for name in names for number in range(len(starts))]
+
+
+def _result(
+    start: Start, rules: Rules, name: str, trajectories: Trajectories, row: int, oracle_steps: int
+) -> EpisodeResult:
+    steps = int(trajectories.steps[row])
+    return EpisodeResult(
+        house=start.house,
+        x=start.x,
+        y=start.y,
+        heading=start.heading,
+        range=rules.sensing.radius,
+        expanding_range=rules.expanding_range,
+        planner=name,
+        success=bool(trajectories.success[row]),
+        steps=steps,
+        oracle_steps=oracle_steps,
+        extra=extra_steps(steps, oracle_steps),
+        mode=MODE_NAMES[trajectories.mode[row]],
+        actions=action_letters(trajectories, row),
+    )
+
+
+class Summary(NamedTuple):
+    """Extra steps over a set of episodes, in percent; houses weigh equally in the mean only where it says so.
+
+    Attributes:
+      mean_extra: mean.
+      median_extra: median.
+      quartile_25: lower quartile.
+      quartile_75: upper quartile.
+      success: share of episodes that reached a goal, 0 to 1.
+      episodes: how many.
+    """
+
+    mean_extra: float
+    median_extra: float
+    quartile_25: float
+    quartile_75: float
+    success: float
+    episodes: int
+
+
+def summarize(extra: Sequence[float], success: Sequence[bool]) -> Summary:
+    """Summary of a non-empty set of episodes, each weighing the same.
+
+    Raises:
+      ValueError: for an empty set.
+    """
+    if len(extra) == 0:
+        raise ValueError("no episode to summarize")
+    low, median, high = np.percentile(extra, (25, 50, 75))
+    return Summary(
+        mean_extra=float(np.mean(extra)),
+        median_extra=float(median),
+        quartile_25=float(low),
+        quartile_75=float(high),
+        success=float(np.mean(success)),
+        episodes=len(extra),
+    )
