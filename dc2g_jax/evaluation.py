@@ -59,7 +59,7 @@ class EpisodeResult(NamedTuple):
       success: did the robot reach a goal within the step limit?
       steps: actions taken.
       oracle_steps: actions the oracle took from the same start.
-      extra: extra steps beyond the oracle's, in percent; `None` where the oracle took none.
+      extra: extra steps beyond the oracle's, in percent.
       mode: plan mode of the last decision.
       actions: the actions as letters F, L, R.
     """
@@ -74,14 +74,20 @@ class EpisodeResult(NamedTuple):
     success: bool
     steps: int
     oracle_steps: int
-    extra: float | None
+    extra: float
     mode: str
     actions: str
 
 
-def extra_steps(steps: int, oracle_steps: int) -> float | None:
-    """Steps beyond the oracle's in percent, 100 (t - t_oracle) / t_oracle (paper, section IV-B)."""
-    return 100.0 * (steps - oracle_steps) / oracle_steps if oracle_steps else None
+def extra_steps(steps: int, oracle_steps: int) -> float:
+    """Steps beyond the oracle's in percent, 100 (t - t_oracle) / t_oracle (paper, section IV-B).
+
+    Raises:
+      ValueError: if the oracle took no step, so that there is nothing to compare with.
+    """
+    if oracle_steps < 1:
+        raise ValueError(f"the oracle took {oracle_steps} steps; extra steps need a start off the goal")
+    return 100.0 * (steps - oracle_steps) / oracle_steps
 
 
 def action_letters(trajectories: Trajectories, episode: int) -> str:
@@ -129,7 +135,12 @@ class Runner:
             progress = self._progress
             report = lambda finished: progress(name, finished, len(starts))  # noqa: E731
         return rollout(
-            planner, self._worlds, episodes, sensing=rules.sensing, step_limit=self._step_limit, on_progress=report
+            planner,
+            self._worlds,
+            episodes,
+            sensing=rules.sensing,
+            step_limit=self._step_limit,
+            on_progress=report,
         )
 
     def run(

@@ -30,7 +30,12 @@ class Masks(NamedTuple):
 
 @functools.partial(jax.jit, static_argnames=("sensing",))
 def _moments(
-    worlds: World, episodes: Episodes, actions: Int8[Array, "b t"], times: Int[Array, "b k"], *, sensing: Kernel
+    worlds: World,
+    episodes: Episodes,
+    actions: Int8[Array, "b t"],
+    times: Int[Array, "b k"],
+    *,
+    sensing: Kernel,
 ) -> Moments:
     own_worlds = jax.tree.map(lambda leaf: leaf[episodes.world], worlds)
     return jax.vmap(functools.partial(moments_along, sensing=sensing))(own_worlds, episodes.start, actions, times)

@@ -143,7 +143,14 @@ def _advance(
         success=results.success.at[slots.episode].set(success),
         mode=results.mode.at[slots.episode].set(plan.mode),
     )
-    return slots.replace(belief=belief, planner_state=planner_state), written, finished
+    updated = _Slots(
+        episode=slots.episode,
+        active=slots.active,
+        world=slots.world,
+        belief=belief,
+        planner_state=planner_state,
+    )
+    return updated, written, finished
 
 
 @functools.partial(jax.jit, static_argnames=("sensing", "step_limit"), donate_argnames=("slots", "results"))

@@ -24,7 +24,7 @@ from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
 from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, world_cost_to_go
 from dc2g_jax.estimation.networks import Architecture
-from dc2g_jax.estimation.training import TrainingConfig, init_state, mean_loss, train_steps
+from dc2g_jax.estimation.training import TrainingConfig, init_state, mean_loss, train_step
 from dc2g_jax.evaluation import Runner, episodes_from, summarize
 from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.grid.sensing import field_of_view
@@ -129,7 +129,9 @@ def training_houses(options: Options, dataset: HouseDataset) -> tuple[tuple[Hous
     return (*own, *extra), len(own)
 
 
-def draw_batch(key: Any, data: tuple[TrainingSet, Any, Any], *, batch_size: int, real_share: float, edge_weight: float) -> Any:
+def draw_batch(
+    key: Any, data: tuple[TrainingSet, Any, Any], *, batch_size: int, real_share: float, edge_weight: float
+) -> Any:
     """A random batch: masks of the dataset's own houses with probability `real_share`, in random symmetries."""
     training_set, n_own, n_masks = data
     which, place, turn = jax.random.split(key, 3)
@@ -179,13 +181,24 @@ def main(options: Options) -> None:
     )
     checkpoints = TrainingCheckpoints(options.out, config)
     houses, n_own = training_houses(options, dataset)
-    masks = observation_masks(options, houses, n_own)
+    kept = options.out / "masks.npz"
+    if kept.exists():
+        with np.load(kept) as file:
+            masks = Masks(boards=file["boards"], world=file["world"])
+    else:
+        masks = observation_masks(options, houses, n_own)
+        np.savez(kept, **masks._asdict())
     boards, owners = masks
     data = make_training_set(houses, boards, owners)
     n_masks, n_own_masks = len(owners), int(np.sum(owners < n_own))
-    print(f"{n_own} houses of {dataset.name} and {len(houses) - n_own} procedural ones; {n_masks} masks ({n_own_masks})")
+    print(
+        f"{n_own} houses of {dataset.name} and {len(houses) - n_own} procedural ones; {n_masks} masks ({n_own_masks})"
+    )
     draw = functools.partial(
-        draw_batch, batch_size=options.batch_size, real_share=options.real_share, edge_weight=config.edge_weight
+        draw_batch,
+        batch_size=options.batch_size,
+        real_share=options.real_share,
+        edge_weight=config.edge_weight,
     )
     val = tuple(house for house in dataset.split("val") if why_no_episode(house) is None)
     cells = val[0].terrain.shape[0]
@@ -201,11 +214,12 @@ def main(options: Options) -> None:
     with tqdm(total=config.steps, initial=int(state.step), desc="train", unit="step", file=sys.stderr) as bar:
         while int(state.step) < config.steps:
             count = min(chunk, config.steps - int(state.step))
-            state, losses = train_steps(
-                state, (data, n_own_masks, n_masks), config=config, draw_batch=draw, count=count
-            )
+            losses = []
+            for _ in range(count):
+                state, loss = train_step(state, (data, n_own_masks, n_masks), config=config, draw_batch=draw)
+                losses.append(loss)
             bar.update(count)
-            bar.set_postfix(loss=f"{float(jnp.mean(losses)):.2f}")
+            bar.set_postfix(loss=f"{float(np.mean(losses)):.2f}")
             if int(state.step) % 2000 == 0:
                 network = NetworkCostToGo(weights=state.average, architecture=config.architecture)
                 figures = validate(network, val_set, starts)

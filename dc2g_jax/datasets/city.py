@@ -126,9 +126,7 @@ def _line_with_buildings(
 def _in_view(sketch: Sketch, stand: Frame, width: float) -> bool:
     pixels = sketch.view.to_pixels(stand.place([(0.0, 10.0)]))[0]
     slack = (width + 15) * sketch.view.scale
-    return bool(
-        (pixels > -slack).all() and (pixels < np.array([sketch.view.width, sketch.view.height]) + slack).all()
-    )
+    return bool((pixels > -slack).all() and (pixels < np.array([sketch.view.width, sketch.view.height]) + slack).all())
 
 
 def _fits(sketch: Sketch, shapes: Building) -> bool:
@@ -183,9 +181,7 @@ def _slab(rng: np.random.Generator, width: float, setback: float) -> Building:
     if setback > 3.0 and rng.random() < 0.5:
         lane = setback - uniform(rng, (1.5, 2.5))
         ends = np.array([(doors[0], -1.5), (doors[0], lane), (doors[-1] + 0.1, lane)])
-        building["path"] += stroke(
-            resample(smooth(ends, int(rng.integers(0, 2))), 1.0), uniform(rng, (1.2, 2.0))
-        )
+        building["path"] += stroke(resample(smooth(ends, int(rng.integers(0, 2))), 1.0), uniform(rng, (1.2, 2.0)))
         for x in doors:
             entrance = _entrance(rng, float(x), setback, 1.4)
             building["path"] += stroke(np.array([(x, lane), (x, setback + 0.5)]), 1.5)
@@ -268,9 +264,7 @@ def _tower(rng: np.random.Generator, width: float, setback: float) -> Building:
     side, back = uniform(rng, (13, 20)), setback + uniform(rng, (3, 9))
     blocks = [rectangle(-side / 2, back, side / 2, back + side)]
     blocks.append(
-        rectangle(
-            -side / 2 - uniform(rng, (-2, 3)), back + 3, side / 2 + uniform(rng, (-2, 3)), back + side - 3
-        )
+        rectangle(-side / 2 - uniform(rng, (-2, 3)), back + 3, side / 2 + uniform(rng, (-2, 3)), back + side - 3)
     )
     x = uniform(rng, (-0.3, 0.3)) * side
     corners = [
@@ -350,6 +344,4 @@ def _crossing(rng: np.random.Generator, streets: Streets) -> Shape:
     index = int(np.searchsorted(travelled(line), off))
     half = float(half_widths[index]) + 0.5
     ahead = line[index + 1] - line[index]
-    return [
-        Frame(line[index], float(np.arctan2(ahead[1], ahead[0]))).place(rectangle(-1.2, -half, 1.2, half))
-    ]
+    return [Frame(line[index], float(np.arctan2(ahead[1], ahead[0]))).place(rectangle(-1.2, -half, 1.2, half))]

@@ -115,9 +115,7 @@ def write_class_image(png_path: Path, classes: np.ndarray) -> None:
     """
     classes = np.asarray(classes)
     if classes.ndim != 2 or 0 in classes.shape:
-        raise InputError(
-            f"{png_path}: a class image has shape [H W], not {list(classes.shape)}; pass one image"
-        )
+        raise InputError(f"{png_path}: a class image has shape [H W], not {list(classes.shape)}; pass one image")
     if not np.issubdtype(classes.dtype, np.integer) or classes.min() < 0 or classes.max() >= len(CLASS_NAMES):
         raise InputError(
             f"{png_path}: a class image holds whole numbers from 0 to {len(CLASS_NAMES) - 1}, "

@@ -80,16 +80,12 @@ def read_manifest(path: Path | None = None) -> dict[str, str]:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"{path}: the manifest cannot be read ({error}); install the package again"
-        ) from None
+        raise InputError(f"{path}: the manifest cannot be read ({error}); install the package again") from None
     entries = {}
     for number, line in enumerate(lines, start=1):
         match = re.fullmatch(r"([0-9a-f]{64})  (\S.*)", line)
         if match is None or ".." in match[2].split("/") or match[2].startswith("/"):
-            raise InputError(
-                f"{path}: line {number} is {line!r}; expected a SHA-256, two blanks, a relative path"
-            )
+            raise InputError(f"{path}: line {number} is {line!r}; expected a SHA-256, two blanks, a relative path")
         entries[match[2]] = match[1]
     if not entries:
         raise InputError(f"{path}: the manifest is empty; install the package again")
@@ -150,8 +146,7 @@ def fetch_dataset(
             return final
         where = error.filename or cache
         raise InputError(
-            f"{where}: cannot be used ({error.strerror or error}); "
-            "set DC2G_CACHE to a folder that you can write"
+            f"{where}: cannot be used ({error.strerror or error}); set DC2G_CACHE to a folder that you can write"
         ) from None
     if not _is_complete(final, entries):
         raise InputError(f"{final}: files vanished from it as soon as they were written; run again")
@@ -167,8 +162,7 @@ def _is_complete(final: Path, entries: Mapping[str, str]) -> bool:
             missing = True
         elif (found := _digest(path)) != digest:
             raise InputError(
-                f"{path}: SHA-256 is {found}, expected {digest}; "
-                f"delete the folder {final} to download it again"
+                f"{path}: SHA-256 is {found}, expected {digest}; delete the folder {final} to download it again"
             )
     return not missing
 

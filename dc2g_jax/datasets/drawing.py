@@ -88,9 +88,7 @@ def disc(
     count = int(rng.integers(10, 25)) if corners is None else corners
     angles = 2 * np.pi * (np.arange(count) + rng.uniform(-0.25, 0.25, count)) / count
     radii = radius * (1 + rng.normal(0, unevenness, count))
-    return np.asarray(center, dtype=float) + np.stack(
-        [radii * np.cos(angles), radii * np.sin(angles)], axis=-1
-    )
+    return np.asarray(center, dtype=float) + np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=-1)
 
 
 def smooth(points: npt.ArrayLike, rounds: int) -> Points:
@@ -129,9 +127,7 @@ def ribbon(line: Points, left: npt.ArrayLike, right: npt.ArrayLike) -> Shape:
     """
     normals = left_normals(line)
     sides = [line + normals * np.broadcast_to(offset, len(line))[:, None] for offset in (left, right)]
-    return [
-        np.array([sides[0][i], sides[0][i + 1], sides[1][i + 1], sides[1][i]]) for i in range(len(line) - 1)
-    ]
+    return [np.array([sides[0][i], sides[0][i + 1], sides[1][i + 1], sides[1][i]]) for i in range(len(line) - 1)]
 
 
 def stroke(line: Points, width: npt.ArrayLike) -> Shape:

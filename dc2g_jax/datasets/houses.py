@@ -66,9 +66,7 @@ class HouseDataset:
     def split(self, split: str) -> tuple[House, ...]:
         """Return the houses of 'train', 'val' or 'test'; InputError for any other word."""
         if split not in SPLIT_FILES:
-            raise InputError(
-                f"{self.name}: no split is called {split!r}; use one of: {', '.join(SPLIT_FILES)}"
-            )
+            raise InputError(f"{self.name}: no split is called {split!r}; use one of: {', '.join(SPLIT_FILES)}")
         return tuple(house for house in self.houses if house.split == split)
 
     def house(self, name: str) -> House:
@@ -145,9 +143,7 @@ def procedural_dataset(seed: int = 0, *, cells: int = 50) -> HouseDataset:
     )
 
 
-def save_dataset(
-    dataset_images: Iterable[tuple[str, str, np.ndarray]], folder: str | os.PathLike[str]
-) -> Path:
+def save_dataset(dataset_images: Iterable[tuple[str, str, np.ndarray]], folder: str | os.PathLike[str]) -> Path:
     """Write class images in the published layout, as RGB PNGs.
 
     Args:
@@ -237,9 +233,7 @@ def _open_location(location: str, setting: str, cells: int) -> HouseDataset:
     except (OSError, RuntimeError):
         found = False
     if not found:
-        raise InputError(
-            f"{location!r}: {setting} is not an existing folder; give a dataset's folder or 'procedural'"
-        )
+        raise InputError(f"{location!r}: {setting} is not an existing folder; give a dataset's folder or 'procedural'")
     return load_dataset(folder, cells=cells)
 
 

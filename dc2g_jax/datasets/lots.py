@@ -69,9 +69,7 @@ def build_house(rng: np.random.Generator, style: LotStyle) -> House:
     width, depth = uniform(rng, style.house_width), uniform(rng, style.house_depth)
     garage_width = min(uniform(rng, (4.5, 7.5)), 0.55 * width)
     left, right = -width / 2, width / 2
-    garage_front = float(
-        rng.choice((uniform(rng, (-4.5, -0.5)), 0.0, uniform(rng, (0.3, 2.5))), p=(0.5, 0.2, 0.3))
-    )
+    garage_front = float(rng.choice((uniform(rng, (-4.5, -0.5)), 0.0, uniform(rng, (0.3, 2.5))), p=(0.5, 0.2, 0.3)))
     garage_depth = uniform(rng, (6, 8)) + max(-garage_front, 0) * 0.4
     inner = left + garage_width
     blocks = [
@@ -147,9 +145,7 @@ def _tapered(rng: np.random.Generator, line: Points, at_road: float, at_house: f
     return stroke(line, width + (flare - 1) * at_road * np.clip(1 - (distance - 1.0) / mouth, 0, 1))
 
 
-def _front_driveway(
-    rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, kerb: Kerb
-) -> Driveway:
+def _front_driveway(rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, kerb: Kerb) -> Driveway:
     """A short driveway from the road straight, bent or skewed to a garage door that faces the street."""
     x, y, garage_width = house.garage
     at_house = garage_width * uniform(rng, (0.7, 1.0))
@@ -181,9 +177,7 @@ def _court(rng: np.random.Generator, house: House, width: float) -> tuple[Shape,
     return shape, entry, np.array([house.left - reach / 2, front + back / 2])
 
 
-def _winding_driveway(
-    rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, kerb: Kerb
-) -> Driveway:
+def _winding_driveway(rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, kerb: Kerb) -> Driveway:
     """A long driveway, straight or winding, to a paved court beside the house."""
     width = uniform(rng, style.driveway_width)
     court, entry, middle = _court(rng, house, width)
@@ -194,9 +188,7 @@ def _winding_driveway(
     start, turn_in = mouth.place((0, 0)), stand.place(entry - (0, uniform(rng, (0.1, 0.3)) * setback))
     lean = mouth.place((rng.normal(0, 1.5), uniform(rng, (2, 6))))
     between = (lean + turn_in) / 2 + bend
-    line = np.array(
-        [mouth.place((0, -1.5)), start, lean, between, turn_in, stand.place(entry), stand.place(middle)]
-    )
+    line = np.array([mouth.place((0, -1.5)), start, lean, between, turn_in, stand.place(entry), stand.place(middle)])
     if rng.random() < 0.3:
         line = np.delete(line, (3, 4), axis=0)
     line = resample(smooth(line, int(rng.choice((0, 1, 2, 3), p=(0.12, 0.28, 0.3, 0.3)))), 1.2)
@@ -206,9 +198,7 @@ def _winding_driveway(
     return Driveway([*shape, *stand.place_all(court)], line, width, walk)
 
 
-def _horseshoe_driveway(
-    rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, kerb: Kerb
-) -> Driveway:
+def _horseshoe_driveway(rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, kerb: Kerb) -> Driveway:
     """A driveway with two mouths that passes before the front door, with a spur to the garage."""
     width = uniform(rng, style.driveway_width) * 0.9
     court, entry, middle = _court(rng, house, width)
@@ -245,9 +235,7 @@ def _horseshoe_driveway(
     return Driveway([*shape, *stand.place_all(court)], np.concatenate([line, spur]), width, closest[None])
 
 
-def _side_driveway(
-    rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, kerb: Kerb
-) -> Driveway:
+def _side_driveway(rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, kerb: Kerb) -> Driveway:
     """A narrow driveway along the house's side to its back, perhaps to a garage of its own."""
     width = uniform(rng, style.driveway_width) * 0.85
     x = house.left - width * uniform(rng, (0.5, 0.9))
@@ -325,9 +313,7 @@ def _add_side_door(rng: np.random.Generator, lot: Lot, house: House, stand: Fram
         door = rectangle(house.right - 0.7, side_y - half, beside, side_y + half)
         lot.shapes["door"].append(stand.place(jitter(rng, door, 0.1)))
     else:
-        patio = rectangle(
-            beside - 1.0, side_y, beside + uniform(rng, (1, 3)), depth + uniform(rng, (0.0, 3.0))
-        )
+        patio = rectangle(beside - 1.0, side_y, beside + uniform(rng, (1, 3)), depth + uniform(rng, (0.0, 3.0)))
         lot.shapes["path"].append(stand.place(jitter(rng, patio, 0.3)))
 
 
@@ -346,9 +332,7 @@ def _park(rng: np.random.Generator, drive: Driveway) -> Shape:
         ahead = drive.line[index + 1] - drive.line[index - 1]
         angle = float(np.arctan2(ahead[1], ahead[0]))
         aside = max(drive.width / 2 - uniform(rng, (0.9, 1.4)), 0.0) * float(rng.choice((-1, 1)))
-        cars.append(
-            car(rng, Frame(drive.line[index], angle).place((0.0, aside)), angle + rng.normal(0, 0.08))
-        )
+        cars.append(car(rng, Frame(drive.line[index], angle).place((0.0, aside)), angle + rng.normal(0, 0.08)))
     return cars
 
 

@@ -49,9 +49,7 @@ def moments_along(
 
     first = (start, visible(sensing, start, height, width))
     _, (poses, seen) = jax.lax.scan(look, first, actions.astype(jnp.int32))
-    poses, seen = jax.tree.map(
-        lambda one, rest: jnp.concatenate([one[None], rest])[times], first, (poses, seen)
-    )
+    poses, seen = jax.tree.map(lambda one, rest: jnp.concatenate([one[None], rest])[times], first, (poses, seen))
 
     def out_of_reach(pose: Pose, seen: UInt32[Array, "h n_words"]) -> Bool[Array, ""]:
         robot = bitboard.single(pose.x, pose.y, *seen.shape)

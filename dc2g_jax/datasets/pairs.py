@@ -59,7 +59,12 @@ def _near(cells: Bool[Array, "h w"], distance: int) -> Bool[Array, "h w"]:
 
 
 def make_pair(
-    data: TrainingSet, index: Int[Array, ""], symmetry: Int[Array, ""], *, edge_weight: float, edge_width: int = 2
+    data: TrainingSet,
+    index: Int[Array, ""],
+    symmetry: Int[Array, ""],
+    *,
+    edge_weight: float,
+    edge_width: int = 2,
 ) -> Pair:
     """The training pair of one mask, turned or mirrored (Algorithm 1, lines 7 and 8).
 

@@ -107,9 +107,7 @@ def _read_chunks(data: bytes) -> dict[bytes, bytes]:
         if not (name.isascii() and name.isalpha()):
             raise _Damage(f"damaged PNG: no chunk starts at byte {position}")
         if end > len(data):
-            raise _Damage(
-                f"truncated PNG: it ends after {len(data)} of at least {end} bytes, in chunk {name}"
-            )
+            raise _Damage(f"truncated PNG: it ends after {len(data)} of at least {end} bytes, in chunk {name}")
         content = data[position + 8 : end - 4]
         if zlib.crc32(kind + content) != int.from_bytes(data[end - 4 : end], "big"):
             raise _Damage(f"damaged PNG: wrong check sum of chunk {name} at byte {position}")
@@ -135,8 +133,7 @@ def _check_kind(path: Path, header: _Header) -> None:
         raise InputError(f"{path}: is a {kind} PNG; save it as a palette or 8-bit RGB PNG")
     if header.width * header.height > _MAX_PIXELS:
         raise InputError(
-            f"{path}: is {header.width} x {header.height} pixels, more than {_MAX_PIXELS} in all; "
-            "scale it down"
+            f"{path}: is {header.width} x {header.height} pixels, more than {_MAX_PIXELS} in all; scale it down"
         )
 
 

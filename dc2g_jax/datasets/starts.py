@@ -128,6 +128,8 @@ def _read_start(path: Path, line: int, row: dict[str, str], dataset: HouseDatase
     height, width = house.terrain.shape
     x = _whole_number(path, line, row, "x", 0, width - 1)
     y = _whole_number(path, line, row, "y", 0, height - 1)
+    if house.terrain[y, x] == FRONT_DOOR:
+        raise InputError(f"{path}, line {line}: ({x}, {y}) in {house.name} is a front door already; start elsewhere")
     if not connected_to_goal(house.terrain)[y, x]:
         raise InputError(
             f"{path}, line {line}: no front door of {house.name} can be reached from ({x}, {y}); "
@@ -153,7 +155,9 @@ def read_starts(path: str | Path, dataset: HouseDataset) -> list[Start]:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); give a CSV file with columns {', '.join(_REQUIRED)}") from None
+        raise InputError(
+            f"{path}: cannot be read ({error}); give a CSV file with columns {', '.join(_REQUIRED)}"
+        ) from None
     reader = csv.DictReader(text.splitlines())
     missing: Sequence[str] = [name for name in _REQUIRED if name not in (reader.fieldnames or ())]
     if missing:

@@ -120,9 +120,7 @@ def through_road(rng: np.random.Generator, bend: float) -> Points:
     return np.concatenate([behind[:0:-1], ahead])
 
 
-def lay_streets(
-    rng: np.random.Generator, kinds: dict[str, float], road_width: Range, lot_width: float
-) -> Streets:
+def lay_streets(rng: np.random.Generator, kinds: dict[str, float], road_width: Range, lot_width: float) -> Streets:
     """Streets of one kind: straight, curved, circle (cul-de-sac), tee, corner, crossing, fork, knuckle."""
     kind = choose(rng, kinds)
     half = uniform(rng, road_width) / 2

@@ -181,9 +181,7 @@ def _fits(sketch: Sketch, shapes: dict[str, Shape]) -> bool:
     return covered < 0.18 and sketch.overlap(driveway, "house", "door") == 0
 
 
-def _lots_along(
-    rng: np.random.Generator, streets: Streets, lot_width: float, reach: float = 75.0
-) -> list[Kerb]:
+def _lots_along(rng: np.random.Generator, streets: Streets, lot_width: float, reach: float = 75.0) -> list[Kerb]:
     """Places for neighbours: about every lot width along all kerbs near the main lot, nearest first."""
     main = streets.kerbs[0]
     center = main.at(0.0).origin
@@ -204,7 +202,5 @@ def _street_cars(rng: np.random.Generator, streets: Streets) -> Shape:
     for kerb in streets.kerbs:
         for _ in range(int(rng.integers(0, 4))):
             frame: Frame = kerb.at(rng.normal(0, 18))
-            cars.append(
-                car(rng, frame.place((0.0, -uniform(rng, (1.2, 1.8)))), frame.angle + rng.normal(0, 0.05))
-            )
+            cars.append(car(rng, frame.place((0.0, -uniform(rng, (1.2, 1.8)))), frame.angle + rng.normal(0, 0.05)))
     return cars

@@ -72,17 +72,11 @@ def _check_header(path: Path, header: list[str], columns: Sequence[str]) -> None
         )
 
 
-def _pick(
-    path: Path, line: int, header: list[str], cells: list[str], columns: Sequence[str]
-) -> dict[str, str]:
+def _pick(path: Path, line: int, header: list[str], cells: list[str], columns: Sequence[str]) -> dict[str, str]:
     if len(cells) > len(header):
-        raise InputError(
-            f"{path}: line {line} has {len(cells)} values for {len(header)} columns; repair the line"
-        )
+        raise InputError(f"{path}: line {line} has {len(cells)} values for {len(header)} columns; repair the line")
     values = dict(zip(header, cells, strict=False))
     for column in columns:
         if not values.get(column):
-            raise InputError(
-                f"{path}: line {line} has no value in column {column!r}; fill it in or delete it"
-            )
+            raise InputError(f"{path}: line {line} has no value in column {column!r}; fill it in or delete it")
     return {column: values[column] for column in columns}

@@ -86,7 +86,7 @@ def _read_card(folder: Path) -> Architecture:
         )
     if facts.get("classes") != list(CLASS_NAMES):
         raise InputError(f"{folder / _CARD}: the network was trained on another list of terrain classes; train it anew")
-    architecture = facts.get("architecture")
+    architecture: Any = facts.get("architecture")
     try:
         known = Architecture(
             widths=tuple(int(width) for width in architecture["widths"]),
@@ -94,7 +94,9 @@ def _read_card(folder: Path) -> Architecture:
         )
         networks.weight_shapes(known)
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{folder / _CARD}: architecture {architecture!r} is not one of this network's ({error}); {remedy}") from None
+        raise InputError(
+            f"{folder / _CARD}: architecture {architecture!r} is not one of this network's ({error}); {remedy}"
+        ) from None
     return known
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, UInt8
 from dc2g_jax.grid.terrain import CLASS_NAMES
 
 #: The network halves its input this many times; maps are padded to a multiple of 2 to this power.
-_HALVINGS = 5
+_HALVINGS = 4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,12 +20,26 @@ class Architecture:
     """What it takes to build a `CompactUNet` again.
 
     Attributes:
-      widths: channels at 1/2, 1/4, 1/8, 1/16 and 1/32 of the map's resolution.
+      widths: channels at 1/2, 1/4, 1/8 and 1/16 of the map's resolution.
       cost_scale: cells of cost-to-go per unit of the last layer's output.
     """
 
-    widths: tuple[int, ...] = (16, 32, 64, 96, 128)
+    widths: tuple[int, ...] = (16, 32, 64, 128)
     cost_scale: float = 32.0
+
+
+def _patches(grid: Float[Array, "b h w c"]) -> Float[Array, "b h2 w2 c4"]:
+    """The grid's 2x2 patches as features."""
+    batch, height, width, channels = grid.shape
+    split = grid.reshape(batch, height // 2, 2, width // 2, 2, channels)
+    return split.transpose(0, 1, 3, 2, 4, 5).reshape(batch, height // 2, width // 2, 4 * channels)
+
+
+def _unpatched(features: Float[Array, "b h2 w2 4"]) -> Float[Array, "b h w"]:
+    """Four features a patch as the patch's 2x2 cells."""
+    batch, height, width, _ = features.shape
+    split = features.reshape(batch, height, width, 2, 2).transpose(0, 1, 3, 2, 4)
+    return split.reshape(batch, 2 * height, 2 * width)
 
 
 class _Residual(nnx.Module):
@@ -54,7 +68,7 @@ class _Up(nnx.Module):
     """Double the resolution and join what the encoder saw at that scale (the U-Net's skip connection)."""
 
     def __init__(self, width_in: int, width_out: int, *, rngs: nnx.Rngs):
-        self.narrow = nnx.Conv(width_in, width_out, (1, 1), rngs=rngs)
+        self.narrow = nnx.Linear(width_in, width_out, rngs=rngs)
         self.residual = _Residual(width_out, rngs=rngs)
 
     def __call__(
@@ -77,17 +91,16 @@ class CompactUNet(nnx.Module):
         if len(widths) != _HALVINGS:
             raise ValueError(f"widths {widths}: the network has {_HALVINGS} scales; give one width for each")
         self.architecture = architecture
-        self.embed = nnx.Conv(len(CLASS_NAMES), widths[0], (2, 2), strides=(2, 2), rngs=rngs)
+        self.embed = nnx.Linear(4 * len(CLASS_NAMES), widths[0], rngs=rngs)
         self.local = _Residual(widths[0], rngs=rngs)
         self.down1 = _Down(widths[0], widths[1], rngs=rngs)
         self.down2 = _Down(widths[1], widths[2], rngs=rngs)
         self.down3 = _Down(widths[2], widths[3], rngs=rngs)
-        self.down4 = _Down(widths[3], widths[4], rngs=rngs)
-        self.up4 = _Up(widths[4], widths[3], rngs=rngs)
+        self.context = _Residual(widths[3], rngs=rngs)
         self.up3 = _Up(widths[3], widths[2], rngs=rngs)
         self.up2 = _Up(widths[2], widths[1], rngs=rngs)
         self.up1 = _Up(widths[1], widths[0], rngs=rngs)
-        self.head = nnx.Conv(widths[0], 4, (1, 1), rngs=rngs)
+        self.head = nnx.Linear(widths[0], 4, rngs=rngs)
 
     def __call__(self, terrain: UInt8[Array, "b h w"]) -> Float[Array, "b h w"]:
         """Estimated cost-to-go of every cell, in cells, from observed class indices (0 = not observed)."""
@@ -95,17 +108,12 @@ class CompactUNet(nnx.Module):
         multiple = 2**_HALVINGS
         classes = jax.nn.one_hot(terrain, len(CLASS_NAMES))
         classes = jnp.pad(classes, ((0, 0), (0, -height % multiple), (0, -width % multiple), (0, 0)))
-        at2 = self.local(self.embed(classes))
+        at2 = self.local(self.embed(_patches(classes)))
         at4 = self.down1(at2)
         at8 = self.down2(at4)
-        at16 = self.down3(at8)
-        at32 = self.down4(at16)
-        features = self.up1(self.up2(self.up3(self.up4(at32, at16), at8), at4), at2)
-        # Four numbers a patch, one for each of its 2x2 cells.
-        patches = self.head(nnx.relu(features))
-        batch, rows, columns, _ = patches.shape
-        cells = patches.reshape(batch, rows, columns, 2, 2).transpose(0, 1, 3, 2, 4)
-        cells = cells.reshape(batch, 2 * rows, 2 * columns)[:, :height, :width]
+        at16 = self.context(self.down3(at8))
+        features = self.up1(self.up2(self.up3(at16, at8), at4), at2)
+        cells = _unpatched(self.head(nnx.relu(features)))[:, :height, :width]
         return self.architecture.cost_scale * (1 + cells)
 
 
@@ -120,9 +128,7 @@ def weight_shapes(architecture: Architecture) -> dict[str, Any]:
     return jax.eval_shape(functools.partial(init_weights, architecture), jax.random.key(0))
 
 
-def apply(
-    architecture: Architecture, weights: dict[str, Any], terrain: UInt8[Array, "b h w"]
-) -> Float[Array, "b h w"]:
+def apply(architecture: Architecture, weights: dict[str, Any], terrain: UInt8[Array, "b h w"]) -> Float[Array, "b h w"]:
     """Run the network on a batch of partial maps: cost-to-go in cells."""
     graph, state = nnx.split(nnx.eval_shape(lambda: CompactUNet(architecture, rngs=nnx.Rngs(0))))
     nnx.replace_by_pure_dict(state, weights)

@@ -66,9 +66,7 @@ def optimizer(config: TrainingConfig) -> optax.GradientTransformation:
     """AdamW with clipped gradients, a linear warm-up and a cosine decay to zero."""
     warmup = min(200, config.steps // 10)
     schedule = optax.warmup_cosine_decay_schedule(0.0, config.learning_rate, warmup, config.steps)
-    return optax.chain(
-        optax.clip_by_global_norm(1.0), optax.adamw(schedule, weight_decay=config.weight_decay)
-    )
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(schedule, weight_decay=config.weight_decay))
 
 
 def init_state(config: TrainingConfig) -> TrainingState:
@@ -90,32 +88,29 @@ def mean_loss(
     return jnp.mean(jax.vmap(weighted_l1)(estimate, target, weight)) / architecture.cost_scale
 
 
-@functools.partial(jax.jit, static_argnames=("config", "draw_batch", "count"), donate_argnames=("state",))
-def train_steps(
-    state: TrainingState, data: Any, *, config: TrainingConfig, draw_batch: DrawBatch, count: int
-) -> tuple[TrainingState, Float[Array, "count"]]:
-    """Take `count` optimiser steps.
+@functools.partial(jax.jit, static_argnames=("config", "draw_batch"), donate_argnames=("state",))
+def train_step(
+    state: TrainingState, data: Any, *, config: TrainingConfig, draw_batch: DrawBatch
+) -> tuple[TrainingState, Float[Array, ""]]:
+    """Take one optimiser step.
 
     The batch of a step depends on the seed and the number of the step alone, so training that was interrupted and
-    resumed gives the same weights as training that was not.
+    resumed gives the same weights as training that was not. One step is one program: inside a `scan`, XLA's CPU
+    backend runs the gradients of convolutions some twenty times slower.
 
     Returns:
-      The new state and the loss of every step, in cells.
+      The new state and the loss, in cells.
     """
     transform = optimizer(config)
-    key = jax.random.fold_in(jax.random.key(config.seed), 1)
-
-    def one_step(state: TrainingState, _: None) -> tuple[TrainingState, Array]:
-        terrain, target, weight = draw_batch(jax.random.fold_in(key, state.step), data)
-        loss, gradient = jax.value_and_grad(
-            lambda weights: mean_loss(config.architecture, weights, terrain, target, weight)
-        )(state.weights)
-        updates, optimizer_state = transform.update(gradient, state.optimizer, state.weights)
-        weights = optax.apply_updates(state.weights, updates)
-        # Early on the average is of the steps so far, later exponential.
-        decay = jnp.minimum(config.average_decay, (1.0 + state.step) / (10.0 + state.step))
-        average = jax.tree.map(lambda a, w: decay * a + (1 - decay) * w, state.average, weights)
-        new = TrainingState(step=state.step + 1, weights=weights, average=average, optimizer=optimizer_state)
-        return new, loss * config.architecture.cost_scale
-
-    return jax.lax.scan(one_step, state, None, length=count)
+    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(config.seed), 1), state.step)
+    terrain, target, weight = draw_batch(key, data)
+    loss, gradient = jax.value_and_grad(
+        lambda weights: mean_loss(config.architecture, weights, terrain, target, weight)
+    )(state.weights)
+    updates, optimizer_state = transform.update(gradient, state.optimizer, state.weights)
+    weights = optax.apply_updates(state.weights, updates)
+    # Early on the average is of the steps so far, later exponential.
+    decay = jnp.minimum(config.average_decay, (1.0 + state.step) / (10.0 + state.step))
+    average = jax.tree.map(lambda a, w: decay * a + (1 - decay) * w, state.average, weights)
+    new = TrainingState(step=state.step + 1, weights=weights, average=average, optimizer=optimizer_state)
+    return new, loss * config.architecture.cost_scale

@@ -5,6 +5,7 @@ A *pose set* is a stack of four boards, one a heading: `uint32[4, h, n_words]`.
 
 import jax.numpy as jnp
 from flax import struct
+from jax.typing import ArrayLike
 from jaxtyping import Array, Int, UInt32
 
 from dc2g_jax.grid import bitboard
@@ -36,7 +37,7 @@ class Pose:
     heading: Int[Array, "*batch"]
 
 
-def make_pose(x: int, y: int, heading: int) -> Pose:
+def make_pose(x: ArrayLike, y: ArrayLike, heading: ArrayLike) -> Pose:
     """A pose from plain integers, or poses from integer arrays of equal shape."""
     return Pose(x=jnp.asarray(x, jnp.int32), y=jnp.asarray(y, jnp.int32), heading=jnp.asarray(heading, jnp.int32))
 

@@ -13,6 +13,7 @@ from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.poses import HEADINGS, Pose, PoseSet, moved_forward, only, turned_left, turned_right
 
+
 def _predecessors(poses: PoseSet) -> PoseSet:
     """Poses from which one action leads into the set."""
     return moved_forward(poses, -1) | turned_left(poses) | turned_right(poses)

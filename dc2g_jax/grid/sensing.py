@@ -15,6 +15,7 @@ from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.bitboard import WORD_BITS, Board
 from dc2g_jax.grid.poses import FORWARD, HEADINGS, Pose, PoseSet
 
+
 @dataclasses.dataclass(frozen=True)
 class Kernel:
     """A set of offsets from the robot's cell for each heading. Hashable, so a static value under `jit`.
@@ -137,4 +138,3 @@ def visible(kernel: Kernel, pose: Pose, height: int, width: int) -> Board:
 def poses_that_see(targets: Board, kernel: Kernel) -> PoseSet:
     """Poses from which the kernel covers at least one target cell."""
     return jnp.stack([bitboard.cells_that_see(targets, offsets) for offsets in kernel.offsets])
-

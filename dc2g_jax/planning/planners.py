@@ -134,9 +134,7 @@ class DC2G:
         if self.distance_weight:
             lengths = search.distances(belief.pose, reachable, belief.width)
             score = score + self.distance_weight * lengths
-        plan = _explore_or_finish(
-            belief, reachable, candidates, _lowest(score, candidates, belief.width), self.rules
-        )
+        plan = _explore_or_finish(belief, reachable, candidates, _lowest(score, candidates, belief.width), self.rules)
         return plan, (reachable, estimator_state)
 
 

@@ -1,0 +1,247 @@
+"""The paper's headline figure: extra steps beyond an oracle, by planner and neighbourhood.
+
+`python -m experiments.reproduce_fig7` runs the 400 published episodes, and sampled starts in every test house.
+"""
+
+import collections
+import csv
+import dataclasses
+import json
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset, tell_on_stderr
+from dc2g_jax.datasets.starts import published_episodes, sample_starts, why_no_episode
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.evaluation import PLANNERS, EpisodeResult, Runner, Summary, extra_steps, summarize
+from dc2g_jax.inspection.figures import plot_extra_steps
+from dc2g_jax.planning.rules import SETTINGS
+from dc2g_jax.rollout import STEP_LIMIT
+from experiments.common import (
+    EpisodeProgress,
+    command_line,
+    open_network,
+    output_folder,
+    versions,
+    write_episodes,
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Reproduce Fig. 7: percent of steps beyond an oracle's that each planner needs to find a front door.
+
+    Attributes:
+      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
+      settings: `published` runs the paper's 400 episodes (5-cell sensing; published dataset only), `paper` runs
+        sampled starts in every test house with 8-cell sensing, `both` runs both.
+      starts_per_house: sampled starts in each test house.
+      seed: of the sampled starts.
+      network: folder of a trained network for `dc2g`; the shipped one where not given.
+      record: write rerun recordings of this many episodes, spread over those run.
+      out: folder to write to; a new one below outputs/ where not given.
+    """
+
+    dataset: str | None = None
+    settings: Literal["both", "published", "paper"] = "both"
+    starts_per_house: int = 10
+    seed: int = 0
+    network: Path | None = None
+    record: int = 0
+    out: Path | None = None
+
+
+class Episode(NamedTuple):
+    """What a table is made of: one planner's extra steps in one episode of one group."""
+
+    planner: str
+    group: str
+    house: str
+    extra: float
+    success: bool
+
+
+#: Groups of the table, in order, and the one that takes everything.
+PUBLISHED_GROUPS = ("train", "same_neighborhood", "new_neighborhood", "urban", "all")
+PAPER_GROUPS = ("same_neighborhood", "new_neighborhood", "urban", "test")
+
+Table = dict[str, dict[str, Summary]]
+
+
+def tabulate(episodes: Iterable[Episode], groups: tuple[str, ...]) -> Table:
+    """Summary by planner and group; the last of the groups holds all episodes."""
+    cells: dict[str, dict[str, list[Episode]]] = collections.defaultdict(lambda: collections.defaultdict(list))
+    for episode in episodes:
+        for group in {episode.group, groups[-1]}:
+            cells[episode.planner][group].append(episode)
+    return {
+        planner: {
+            group: summarize([e.extra for e in by_group[group]], [e.success for e in by_group[group]])
+            for group in groups
+            if group in by_group
+        }
+        for planner, by_group in cells.items()
+    }
+
+
+def _episode(result: EpisodeResult, group: str) -> Episode:
+    return Episode(result.planner, group, result.house, result.extra, result.success)
+
+
+def run_published(dataset: HouseDataset, network: NetworkCostToGo) -> tuple[list[EpisodeResult], list[Episode]]:
+    """The 400 published episodes: our results, and table entries with the authors' own beside ours."""
+    published = published_episodes()
+    runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())
+    results = runner.run([episode.start for episode in published], PLANNERS, network)
+    entries = [_episode(result, published[n % len(published)].group) for n, result in enumerate(results)]
+    for episode in published:
+        for planner, steps in (("authors_frontier", episode.frontier), ("authors_dc2g", episode.dc2g)):
+            extra = extra_steps(steps, episode.oracle)
+            entries.append(Episode(planner, episode.group, episode.start.house, extra, steps < STEP_LIMIT))
+    return results, entries
+
+
+def frontier_over_dc2g(results: list[EpisodeResult]) -> dict[str, dict[str, float]]:
+    """Mean of frontier steps / DC2G steps, less one, in percent, by group: the paper's "189 % faster"."""
+    published = published_episodes()
+    steps = {planner: [r.steps for r in results if r.planner == planner] for planner in ("frontier", "dc2g")}
+    pairs = {
+        "ours": list(zip(steps["frontier"], steps["dc2g"], strict=True)),
+        "authors": [(episode.frontier, episode.dc2g) for episode in published],
+    }
+    return {
+        whose: {
+            group: float(
+                np.mean(
+                    [
+                        100 * (frontier / dc2g - 1)
+                        for (frontier, dc2g), episode in zip(both, published, strict=True)
+                        if group in (episode.group, "all")
+                    ]
+                )
+            )
+            for group in PUBLISHED_GROUPS
+        }
+        for whose, both in pairs.items()
+    }
+
+
+def run_sampled(
+    dataset: HouseDataset, network: NetworkCostToGo, options: Options
+) -> tuple[list[EpisodeResult], list[Episode]]:
+    """Sampled starts in every test house in which an episode can be run; as many in each, so houses weigh equally."""
+    houses: tuple[House, ...] = dataset.split("test")
+    if not houses:
+        raise InputError(f"{dataset.name}: has no test houses; list some in testing_houses.csv")
+    for house in houses:
+        if reason := why_no_episode(house):
+            tell_on_stderr(f"Left out: house {house.name}: {reason}")
+    starts = sample_starts(houses, options.starts_per_house, seed=options.seed)
+    if not starts:
+        raise InputError(f"{dataset.name}: no episode can be run in any of its test houses; add a front door and roads")
+    runner = Runner(dataset, SETTINGS["paper"], progress=EpisodeProgress())
+    results = runner.run(starts, PLANNERS, network)
+    return results, [_episode(result, group_of(dataset.house(result.house)) or "test") for result in results]
+
+
+def print_table(title: str, table: Table, groups: tuple[str, ...]) -> None:
+    """Mean extra steps by planner and group, with the median behind it."""
+    present = [group for group in groups if any(group in row for row in table.values())]
+    print(f"\n{title}\nmean extra steps beyond the oracle, % (median)")
+    print(f"{'':18}" + "".join(f"{group:>20}" for group in present) + f"{'success':>10}")
+    for planner, row in table.items():
+        if planner == "oracle":
+            continue
+        cells = "".join(f"{row[g].mean_extra:>11.1f} ({row[g].median_extra:>6.1f})" for g in present)
+        print(f"{planner:18}{cells}{100 * row[groups[-1]].success:>9.1f}%")
+
+
+def write_tables(out: Path, tables: dict[str, Table], entries: dict[str, list[Episode]]) -> None:
+    """Write `summary.csv` (by planner and group) and `houses.csv` (by planner and house)."""
+    with (out / "summary.csv").open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("settings", "planner", "group", *Summary._fields))
+        for settings, table in tables.items():
+            for planner, row in table.items():
+                for group, summary in row.items():
+                    writer.writerow((settings, planner, group, *(round(value, 4) for value in summary)))
+    with (out / "houses.csv").open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("settings", "planner", "house", "group", *Summary._fields))
+        for settings, episodes in entries.items():
+            by_house: dict[tuple[str, str, str], list[Episode]] = collections.defaultdict(list)
+            for episode in episodes:
+                by_house[episode.planner, episode.house, episode.group].append(episode)
+            for key, own in by_house.items():
+                summary = summarize([episode.extra for episode in own], [episode.success for episode in own])
+                writer.writerow((settings, *key, *(round(value, 4) for value in summary)))
+
+
+def as_json(table: Table) -> dict[str, dict[str, dict[str, float]]]:
+    """The part of a table that `results.json` holds."""
+    keys = ("mean_extra", "median_extra", "success", "episodes")
+    return {
+        planner: {group: {key: getattr(summary, key) for key in keys} for group, summary in row.items()}
+        for planner, row in table.items()
+    }
+
+
+def main(options: Options) -> None:
+    """Run, tabulate, draw."""
+    began = time.perf_counter()
+    dataset = open_dataset(options.dataset)
+    if options.settings == "published" and dataset.source != "published":
+        raise InputError(
+            f"{dataset.name}: the 400 published episodes need the published houses; give --dataset with a copy of "
+            "them, or --settings paper for sampled starts"
+        )
+    network = open_network(options.network)
+    out = output_folder(options.out, "reproduce_fig7")
+    label = "procedural houses" if dataset.source == "procedural" else dataset.name
+    tables: dict[str, Table] = {}
+    entries: dict[str, list[Episode]] = {}
+    results: dict[str, list[EpisodeResult]] = {}
+    ratio: dict[str, dict[str, float]] = {}
+    if options.settings != "paper" and dataset.source == "published":
+        results["published"], entries["published"] = run_published(dataset, network)
+        tables["published"] = tabulate(entries["published"], PUBLISHED_GROUPS)
+        ratio = frontier_over_dc2g(results["published"])
+        print_table(f"The 400 published episodes, 5-cell sensing ({label})", tables["published"], PUBLISHED_GROUPS)
+        print("\nmean of frontier steps / dc2g steps, less one, %")
+        for whose, row in ratio.items():
+            print(f"{whose:18}" + "".join(f"{row[group]:>11.1f}{'':9}" for group in PUBLISHED_GROUPS))
+    if options.settings != "published":
+        results["paper"], entries["paper"] = run_sampled(dataset, network, options)
+        tables["paper"] = tabulate(entries["paper"], PAPER_GROUPS)
+        houses = len({episode.house for episode in entries["paper"]})
+        print_table(
+            f"{options.starts_per_house} sampled starts in each of {houses} test houses, 8-cell sensing ({label})",
+            tables["paper"],
+            PAPER_GROUPS,
+        )
+    write_episodes(out / "episodes.csv", [result for part in results.values() for result in part])
+    write_tables(out, tables, entries)
+    plot_extra_steps(out / "fig7", tables, label)
+    facts = {
+        "dataset": dataset.name,
+        "source": dataset.source,
+        "seed": options.seed,
+        "versions": versions(),
+        "seconds": round(time.perf_counter() - began, 1),
+        "published": as_json(tables.get("published", {})),
+        "paper": as_json(tables.get("paper", {})),
+        "frontier_over_dc2g": ratio,
+    }
+    (out / "results.json").write_text(json.dumps(facts, indent=2) + "\n")
+    print(
+        f"\nWritten in {facts['seconds']} s: {out}/fig7.png, fig7.svg, results.json, summary.csv, houses.csv, episodes.csv"
+    )
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

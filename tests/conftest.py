@@ -1,0 +1,105 @@
+"""What all tests share: where the recorded data lie, hand-drawn maps, and type checks around the whole package."""
+
+import os
+from pathlib import Path
+
+import jax
+import jaxtyping
+import numpy as np
+import pytest
+from hypothesis import settings
+
+from tests import typechecking
+
+ROOT = Path(__file__).resolve().parents[1]
+SHARED = ROOT.parent / "shared"
+PUBLISHED = SHARED / "datasets" / "driveways_bing_iros19"
+CACHE = ROOT / ".pytest_cache"
+
+# No test asks the network for the dataset: it is the copy beside the repository, or else the embedded houses.
+os.environ["DC2G_DATA"] = str(PUBLISHED) if PUBLISHED.is_dir() else "procedural"
+os.environ["DC2G_CACHE"] = str(CACHE / "dc2g")
+
+# Compiled programs are kept between runs.
+jax.config.update("jax_compilation_cache_dir", str(CACHE / "jax"))
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+
+# Shapes and dtypes of the package's functions are checked while they are traced. Must precede their import.
+jaxtyping.install_import_hook("dc2g_jax", f"{typechecking.__name__}.check")
+
+settings.register_profile("tests", derandomize=True, deadline=None)
+settings.load_profile("tests")
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of recorded data and datasets beside the repository."""
+    if not SHARED.is_dir():
+        pytest.skip("../shared is absent")
+    return SHARED
+
+
+@pytest.fixture(scope="session")
+def golden_grids(shared: Path) -> dict[str, np.ndarray]:
+    """House name -> class grid, as the authors' code had them."""
+    with np.load(shared / "golden" / "grids.npz") as grids:
+        return dict(zip(grids["house"].tolist(), grids["terrain"], strict=True))
+
+
+@pytest.fixture(scope="session")
+def published_dataset(shared: Path):
+    """The published houses, read from their images."""
+    from dc2g_jax.datasets.houses import load_dataset
+
+    return load_dataset(PUBLISHED)
+
+
+@pytest.fixture(scope="session")
+def street() -> np.ndarray:
+    """Two doors on a street, each behind its own path or driveway; no symmetry."""
+    from tests.maps import drawn
+
+    return drawn("""
+        ##D#..t...
+        ..P..##D#.
+        ..P..##d#.
+        SSPSSSSdSS
+        RRRRRRRRRR
+        RRRRRRRRRR
+        SSSSSSSSSS
+        .t...#....
+    """)
+
+
+@pytest.fixture(scope="session")
+def island() -> np.ndarray:
+    """A door that no road leads to."""
+    from tests.maps import drawn
+
+    return drawn("""
+        RRRRRRRRRR
+        R........R
+        R..DPP...R
+        R........R
+        RRRR.RRRRR
+        R........R
+        R.t....#.R
+        RRRRRRRRRR
+    """)
+
+
+@pytest.fixture(scope="session")
+def buried() -> np.ndarray:
+    """A door inside a house, two cells of wall away from the path that was meant for it."""
+    from tests.maps import drawn
+
+    return drawn("""
+        ##########
+        #######D##
+        ##########
+        ##########
+        ..P.......
+        RRRRRRRRRR
+        RRRRRRRRRR
+        ..........
+    """)

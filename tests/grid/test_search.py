@@ -1,0 +1,200 @@
+"""Shortest plans and costs-to-go against plain searches and SciPy's."""
+
+import functools
+
+import jax
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from dc2g_jax.grid import bitboard, search
+from dc2g_jax.grid.poses import make_pose
+from dc2g_jax.grid.search import EIGHT_CONNECTED, FOUR_CONNECTED
+from tests import maps
+from tests.oracles import gridworld_oracle as oracle
+
+each_shape = pytest.mark.parametrize("shape", maps.SHAPES, ids="{0[0]}x{0[1]}".format)
+
+
+@functools.cache
+def searching(shape: tuple[int, int]):
+    def run(x, y, heading, free, targets):
+        pose, board = make_pose(x, y, heading), bitboard.pack(free)
+        first = search.first_action(pose, bitboard.pack(targets), board)
+        return first, search.distances(pose, board, shape[1])
+
+    return jax.jit(run)
+
+
+@each_shape
+@given(
+    seed=maps.seeds,
+    density=maps.densities,
+    target_density=st.sampled_from([0.0, 0.005, 0.02, 0.2, 1.0]),
+)
+@settings(max_examples=40)
+def test_first_action_and_distances(shape, seed, density, target_density):
+    free = maps.random_cells(seed, shape, density)
+    free.flat[seed % free.size] = True
+    pose = maps.random_pose(seed, free)
+    targets = np.random.default_rng(seed + 1).random((4, *shape)) < target_density
+
+    first, distances = searching(shape)(*pose, free, targets)
+
+    plan = oracle.shortest_actions(free, pose, targets & free)
+    assert bool(first.found) == (plan is not None)
+    assert int(first.length) == len(plan or [])
+    if plan:
+        assert int(first.action) == plan[0]
+    np.testing.assert_array_equal(distances, oracle.distances_from(free, pose))
+
+
+def test_the_plan_followed_to_its_end_is_the_lexicographically_smallest():
+    shape = (8, 32)
+    for seed in range(12):
+        free = maps.random_cells(seed, shape, 0.75)
+        pose = maps.random_pose(seed, free)
+        targets = np.random.default_rng(seed).random((4, *shape)) < 0.01
+        plan = oracle.shortest_actions(free, pose, targets & free)
+        taken = []
+        first, _ = searching(shape)(*pose, free, targets)
+        while int(first.length) > 0:
+            taken.append(int(first.action))
+            pose = oracle.moved(pose, taken[-1], shape)
+            first, _ = searching(shape)(*pose, free, targets)
+        assert taken == (plan or [])
+
+
+def test_a_robot_on_its_target_has_a_plan_of_no_actions():
+    free = np.ones((8, 32), bool)
+    first, _ = searching((8, 32))(3, 4, 1, free, np.ones((4, 8, 32), bool))
+    assert bool(first.found)
+    assert int(first.length) == 0
+
+
+def test_the_longest_way_in_a_winding_corridor():
+    free = np.zeros((33, 33), bool)
+    free[::2] = True
+    free[1::4, -1] = free[3::4, 0] = True
+    targets = np.zeros((4, 33, 33), bool)
+    targets[:, -1, -1] = True
+    first, distances = searching((33, 33))(0, 0, 2, free, targets)
+    plan = oracle.shortest_actions(free, (0, 0, 2), targets)
+    assert int(first.length) == len(plan) > 500
+    assert int(first.action) == plan[0]
+    np.testing.assert_array_equal(distances, oracle.distances_from(free, (0, 0, 2)))
+
+
+# --- cost-to-go ---------------------------------------------------------------------------------------
+
+
+@functools.cache
+def costing(moves):
+    return jax.jit(functools.partial(search.cost_to_go, moves=moves))
+
+
+def touching(cells: np.ndarray) -> np.ndarray:
+    """The cells and their eight neighbours."""
+    padded = np.pad(cells, 1)
+    return np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).any(axis=(2, 3))
+
+
+def grown(traversable: np.ndarray, goals: np.ndarray) -> np.ndarray:
+    """The goal, grown until it touches ground that is not itself the goal; as it was where it never does."""
+    ground = traversable & ~goals
+    if not goals.any() or not ground.any():
+        return goals
+    while not (touching(goals) & ground).any():
+        goals = touching(goals)
+    return goals
+
+
+def dijkstra(traversable: np.ndarray, goals: np.ndarray, moves) -> np.ndarray:
+    """SciPy's answer on the explicit graph of cells."""
+    free = traversable | goals
+    index = np.arange(free.size).reshape(free.shape)
+    rows, columns, lengths = [], [], []
+    for y, x in np.argwhere(free):
+        for dx, dy in moves:
+            column, row = x + dx, y + dy
+            if 0 <= column < free.shape[1] and 0 <= row < free.shape[0] and free[row, column]:
+                rows.append(index[y, x])
+                columns.append(index[row, column])
+                lengths.append(np.hypot(dx, dy))
+    if not goals.any():
+        return np.full(free.shape, np.inf)
+    graph = sparse.csr_matrix((lengths, (rows, columns)), shape=(free.size, free.size))
+    costs = csgraph.dijkstra(graph, indices=index[goals], min_only=True)
+    return costs.reshape(free.shape)
+
+
+@pytest.mark.parametrize("moves", [EIGHT_CONNECTED, FOUR_CONNECTED], ids=["eight", "four"])
+@each_shape
+@given(seed=maps.seeds, density=maps.densities, goals=st.integers(0, 3), goals_on_ground=st.booleans())
+@settings(max_examples=20)
+def test_cost_to_go_equals_dijkstra(shape, moves, seed, density, goals, goals_on_ground):
+    traversable = maps.random_cells(seed, shape, density)
+    goal_cells = np.zeros(shape, bool)
+    goal_cells.flat[np.random.default_rng(seed + 1).integers(goal_cells.size, size=goals)] = True
+    traversable.flat[-1] = True
+    goal_cells.flat[-1] = False
+    if goals_on_ground:
+        traversable |= goal_cells
+    costs = np.asarray(costing(moves)(traversable, goal_cells))
+    assert costs.dtype == np.float32
+    wanted = dijkstra(traversable, grown(traversable, goal_cells), moves)
+    np.testing.assert_allclose(costs, wanted, rtol=1e-6)
+
+
+def test_a_goal_that_touches_no_ground_grows_until_it_does(buried):
+    traversable, goals = np.isin(buried, oracle.TRAVERSABLE_CLASSES), buried == oracle.FRONT_DOOR
+    costs = np.asarray(costing(EIGHT_CONNECTED)(traversable, goals))
+    # Rows 1 to 5 and columns 4 to 9: three squares further, where it meets the road's first row.
+    wanted = dijkstra(traversable, grown(traversable, goals), EIGHT_CONNECTED)
+    np.testing.assert_allclose(costs, wanted, rtol=1e-6)
+    assert np.isfinite(costs[traversable]).all()
+    assert not np.isfinite(dijkstra(traversable, goals, EIGHT_CONNECTED)[5]).any()
+
+
+def test_one_goal_in_touch_is_enough_to_leave_all_as_they_are():
+    traversable, goals = np.zeros((7, 33), bool), np.zeros((7, 33), bool)
+    traversable[0, :20] = True
+    goals[0, 0] = goals[6, 32] = True
+    costs = np.asarray(costing(EIGHT_CONNECTED)(traversable, goals))
+    np.testing.assert_array_equal(costs[0, :20], np.arange(20))
+    assert costs[6, 32] == 0
+    assert np.isinf(costs).sum() == 7 * 33 - 21
+
+
+@pytest.mark.parametrize("moves", [EIGHT_CONNECTED, FOUR_CONNECTED], ids=["eight", "four"])
+def test_a_goal_with_no_ground_anywhere_stays_as_it_is(moves):
+    goals = np.zeros((7, 33), bool)
+    goals[3, 4] = True
+    for traversable in (np.zeros_like(goals), goals):
+        costs = np.asarray(costing(moves)(traversable, goals))
+        np.testing.assert_array_equal(costs, np.where(goals, 0, np.inf))
+
+
+def test_no_goal_no_cost():
+    costs = costing(EIGHT_CONNECTED)(np.ones((7, 33), bool), np.zeros((7, 33), bool))
+    assert np.isinf(costs).all()
+
+
+def test_equal_costs_compare_equal():
+    """Straight and diagonal steps are counted, so their order leaves no rounding behind."""
+    traversable, goals = np.ones((33, 33), bool), np.zeros((33, 33), bool)
+    goals[16, 16] = True
+    costs = np.asarray(costing(EIGHT_CONNECTED)(traversable, goals))
+    for turned in (costs[::-1], costs[:, ::-1], costs.T):
+        np.testing.assert_array_equal(turned, costs)
+
+
+def test_cost_to_go_of_real_houses_equals_dijkstra(golden_grids):
+    for house in list(golden_grids)[::9]:
+        terrain = golden_grids[house]
+        traversable, goals = np.isin(terrain, oracle.TRAVERSABLE_CLASSES), terrain == oracle.FRONT_DOOR
+        wanted = dijkstra(traversable, grown(traversable, goals), EIGHT_CONNECTED)
+        np.testing.assert_allclose(costing(EIGHT_CONNECTED)(traversable, goals), wanted, rtol=1e-6)

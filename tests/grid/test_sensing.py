@@ -1,0 +1,122 @@
+"""What a robot sees, against the rule cell by cell and the authors' own kernels."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from dc2g_jax.grid import bitboard, sensing
+from dc2g_jax.grid.poses import make_pose
+from tests import maps
+from tests.oracles import gridworld_oracle as oracle
+
+each_shape = pytest.mark.parametrize("shape", maps.SHAPES, ids="{0[0]}x{0[1]}".format)
+
+
+@functools.cache
+def visible(shape: tuple[int, int], radius: int):
+    kernel = sensing.field_of_view(radius)
+
+    def run(x, y, heading):
+        return bitboard.unpack(sensing.visible(kernel, make_pose(x, y, heading), *shape), shape[1])
+
+    return jax.jit(jax.vmap(run))
+
+
+@pytest.mark.parametrize("radius", [1, 5])
+@each_shape
+def test_visible_from_every_pose(shape, radius):
+    y, x, heading = (part.ravel() for part in np.indices((*shape, 4)))
+    result = np.asarray(visible(shape, radius)(x, y, heading))
+    for index in range(len(x)):
+        pose = (int(x[index]), int(y[index]), int(heading[index]))
+        np.testing.assert_array_equal(result[index], oracle.visible(pose, radius, shape), err_msg=str(pose))
+
+
+@pytest.mark.parametrize(("shape", "radius"), [((40, 65), 33), ((3, 70), 64), ((70, 2), 40), ((1, 1), 8)])
+def test_visible_from_corners_with_a_field_of_view_wider_than_a_word(shape, radius):
+    height, width = shape
+    poses = [(x, y, heading) for x in (0, width - 1) for y in (0, height - 1) for heading in range(4)]
+    result = np.asarray(visible(shape, radius)(*np.array(poses).T))
+    for seen, pose in zip(result, poses, strict=True):
+        np.testing.assert_array_equal(seen, oracle.visible(pose, radius, shape), err_msg=str(pose))
+
+
+@functools.cache
+def posing(shape: tuple[int, int]):
+    """Poses that see, for a field of view and for an expanding kernel."""
+
+    def run(cells):
+        board = bitboard.pack(cells)
+        full = jnp.asarray(bitboard.full(*shape))
+        kernels = (sensing.field_of_view(4), sensing.field_of_view(8), sensing.expanding_kernel(5))
+        return [bitboard.unpack(sensing.poses_that_see(board, kernel) & full, shape[1]) for kernel in kernels]
+
+    return jax.jit(run)
+
+
+@each_shape
+@given(seed=maps.seeds, density=maps.densities)
+@settings(max_examples=20)
+def test_poses_that_see(shape, seed, density):
+    targets = maps.random_cells(seed, shape, density)
+    offset_rules = (
+        functools.partial(oracle.sensing_offsets, 4),
+        functools.partial(oracle.sensing_offsets, 8),
+        functools.partial(oracle.expanding_offsets, 5),
+    )
+    for poses, offsets in zip(posing(shape)(targets), offset_rules, strict=True):
+        for heading in range(4):
+            np.testing.assert_array_equal(poses[heading], oracle._sources(targets, offsets(heading)))
+
+
+@pytest.mark.parametrize("radius", range(1, 13))
+def test_fields_of_view_follow_the_rule(radius):
+    kernel = sensing.field_of_view(radius)
+    assert kernel.radius == radius
+    for heading in range(4):
+        assert set(kernel.offsets[heading]) == set(oracle.sensing_offsets(radius, heading))
+
+
+@pytest.mark.parametrize("radius", range(2, 13))
+def test_expanding_kernels_follow_the_rule(radius):
+    kernel = sensing.expanding_kernel(radius)
+    for heading in range(4):
+        assert set(kernel.offsets[heading]) == set(oracle.expanding_offsets(radius, heading))
+
+
+@pytest.mark.parametrize(("radius", "cells"), [(8, 45), (5, 18)])
+def test_cells_in_a_field_of_view(radius, cells):
+    assert [len(offsets) for offsets in sensing.field_of_view(radius).offsets] == [cells] * 4
+
+
+@pytest.mark.parametrize("name", ["sensing_5", "sensing_8", "expanding_4", "expanding_5", "expanding_8"])
+def test_kernels_are_those_of_the_authors(shared, name):
+    kind, radius = name.split("_")
+    with np.load(shared / "golden" / "kernels.npz") as kernels:
+        recorded = kernels[name]
+    if kind == "sensing":
+        np.testing.assert_array_equal(sensing.field_of_view(int(radius)).as_array(), recorded)
+    else:
+        # Recorded as offsets from the frontier cell to the robot.
+        kernel = sensing.expanding_kernel(int(radius))
+        np.testing.assert_array_equal(kernel.as_array()[:, ::-1, ::-1], recorded)
+
+
+def test_kernels_are_equal_values():
+    kernel = sensing.field_of_view(5)
+    copy = sensing.Kernel.from_array(kernel.as_array())
+    np.testing.assert_array_equal(copy.as_array(), kernel.as_array())
+    assert copy == kernel
+    assert hash(copy) == hash(kernel)
+
+
+@pytest.mark.parametrize(
+    ("make", "radius"), [(sensing.field_of_view, 0), (sensing.field_of_view, -1), (sensing.expanding_kernel, 1)]
+)
+def test_a_range_of_nothing_is_refused(make, radius):
+    with pytest.raises(ValueError, match=rf"range {radius} "):
+        make(radius)

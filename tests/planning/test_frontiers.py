@@ -1,0 +1,98 @@
+"""Frontiers by either rule against their plain definitions."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from dc2g_jax.grid import bitboard
+from dc2g_jax.grid.poses import make_pose
+from dc2g_jax.grid.sensing import expanding_kernel, field_of_view
+from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.gridworld import Belief
+from dc2g_jax.planning import frontiers
+from tests import maps
+from tests.oracles import gridworld_oracle as oracle
+
+SENSING, EXPANDING = 4, 3
+
+
+def belief_of(terrain, seen, pose) -> Belief:
+    """The belief of a robot that has seen these cells, by whatever way."""
+    world, board = world_from_terrain(terrain), bitboard.pack(jnp.asarray(seen))
+    return Belief(
+        pose=make_pose(*pose),
+        steps=jnp.int32(0),
+        terrain=jnp.where(seen, world.terrain, jnp.uint8(0)),
+        seen=board,
+        traversable=world.traversable & board,
+        goals=world.goals & board,
+    )
+
+
+@functools.cache
+def frontier_sets(width: int):
+    def run(terrain, seen, pose):
+        belief = belief_of(terrain, seen, pose)
+        robot = bitboard.single(belief.pose.x, belief.pose.y, *belief.seen.shape)
+        reachable = bitboard.flood(robot, belief.traversable)
+        boards = (
+            reachable,
+            frontiers.frontier_cells(belief, reachable),
+            frontiers.complete(belief, reachable, field_of_view(SENSING)),
+            frontiers.reference(belief, reachable, expanding_kernel(EXPANDING)),
+        )
+        return [bitboard.unpack(board, width) for board in boards], boards
+
+    return jax.jit(run)
+
+
+def random_moment(seed: int, shape: tuple[int, int], density: float):
+    """A random map of which a random part has been seen: a few looks around, or cells at random."""
+    rng = np.random.default_rng([seed, 2])
+    terrain = maps.random_terrain(seed, shape, density)
+    terrain.flat[seed % terrain.size] = 3
+    pose = maps.random_pose(seed, np.isin(terrain, oracle.TRAVERSABLE_CLASSES))
+    seen = oracle.visible(pose, SENSING, shape)
+    if seed % 3:
+        for _ in range(rng.integers(8)):
+            look = (int(rng.integers(shape[1])), int(rng.integers(shape[0])), int(rng.integers(4)))
+            seen |= oracle.visible(look, SENSING, shape)
+    else:
+        seen |= rng.random(shape) < rng.choice([0.2, 0.6, 0.9, 1.0])
+    return terrain, seen, pose
+
+
+@pytest.mark.parametrize("shape", maps.SHAPES, ids="{0[0]}x{0[1]}".format)
+@given(seed=maps.seeds, density=maps.densities)
+@settings(max_examples=25)
+def test_both_rules(shape, seed, density):
+    terrain, seen, pose = random_moment(seed, shape, density)
+    sets, boards = frontier_sets(shape[1])(terrain, seen, pose)
+    reached, cells, complete, reference = map(np.asarray, sets)
+
+    wanted = oracle.reachable(seen & np.isin(terrain, oracle.TRAVERSABLE_CLASSES), *pose[:2])
+    np.testing.assert_array_equal(reached, wanted)
+    np.testing.assert_array_equal(cells, oracle.frontier_complete(seen, wanted))
+    np.testing.assert_array_equal(complete, oracle.frontier_expanding_complete(seen, wanted, pose, SENSING))
+    np.testing.assert_array_equal(reference, oracle.frontier_expanding_reference(seen, wanted, pose, EXPANDING))
+    for board in boards:
+        assert not (np.asarray(board) & ~bitboard.full(*shape)).any(), "padding must stay zero"
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_every_complete_pose_reveals_something(seed):
+    shape = (7, 33)
+    terrain, seen, pose = random_moment(seed, shape, 0.75)
+    complete = np.asarray(frontier_sets(33)(terrain, seen, pose)[0][2])
+    for heading, y, x in np.argwhere(complete):
+        assert (oracle.visible((int(x), int(y), int(heading)), SENSING, shape) & ~seen).any()
+
+
+def test_a_map_seen_whole_has_no_frontier(street):
+    sets, _ = frontier_sets(10)(street, np.ones_like(street, bool), (0, 4, 0))
+    for cells in sets[1:]:
+        assert not np.asarray(cells).any()

@@ -1,0 +1,147 @@
+"""The package does what the authors' code did, episode by episode, and recomputes their headline figures."""
+
+import csv
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax.datasets.houses import House, HouseDataset
+from dc2g_jax.datasets.starts import Start, published_episodes
+from dc2g_jax.estimation.estimators import ExactCostToGo
+from dc2g_jax.evaluation import Runner, extra_steps
+from dc2g_jax.grid import bitboard
+from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
+from dc2g_jax.grid.search import EIGHT_CONNECTED
+from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.gridworld import Belief
+from dc2g_jax.planning.planners import DC2G, Frontier
+from dc2g_jax.planning.rules import SETTINGS
+
+
+@pytest.fixture(scope="module")
+def golden_runner(golden_grids) -> Runner:
+    houses = tuple(House(name, "test", terrain) for name, terrain in golden_grids.items())
+    return Runner(HouseDataset("golden", "folder", houses), SETTINGS["reference"], step_limit=1500)
+
+
+@pytest.fixture(scope="module")
+def recorded(shared) -> list[dict[str, str]]:
+    with (shared / "golden" / "episodes.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_every_recorded_episode_action_for_action(golden_runner, recorded):
+    columns = ("x", "y", "heading", "range", "expanding_range")
+    rows = {
+        (row["planner"], Start(row["house"], *(int(row[column]) for column in columns))): row for row in recorded
+    }
+    assert len(rows) == 1575
+    starts = [start for planner, start in rows if planner == "frontier"]
+    checked = 0
+    for result in golden_runner.run(starts, ["oracle", "frontier"]):
+        start = Start(result.house, result.x, result.y, result.heading, result.range, result.expanding_range)
+        row = rows.get((result.planner, start))
+        if row is None:  # the oracle's episodes were not recorded again for another expanding kernel
+            assert result.planner == "oracle"
+            continue
+        checked += 1
+        assert result.actions == row["actions"], row
+        assert (result.success, result.steps) == (row["success"] == "1", int(row["steps"]))
+        assert result.mode == "to_goal"
+    assert checked == len(rows)
+
+
+@pytest.mark.parametrize(("sensing_range", "moments"), [(5, 31), (8, 49)])
+def test_every_recorded_moment_inside_an_episode(shared, golden_grids, sensing_range, moments):
+    rules = SETTINGS["reference"].rules(sensing_range)
+    planner = Frontier(rules)
+
+    def look(terrain, seen, x, y, heading):
+        world, board = world_from_terrain(terrain), bitboard.pack(seen)
+        belief = Belief(
+            pose=make_pose(x, y, heading),
+            steps=jnp.int32(0),
+            terrain=jnp.where(seen, world.terrain, jnp.uint8(0)),
+            seen=board,
+            traversable=world.traversable & board,
+            goals=world.goals & board,
+        )
+        plan, reachable = planner.plan(belief, planner.init(world))
+        expanding = rules.frontier_expanding(belief, reachable)
+        return plan.action, bitboard.unpack(reachable, 50), bitboard.unpack(expanding, 50)
+
+    with np.load(shared / "golden" / "states.npz") as file:
+        chosen = file["range"] == sensing_range
+        states = {name: file[name][chosen] for name in file.files}
+    terrain = np.stack([golden_grids[house] for house in states["house"].tolist()])
+    x, y, heading = states["x"], states["y"], states["heading"]
+    actions, reachable, expanding = jax.jit(jax.vmap(look))(terrain, states["seen"], x, y, heading)
+
+    np.testing.assert_array_equal(reachable, states["reachable"])
+    wanted = np.moveaxis(states["frontier_expanding"], -1, 1).copy()
+    wanted[np.arange(len(x)), heading, y, x] = False  # recorded before the current pose is taken out
+    np.testing.assert_array_equal(expanding, wanted)
+    assert [ACTION_LETTERS[action] for action in actions] == states["action"].tolist()
+    assert len(x) == moments
+
+
+# --- the 400 published episodes ----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def published_steps(published_dataset) -> dict[str, np.ndarray]:
+    """Our step counts on the authors' 400 starts, planner by planner."""
+    runner = Runner(published_dataset, SETTINGS["published"])
+    starts = [episode.start for episode in published_episodes()]
+    results = runner.run(starts, ["oracle", "frontier", "true_cost_to_go"])
+    assert all(result.success for result in results if result.planner != "frontier")
+    assert all((result.range, result.expanding_range) == (5, 4) for result in results)
+    names = [result.planner for result in results]
+    steps = np.array([result.steps for result in results])
+    return {name: steps[np.array(names) == name] for name in dict.fromkeys(names)}
+
+
+def test_published_step_counts_of_frontier_and_oracle(published_steps):
+    episodes = published_episodes()
+    frontier = np.array([episode.frontier for episode in episodes])
+    oracle = np.array([episode.oracle for episode in episodes])
+    assert len(episodes) == 400
+    assert np.sum(published_steps["frontier"] == frontier) >= 388
+    assert np.sum(published_steps["oracle"] == oracle) >= 392
+
+
+def test_exact_cost_to_go_is_close_to_the_oracle(published_steps):
+    extra = 100 * (published_steps["true_cost_to_go"] / published_steps["oracle"] - 1)
+    assert np.min(extra) >= 0
+    assert np.mean(extra) <= 4
+
+
+@pytest.mark.slow
+def test_exact_cost_to_go_over_eight_neighbours(published_dataset, published_steps):
+    """The paper's 8-connected cost misjudges what a robot that moves in four directions can do, but not by much."""
+    settings = SETTINGS["published"]
+    planner = DC2G(ExactCostToGo(moves=EIGHT_CONNECTED), settings.rules())
+    starts = [episode.start for episode in published_episodes()]
+    trajectories = Runner(published_dataset, settings).trajectories(planner, settings.rules(), starts)
+    extra = 100 * (trajectories.steps / published_steps["oracle"] - 1)
+    assert np.mean(published_steps["true_cost_to_go"]) < np.mean(trajectories.steps)
+    assert np.mean(extra) < 10
+
+
+def test_the_headline_figures_follow_from_the_published_step_counts():
+    episodes = published_episodes()
+    dc2g = np.array([extra_steps(episode.dc2g, episode.oracle) for episode in episodes])
+    frontier = np.array([extra_steps(episode.frontier, episode.oracle) for episode in episodes])
+    ratio = np.array([100 * (episode.frontier / episode.dc2g - 1) for episode in episodes])
+    assert np.mean(dc2g) == pytest.approx(63.5, abs=0.05)
+    assert np.median(dc2g) == pytest.approx(32.4, abs=0.05)
+    assert np.mean(frontier) == pytest.approx(314.9, abs=0.05)
+    assert np.mean(ratio) == pytest.approx(189.8, abs=0.05)
+
+    groups = np.array([episode.group for episode in episodes])
+    by_group = {group: np.mean(dc2g[groups == group]) for group in dict.fromkeys(groups.tolist())}
+    wanted = {"train": 59.3, "same_neighborhood": 56.1, "new_neighborhood": 54.3, "urban": 84.5}
+    assert by_group == pytest.approx(wanted, abs=0.05)
+    assert all(np.sum(groups == group) == 100 for group in wanted)

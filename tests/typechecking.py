@@ -1,0 +1,33 @@
+"""The type checker that the import hook in `conftest.py` puts around every function of the package."""
+
+import typing
+from collections.abc import Callable
+from typing import Any
+
+from beartype import BeartypeConf, beartype
+
+_beartype = beartype(conf=BeartypeConf(is_pep484_tower=True))
+
+#: Functions that take more than their annotations say.
+_LOOSELY_ANNOTATED = {"make_pose"}
+
+
+def _names_a_protocol(hint: Any) -> bool:
+    """Is this hint, or a member of this union, a protocol that cannot be checked at run time?"""
+    if getattr(hint, "_is_protocol", False):
+        return not getattr(hint, "_is_runtime_protocol", False)
+    return any(_names_a_protocol(member) for member in typing.get_args(hint))
+
+
+def check(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Check arguments and results of a function against its annotations.
+
+    Constructors are left out: JAX rebuilds pytrees by calling them with whatever the leaves are at that moment
+    (placeholders, axis numbers, shapes), which is no misuse of theirs.
+    """
+    if function.__name__ in {"__init__", *_LOOSELY_ANNOTATED}:
+        return function
+    for name, hint in function.__annotations__.items():
+        if _names_a_protocol(hint):
+            function.__annotations__[name] = Any
+    return _beartype(function)
