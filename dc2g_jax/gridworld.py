@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Int, UInt8, UInt32
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.poses import FORWARD, FORWARD_ACTION, HEADINGS, LEFT_ACTION, RIGHT_ACTION, Pose
 from dc2g_jax.grid.sensing import Kernel, visible
-from dc2g_jax.grid.world import World
+from dc2g_jax.grid.world import World, world_from_terrain
 
 
 @struct.dataclass
@@ -86,3 +86,21 @@ def step(world: World, belief: Belief, action: Int[Array, ""], sensing: Kernel) 
 def at_goal(world: World, pose: Pose) -> Bool[Array, ""]:
     """Does the robot stand on a goal cell?"""
     return bitboard.contains(world.goals, pose.x, pose.y)
+
+
+def belief_from_map(observed: UInt8[Array, "h w"], pose: Pose) -> Belief:
+    """The belief of a robot that brings its own partial map.
+
+    Args:
+      observed: class index of every cell, 0 where nothing has been observed; see `dc2g_jax.grid.terrain`.
+      pose: where the robot is.
+    """
+    world = world_from_terrain(observed)
+    return Belief(
+        pose=pose,
+        steps=jnp.int32(0),
+        terrain=world.terrain,
+        seen=bitboard.pack(world.terrain != 0),
+        traversable=world.traversable,
+        goals=world.goals,
+    )

@@ -1,19 +1,53 @@
 """Observation masks taken along the paths of planners (the masks of Algorithm 1, from robots rather than by hand)."""
 
 import functools
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import cv2
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int, Int8, UInt32
+from jaxtyping import Array, Float, Int, Int8, UInt32
 
 from dc2g_jax.datasets.masks import Moments, moments_along
+from dc2g_jax.estimation.estimators import ExactCostToGo
 from dc2g_jax.grid.sensing import Kernel
 from dc2g_jax.grid.world import World
-from dc2g_jax.planning.planners import Planner
+from dc2g_jax.planning.planners import DC2G, Frontier, Planner
+from dc2g_jax.planning.rules import Rules
 from dc2g_jax.rollout import Episodes, rollout
 
 _EPISODES_PER_CALL = 128
+
+#: Errors of the leading planners: standard deviation of the logarithm of the cost-to-go's error.
+_NOISE = (0.2, 0.5, 1.0)
+
+
+def _smooth_noise(rng: np.random.Generator, height: int, width: int) -> Float[np.ndarray, "h w"]:
+    """A smooth random field of zero mean and unit standard deviation, float32."""
+    coarse = rng.standard_normal((8, 8)).astype(np.float32)
+    field = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    return (field - field.mean()) / field.std()
+
+
+def leading_planners(rules: Rules, height: int, width: int, *, seed: int) -> list[Planner]:
+    """Planners whose robots get about as far as those that will use the network, and not in one way only.
+
+    Blind exploration, and DC2G with the exact cost-to-go times smooth log-normal errors of growing size.
+
+    Args:
+      rules: what the robots see.
+      height: rows of the maps.
+      width: columns of the maps.
+      seed: of the errors.
+    """
+    rng = np.random.default_rng([seed, rules.sensing.radius])
+    errors = [jnp.asarray(noise * _smooth_noise(rng, height, width)) for noise in _NOISE]
+    return [
+        Frontier(rules=rules),
+        *(DC2G(estimator=ExactCostToGo(log_error=error), rules=rules) for error in errors),
+    ]
 
 
 class Masks(NamedTuple):
@@ -76,3 +110,8 @@ def collect_masks(
         boards.append(np.asarray(moments.seen)[keep])
         owners.append(np.broadcast_to(np.asarray(some.world)[:, None], keep.shape)[keep])
     return Masks(boards=np.concatenate(boards), world=np.concatenate(owners))
+
+
+def concatenate_masks(parts: Sequence[Masks]) -> Masks:
+    """One collection out of several."""
+    return Masks(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))

@@ -7,12 +7,14 @@ import collections
 import csv
 import dataclasses
 import json
+import sys
 import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
+from tqdm import tqdm
 
 from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset, tell_on_stderr
 from dc2g_jax.datasets.starts import published_episodes, sample_starts, why_no_episode
@@ -20,6 +22,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.evaluation import PLANNERS, EpisodeResult, Runner, Summary, extra_steps, summarize
 from dc2g_jax.inspection.figures import plot_extra_steps
+from dc2g_jax.inspection.recording import record_episode
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollout import STEP_LIMIT
 from experiments.common import (
@@ -43,7 +46,7 @@ class Options:
       starts_per_house: sampled starts in each test house.
       seed: of the sampled starts.
       network: folder of a trained network for `dc2g`; the shipped one where not given.
-      record: write rerun recordings of this many episodes, spread over those run.
+      record: write rerun recordings (.rrd) of this many episodes of each setting, spread over those run.
       out: folder to write to; a new one below outputs/ where not given.
     """
 
@@ -149,6 +152,26 @@ def run_sampled(
     return results, [_episode(result, group_of(dataset.house(result.house)) or "test") for result in results]
 
 
+def record(
+    out: Path, dataset: HouseDataset, settings: str, results: list[EpisodeResult], network: NetworkCostToGo, count: int
+) -> None:
+    """Write rerun recordings of `count` episodes, spread evenly over those run, all planners side by side."""
+    rules = SETTINGS[settings].rules()
+    n_starts = len(results) // len(PLANNERS)
+    chosen = sorted(set(np.linspace(0, n_starts - 1, min(count, n_starts)).round().astype(int).tolist()))
+    for number in tqdm(chosen, desc=f"{'recordings':>16}", unit="episode", file=sys.stderr):
+        by_planner = {result.planner: result for result in results[number::n_starts] if result.planner != "oracle"}
+        start = by_planner["dc2g"]
+        name = f"{settings}-{start.house}-x{start.x}-y{start.y}-h{start.heading}.rrd"
+        record_episode(
+            out / "recordings" / name,
+            house=dataset.house(start.house),
+            result_by_planner=by_planner,
+            rules=rules,
+            estimator=network,
+        )
+
+
 def print_table(title: str, table: Table, groups: tuple[str, ...]) -> None:
     """Mean extra steps by planner and group, with the median behind it."""
     present = [group for group in groups if any(group in row for row in table.values())]
@@ -227,6 +250,9 @@ def main(options: Options) -> None:
     write_episodes(out / "episodes.csv", [result for part in results.values() for result in part])
     write_tables(out, tables, entries)
     plot_extra_steps(out / "fig7", tables, label)
+    for settings, part in results.items():
+        if options.record:
+            record(out, dataset, settings, part, network, options.record)
     facts = {
         "dataset": dataset.name,
         "source": dataset.source,
@@ -238,9 +264,8 @@ def main(options: Options) -> None:
         "frontier_over_dc2g": ratio,
     }
     (out / "results.json").write_text(json.dumps(facts, indent=2) + "\n")
-    print(
-        f"\nWritten in {facts['seconds']} s: {out}/fig7.png, fig7.svg, results.json, summary.csv, houses.csv, episodes.csv"
-    )
+    files = ", ".join(sorted(path.name for path in out.iterdir()))
+    print(f"\nWritten to {out} in {facts['seconds']} s: {files}")
 
 
 if __name__ == "__main__":

@@ -1,11 +1,13 @@
-"""Train the cost-to-go network on the training houses: `python -m experiments.train --out checkpoints/mine`.
+"""Train the cost-to-go network: `python -m experiments.train --out checkpoints/mine`.
 
-Interrupted with Ctrl-C or killed, it goes on where it was when run again with the same options.
+Interrupted or killed, it goes on where it was when run again with the same options.
 """
 
 import dataclasses
 import functools
 import json
+import shlex
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -18,90 +20,93 @@ import tyro
 from tqdm import tqdm
 
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
-from dc2g_jax.datasets.pairs import SYMMETRIES, TrainingSet, make_pair
+from dc2g_jax.datasets.pairs import TrainingSet, draw_pairs
 from dc2g_jax.datasets.procedural import extra_training_houses
 from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
+from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
-from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, world_cost_to_go
-from dc2g_jax.estimation.networks import Architecture
-from dc2g_jax.estimation.training import TrainingConfig, init_state, mean_loss, train_step
+from dc2g_jax.estimation.estimators import NetworkCostToGo, world_cost_to_go
+from dc2g_jax.estimation.training import TrainingConfig, TrainingState, init_state, train_step
 from dc2g_jax.evaluation import Runner, episodes_from, summarize
 from dc2g_jax.grid.sampling import sample_grid
-from dc2g_jax.grid.sensing import field_of_view
 from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.mask_collection import Masks, collect_masks
-from dc2g_jax.planning.planners import DC2G, Frontier, Planner
+from dc2g_jax.mask_collection import Masks, collect_masks, concatenate_masks, leading_planners
 from dc2g_jax.planning.rules import SETTINGS, complete_rules
 from experiments.common import command_line
 
 #: Robots whose masks are learned from see this far, in cells; ranges in between are close enough.
 RANGES = (4, 5, 6, 8, 10, 12)
-#: Noise of the planners that lead them: standard deviation of the logarithm of the cost-to-go's error.
-NOISE = (0.2, 0.5, 1.0)
+
+_LEADERS = 4
+_STEPS_PER_REPORT = 50
 
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """Train the cost-to-go network (Algorithm 1) on training houses only.
+    """Train the cost-to-go network on pairs of partial maps and exact cost-to-go (Algorithm 1), training houses only.
 
     Attributes:
-      out: folder for checkpoints, the network and the log. Run again with the same options to resume.
-      dataset: folder of the dataset, or `procedural`; where not given, DC2G_DATA, the cache, or the download.
+      out: folder for checkpoints, the network and the log; run again with the same options to resume.
+      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
       extra_houses: procedural houses to train on beside the dataset's training houses.
-      starts_per_house: episodes a training house of the dataset for every sensing range and leading planner.
-      starts_per_extra_house: the same for procedural houses.
+      starts_per_house: episodes in each of the dataset's training houses, for every sensing range and leading planner.
+      starts_per_extra_house: the same for the procedural houses.
       masks_per_episode: moments of each episode that become observation masks.
-      real_share: share of a batch drawn from the dataset's own houses rather than the extra ones, 0 to 1.
+      own_share: share of a batch drawn from the dataset's own houses rather than procedural ones, 0 to 1.
+      edge_weight: weight in the loss of cells within 2 cells of unobserved ground; others have weight 1.
       steps: optimiser steps.
       batch_size: pairs a step.
       learning_rate: peak learning rate.
       seed: of everything random.
+      validate_every: steps between validations.
       minutes_per_checkpoint: how often to save, in minutes.
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     dataset: str | None = None
-    extra_houses: int = 300
+    extra_houses: int = 400
     starts_per_house: int = 6
     starts_per_extra_house: int = 1
     masks_per_episode: int = 8
-    real_share: float = 0.4
-    steps: int = 16000
-    batch_size: int = 64
-    learning_rate: float = 1.5e-3
+    own_share: float = 0.4
+    edge_weight: float = 4.0
+    steps: int = TrainingConfig.steps
+    batch_size: int = TrainingConfig.batch_size
+    learning_rate: float = TrainingConfig.learning_rate
     seed: int = 0
+    validate_every: int = 2000
     minutes_per_checkpoint: float = 2.0
 
 
-def smooth_noise(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
-    """A smooth random field of unit standard deviation, float32 [height width]."""
-    import cv2
-
-    field = cv2.resize(rng.standard_normal((8, 8)).astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC)
-    return (field - field.mean()) / field.std()
+def drawn_houses(prefix: str, split: str, count: int, seed: int, cells: int) -> list[House]:
+    """Procedural houses on the grid of the dataset's own."""
+    images = extra_training_houses(count, seed)
+    return [House(f"{prefix}{index:05d}", split, sample_grid(image, cells)) for index, image in enumerate(images)]
 
 
-def leading_planners(seed: int, sensing_range: int, height: int, width: int) -> list[Planner]:
-    """The planners whose paths the masks are taken along: blind exploration, and exact cost-to-go with errors."""
-    rules = complete_rules(sensing_range)
-    rng = np.random.default_rng([seed, sensing_range])
-    planners: list[Planner] = [Frontier(rules=rules)]
-    for noise in NOISE:
-        log_error = jnp.asarray(noise * smooth_noise(rng, height, width))
-        planners.append(DC2G(estimator=ExactCostToGo(log_error=log_error), rules=rules))
-    return planners
+def usable(dataset: HouseDataset, split: str) -> list[House]:
+    """Houses of a split in which an episode can be run.
+
+    Raises:
+      InputError: if there is none.
+    """
+    houses = [house for house in dataset.split(split) if why_no_episode(house) is None]
+    if not houses:
+        raise InputError(f"{dataset.name}: no episode can be run in any {split} house; training needs one at least")
+    return houses
 
 
-def observation_masks(options: Options, houses: tuple[House, ...], n_own: int) -> Masks:
-    """Masks of robots of all ranges under way in all houses."""
+def observation_masks(options: Options, houses: list[House], n_own: int) -> Masks:
+    """Masks of robots of all ranges under way in all houses, ordered by house."""
     index = {house.name: number for number, house in enumerate(houses)}
     worlds = world_from_terrain(np.stack([house.terrain for house in houses]))
     height, width = houses[0].terrain.shape
     collected = []
-    with tqdm(total=len(RANGES) * (1 + len(NOISE)), desc="masks", unit="rollout", file=sys.stderr) as bar:
-        for sensing_range in RANGES:
-            for turn, planner in enumerate(leading_planners(options.seed, sensing_range, height, width)):
-                seed = (options.seed * len(RANGES) + RANGES.index(sensing_range)) * (1 + len(NOISE)) + turn
+    with tqdm(total=len(RANGES) * _LEADERS, desc="masks", unit="rollout", file=sys.stderr) as bar:
+        for place, sensing_range in enumerate(RANGES):
+            rules = complete_rules(sensing_range)
+            for turn, planner in enumerate(leading_planners(rules, height, width, seed=options.seed)):
+                seed = (options.seed * len(RANGES) + place) * _LEADERS + turn
                 starts = sample_starts(houses[:n_own], options.starts_per_house, seed=seed)
                 starts += sample_starts(houses[n_own:], options.starts_per_extra_house, seed=seed)
                 collected.append(
@@ -109,127 +114,167 @@ def observation_masks(options: Options, houses: tuple[House, ...], n_own: int) -
                         planner,
                         worlds,
                         episodes_from(starts, index),
-                        sensing=field_of_view(sensing_range),
+                        sensing=rules.sensing,
                         per_episode=options.masks_per_episode,
                         seed=seed,
                     )
                 )
                 bar.update()
-    return Masks(*(np.concatenate(parts) for parts in zip(*collected, strict=True)))
+    masks = concatenate_masks(collected)
+    order = np.argsort(masks.world, kind="stable")
+    return Masks(boards=masks.boards[order], world=masks.world[order])
 
 
-def training_houses(options: Options, dataset: HouseDataset) -> tuple[tuple[House, ...], int]:
-    """Houses to train on, the dataset's own first, and how many of them are the dataset's."""
-    own = [house for house in dataset.split("train") if why_no_episode(house) is None]
-    cells = own[0].terrain.shape[0]
-    extra = [
-        House(name=f"e{index:05d}", split="train", terrain=sample_grid(image, cells))
-        for index, image in enumerate(extra_training_houses(options.extra_houses, options.seed))
-    ]
-    return (*own, *extra), len(own)
-
-
-def draw_batch(
-    key: Any, data: tuple[TrainingSet, Any, Any], *, batch_size: int, real_share: float, edge_weight: float
-) -> Any:
-    """A random batch: masks of the dataset's own houses with probability `real_share`, in random symmetries."""
-    training_set, n_own, n_masks = data
-    which, place, turn = jax.random.split(key, 3)
-    own = jax.random.uniform(which, (batch_size,)) < real_share
-    position = jax.random.uniform(place, (batch_size,))
-    low, high = jnp.where(own, 0, n_own), jnp.where(own, n_own, n_masks)
-    index = jnp.minimum(low + (position * (high - low)).astype(jnp.int32), high - 1)
-    symmetry = jax.random.randint(turn, (batch_size,), 0, SYMMETRIES)
-    pair = jax.vmap(functools.partial(make_pair, training_set, edge_weight=edge_weight))(index, symmetry)
-    return pair.terrain, pair.target, pair.weight
-
-
-def make_training_set(houses: tuple[House, ...], boards: np.ndarray, owners: np.ndarray) -> TrainingSet:
-    """Labels of all houses (Algorithm 1, line 5) beside their masks, masks ordered by house."""
+def training_set(houses: list[House], n_own: int, masks: Masks) -> TrainingSet:
+    """Labels of all houses (Algorithm 1, line 5) beside their masks."""
     worlds = world_from_terrain(np.stack([house.terrain for house in houses]))
-    order = np.argsort(owners, kind="stable")
     return TrainingSet(
         terrain=worlds.terrain,
         cost_to_go=jax.jit(jax.vmap(world_cost_to_go))(worlds),
-        masks=jnp.asarray(boards[order]),
-        mask_world=jnp.asarray(owners[order]),
+        masks=jnp.asarray(masks.boards),
+        mask_world=jnp.asarray(masks.world, jnp.int32),
+        n_own=jnp.int32(np.sum(masks.world < n_own)),
     )
 
 
-def validate(network: NetworkCostToGo, dataset: HouseDataset, starts: list[Start]) -> dict[str, float]:
-    """Mean extra steps of `dc2g` in percent on validation houses, at 5-cell and 8-cell sensing."""
-    figures = {}
-    for name in ("published", "paper"):
-        results = Runner(dataset, SETTINGS[name]).run(starts, ["dc2g"], network)
-        n_own = sum(not start.house.startswith("v") for start in starts)
-        for label, part in (("own", results[:n_own]), ("procedural", results[n_own:])):
-            summary = summarize([result.extra for result in part], [result.success for result in part])
-            figures[f"{name}_{label}_mean_extra"] = round(summary.mean_extra, 2)
-            figures[f"{name}_{label}_median_extra"] = round(summary.median_extra, 2)
-    return figures
+@dataclasses.dataclass(frozen=True)
+class Validation:
+    """Episodes in validation houses: the dataset's own, and procedural ones that no training has seen."""
+
+    dataset: HouseDataset
+    starts: dict[str, list[Start]]
+
+    def figures(self, network: NetworkCostToGo) -> dict[str, float]:
+        """Mean and median extra steps of `dc2g` in percent, with 5-cell and 8-cell sensing."""
+        figures = {}
+        for settings in ("published", "paper"):
+            runner = Runner(self.dataset, SETTINGS[settings])
+            for houses, starts in self.starts.items():
+                results = runner.run(starts, ["dc2g"], network)
+                summary = summarize([result.extra for result in results], [result.success for result in results])
+                figures[f"{settings}_{houses}_mean_extra"] = round(summary.mean_extra, 2)
+                figures[f"{settings}_{houses}_median_extra"] = round(summary.median_extra, 2)
+        return figures
+
+
+def make_validation(dataset: HouseDataset, cells: int) -> Validation:
+    """Validation houses and starts, the same for every run."""
+    own = usable(dataset, "val")
+    drawn = drawn_houses("v", "val", 24, 10_000, cells)
+    return Validation(
+        dataset=HouseDataset(name="validation", source="folder", houses=(*own, *drawn)),
+        starts={"own": sample_starts(own, 20, seed=0), "procedural": sample_starts(drawn, 4, seed=0)},
+    )
+
+
+def cached_masks(options: Options, houses: list[House], n_own: int) -> Masks:
+    """Masks from the run's folder, collected and kept there the first time."""
+    path = options.out / "masks.npz"
+    if path.exists():
+        with np.load(path) as file:
+            return Masks(boards=file["boards"], world=file["world"])
+    masks = observation_masks(options, houses, n_own)
+    partial = path.with_suffix(".partial.npz")
+    np.savez(partial, boards=masks.boards, world=masks.world)
+    partial.rename(path)
+    return masks
+
+
+def model_card(options: Options, dataset: HouseDataset, step: int, figures: dict[str, float]) -> dict[str, Any]:
+    """What to know about a network: where it comes from and how good it is on validation houses."""
+    commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
+    return {
+        "data": f"{dataset.name}, training split, and {options.extra_houses} procedural houses (seed {options.seed})",
+        "masks": f"rollouts of exploring robots with sensing ranges {', '.join(map(str, RANGES))} cells",
+        "target": "4-connected cost-to-go in cells",
+        "command": shlex.join(["python", "-m", "experiments.train", *sys.argv[1:]]),
+        "commit": commit.stdout.strip() or "unknown",
+        "seed": options.seed,
+        "steps": step,
+        "validation": figures,
+    }
+
+
+def train(options: Options, dataset: HouseDataset, config: TrainingConfig, checkpoints: TrainingCheckpoints) -> None:
+    """Train to the end, saving now and then, and at Ctrl-C."""
+    own = usable(dataset, "train")
+    cells = own[0].terrain.shape[0]
+    houses = own + drawn_houses("e", "train", options.extra_houses, options.seed, cells)
+    masks = cached_masks(options, houses, len(own))
+    data = training_set(houses, len(own), masks)
+    print(
+        f"Training on {len(own)} houses of {dataset.name} and {options.extra_houses} procedural ones: "
+        f"{len(masks.world)} observation masks, {int(data.n_own)} of the dataset's own houses"
+    )
+    draw = functools.partial(
+        draw_pairs,
+        batch_size=config.batch_size,
+        own_share=options.own_share if options.extra_houses else 1.0,
+        edge_weight=options.edge_weight,
+    )
+    validation = make_validation(dataset, cells)
+    state = checkpoints.restore() or init_state(config)
+    step, saved = int(state.step), time.monotonic()
+    with tqdm(total=config.steps, initial=step, desc="train", unit="step", file=sys.stderr) as bar:
+        try:
+            while step < config.steps:
+                losses = []
+                for _ in range(min(_STEPS_PER_REPORT - step % _STEPS_PER_REPORT, config.steps - step)):
+                    state, loss = train_step(state, data, config=config, draw_batch=draw)
+                    losses.append(loss)
+                mean = float(np.mean(losses))
+                step += len(losses)
+                bar.update(len(losses))
+                bar.set_postfix(loss=f"{mean:.2f}")
+                if not np.isfinite(mean):
+                    raise InputError(f"{options.out}: the loss is {mean} at step {step}; lower --learning-rate")
+                if step % options.validate_every == 0 or step == config.steps:
+                    report(options, dataset, validation, config, state, mean)
+                if time.monotonic() - saved > 60 * options.minutes_per_checkpoint:
+                    checkpoints.save(state)
+                    saved = time.monotonic()
+        except KeyboardInterrupt:
+            checkpoints.save(state)
+            raise
+    checkpoints.save(state)
+
+
+def report(
+    options: Options,
+    dataset: HouseDataset,
+    validation: Validation,
+    config: TrainingConfig,
+    state: TrainingState,
+    loss: float,
+) -> None:
+    """Validate, save the network, and add a line to the log."""
+    network = NetworkCostToGo(weights=state.average, architecture=config.architecture)
+    figures = validation.figures(network)
+    step = int(state.step)
+    save_network(options.out / "network", network, model_card(options, dataset, step, figures))
+    line = json.dumps({"step": step, "loss": round(loss, 4), **figures})
+    with (options.out / "log.jsonl").open("a") as log:
+        log.write(line + "\n")
+    tqdm.write(line, file=sys.stderr)
 
 
 def main(options: Options) -> None:
     """Train, save and validate."""
     dataset = open_dataset(options.dataset)
     config = TrainingConfig(
-        architecture=Architecture(),
         steps=options.steps,
         batch_size=options.batch_size,
         learning_rate=options.learning_rate,
         seed=options.seed,
     )
-    checkpoints = TrainingCheckpoints(options.out, config)
-    houses, n_own = training_houses(options, dataset)
-    kept = options.out / "masks.npz"
-    if kept.exists():
-        with np.load(kept) as file:
-            masks = Masks(boards=file["boards"], world=file["world"])
-    else:
-        masks = observation_masks(options, houses, n_own)
-        np.savez(kept, **masks._asdict())
-    boards, owners = masks
-    data = make_training_set(houses, boards, owners)
-    n_masks, n_own_masks = len(owners), int(np.sum(owners < n_own))
-    print(
-        f"{n_own} houses of {dataset.name} and {len(houses) - n_own} procedural ones; {n_masks} masks ({n_own_masks})"
-    )
-    draw = functools.partial(
-        draw_batch,
-        batch_size=options.batch_size,
-        real_share=options.real_share,
-        edge_weight=config.edge_weight,
-    )
-    val = tuple(house for house in dataset.split("val") if why_no_episode(house) is None)
-    cells = val[0].terrain.shape[0]
-    val_extra = tuple(
-        House(name=f"v{index:05d}", split="val", terrain=sample_grid(image, cells))
-        for index, image in enumerate(extra_training_houses(24, options.seed + 10_000))
-    )
-    starts = sample_starts(val, 20, seed=0) + sample_starts(val_extra, 4, seed=0)
-    val_set = HouseDataset(name="validation", source="folder", houses=(*val, *val_extra))
-    state = checkpoints.restore() or init_state(config)
-    chunk = 50
-    saved = time.monotonic()
-    with tqdm(total=config.steps, initial=int(state.step), desc="train", unit="step", file=sys.stderr) as bar:
-        while int(state.step) < config.steps:
-            count = min(chunk, config.steps - int(state.step))
-            losses = []
-            for _ in range(count):
-                state, loss = train_step(state, (data, n_own_masks, n_masks), config=config, draw_batch=draw)
-                losses.append(loss)
-            bar.update(count)
-            bar.set_postfix(loss=f"{float(np.mean(losses)):.2f}")
-            if int(state.step) % 2000 == 0:
-                network = NetworkCostToGo(weights=state.average, architecture=config.architecture)
-                figures = validate(network, val_set, starts)
-                print(int(state.step), json.dumps(figures), flush=True)
-                save_network(options.out / "network", network, {"step": int(state.step), **figures})
-            if time.monotonic() - saved > 60 * options.minutes_per_checkpoint:
-                checkpoints.save(state)
-                saved = time.monotonic()
-    checkpoints.save(state)
-    checkpoints.close()
+    apart = {"out", "dataset", "validate_every", "minutes_per_checkpoint"}
+    facts = {name: value for name, value in dataclasses.asdict(options).items() if name not in apart}
+    checkpoints = TrainingCheckpoints(options.out, config, {**facts, "dataset": dataset.name})
+    try:
+        train(options, dataset, config, checkpoints)
+    finally:
+        checkpoints.close()
+    print(f"Trained: {options.out / 'network'}")
 
 
 if __name__ == "__main__":

@@ -8,9 +8,6 @@ from beartype import BeartypeConf, beartype
 
 _beartype = beartype(conf=BeartypeConf(is_pep484_tower=True))
 
-#: Functions that take more than their annotations say.
-_LOOSELY_ANNOTATED = {"make_pose"}
-
 
 def _names_a_protocol(hint: Any) -> bool:
     """Is this hint, or a member of this union, a protocol that cannot be checked at run time?"""
@@ -25,7 +22,7 @@ def check(function: Callable[..., Any]) -> Callable[..., Any]:
     Constructors are left out: JAX rebuilds pytrees by calling them with whatever the leaves are at that moment
     (placeholders, axis numbers, shapes), which is no misuse of theirs.
     """
-    if function.__name__ in {"__init__", *_LOOSELY_ANNOTATED}:
+    if function.__name__ == "__init__":
         return function
     for name, hint in function.__annotations__.items():
         if _names_a_protocol(hint):

@@ -1,5 +1,7 @@
 """Training pairs: masked maps and the exact cost-to-go beneath them (Algorithm 1)."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -20,12 +22,14 @@ class TrainingSet:
       cost_to_go: exact cost-to-go of every world in cells, infinity where there is none.
       masks: boards of observed cells.
       mask_world: index of the world that each mask belongs to.
+      n_own: how many of the masks, the first ones, are of the dataset's own houses rather than procedural ones.
     """
 
     terrain: UInt8[Array, "worlds h w"]
     cost_to_go: Float[Array, "worlds h w"]
     masks: UInt32[Array, "masks h n_words"]
     mask_world: Int[Array, "masks"]
+    n_own: Int[Array, ""]
 
 
 @struct.dataclass
@@ -85,3 +89,23 @@ def make_pair(
     weight = jnp.where(_near(~seen, edge_width), edge_weight, 1.0) * (seen & jnp.isfinite(target))
     pair = Pair(terrain=jnp.where(seen, data.terrain[world], jnp.uint8(0)), target=target, weight=weight)
     return jax.tree.map(lambda grid: _turned(grid, symmetry), pair)
+
+
+def draw_pairs(key: Array, data: TrainingSet, *, batch_size: int, own_share: float, edge_weight: float) -> Pair:
+    """A random batch of training pairs, each in a random symmetry (Algorithm 1, line 9).
+
+    Args:
+      key: PRNG key.
+      data: labels and masks.
+      batch_size: number of pairs.
+      own_share: probability that a pair is of one of the dataset's own houses; must be 0 or 1 where there are masks of
+        one kind only.
+      edge_weight: see `make_pair`.
+    """
+    which, place, turn = jax.random.split(key, 3)
+    own = jax.random.uniform(which, (batch_size,)) < own_share
+    low, high = jnp.where(own, 0, data.n_own), jnp.where(own, data.n_own, len(data.mask_world))
+    position = jax.random.uniform(place, (batch_size,))
+    index = jnp.minimum(low + (position * (high - low)).astype(jnp.int32), high - 1)
+    symmetry = jax.random.randint(turn, (batch_size,), 0, SYMMETRIES)
+    return jax.vmap(functools.partial(make_pair, data, edge_weight=edge_weight))(index, symmetry)

@@ -128,9 +128,8 @@ def load_network(folder: str | Path) -> NetworkCostToGo:
     except InputError:
         raise
     except Exception as error:  # Orbax raises many kinds for a damaged checkpoint
-        raise InputError(
-            f"{folder / _WEIGHTS}: cannot be read ({str(error).splitlines()[0][:120]}); save or download the network again"
-        ) from None
+        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+        raise InputError(f"{folder / _WEIGHTS}: cannot be read ({reason}); save or copy the network again") from None
     return NetworkCostToGo(weights=weights, architecture=architecture)
 
 
@@ -140,16 +139,17 @@ class TrainingCheckpoints:
     Args:
       folder: where they are.
       config: how the run trains. A folder that holds states of another configuration is refused.
+      facts: whatever else must be the same for a run to be resumed, such as the data; a JSON object.
 
     Raises:
       InputError: if the folder holds a run of another configuration.
     """
 
-    def __init__(self, folder: str | Path, config: TrainingConfig):
+    def __init__(self, folder: str | Path, config: TrainingConfig, facts: dict[str, Any] | None = None):
         self._config = config
         folder = Path(folder).absolute()
         folder.mkdir(parents=True, exist_ok=True)
-        wanted = json.loads(json.dumps(dataclasses.asdict(config)))
+        wanted = json.loads(json.dumps({**dataclasses.asdict(config), **(facts or {})}))
         if (folder / _CONFIG).exists():
             found = _read_json(folder / _CONFIG, "give another folder")
             changed = [name for name in wanted if found.get(name) != wanted[name]]

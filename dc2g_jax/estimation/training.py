@@ -3,13 +3,13 @@
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, UInt8
 
 from dc2g_jax.estimation import networks
 from dc2g_jax.estimation.losses import weighted_l1
@@ -27,17 +27,15 @@ class TrainingConfig:
       learning_rate: peak, after a short linear warm-up.
       weight_decay: decoupled weight decay.
       average_decay: decay of the running average of the weights, which is what is kept in the end.
-      edge_weight: weight of cells near unobserved ground, see `dc2g_jax.datasets.pairs.make_pair`.
       seed: of weights and batches.
     """
 
-    architecture: Architecture = Architecture()
-    steps: int = 8000
+    architecture: Architecture = dataclasses.field(default_factory=Architecture)
+    steps: int = 9000
     batch_size: int = 64
-    learning_rate: float = 1e-3
+    learning_rate: float = 1.5e-3
     weight_decay: float = 1e-3
     average_decay: float = 0.998
-    edge_weight: float = 4.0
     seed: int = 0
 
 
@@ -58,8 +56,27 @@ class TrainingState:
     optimizer: Any
 
 
-#: `(key) -> (terrain [b h w], target [b h w], weight [b h w])`: draws one batch.
-DrawBatch = Callable[[Array, Any], tuple[Array, Array, Array]]
+class Batch(Protocol):
+    """Training pairs, see `dc2g_jax.datasets.pairs.Pair`."""
+
+    @property
+    def terrain(self) -> UInt8[Array, "b h w"]:
+        """Observed class indices."""
+        ...
+
+    @property
+    def target(self) -> Float[Array, "b h w"]:
+        """Exact cost-to-go, in cells."""
+        ...
+
+    @property
+    def weight(self) -> Float[Array, "b h w"]:
+        """Weight of each cell in the loss."""
+        ...
+
+
+#: `(key, data) -> batch`
+DrawBatch = Callable[[Array, Any], Batch]
 
 
 def optimizer(config: TrainingConfig) -> optax.GradientTransformation:
@@ -80,12 +97,10 @@ def init_state(config: TrainingConfig) -> TrainingState:
     )
 
 
-def mean_loss(
-    architecture: Architecture, weights: Any, terrain: Array, target: Array, weight: Array
-) -> Float[Array, ""]:
+def mean_loss(architecture: Architecture, weights: Any, batch: Batch) -> Float[Array, ""]:
     """Mean over a batch of each map's weighted L1 error, in units of the architecture's cost scale."""
-    estimate = networks.apply(architecture, weights, terrain)
-    return jnp.mean(jax.vmap(weighted_l1)(estimate, target, weight)) / architecture.cost_scale
+    estimate = networks.apply(architecture, weights, batch.terrain)
+    return jnp.mean(jax.vmap(weighted_l1)(estimate, batch.target, batch.weight)) / architecture.cost_scale
 
 
 @functools.partial(jax.jit, static_argnames=("config", "draw_batch"), donate_argnames=("state",))
@@ -103,10 +118,8 @@ def train_step(
     """
     transform = optimizer(config)
     key = jax.random.fold_in(jax.random.fold_in(jax.random.key(config.seed), 1), state.step)
-    terrain, target, weight = draw_batch(key, data)
-    loss, gradient = jax.value_and_grad(
-        lambda weights: mean_loss(config.architecture, weights, terrain, target, weight)
-    )(state.weights)
+    batch = draw_batch(key, data)
+    loss, gradient = jax.value_and_grad(lambda weights: mean_loss(config.architecture, weights, batch))(state.weights)
     updates, optimizer_state = transform.update(gradient, state.optimizer, state.weights)
     weights = optax.apply_updates(state.weights, updates)
     # Early on the average is of the steps so far, later exponential.

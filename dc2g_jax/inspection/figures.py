@@ -4,12 +4,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float, UInt8
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
+from dc2g_jax.datasets.houses import House
 from dc2g_jax.evaluation import Summary
+from dc2g_jax.grid.poses import FORWARD
+from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, TRAVERSABLE
+from dc2g_jax.inspection.replay import Frames
 
 Table = Mapping[str, Mapping[str, Summary]]
 
@@ -63,6 +69,15 @@ def _bars(axes: Axes, table: Table, groups: Sequence[str]) -> None:
         axes.spines[side].set_visible(False)
 
 
+def _save(figure: Figure, path: str | Path) -> list[Path]:
+    """Write a figure as PNG and SVG."""
+    FigureCanvasAgg(figure)
+    written = [Path(path).with_suffix(ending) for ending in (".png", ".svg")]
+    for target in written:
+        figure.savefig(target, dpi=160)
+    return written
+
+
 def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], dataset: str) -> list[Path]:
     """Draw the bars of Fig. 7: mean extra steps beyond the oracle by planner and group, a panel for each setting.
 
@@ -81,7 +96,6 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], dataset: str
         names.sort(key=lambda name: order.index(name) if name in order else len(order))
     bars = [len(groups[s]) * sum(planner in _STYLE for planner in panels[s]) for s in panels]
     figure = Figure(figsize=(1.2 + 0.36 * sum(bars), 4.4), layout="constrained")
-    FigureCanvasAgg(figure)
     all_axes = figure.subplots(1, len(panels), squeeze=False, sharey=True, width_ratios=bars)[0]
     for axes, (settings, table) in zip(all_axes, panels.items(), strict=True):
         _bars(axes, table, groups[settings])
@@ -101,9 +115,89 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], dataset: str
         fontsize=9,
     )
     figure.supxlabel(f"Bars: mean; black lines: median. Houses: {dataset}.", fontsize=8, color="#555555")
-    written = []
-    for ending in (".png", ".svg"):
-        target = Path(path).with_suffix(ending)
-        figure.savefig(target, dpi=160)
-        written.append(target)
-    return written
+    return _save(figure, path)
+
+
+#: Hidden ground of a map is drawn in the class colours mixed with this much white.
+_HIDDEN_WHITE = 0.82
+
+
+def _map_image(terrain: UInt8[np.ndarray, "h w"], seen: np.ndarray) -> Float[np.ndarray, "h w 3"]:
+    """Class colours where observed, a pale version of them elsewhere."""
+    colours = CLASS_COLORS[terrain] / 255.0
+    pale = colours * (1 - _HIDDEN_WHITE) + _HIDDEN_WHITE
+    return np.where(seen[..., None], colours, pale)
+
+
+def _draw_robot(axes: Axes, frames: Frames, frame: int) -> None:
+    """The path so far and the robot on its end."""
+    x, y = frames.pose.x[: frame + 1], frames.pose.y[: frame + 1]
+    axes.plot(x, y, color="white", linewidth=2.4, solid_joinstyle="round")
+    axes.plot(x, y, color="black", linewidth=1.2, solid_joinstyle="round")
+    dx, dy = FORWARD[frames.pose.heading[frame]]
+    axes.plot(x[:1], y[:1], "o", color="white", markeredgecolor="black", markersize=5)
+    marker = {(1, 0): ">", (0, 1): "v", (-1, 0): "<", (0, -1): "^"}[dx, dy]
+    axes.plot(x[-1:], y[-1:], marker, color="#f0e442", markeredgecolor="black", markersize=9)
+
+
+def _bare(axes: Axes, title: str) -> None:
+    axes.set_title(title, fontsize=9)
+    axes.set_xticks([])
+    axes.set_yticks([])
+
+
+def plot_episode(
+    path: str | Path, house: House, frames_by_planner: Mapping[str, Frames], columns: int = 4
+) -> list[Path]:
+    """Draw planners side by side from one start, as in Fig. 8: what each knew, and what it expected.
+
+    One row a planner with the observed map over the pale hidden one, and a second row with the estimated cost-to-go for
+    planners that make an estimate.
+
+    Args:
+      path: where to write, without an ending.
+      house: the house.
+      frames_by_planner: planner name -> its replayed episode, all from one start.
+      columns: moments shown of each episode, from the first to the last.
+
+    Returns:
+      The files written: PNG and SVG.
+    """
+    rows = sum(1 + (frames.cost_to_go is not None) for frames in frames_by_planner.values())
+    figure = Figure(figsize=(2.5 * columns + 0.9, 2.65 * rows + 0.5), layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False)
+    row = 0
+    for planner, frames in frames_by_planner.items():
+        last = len(frames) - 1
+        moments = np.linspace(0, last, columns).round().astype(int)
+        for axes, frame in zip(grid[row], moments, strict=True):
+            axes.imshow(_map_image(house.terrain, frames.seen[frame]), interpolation="nearest")
+            _draw_robot(axes, frames, frame)
+            _bare(axes, f"step {frame}" + (" (end)" if frame == last else ""))
+        label = _STYLE[planner][0] if planner in _STYLE else planner
+        grid[row][0].set_ylabel(f"{label}: {last} steps", fontsize=9)
+        row += 1
+        if frames.cost_to_go is None:
+            continue
+        road = TRAVERSABLE[house.terrain] & frames.seen[last]
+        high = float(np.percentile(frames.cost_to_go[moments][:, road], 98))
+        for axes, frame in zip(grid[row], moments, strict=True):
+            known = frames.seen[frame] & TRAVERSABLE[house.terrain]
+            image = axes.imshow(
+                np.where(known, frames.cost_to_go[frame], np.nan),
+                cmap="viridis_r",
+                vmin=0,
+                vmax=high,
+                interpolation="nearest",
+            )
+            axes.set_facecolor("#eeeeee")
+            _bare(axes, "")
+        grid[row][0].set_ylabel("estimated cost-to-go", fontsize=9)
+        figure.colorbar(image, ax=list(grid[row]), label="cells", shrink=0.9, pad=0.01)
+        row += 1
+    present = [index for index in np.unique(house.terrain) if index]
+    patches = [
+        Patch(facecolor=CLASS_COLORS[index] / 255.0, label=CLASS_NAMES[index].replace("_", " ")) for index in present
+    ]
+    figure.legend(handles=patches, loc="outside lower center", ncols=len(patches), frameon=False, fontsize=8)
+    return _save(figure, path)

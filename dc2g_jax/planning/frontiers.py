@@ -44,7 +44,7 @@ def complete(belief: Belief, reachable: Board, sensing: Kernel) -> PoseSet:
 
 
 def reference(belief: Belief, reachable: Board, expanding: Kernel) -> PoseSet:
-    """Reachable poses, not the current one, whose `expanding` kernel covers a frontier cell, as the authors' code has it.
+    """Reachable poses, not the current one, whose `expanding` kernel covers a frontier cell (the authors' code).
 
     A frontier cell here is any observed cell, traversable or not, with an unobserved in-bounds 4-neighbour.
 

@@ -13,7 +13,9 @@ from dc2g_jax.grid.poses import FORWARD, make_pose
 from dc2g_jax.grid.terrain import CLASS_NAMES, TRAVERSABLE
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.inspection import recording
-from dc2g_jax.inspection.recording import actions_from_letters, record_episode, replay
+from dc2g_jax.inspection import replay as replaying
+from dc2g_jax.inspection.recording import record_episode
+from dc2g_jax.inspection.replay import actions_from_letters, replay, running_extra_steps
 from dc2g_jax.planning.planners import EXPLORE, MODE_NAMES
 from dc2g_jax.planning.rules import SETTINGS
 
@@ -162,7 +164,7 @@ def test_estimates_are_those_of_the_planner(frames):
 
 def test_extra_steps_never_fall_and_end_at_the_result(results, frames):
     for name, result in results.items():
-        extra = recording.running_extra_steps(frames[name])
+        extra = running_extra_steps(frames[name])
         assert extra[0] == 0
         assert np.all(np.diff(extra) >= 0)
         assert extra[-1] == pytest.approx(result.extra)
@@ -173,11 +175,11 @@ def test_length_of_an_episode_changes_nothing_before_its_end():
     arguments = {"planner": make_planner("frontier", _RULES), "rules": _RULES}
     world, start = world_from_terrain(_TERRAIN), make_pose(*_START[1:4])
     actions = actions_from_letters("LFRRFL" * 12)
-    compiled = recording._replay_chunk._cache_size()
+    compiled = replaying._replay_chunk._cache_size()
     long = replay(world, start, actions, **arguments)
     short = replay(world, start, actions[:5], **arguments)
     none = replay(world, start, actions[:0], **arguments)
-    assert recording._replay_chunk._cache_size() <= compiled + 1
+    assert replaying._replay_chunk._cache_size() <= compiled + 1
     assert (len(long), len(short), len(none)) == (73, 6, 1)
     for name in ("terrain", "reachable", "candidates", "subgoals", "mode", "length", "to_goal"):
         np.testing.assert_array_equal(getattr(long, name)[:6], getattr(short, name))
@@ -260,7 +262,7 @@ def test_plans_of_another_planner_than_the_recorded_are_told(results, tmp_path):
     result = results["dc2g"]._replace(planner="frontier")
     path = record_episode(tmp_path / "x.rrd", house=_HOUSE, result_by_planner={"a / b": result}, rules=_RULES)
     words = [line for (_, name), lines in _read(path).items() if name == "TextLog:text" for line in lines.values()]
-    assert ["a / b: plans shown are made anew, and 1 of their actions are not those taken"] in words
+    assert ["a / b: plans shown are made anew, and 2 of their actions are not those taken"] in words
 
 
 def test_file_has_a_layout_and_nothing_global_is_left(file):

@@ -1,0 +1,213 @@
+"""Episodes taken once more, noting at every step what the planner saw and wanted; for recordings and figures."""
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Array, Bool, Float, Float32, Int, Int8, UInt8, UInt32
+
+from dc2g_jax import gridworld
+from dc2g_jax.datasets.houses import House
+from dc2g_jax.estimation.estimators import Estimator
+from dc2g_jax.evaluation import EpisodeResult, make_planner
+from dc2g_jax.grid import bitboard, search
+from dc2g_jax.grid.bitboard import Board
+from dc2g_jax.grid.poses import ACTION_LETTERS, Pose, every_heading, make_pose
+from dc2g_jax.grid.sensing import visible
+from dc2g_jax.grid.world import World, world_from_terrain
+from dc2g_jax.gridworld import Belief
+from dc2g_jax.planning.planners import Planner
+from dc2g_jax.planning.rules import Rules
+from dc2g_jax.rollout import NO_ACTION
+
+#: Steps replayed by one call on the device, so that one compiled program serves episodes of every length.
+_CHUNK = 64
+
+
+@struct.dataclass
+class Frames:
+    """What a robot knew and wanted before each of its actions, and after the last: one frame more than actions.
+
+    Attributes:
+      pose: where the robot was, int32 columns, rows and headings `[t]`.
+      terrain: observed class indices, 0 where nothing had been observed.
+      seen: cells observed so far.
+      field_of_view: cells in view from the pose.
+      reachable: observed traversable cells connected to the robot.
+      candidates: frontier-expanding poses by the rules, whether or not the planner asks for them.
+      subgoals: poses the plan leads into: of `Plan.subgoals` those nearest to the robot, all where none of them is
+        reachable on observed ground (the oracle knows more).
+      mode: plan mode, see `dc2g_jax.planning.planners`.
+      action: what the planner decides here. Equal to the action taken where planner and rules are those of the
+        episode; without meaning in the last frame.
+      length: actions from the robot to the subgoal.
+      to_goal: actions an oracle needs from here to the nearest goal, -1 where there is no way.
+      cost_to_go: the planner's estimate of the cost-to-go in cells, lower is better; `None` if it makes none.
+    """
+
+    pose: Pose
+    terrain: UInt8[np.ndarray, "t h w"]
+    seen: Bool[np.ndarray, "t h w"]
+    field_of_view: Bool[np.ndarray, "t h w"]
+    reachable: Bool[np.ndarray, "t h w"]
+    candidates: Bool[np.ndarray, "t heading h w"]
+    subgoals: Bool[np.ndarray, "t heading h w"]
+    mode: Int[np.ndarray, "t"]
+    action: Int[np.ndarray, "t"]
+    length: Int[np.ndarray, "t"]
+    to_goal: Int[np.ndarray, "t"]
+    cost_to_go: Float32[np.ndarray, "t h w"] | None
+
+    def __len__(self) -> int:
+        """Number of frames, one more than actions."""
+        return len(self.mode)
+
+
+class _Carry(NamedTuple):
+    """What goes from one step of the replay to the next."""
+
+    belief: Belief
+    reachable: UInt32[Array, "h n_words"]
+    planner_state: Any
+
+
+def _nearest(
+    subgoals: UInt32[Array, "heading h n_words"], length: Array, pose: Pose, reachable: Board, width: int
+) -> Array:
+    """The subgoals `length` actions away over reachable ground; all of them where there is none."""
+    at_length = bitboard.pack(search.distances(pose, reachable, width) == length) & subgoals
+    return jnp.where(bitboard.is_empty(at_length), subgoals, at_length)
+
+
+def _frame(carry: _Carry, world: World, planner: Planner, rules: Rules) -> tuple[_Carry, dict[str, Any]]:
+    """One frame, and the carry with the planner's new state."""
+    belief = carry.belief
+    height, width = belief.height, belief.width
+    pose = belief.pose
+    robot = bitboard.single(pose.x, pose.y, *carry.reachable.shape)
+    reachable = bitboard.flood(robot | carry.reachable, belief.traversable)
+    plan, planner_state = planner.plan(belief, carry.planner_state)
+    way_home = search.first_action(pose, every_heading(world.goals), world.traversable)
+    boards = {
+        "seen": belief.seen,
+        "field_of_view": visible(rules.sensing, pose, height, width),
+        "reachable": reachable,
+        "candidates": rules.frontier_expanding(belief, reachable),
+        "subgoals": _nearest(plan.subgoals, plan.length, pose, reachable, width),
+    }
+    frame = {
+        "pose": pose,
+        "terrain": belief.terrain,
+        **{name: bitboard.unpack(board, width) for name, board in boards.items()},
+        "mode": plan.mode,
+        "action": plan.action,
+        "length": plan.length,
+        "to_goal": jnp.where(way_home.found, way_home.length, -1),
+    }
+    return carry._replace(reachable=reachable, planner_state=planner_state), frame
+
+
+@functools.partial(jax.jit, static_argnames=("rules",))
+def _first_carry(world: World, start: Pose, planner: Planner, *, rules: Rules) -> _Carry:
+    belief = gridworld.reset(world, start, rules.sensing)
+    return _Carry(belief, jnp.zeros_like(world.traversable), planner.init(world))
+
+
+@functools.partial(jax.jit, static_argnames=("rules",))
+def _replay_chunk(
+    carry: _Carry, actions: Int8[Array, "chunk"], world: World, planner: Planner, *, rules: Rules
+) -> tuple[_Carry, dict[str, Any]]:
+    """One frame before each action."""
+
+    def cycle(carry: _Carry, action: Array) -> tuple[_Carry, dict[str, Any]]:
+        carry, frame = _frame(carry, world, planner, rules)
+        belief = gridworld.step(world, carry.belief, action.astype(jnp.int32), rules.sensing)
+        return carry._replace(belief=belief), frame
+
+    carry, frames = jax.lax.scan(cycle, carry, actions)
+    estimator = getattr(planner, "estimator", None)
+    frames["cost_to_go"] = None
+    if estimator is not None:
+        # All steps of the chunk in one batch, a second time: a plan does not hand out its estimate.
+        estimate = jax.vmap(estimator.estimate, in_axes=(0, None))
+        frames["cost_to_go"] = estimate(frames["terrain"], estimator.init(world)).astype(jnp.float32)
+    return carry, frames
+
+
+def replay(
+    world: World, start: Pose, actions: Int8[np.ndarray, "actions"], *, planner: Planner, rules: Rules
+) -> Frames:
+    """Take recorded actions once more, and note at every step what the planner saw and wanted.
+
+    The program is compiled once for each kind of planner, rules and size of map, whatever the number of actions.
+
+    Args:
+      world: the house.
+      start: first pose.
+      actions: 0 forward, 1 turn left, 2 turn right.
+      planner: who decided them. It plans again at every step; the robot follows `actions` all the same.
+      rules: what was seen and what counts as frontier.
+
+    Returns:
+      One frame before each action and one after the last, as NumPy arrays.
+    """
+    n_frames = len(actions) + 1
+    padded = np.full(-(-n_frames // _CHUNK) * _CHUNK, NO_ACTION, np.int8)
+    padded[: len(actions)] = actions
+    carry = _first_carry(world, start, planner, rules=rules)
+    chunks = []
+    for first in range(0, len(padded), _CHUNK):
+        chunk = jnp.asarray(padded[first : first + _CHUNK])
+        carry, frames = _replay_chunk(carry, chunk, world, planner, rules=rules)
+        chunks.append(frames)
+    fetched = jax.device_get(chunks)
+    return Frames(**jax.tree.map(lambda *parts: np.concatenate(parts)[:n_frames], *fetched))
+
+
+def actions_from_letters(letters: str) -> Int8[np.ndarray, "actions"]:
+    """Action indices from the letters F, L, R.
+
+    Raises:
+      ValueError: for any other letter.
+    """
+    return np.array([ACTION_LETTERS.index(letter) for letter in letters], np.int8)
+
+
+def running_extra_steps(frames: Frames) -> Float[np.ndarray, "t"]:
+    """Extra steps made so far in percent of the oracle's: 100 (steps + steps left - oracle's) / oracle's.
+
+    Never falls, and ends at the episode's extra steps where the goal is reached. NaN where there is no way to a goal,
+    or the robot starts on one.
+    """
+    steps = np.arange(len(frames))
+    oracle = float(frames.to_goal[0])
+    if oracle <= 0:
+        return np.full(len(frames), np.nan)
+    return np.where(frames.to_goal >= 0, 100 * (steps + frames.to_goal - oracle) / oracle, np.nan)
+
+
+def replay_result(result: EpisodeResult, house: House, rules: Rules, estimator: Estimator | None = None) -> Frames:
+    """Replay an episode as `dc2g_jax.evaluation.Runner` gives it.
+
+    Args:
+      result: the episode.
+      house: where it took place.
+      rules: what was seen and what counted as frontier.
+      estimator: the network of `dc2g`.
+
+    Raises:
+      ValueError: if the actions do not end as the result says, or for `dc2g` without an estimator.
+    """
+    frames = replay(
+        world_from_terrain(house.terrain),
+        make_pose(result.x, result.y, result.heading),
+        actions_from_letters(result.actions),
+        planner=make_planner(result.planner, rules, estimator),
+        rules=rules,
+    )
+    if (frames.to_goal[-1] == 0) != result.success:
+        raise ValueError(f"{result.planner}: the actions do not end as the result says; they are of another map")
+    return frames

@@ -1,0 +1,219 @@
+"""Training pairs: masks hide, labels are exact, symmetries agree; and the masks a moving robot makes."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax import gridworld
+from dc2g_jax.datasets.masks import moments_along
+from dc2g_jax.datasets.pairs import SYMMETRIES, TrainingSet, draw_pairs, make_pair
+from dc2g_jax.estimation.estimators import world_cost_to_go
+from dc2g_jax.grid import bitboard
+from dc2g_jax.grid.poses import make_pose
+from dc2g_jax.grid.sensing import field_of_view
+from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.mask_collection import collect_masks, concatenate_masks
+from dc2g_jax.planning.planners import Frontier
+from dc2g_jax.planning.rules import complete_rules
+from dc2g_jax.rollout import Episodes, rollout
+from tests import maps
+from tests.oracles import gridworld_oracle as oracle
+
+N_WORLDS, N_MASKS, N_OWN = 4, 30, 12
+
+
+def training_set(shape: tuple[int, int]) -> tuple[TrainingSet, np.ndarray]:
+    """Random worlds under random masks, and the masks as boolean grids."""
+    terrains = np.stack([maps.random_terrain(seed, shape, 0.75) for seed in range(N_WORLDS)])
+    worlds = world_from_terrain(terrains)
+    owners = np.sort(np.random.default_rng(0).integers(N_WORLDS, size=N_MASKS))
+    seen = np.stack([maps.random_cells(seed, shape, (0.3, 0.7, 0.97)[seed % 3]) for seed in range(N_MASKS)])
+    data = TrainingSet(
+        terrain=worlds.terrain,
+        cost_to_go=jax.jit(jax.vmap(world_cost_to_go))(worlds),
+        masks=bitboard.pack(jnp.asarray(seen)),
+        mask_world=jnp.asarray(owners, jnp.int32),
+        n_own=jnp.int32(N_OWN),
+    )
+    return data, seen
+
+
+@functools.cache
+def pair_maker(edge_weight: float = 4.0, edge_width: int = 2):
+    make = functools.partial(make_pair, edge_weight=edge_weight, edge_width=edge_width)
+    return jax.jit(jax.vmap(make, in_axes=(None, 0, 0)))
+
+
+def near(cells: np.ndarray, distance: int) -> np.ndarray:
+    padded = np.pad(cells, distance)
+    size = 2 * distance + 1
+    return np.lib.stride_tricks.sliding_window_view(padded, (size, size)).any(axis=(2, 3))
+
+
+@pytest.mark.parametrize("shape", [(12, 12), (7, 33)], ids="{0[0]}x{0[1]}".format)
+@pytest.mark.parametrize("edge_width", [1, 2])
+def test_pairs(shape, edge_width):
+    data, seen = training_set(shape)
+    pairs = pair_maker(4.0, edge_width)(data, jnp.arange(N_MASKS), jnp.zeros(N_MASKS, jnp.int32))
+    assert (pairs.terrain.dtype, pairs.target.dtype, pairs.weight.dtype) == (np.uint8, np.float32, np.float32)
+    for index in range(N_MASKS):
+        world = int(data.mask_world[index])
+        terrain, cost = np.asarray(data.terrain[world]), np.asarray(data.cost_to_go[world])
+        # A mask only hides.
+        np.testing.assert_array_equal(pairs.terrain[index], np.where(seen[index], terrain, 0))
+        # Labels are those of the whole map.
+        counts = np.asarray(pairs.weight[index]) > 0
+        np.testing.assert_array_equal(counts, seen[index] & np.isfinite(cost))
+        np.testing.assert_array_equal(np.asarray(pairs.target[index])[counts], cost[counts])
+        weight = np.where(near(~seen[index], edge_width), 4.0, 1.0) * counts
+        np.testing.assert_array_equal(pairs.weight[index], weight)
+
+
+def test_labels_do_not_depend_on_what_is_hidden(street):
+    """The cost is of the hidden map, so a visible cell keeps its label under every mask."""
+    worlds = world_from_terrain(street[None])
+    cost = np.asarray(world_cost_to_go(world_from_terrain(street)))
+    masks = np.stack([maps.random_cells(seed, street.shape, 0.5) for seed in range(8)])
+    data = TrainingSet(
+        terrain=worlds.terrain,
+        cost_to_go=jnp.asarray(cost)[None],
+        masks=bitboard.pack(jnp.asarray(masks)),
+        mask_world=jnp.zeros(8, jnp.int32),
+        n_own=jnp.int32(8),
+    )
+    pairs = pair_maker()(data, jnp.arange(8), jnp.zeros(8, jnp.int32))
+    for index in range(8):
+        counts = np.asarray(pairs.weight[index]) > 0
+        assert counts.any()
+        np.testing.assert_array_equal(np.asarray(pairs.target[index])[counts], cost[counts])
+
+
+def test_all_symmetries_are_distinct_and_turn_everything_alike():
+    data, _ = training_set((12, 12))
+    index = 2
+    pairs = pair_maker()(data, jnp.full(SYMMETRIES, index), jnp.arange(SYMMETRIES))
+    terrain, target, weight = (np.asarray(part) for part in (pairs.terrain, pairs.target, pairs.weight))
+    assert len({grid.tobytes() for grid in terrain}) == 8
+    assert len({grid.tobytes() for grid in target}) == 8
+    # One of the eight ways to turn and mirror a square, the same one for all three grids.
+    ways = [lambda g, k=k, f=f: np.rot90(g[:, ::-1] if f else g, k) for k in range(4) for f in (False, True)]
+    used = set()
+    for symmetry in range(SYMMETRIES):
+        matching = [
+            number
+            for number, way in enumerate(ways)
+            if np.array_equal(way(terrain[0]), terrain[symmetry])
+            and np.array_equal(way(target[0]), target[symmetry])
+            and np.array_equal(way(weight[0]), weight[symmetry])
+        ]
+        assert len(matching) == 1
+        used.update(matching)
+    assert used == set(range(8))
+
+
+def test_cost_to_go_of_a_turned_map_is_the_turned_cost_to_go():
+    data, _ = training_set((12, 12))
+    full = TrainingSet(
+        terrain=data.terrain,
+        cost_to_go=data.cost_to_go,
+        masks=jnp.asarray(bitboard.full(12, 12))[None],
+        mask_world=jnp.zeros(1, jnp.int32),
+        n_own=jnp.int32(1),
+    )
+    pairs = pair_maker()(full, jnp.zeros(SYMMETRIES, jnp.int32), jnp.arange(SYMMETRIES))
+    costs = jax.jit(jax.vmap(world_cost_to_go))(world_from_terrain(pairs.terrain))
+    np.testing.assert_array_equal(costs, pairs.target)
+
+
+def test_a_map_that_is_not_square_keeps_its_shape():
+    data, _ = training_set((7, 33))
+    pairs = pair_maker()(data, jnp.full(SYMMETRIES, 1), jnp.arange(SYMMETRIES))
+    assert pairs.terrain.shape == (SYMMETRIES, 7, 33)
+    assert len({np.asarray(grid).tobytes() for grid in pairs.terrain}) == 4
+
+
+@pytest.mark.parametrize(("own_share", "low", "high"), [(1.0, 0, N_OWN), (0.0, N_OWN, N_MASKS)])
+def test_batches_are_drawn_from_the_masks_asked_for(own_share, low, high):
+    data, _ = training_set((12, 12))
+    draw = jax.jit(functools.partial(draw_pairs, batch_size=200, own_share=own_share, edge_weight=4.0))
+    batch = draw(jax.random.key(0), data)
+    assert batch.terrain.shape == (200, 12, 12)
+    every = pair_maker()(data, jnp.repeat(jnp.arange(N_MASKS), 8), jnp.tile(jnp.arange(8), N_MASKS))
+    owner = {np.asarray(grid).tobytes(): number // 8 for number, grid in enumerate(every.terrain)}
+    drawn = {owner[np.asarray(grid).tobytes()] for grid in batch.terrain}
+    assert drawn == set(range(low, high))
+    again = draw(jax.random.key(0), data)
+    jax.tree.map(np.testing.assert_array_equal, again, batch)
+    other = draw(jax.random.key(1), data)
+    assert not np.array_equal(other.terrain, batch.terrain)
+
+
+# --- masks of moving robots -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shape", [(12, 12), (7, 33)], ids="{0[0]}x{0[1]}".format)
+def test_moments_equal_stepping_the_gridworld(shape):
+    sensing = field_of_view(3)
+    along = jax.jit(functools.partial(moments_along, sensing=sensing))
+    step = jax.jit(functools.partial(gridworld.step, sensing=sensing))
+    exploring = []
+    for seed in range(6):
+        terrain = maps.random_terrain(seed, shape, 0.85, doors=4)
+        world = world_from_terrain(terrain)
+        pose = maps.random_pose(seed, np.isin(terrain, oracle.TRAVERSABLE_CLASSES))
+        actions = np.random.default_rng(seed).choice([0, 0, 0, 1, 2], 20).astype(np.int8)
+        times = np.array([0, 20, 7, 7, 1, 19])
+        moments = along(world, make_pose(*pose), jnp.asarray(actions), jnp.asarray(times))
+        beliefs = [gridworld.reset(world, make_pose(*pose), sensing)]
+        for action in actions:
+            beliefs.append(step(world, beliefs[-1], jnp.int32(action)))
+        for seen, in_question, time in zip(moments.seen, moments.exploring, times, strict=True):
+            belief = beliefs[time]
+            np.testing.assert_array_equal(seen, belief.seen)
+            free = np.asarray(bitboard.unpack(belief.traversable, shape[1]))
+            reached = oracle.reachable(free, int(belief.pose.x), int(belief.pose.y))
+            exploring.append(bool(in_question))
+            assert exploring[-1] == (not (reached & (terrain == oracle.FRONT_DOOR)).any())
+    assert any(exploring)
+    assert not all(exploring)
+
+
+def test_masks_collected_along_paths(street, island):
+    rules = complete_rules(2)
+    planner = Frontier(rules)
+    worlds = world_from_terrain(np.stack([street, island]))
+    # More episodes than are looked at in one call.
+    count = 130
+    index = np.arange(count) % 2
+    x = np.arange(count) % 10
+    episodes = Episodes(
+        world=jnp.asarray(index, jnp.int32), start=make_pose(x, np.where(index == 0, 4, 7), np.arange(count) % 4)
+    )
+    options = {"sensing": rules.sensing, "step_limit": 40}
+    collected = collect_masks(planner, worlds, episodes, per_episode=3, seed=1, **options)
+    assert len(collected.boards) == len(collected.world) > count
+    assert set(np.unique(collected.world)) == {0, 1}
+    # On the island no goal is ever in reach, so every moment counts.
+    assert np.sum(collected.world == 1) == 3 * np.sum(index == 1)
+
+    done = rollout(planner, worlds, episodes, **options)
+    walked = {0: set(), 1: set()}
+    for number in range(count):
+        pose = (int(x[number]), 4 if index[number] == 0 else 7, number % 4)
+        seen = oracle.visible(pose, 2, street.shape)
+        walked[index[number]].add(seen.tobytes())
+        for action in done.actions[number, : done.steps[number]]:
+            pose = oracle.moved(pose, int(action), street.shape)
+            seen |= oracle.visible(pose, 2, street.shape)
+            walked[index[number]].add(seen.tobytes())
+    for board, world in zip(collected.boards, collected.world, strict=True):
+        assert np.asarray(bitboard.unpack(jnp.asarray(board), 10)).tobytes() in walked[int(world)]
+
+    again = collect_masks(planner, worlds, episodes, per_episode=3, seed=1, **options)
+    jax.tree.map(np.testing.assert_array_equal, tuple(again), tuple(collected))
+    both = concatenate_masks([collected, again])
+    np.testing.assert_array_equal(both.boards, np.concatenate([collected.boards] * 2))
+    np.testing.assert_array_equal(both.world, np.concatenate([collected.world] * 2))

@@ -1,0 +1,232 @@
+"""Whole episodes on random maps against the plain implementation, action for action."""
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from flax import struct
+
+from dc2g_jax.estimation.estimators import ExactCostToGo, world_cost_to_go
+from dc2g_jax.evaluation import action_letters
+from dc2g_jax.grid import bitboard, search
+from dc2g_jax.grid.poses import make_pose
+from dc2g_jax.grid.search import EIGHT_CONNECTED, FOUR_CONNECTED
+from dc2g_jax.grid.sensing import field_of_view
+from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.planning.planners import DC2G, EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL, Frontier, Oracle
+from dc2g_jax.planning.rules import SETTINGS, complete_rules, reference_rules
+from dc2g_jax.rollout import Episodes, rollout
+from tests import maps
+from tests.oracles import gridworld_oracle as oracle
+from tests.planning.test_frontiers import belief_of, random_moment
+
+SENSING, EXPANDING = 4, 3
+RULES = {"reference": reference_rules(SENSING, EXPANDING), "complete": complete_rules(SENSING)}
+STEP_LIMIT = 120
+EPISODES = 10
+
+both_rules = pytest.mark.parametrize("rules", RULES)
+
+
+def random_worlds(shape, first_seed: int, doors: int = 1, episodes: int = EPISODES):
+    """Random maps, and a start on traversable ground that is no door in each."""
+    terrains, poses = [], []
+    for seed in range(first_seed, first_seed + episodes):
+        terrain = maps.random_terrain(seed, shape, (0.65, 0.75, 0.85)[seed % 3], doors=doors if seed % 4 else 2 * doors)
+        terrain.flat[0 if terrain.flat[0] != oracle.FRONT_DOOR else -1] = 3
+        ground = np.isin(terrain, oracle.TRAVERSABLE_CLASSES) & (terrain != oracle.FRONT_DOOR)
+        terrains.append(terrain)
+        poses.append(maps.random_pose(seed, ground))
+    return np.stack(terrains), poses
+
+
+def run(planner, terrains, poses, sensing=None, step_limit=STEP_LIMIT):
+    worlds = world_from_terrain(terrains)
+    starts = make_pose(*np.array(poses).T)
+    episodes = Episodes(world=jnp.arange(len(poses), dtype=jnp.int32), start=starts)
+    return rollout(planner, worlds, episodes, sensing=sensing or field_of_view(SENSING), step_limit=step_limit, slots=4)
+
+
+def check_against_oracle(done, terrains, poses, planner: str, rules: str, cost_to_go=lambda index: None):
+    for index, (terrain, pose) in enumerate(zip(terrains, poses, strict=True)):
+        success, actions, mode = oracle.run_episode(
+            terrain,
+            pose,
+            planner,
+            rules=rules,
+            sensing_radius=SENSING,
+            expanding_radius=EXPANDING,
+            max_steps=STEP_LIMIT,
+            cost_to_go=cost_to_go(index),
+        )
+        assert action_letters(done, index) == actions, (index, pose)
+        assert (bool(done.success[index]), MODE_NAMES[done.mode[index]]) == (success, mode)
+        assert done.steps[index] == len(actions)
+
+
+@pytest.mark.parametrize("shape", [(11, 33), (1, 40)], ids="{0[0]}x{0[1]}".format)
+def test_oracle_episodes(shape):
+    terrains, poses = random_worlds(shape, 100)
+    check_against_oracle(run(Oracle(), terrains, poses), terrains, poses, "oracle", "complete")
+
+
+@both_rules
+@pytest.mark.parametrize("shape", [(11, 33), (33, 1), (9, 64)], ids="{0[0]}x{0[1]}".format)
+def test_frontier_episodes(shape, rules):
+    terrains, poses = random_worlds(shape, 200)
+    check_against_oracle(run(Frontier(RULES[rules]), terrains, poses), terrains, poses, "frontier", rules)
+
+
+@pytest.mark.parametrize(
+    ("rules", "moves"), [("reference", EIGHT_CONNECTED), ("complete", FOUR_CONNECTED)]
+)
+def test_dc2g_episodes_with_exact_cost_to_go(rules, moves):
+    terrains, poses = random_worlds((11, 33), 300)
+    planner = DC2G(ExactCostToGo(moves=moves), RULES[rules])
+    costs = np.asarray(jax.vmap(functools.partial(world_cost_to_go, moves=moves))(world_from_terrain(terrains)))
+    check_against_oracle(
+        run(planner, terrains, poses), terrains, poses, "dc2g", rules, cost_to_go=lambda index: costs[index]
+    )
+
+
+@struct.dataclass
+class Scattered:
+    """An estimator that depends on where and what has been observed, in whole numbers, with many ties."""
+
+    def init(self, world) -> tuple[()]:
+        del world
+        return ()
+
+    def estimate(self, terrain, state: Any):
+        del state
+        y, x = jnp.indices(terrain.shape)
+        return ((7 * x + 5 * y + jnp.sum(terrain == 0) + terrain) % 11).astype(jnp.float32)
+
+
+def scattered(seen, terrain):
+    y, x = np.indices(terrain.shape)
+    return (7 * x + 5 * y + np.sum(terrain == 0) + terrain) % 11
+
+
+@both_rules
+def test_dc2g_episodes_with_an_estimator_of_what_was_observed(rules):
+    terrains, poses = random_worlds((11, 33), 400)
+    done = run(DC2G(Scattered(), RULES[rules]), terrains, poses)
+    check_against_oracle(done, terrains, poses, "dc2g", rules, cost_to_go=lambda index: scattered)
+
+
+@functools.cache
+def deciding(planner, width: int):
+    def decide(terrain, seen, pose):
+        plan, _ = planner.plan(belief_of(terrain, seen, pose), planner.init(world_from_terrain(terrain)))
+        return plan, bitboard.unpack(plan.subgoals, width)
+
+    return jax.jit(decide)
+
+
+@both_rules
+def test_dc2g_weighs_the_distance_to_a_subgoal(rules):
+    shape, decided, weight = (7, 33), 0, 0.5
+    decide = deciding(DC2G(Scattered(), RULES[rules], distance_weight=weight), 33)
+    for seed in range(40):
+        terrain, seen, pose = random_moment(seed, shape, 0.8)
+        terrain = np.where(terrain == oracle.FRONT_DOOR, 3, terrain).astype(np.uint8)
+        free = seen & np.isin(terrain, oracle.TRAVERSABLE_CLASSES)
+        reached = oracle.reachable(free, *pose[:2])
+        candidates = oracle.explore_poses(
+            seen, reached, pose, rules=rules, sensing_radius=SENSING, expanding_radius=EXPANDING
+        )
+        plan, subgoals = decide(terrain, seen, pose)
+        if not candidates.any():
+            assert int(plan.mode) == GAVE_UP
+            continue
+        decided += 1
+        score = scattered(seen, np.where(seen, terrain, 0)) + weight * oracle.distances_from(free, pose)
+        best = candidates & (score == score[candidates].min())
+        np.testing.assert_array_equal(subgoals, best)
+        actions = oracle.shortest_actions(free, pose, best)
+        assert (int(plan.mode), int(plan.action), int(plan.length)) == (EXPLORE, actions[0], len(actions))
+    assert decided > 20
+
+
+@both_rules
+def test_once_a_goal_is_reachable_the_plan_goes_there(rules):
+    decide = deciding(Frontier(RULES[rules]), 33)
+    decided = 0
+    for seed in range(60):
+        terrain, seen, pose = random_moment(seed, (7, 33), 0.85)
+        terrain[(seed * 5) % 7, (seed * 3) % 33] = oracle.FRONT_DOOR
+        free = seen & np.isin(terrain, oracle.TRAVERSABLE_CLASSES)
+        goals = oracle.reachable(free, *pose[:2]) & (terrain == oracle.FRONT_DOOR)
+        if goals.any() and not goals[pose[1], pose[0]]:
+            decided += 1
+            plan, _ = decide(terrain, seen, pose)
+            actions = oracle.plan_to_goal(free, pose, goals, rules)
+            assert (int(plan.mode), int(plan.action), int(plan.length)) == (TO_GOAL, actions[0], len(actions))
+    assert decided > 10
+
+
+# --- exploration ends -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("planner", ["frontier", "dc2g"])
+def test_exploration_by_complete_rules_always_ends_with_everything_seen(planner):
+    """Without a goal in reach the robot gives up, and by then it has seen all there was to see."""
+    shape, rules = (11, 33), RULES["complete"]
+    terrains, poses = random_worlds(shape, 500, doors=0, episodes=40)
+    for index in range(0, 40, 2):  # in half of them there is a door, walled in
+        row, column = index % 7 + 2, index % 29 + 2
+        if abs(poses[index][0] - column) + abs(poses[index][1] - row) > 1:
+            terrains[index, row, column - 1 : column + 2] = terrains[index, row - 1 : row + 2, column] = 7
+            terrains[index, row, column] = oracle.FRONT_DOOR
+    chosen = Frontier(rules) if planner == "frontier" else DC2G(Scattered(), rules)
+    done = run(chosen, terrains, poses, step_limit=2000)
+    assert (done.mode == GAVE_UP).all()
+    assert not done.success.any()
+    for index, (terrain, pose) in enumerate(zip(terrains, poses, strict=True)):
+        component = oracle.reachable(np.isin(terrain, oracle.TRAVERSABLE_CLASSES), *pose[:2])
+        seen = oracle.visible(pose, SENSING, shape)
+        for action in done.actions[index, : done.steps[index]]:
+            pose = oracle.moved(pose, int(action), shape)
+            seen |= oracle.visible(pose, SENSING, shape)
+        assert (component <= seen).all()
+        assert not oracle.frontier_complete(seen, component).any()
+
+
+@both_rules
+def test_a_robot_never_drives_where_it_cannot(rules):
+    terrains, poses = random_worlds((11, 33), 600)
+    done = run(Frontier(RULES[rules]), terrains, poses)
+    for index, pose in enumerate(poses):
+        for action in done.actions[index, : done.steps[index]]:
+            pose = oracle.moved(pose, int(action), terrains[index].shape)
+            assert terrains[index][pose[1], pose[0]] in oracle.TRAVERSABLE_CLASSES
+
+
+def test_oracle_gives_up_where_no_way_leads_to_a_goal(island):
+    done = run(Oracle(), island[None], [(0, 0, 0)])
+    assert (int(done.steps[0]), bool(done.success[0]), int(done.mode[0])) == (0, False, GAVE_UP)
+
+
+# --- rules ------------------------------------------------------------------------------------------------
+
+
+def test_named_settings():
+    published, reference, paper = (SETTINGS[name] for name in ("published", "reference", "paper"))
+    assert (published.rules().sensing, published.rules().expanding_range) == (field_of_view(5), 4)
+    assert (reference.rules().sensing, reference.rules().expanding_range) == (field_of_view(8), 8)
+    assert (paper.rules().sensing, paper.rules().expanding_range) == (field_of_view(8), None)
+    # An episode's own range brings its own expanding range; one that names the latter alone keeps the sensing range.
+    assert (published.rules(6).sensing, published.rules(6).expanding_range) == (field_of_view(6), 6)
+    assert (published.rules(None, 3).sensing, published.rules(None, 3).expanding_range) == (field_of_view(5), 3)
+    assert (reference.rules(5, 4).sensing, reference.rules(5, 4).expanding_range) == (field_of_view(5), 4)
+    assert paper.rules(6, 4) is complete_rules(6)
+
+
+def test_equal_rules_are_one_value():
+    assert reference_rules(5, 4) is reference_rules(5, 4)
+    assert hash(Frontier(reference_rules(5, 4))) == hash(Frontier(reference_rules(5, 4)))
+    assert search.FOUR_CONNECTED == EIGHT_CONNECTED[:4]

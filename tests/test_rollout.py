@@ -1,0 +1,149 @@
+"""Many episodes at once give what each gives alone, whatever the slots and the order."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax import rollout as rollout_module
+from dc2g_jax.datasets.starts import Start
+from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation.networks import Architecture, init_weights
+from dc2g_jax.evaluation import episodes_from
+from dc2g_jax.grid.poses import make_pose
+from dc2g_jax.grid.sensing import field_of_view
+from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.planning.planners import DC2G, EXPLORE, GAVE_UP, TO_GOAL, Frontier, Oracle
+from dc2g_jax.planning.rules import complete_rules
+from dc2g_jax.rollout import NO_ACTION, Episodes, Trajectories, rollout
+from tests import maps
+from tests.oracles import gridworld_oracle as oracle
+
+RULES = complete_rules(3)
+SHAPE = (8, 10)
+N_WORLDS, N_EPISODES = 6, 29
+
+
+@pytest.fixture(scope="module")
+def terrains(street, island) -> np.ndarray:
+    return np.stack([street, island, *(maps.random_terrain(seed, SHAPE, 0.75) for seed in range(N_WORLDS - 2))])
+
+
+def some_episodes(terrains: np.ndarray, seed: int, count: int = N_EPISODES) -> Episodes:
+    world = np.random.default_rng(seed).integers(len(terrains), size=count)
+    poses = []
+    for number, index in enumerate(world):
+        ground = np.isin(terrains[index], oracle.TRAVERSABLE_CLASSES) & (terrains[index] != oracle.FRONT_DOOR)
+        poses.append(maps.random_pose(1000 * seed + number, ground))
+    return Episodes(world=jnp.asarray(world, jnp.int32), start=make_pose(*np.array(poses).T))
+
+
+def run(terrains, episodes, planner=None, **options) -> Trajectories:
+    planner = Frontier(RULES) if planner is None else planner
+    options = {"sensing": RULES.sensing, "step_limit": 60, "slots": N_EPISODES, **options}
+    return rollout(planner, world_from_terrain(terrains), episodes, **options)
+
+
+def assert_equal(one: Trajectories, other: Trajectories) -> None:
+    for name in ("actions", "steps", "success", "mode"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
+@pytest.mark.parametrize("slots", [1, 3, 128])
+def test_results_do_not_depend_on_the_number_of_slots(terrains, slots):
+    episodes = some_episodes(terrains, 0)
+    done = run(terrains, episodes, slots=slots)
+    for index in range(N_EPISODES):
+        terrain = terrains[int(episodes.world[index])]
+        pose = tuple(int(part[index]) for part in (episodes.start.x, episodes.start.y, episodes.start.heading))
+        success, actions, mode = oracle.run_episode(
+            terrain, pose, "frontier", rules="complete", sensing_radius=3, expanding_radius=3, max_steps=60
+        )
+        letters = "".join("FLR"[action] for action in done.actions[index, : done.steps[index]])
+        assert (bool(done.success[index]), letters) == (success, actions)
+        assert mode == ("explore", "to_goal", "gave_up")[done.mode[index]]
+        assert (done.actions[index, done.steps[index] :] == NO_ACTION).all()
+
+
+def test_results_do_not_depend_on_the_order(terrains):
+    episodes = some_episodes(terrains, 1)
+    order = np.random.default_rng(0).permutation(N_EPISODES)
+    straight, shuffled = run(terrains, episodes), run(terrains, jax.tree.map(lambda leaf: leaf[order], episodes))
+    assert_equal(shuffled, jax.tree.map(lambda leaf: leaf[order], straight))
+    assert_equal(straight, run(terrains, episodes))
+
+
+def test_types_of_the_results(terrains):
+    done = run(terrains, some_episodes(terrains, 0))
+    assert done.actions.shape == (N_EPISODES, 60)
+    assert (done.actions.dtype, done.steps.dtype, done.success.dtype) == (np.int8, np.int32, bool)
+    assert all(isinstance(leaf, np.ndarray) for leaf in jax.tree.leaves(done))
+    assert set(np.unique(done.mode)) <= {EXPLORE, TO_GOAL, GAVE_UP}
+
+
+def test_no_episodes(terrains):
+    reports: list[int] = []
+    done = run(terrains, episodes_from([], {}), on_progress=reports.append)
+    assert done.actions.shape == (0, 60)
+    assert done.actions.dtype == np.int8
+    assert len(done.steps) == len(done.success) == len(done.mode) == 0
+    one = run(terrains, some_episodes(terrains, 0), slots=3)
+    for name in ("actions", "steps", "success", "mode"):
+        assert getattr(done, name).dtype == getattr(one, name).dtype, name
+
+
+def test_the_step_limit_ends_an_episode(terrains):
+    episodes = some_episodes(terrains, 0)
+    free = run(terrains, episodes)
+    limited = run(terrains, episodes, step_limit=4)
+    assert limited.actions.shape == (N_EPISODES, 4)
+    np.testing.assert_array_equal(limited.actions, free.actions[:, :4])
+    np.testing.assert_array_equal(limited.steps, np.minimum(free.steps, 4))
+    np.testing.assert_array_equal(limited.success, free.success & (free.steps <= 4))
+    assert (free.steps > 4).any()
+    assert limited.success.any()
+
+
+def test_progress_grows_and_ends_at_the_number_of_episodes(terrains):
+    reports: list[int] = []
+    run(terrains, some_episodes(terrains, 2), slots=1, on_progress=reports.append)
+    assert len(reports) > 3
+    assert reports == sorted(reports)
+    assert reports[-1] == N_EPISODES
+    assert 0 < reports[0] < N_EPISODES
+
+
+def test_one_program_serves_all_episodes_of_the_same_shapes(terrains):
+    run(terrains, some_episodes(terrains, 3))
+    run(terrains, some_episodes(terrains, 3), Oracle())
+    before = rollout_module._run._cache_size(), rollout_module._first_slots._cache_size()
+    run(terrains, some_episodes(terrains, 4))
+    run(terrains[::-1], some_episodes(terrains[::-1], 5))
+    run(terrains, some_episodes(terrains, 6), Frontier(complete_rules(3)), on_progress=lambda _: None)
+    run(terrains, some_episodes(terrains, 6), Oracle())
+    assert (rollout_module._run._cache_size(), rollout_module._first_slots._cache_size()) == before
+
+
+def test_one_program_serves_all_weights_of_an_architecture(terrains):
+    architecture = Architecture(widths=(4,) * len(Architecture().widths))
+    episodes = some_episodes(terrains, 7, count=5)
+
+    def leads(seed: int) -> Trajectories:
+        network = NetworkCostToGo(weights=init_weights(architecture, jax.random.key(seed)), architecture=architecture)
+        return run(terrains, episodes, DC2G(network, RULES, distance_weight=0.5), slots=5)
+
+    first = leads(0)
+    before = rollout_module._run._cache_size(), rollout_module._first_slots._cache_size()
+    assert_equal(leads(0), first)
+    leads(1)
+    assert (rollout_module._run._cache_size(), rollout_module._first_slots._cache_size()) == before
+
+
+def test_a_field_of_view_is_taken_as_given(street):
+    """The oracle's path does not depend on what is seen, the frontier's does."""
+    episodes = episodes_from([Start("street", 9, 4, 0)], {"street": 0})
+    near, far = (
+        rollout(planner, world_from_terrain(street[None]), episodes, sensing=field_of_view(radius), step_limit=60)
+        for planner, radius in ((Oracle(), 1), (Oracle(), 9))
+    )
+    assert_equal(near, far)
