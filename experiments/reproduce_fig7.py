@@ -21,8 +21,9 @@ from dc2g_jax.datasets.starts import published_episodes, sample_starts, why_no_e
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.evaluation import PLANNERS, EpisodeResult, Runner, Summary, extra_steps, summarize
-from dc2g_jax.inspection.figures import plot_extra_steps
+from dc2g_jax.inspection.figures import plot_episode, plot_extra_steps
 from dc2g_jax.inspection.recording import record_episode
+from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollout import STEP_LIMIT
 from experiments.common import (
@@ -46,7 +47,7 @@ class Options:
       starts_per_house: sampled starts in each test house.
       seed: of the sampled starts.
       network: folder of a trained network for `dc2g`; the shipped one where not given.
-      record: write rerun recordings (.rrd) of this many episodes of each setting, spread over those run.
+      record: write rerun recordings (.rrd) and figures of this many episodes of each setting, spread over those run.
       out: folder to write to; a new one below outputs/ where not given.
     """
 
@@ -155,21 +156,26 @@ def run_sampled(
 def record(
     out: Path, dataset: HouseDataset, settings: str, results: list[EpisodeResult], network: NetworkCostToGo, count: int
 ) -> None:
-    """Write rerun recordings of `count` episodes, spread evenly over those run, all planners side by side."""
+    """Record `count` episodes, spread evenly over those run: for the rerun viewer and as a figure."""
     rules = SETTINGS[settings].rules()
     n_starts = len(results) // len(PLANNERS)
     chosen = sorted(set(np.linspace(0, n_starts - 1, min(count, n_starts)).round().astype(int).tolist()))
     for number in tqdm(chosen, desc=f"{'recordings':>16}", unit="episode", file=sys.stderr):
         by_planner = {result.planner: result for result in results[number::n_starts] if result.planner != "oracle"}
         start = by_planner["dc2g"]
-        name = f"{settings}-{start.house}-x{start.x}-y{start.y}-h{start.heading}.rrd"
+        name = f"{settings}-{start.house}-x{start.x}-y{start.y}-h{start.heading}"
+        house = dataset.house(start.house)
         record_episode(
-            out / "recordings" / name,
-            house=dataset.house(start.house),
+            out / "recordings" / f"{name}.rrd",
+            house=house,
             result_by_planner=by_planner,
             rules=rules,
             estimator=network,
         )
+        replayed = {
+            planner: replay_result(by_planner[planner], house, rules, network) for planner in ("dc2g", "frontier")
+        }
+        plot_episode(out / "recordings" / name, house, replayed)
 
 
 def print_table(title: str, table: Table, groups: tuple[str, ...]) -> None:

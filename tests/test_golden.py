@@ -34,9 +34,7 @@ def recorded(shared) -> list[dict[str, str]]:
 
 def test_every_recorded_episode_action_for_action(golden_runner, recorded):
     columns = ("x", "y", "heading", "range", "expanding_range")
-    rows = {
-        (row["planner"], Start(row["house"], *(int(row[column]) for column in columns))): row for row in recorded
-    }
+    rows = {(row["planner"], Start(row["house"], *(int(row[column]) for column in columns))): row for row in recorded}
     assert len(rows) == 1575
     starts = [start for planner, start in rows if planner == "frontier"]
     checked = 0

@@ -4,16 +4,20 @@ import typing
 from collections.abc import Callable
 from typing import Any
 
+import numpy.typing as npt
 from beartype import BeartypeConf, beartype
 
 _beartype = beartype(conf=BeartypeConf(is_pep484_tower=True))
 
 
-def _names_a_protocol(hint: Any) -> bool:
-    """Is this hint, or a member of this union, a protocol that cannot be checked at run time?"""
+def _uncheckable(hint: Any) -> bool:
+    """Is this hint, or a member of this union, one whose check at run time is impossible or wrong?
+
+    Protocols that are not declared checkable, and NumPy's `ArrayLike`, which leaves out tuples there.
+    """
     if getattr(hint, "_is_protocol", False):
         return not getattr(hint, "_is_runtime_protocol", False)
-    return any(_names_a_protocol(member) for member in typing.get_args(hint))
+    return hint == npt.ArrayLike or any(_uncheckable(member) for member in typing.get_args(hint))
 
 
 def check(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -25,6 +29,6 @@ def check(function: Callable[..., Any]) -> Callable[..., Any]:
     if function.__name__ == "__init__":
         return function
     for name, hint in function.__annotations__.items():
-        if _names_a_protocol(hint):
+        if _uncheckable(hint):
             function.__annotations__[name] = Any
     return _beartype(function)

@@ -1,0 +1,160 @@
+"""Training is a function of its configuration alone, whatever interrupts it, and it learns."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax.datasets.pairs import TrainingSet, draw_pairs
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax.estimation.estimators import world_cost_to_go
+from dc2g_jax.estimation.networks import Architecture
+from dc2g_jax.estimation.training import TrainingConfig, init_state, train_step
+from dc2g_jax.grid import bitboard
+from dc2g_jax.grid.world import world_from_terrain
+from tests import maps
+
+CONFIG = TrainingConfig(
+    architecture=Architecture(widths=(8,) * len(Architecture().widths)),
+    steps=60,
+    batch_size=8,
+    learning_rate=3e-3,
+    average_decay=0.9,
+)
+DRAW = functools.partial(draw_pairs, batch_size=CONFIG.batch_size, own_share=1.0, edge_weight=2.0)
+
+
+@pytest.fixture(scope="module")
+def data() -> TrainingSet:
+    shape = (16, 16)
+    worlds = world_from_terrain(np.stack([maps.random_terrain(seed, shape, 0.85, doors=2) for seed in range(3)]))
+    seen = np.stack([maps.random_cells(seed, shape, 0.8) for seed in range(6)])
+    return TrainingSet(
+        terrain=worlds.terrain,
+        cost_to_go=jax.jit(jax.vmap(world_cost_to_go))(worlds),
+        masks=bitboard.pack(jnp.asarray(seen)),
+        mask_world=jnp.arange(6, dtype=jnp.int32) % 3,
+        n_own=jnp.int32(6),
+    )
+
+
+def train(data, steps: int, state=None, config: TrainingConfig = CONFIG):
+    """Train on from a state (the first by default); the state is used up."""
+    state = init_state(config) if state is None else state
+    losses = []
+    for _ in range(steps):
+        state, loss = train_step(state, data, config=config, draw_batch=DRAW)
+        losses.append(float(loss))
+    return state, losses
+
+
+@pytest.fixture(scope="module")
+def trained(data):
+    """A run without interruption."""
+    state, losses = train(data, CONFIG.steps)
+    return jax.tree.map(np.array, state), losses
+
+
+def assert_same_bits(one, other) -> None:
+    assert jax.tree.structure(one) == jax.tree.structure(other)
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        assert np.asarray(a).dtype == np.asarray(b).dtype
+        assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
+
+
+def test_the_same_configuration_gives_the_same_bits(data, trained):
+    again, losses = train(data, CONFIG.steps)
+    assert losses == trained[1]
+    assert_same_bits(again, trained[0])
+
+
+def test_another_seed_gives_other_weights(data):
+    # The seed is part of the configuration, and so another program.
+    first = init_state(dataclasses.replace(CONFIG, seed=1))
+    assert not np.array_equal(first.weights["embed"]["kernel"], init_state(CONFIG).weights["embed"]["kernel"])
+
+
+def test_an_interrupted_run_ends_like_one_that_was_not(data, trained, tmp_path):
+    state, losses = None, []
+    for steps in (7, 20, CONFIG.steps - 27):
+        # A new process each time.
+        checkpoints = TrainingCheckpoints(tmp_path / "run", CONFIG)
+        state = checkpoints.restore()
+        assert (state is None) == (not losses)
+        assert state is None or int(state.step) == len(losses)
+        state, part = train(data, steps, state)
+        losses += part
+        checkpoints.save(state)
+        checkpoints.close()
+    assert losses == trained[1]
+    assert_same_bits(state, trained[0])
+
+
+def test_what_is_restored_is_what_was_saved(data, tmp_path):
+    state, _ = train(data, 3)
+    checkpoints = TrainingCheckpoints(tmp_path / "run", CONFIG)
+    checkpoints.save(state)
+    assert_same_bits(checkpoints.restore(), state)
+    checkpoints.close()
+
+
+@pytest.mark.parametrize(
+    ("change", "mention"),
+    [({"seed": 1}, "seed"), ({"learning_rate": 1e-4}, "learning_rate"), ({"architecture": Architecture()}, "widths")],
+)
+def test_a_folder_with_another_configuration_is_refused(tmp_path, change, mention):
+    folder = tmp_path / "run"
+    TrainingCheckpoints(folder, CONFIG).close()
+    with pytest.raises(InputError) as caught:
+        TrainingCheckpoints(folder, dataclasses.replace(CONFIG, **change))
+    message = str(caught.value)
+    assert "\n" not in message
+    assert str(folder) in message
+    assert mention in message
+    TrainingCheckpoints(folder, CONFIG).close()  # and is as it was
+
+
+def test_a_folder_with_other_facts_is_refused(tmp_path):
+    folder = tmp_path / "run"
+    TrainingCheckpoints(folder, CONFIG, {"dataset": "houses", "extra": 3}).close()
+    TrainingCheckpoints(folder, CONFIG, {"dataset": "houses", "extra": 3}).close()
+    with pytest.raises(InputError, match=r"extra was 3 .*now 4"):
+        TrainingCheckpoints(folder, CONFIG, {"dataset": "houses", "extra": 4})
+
+
+def test_a_damaged_configuration_is_refused(tmp_path):
+    folder = tmp_path / "run"
+    TrainingCheckpoints(folder, CONFIG).close()
+    for content in ("{", "[1, 2]"):
+        (folder / "config.json").write_text(content)
+        with pytest.raises(InputError, match=r"config\.json"):
+            TrainingCheckpoints(folder, CONFIG)
+
+
+def test_the_loss_goes_down(trained):
+    losses = trained[1]
+    assert np.isfinite(losses).all()
+    assert np.mean(losses[-5:]) < 0.6 * np.mean(losses[:5])
+
+
+def test_the_average_follows_the_weights(trained):
+    state, _ = trained
+    distance = [
+        float(np.abs(average - weights).max())
+        for average, weights in zip(jax.tree.leaves(state.average), jax.tree.leaves(state.weights), strict=True)
+    ]
+    assert 0 < max(distance) < 1
+    assert int(state.step) == CONFIG.steps
+
+
+def test_a_step_is_compiled_once(data):
+    train(data, 2)
+    before = train_step._cache_size()
+    train(data, 3)
+    other = dataclasses.replace(data, masks=~data.masks & jnp.asarray(bitboard.full(16, 16)))
+    train(other, 1)
+    assert train_step._cache_size() == before

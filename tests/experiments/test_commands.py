@@ -1,0 +1,147 @@
+"""The real commands, run as users run them."""
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dc2g_jax.datasets.houses import load_dataset, save_dataset
+from dc2g_jax.datasets.procedural import procedural_houses
+from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess:
+    """Run `python -m experiments.<arguments>`."""
+    command = [sys.executable, "-m", *(str(argument) for argument in arguments)]
+    command[2] = f"experiments.{command[2]}"
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
+
+
+def complaint(result: subprocess.CompletedProcess) -> str:
+    """The one line a refused command prints."""
+    assert result.returncode == 2, result.stderr
+    assert "Traceback" not in result.stderr
+    lines = [line for line in result.stderr.splitlines() if line.strip()]
+    assert len(lines) == 1, result.stderr
+    assert lines[0].startswith("error: ")
+    return lines[0]
+
+
+@pytest.fixture(scope="module")
+def few_houses(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with one training, one validation and three test houses; the last has no door."""
+    by_split: dict[str, list] = {}
+    for name, split, image in procedural_houses(0):
+        by_split.setdefault(split, []).append((name, split, image))
+    doorless = by_split["test"][2][2].copy()
+    doorless[doorless == FRONT_DOOR] = GRASS
+    houses = [by_split["train"][0], by_split["val"][0], *by_split["test"][:2], ("n009m000h000", "test", doorless)]
+    return save_dataset(houses, tmp_path_factory.mktemp("houses") / "few")
+
+
+def test_reproduce_fig7_on_a_folder_of_houses(few_houses, tmp_path):
+    out = tmp_path / "out"
+    result = run("reproduce_fig7", "--dataset", few_houses, "--starts-per-house", 2, "--record", 1, "--out", out)
+    assert result.returncode == 0, result.stderr
+    assert "Left out: house n009m000h000: it has no front door" in result.stderr
+    facts = json.loads((out / "results.json").read_text())
+    assert facts["dataset"] == "few"
+    assert facts["published"] == {}
+    assert set(facts["paper"]) == {"oracle", "frontier", "dc2g", "true_cost_to_go"}
+    assert facts["paper"]["oracle"]["test"] == {
+        "mean_extra": 0.0, "median_extra": 0.0, "success": 1.0, "episodes": 4,
+    }  # fmt: skip
+    with (out / "episodes.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 16
+    frontier = [float(row["extra"]) for row in rows if row["planner"] == "frontier"]
+    assert facts["paper"]["frontier"]["test"]["mean_extra"] == pytest.approx(np.mean(frontier), abs=1e-3)
+    assert all(len(row["actions"]) == int(row["steps"]) for row in rows)
+    for name in ("fig7.png", "fig7.svg", "summary.csv", "houses.csv"):
+        assert (out / name).stat().st_size > 0
+    assert len(list((out / "recordings").glob("*.rrd"))) == 1
+    assert len(list((out / "recordings").glob("*.png"))) == 1
+    # An output folder in use is refused, and nothing in it is touched.
+    before = (out / "results.json").read_text()
+    again = run("reproduce_fig7", "--dataset", few_houses, "--out", out)
+    assert str(out) in complaint(again)
+    assert (out / "results.json").read_text() == before
+
+
+def test_run_episodes_replays_what_was_asked_for(few_houses, tmp_path):
+    starts = tmp_path / "starts.csv"
+    out = tmp_path / "first"
+    assert run("reproduce_fig7", "--dataset", few_houses, "--starts-per-house", 1, "--out", out).returncode == 0
+    with (out / "episodes.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["planner"] in ("oracle", "frontier")]
+    chosen = [row for row in rows if row["planner"] == "oracle"]
+    lines = [",".join(row[column] for column in ("house", "x", "y", "heading")) for row in chosen]
+    starts.write_text("\n".join(["house,x,y,heading", *lines]))
+    result = run(
+        "run_episodes", "--starts", starts, "--planner", "oracle", "frontier", "--settings", "paper",
+        "--dataset", few_houses, "--out", tmp_path / "second",
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    with (tmp_path / "second" / "episodes.csv").open() as file:
+        reader = csv.DictReader(file)
+        again = list(reader)
+    assert reader.fieldnames == [
+        "house", "x", "y", "heading", "range", "expanding_range", "planner", "success", "steps", "oracle_steps",
+        "extra", "mode", "actions",
+    ]  # fmt: skip
+    assert again == rows
+
+
+def test_bad_input_is_refused_in_one_line(few_houses, tmp_path):
+    starts = tmp_path / "starts.csv"
+    house = load_dataset(few_houses).split("test")[0].name
+    starts.write_text(f"house,x,y,heading\n{house},500,3,0\n")
+    line = complaint(run("run_episodes", "--starts", starts, "--dataset", few_houses, "--out", tmp_path / "a"))
+    assert "line 2" in line
+    assert "'500'" in line
+    starts.write_text("house,x,y\n")
+    line = complaint(run("run_episodes", "--starts", starts, "--dataset", few_houses, "--out", tmp_path / "b"))
+    assert "'heading'" in line
+    line = complaint(run("reproduce_fig7", "--dataset", tmp_path / "nowhere"))
+    assert "nowhere" in line
+    line = complaint(run("reproduce_fig7", "--dataset", few_houses, "--settings", "published"))
+    assert "published houses" in line
+    line = complaint(run("reproduce_fig7", "--dataset", few_houses, "--network", tmp_path))
+    assert "network.json" in line
+    assert not (tmp_path / "a").exists()
+
+
+def test_training_resumes_and_its_network_plans(few_houses, tmp_path):
+    out = tmp_path / "run"
+    options = [
+        "train", "--dataset", few_houses, "--out", out, "--extra-houses", 2, "--starts-per-house", 1,
+        "--masks-per-episode", 2, "--steps", 4, "--batch-size", 4,
+    ]  # fmt: skip
+    first = run(*options)
+    assert first.returncode == 0, first.stderr
+    card = json.loads((out / "network" / "network.json").read_text())
+    assert card["steps"] == 4
+    weights = sorted(path.name for path in (out / "network" / "weights").iterdir())
+    assert run(*options).returncode == 0  # finished already: nothing is trained again
+    assert sorted(path.name for path in (out / "network" / "weights").iterdir()) == weights
+    changed = complaint(run(*options, "--seed", 7))
+    assert "seed was 0" in changed
+    result = run(
+        "reproduce_fig7", "--dataset", few_houses, "--starts-per-house", 1, "--network", out / "network",
+        "--out", tmp_path / "figure",
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize("command", ["reproduce_fig7", "run_episodes", "train"])
+def test_help_names_every_option(command):
+    result = run(command, "--help")
+    assert result.returncode == 0
+    assert "--dataset" in result.stdout
+    assert "--out" in result.stdout

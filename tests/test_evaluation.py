@@ -1,0 +1,126 @@
+"""Episodes by name: planners, order of results, extra steps and summaries."""
+
+import jax
+import numpy as np
+import pytest
+
+from dc2g_jax.datasets.houses import House, HouseDataset
+from dc2g_jax.datasets.starts import Start
+from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo
+from dc2g_jax.estimation.networks import Architecture, init_weights
+from dc2g_jax.evaluation import (
+    DISTANCE_WEIGHT,
+    PLANNERS,
+    Runner,
+    episodes_from,
+    extra_steps,
+    make_planner,
+    summarize,
+)
+from dc2g_jax.planning.planners import DC2G, Frontier, Oracle
+from dc2g_jax.planning.rules import SETTINGS, complete_rules
+from tests.oracles import gridworld_oracle as oracle
+
+RULES = complete_rules(4)
+
+
+@pytest.fixture(scope="module")
+def dataset(street) -> HouseDataset:
+    mirrored = np.ascontiguousarray(street[:, ::-1])
+    return HouseDataset("toys", "folder", (House("left", "test", street), House("right", "val", mirrored)))
+
+
+STARTS = (
+    Start("right", 0, 4, 0, 4, 3),
+    Start("left", 9, 5, 1),
+    Start("right", 9, 5, 2),
+    Start("left", 0, 6, 3, 4, 3),
+    Start("left", 0, 6, 3),
+    Start("right", 4, 4, 1, 4, 3),
+)
+
+
+def test_results_come_in_the_order_of_planners_and_starts_whatever_their_ranges(dataset):
+    results = Runner(dataset, SETTINGS["reference"]).run(STARTS, ["frontier", "oracle", "frontier"])
+    assert [result.planner for result in results] == ["frontier"] * len(STARTS) + ["oracle"] * len(STARTS)
+    for result, start in zip(results, STARTS * 2, strict=True):
+        assert (result.house, result.x, result.y, result.heading) == start[:4]
+        sensing = start.sensing_range or 8
+        expanding = start.expanding_range or sensing
+        assert (result.range, result.expanding_range) == (sensing, expanding)
+        episode = {
+            name: oracle.run_episode(
+                dataset.house(start.house).terrain,
+                (start.x, start.y, start.heading),
+                name,
+                rules="reference",
+                sensing_radius=sensing,
+                expanding_radius=expanding,
+                max_steps=500,
+            )
+            for name in ("oracle", "frontier")
+        }
+        success, actions, mode = episode[result.planner]
+        assert (result.success, result.actions, result.mode) == (success, actions, mode)
+        assert (result.steps, result.oracle_steps) == (len(actions), len(episode["oracle"][1]))
+        assert result.extra == pytest.approx(100 * (len(actions) / len(episode["oracle"][1]) - 1))
+
+
+def test_all_planners_by_name(dataset):
+    architecture = Architecture(widths=(4,) * len(Architecture().widths))
+    network = NetworkCostToGo(weights=init_weights(architecture, jax.random.key(0)), architecture=architecture)
+    runner = Runner(dataset, SETTINGS["paper"], step_limit=40)
+    results = runner.run(STARTS[1:3], PLANNERS, network)
+    assert [result.planner for result in results] == [name for name in PLANNERS for _ in range(2)]
+    assert all(result.success and result.extra >= 0 and result.expanding_range is None for result in results)
+
+
+def test_progress_names_the_planner(dataset):
+    reports: list[tuple[str, int, int]] = []
+    runner = Runner(dataset, SETTINGS["paper"], step_limit=40, progress=lambda *report: reports.append(report))
+    runner.run(STARTS[1:3], ["oracle"])
+    assert reports[-1] == ("oracle", 2, 2)
+
+
+def test_no_starts_no_results(dataset):
+    assert Runner(dataset, SETTINGS["paper"]).run([], ["frontier"]) == []
+    assert len(episodes_from([], {})) == 0
+
+
+def test_make_planner():
+    estimator = ExactCostToGo()
+    assert make_planner("oracle", RULES) == Oracle()
+    assert make_planner("frontier", RULES) == Frontier(RULES)
+    assert make_planner("true_cost_to_go", RULES) == DC2G(ExactCostToGo(), RULES)
+    assert make_planner("dc2g", RULES, estimator) == DC2G(estimator, RULES, DISTANCE_WEIGHT)
+
+
+@pytest.mark.parametrize("name", ["", "Oracle", "dc2g", "random"])
+def test_planners_that_cannot_be_made(name):
+    with pytest.raises(ValueError, match="true_cost_to_go") as caught:
+        make_planner(name, RULES)
+    assert repr(name) in str(caught.value)
+
+
+@pytest.mark.parametrize(("steps", "shortest", "wanted"), [(10, 10, 0), (25, 10, 150), (11, 8, 37.5)])
+def test_extra_steps(steps, shortest, wanted):
+    assert extra_steps(steps, shortest) == wanted
+
+
+def test_extra_steps_need_an_oracle_that_moved():
+    with pytest.raises(ValueError, match="0 steps"):
+        extra_steps(5, 0)
+
+
+def test_summary():
+    summary = summarize([0.0, 10.0, 20.0, 170.0], [True, True, True, False])
+    assert summary.mean_extra == 50
+    assert summary.median_extra == 15
+    assert (summary.quartile_25, summary.quartile_75) == (7.5, 57.5)
+    assert (summary.success, summary.episodes) == (0.75, 4)
+    assert all(type(value) is float for value in summary[:5])
+
+
+def test_a_summary_of_nothing_is_refused():
+    with pytest.raises(ValueError, match="no episode"):
+        summarize([], [])
