@@ -11,6 +11,7 @@ from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.estimation.estimators import Estimator, ExactCostToGo
 from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
+from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.planners import DC2G, MODE_NAMES, Frontier, Oracle, Planner
 from dc2g_jax.planning.rules import Rules, Settings
@@ -120,6 +121,7 @@ class Runner:
         step_limit: int = STEP_LIMIT,
         progress: Callable[[str, int, int], None] | None = None,
     ):
+        self._dataset = dataset
         self._index = {house.name: number for number, house in enumerate(dataset.houses)}
         # Every house of the dataset, whether used or not: the compiled program is then the same for all requests.
         self._worlds = world_from_terrain(np.stack([house.terrain for house in dataset.houses]))
@@ -155,7 +157,13 @@ class Runner:
 
         Returns:
           Results, planner by planner in the order given, each in the order of the starts.
+
+        Raises:
+          ValueError: for a start on a front door: there is nothing to look for.
         """
+        for start in starts:
+            if self._dataset.house(start.house).terrain[start.y, start.x] == FRONT_DOOR:
+                raise ValueError(f"{start}: stands on a front door already; start elsewhere")
         by_ranges: dict[tuple[int | None, int | None], list[int]] = collections.defaultdict(list)
         for number, start in enumerate(starts):
             by_ranges[start.sensing_range, start.expanding_range].append(number)

@@ -90,7 +90,7 @@ def collect_masks(
     Args:
       planner: leads the robots.
       worlds: stack of worlds of one size.
-      episodes: world index and first pose of each episode.
+      episodes: world index and first pose of each episode; at least one.
       sensing: the robots' field of view.
       per_episode: moments drawn from each episode; those with a goal in reach are left out.
       seed: of the moments.

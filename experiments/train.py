@@ -26,16 +26,13 @@ from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo, world_cost_to_go
-from dc2g_jax.estimation.training import TrainingConfig, TrainingState, init_state, train_step
+from dc2g_jax.estimation.training import TrainingConfig, init_state, train_step
 from dc2g_jax.evaluation import Runner, episodes_from, summarize
 from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.mask_collection import Masks, collect_masks, concatenate_masks, leading_planners
 from dc2g_jax.planning.rules import SETTINGS, complete_rules
 from experiments.common import command_line
-
-#: Robots whose masks are learned from see this far, in cells; ranges in between are close enough.
-RANGES = (4, 5, 6, 8, 10, 12)
 
 _LEADERS = 4
 _STEPS_PER_REPORT = 50
@@ -52,13 +49,14 @@ class Options:
       starts_per_house: episodes in each of the dataset's training houses, for every sensing range and leading planner.
       starts_per_extra_house: the same for the procedural houses.
       masks_per_episode: moments of each episode that become observation masks.
+      ranges: sensing ranges, in cells, of the robots whose masks are learned from.
       own_share: share of a batch drawn from the dataset's own houses rather than procedural ones, 0 to 1.
       edge_weight: weight in the loss of cells within 2 cells of unobserved ground; others have weight 1.
       steps: optimiser steps.
       batch_size: pairs a step.
       learning_rate: peak learning rate.
       seed: of everything random.
-      validate_every: steps between validations.
+      validate_every: steps between validations; the last step is one too. 0 for none.
       minutes_per_checkpoint: how often to save, in minutes.
     """
 
@@ -68,6 +66,7 @@ class Options:
     starts_per_house: int = 6
     starts_per_extra_house: int = 1
     masks_per_episode: int = 8
+    ranges: tuple[int, ...] = (4, 5, 6, 8, 10, 12)
     own_share: float = 0.4
     edge_weight: float = 4.0
     steps: int = TrainingConfig.steps
@@ -102,11 +101,11 @@ def observation_masks(options: Options, houses: list[House], n_own: int) -> Mask
     worlds = world_from_terrain(np.stack([house.terrain for house in houses]))
     height, width = houses[0].terrain.shape
     collected = []
-    with tqdm(total=len(RANGES) * _LEADERS, desc="masks", unit="rollout", file=sys.stderr) as bar:
-        for place, sensing_range in enumerate(RANGES):
+    with tqdm(total=len(options.ranges) * _LEADERS, desc="masks", unit="rollout", file=sys.stderr) as bar:
+        for place, sensing_range in enumerate(options.ranges):
             rules = complete_rules(sensing_range)
             for turn, planner in enumerate(leading_planners(rules, height, width, seed=options.seed)):
-                seed = (options.seed * len(RANGES) + place) * _LEADERS + turn
+                seed = (options.seed * len(options.ranges) + place) * _LEADERS + turn
                 starts = sample_starts(houses[:n_own], options.starts_per_house, seed=seed)
                 starts += sample_starts(houses[n_own:], options.starts_per_extra_house, seed=seed)
                 collected.append(
@@ -185,7 +184,7 @@ def model_card(options: Options, dataset: HouseDataset, step: int, figures: dict
     commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
     return {
         "data": f"{dataset.name}, training split, and {options.extra_houses} procedural houses (seed {options.seed})",
-        "masks": f"rollouts of exploring robots with sensing ranges {', '.join(map(str, RANGES))} cells",
+        "masks": f"rollouts of exploring robots with sensing ranges {', '.join(map(str, options.ranges))} cells",
         "target": "4-connected cost-to-go in cells",
         "command": shlex.join(["python", "-m", "experiments.train", *sys.argv[1:]]),
         "commit": commit.stdout.strip() or "unknown",
@@ -228,8 +227,10 @@ def train(options: Options, dataset: HouseDataset, config: TrainingConfig, check
                 bar.set_postfix(loss=f"{mean:.2f}")
                 if not np.isfinite(mean):
                     raise InputError(f"{options.out}: the loss is {mean} at step {step}; lower --learning-rate")
-                if step % options.validate_every == 0 or step == config.steps:
-                    report(options, dataset, validation, config, state, mean)
+                if step == config.steps or (options.validate_every and step % options.validate_every == 0):
+                    network = NetworkCostToGo(weights=state.average, architecture=config.architecture)
+                    figures = validation.figures(network) if options.validate_every else {}
+                    report(options, dataset, network, step, mean, figures)
                 if time.monotonic() - saved > 60 * options.minutes_per_checkpoint:
                     checkpoints.save(state)
                     saved = time.monotonic()
@@ -240,17 +241,9 @@ def train(options: Options, dataset: HouseDataset, config: TrainingConfig, check
 
 
 def report(
-    options: Options,
-    dataset: HouseDataset,
-    validation: Validation,
-    config: TrainingConfig,
-    state: TrainingState,
-    loss: float,
+    options: Options, dataset: HouseDataset, network: NetworkCostToGo, step: int, loss: float, figures: dict[str, float]
 ) -> None:
-    """Validate, save the network, and add a line to the log."""
-    network = NetworkCostToGo(weights=state.average, architecture=config.architecture)
-    figures = validation.figures(network)
-    step = int(state.step)
+    """Save the network as it is, and add a line to the log."""
     save_network(options.out / "network", network, model_card(options, dataset, step, figures))
     line = json.dumps({"step": step, "loss": round(loss, 4), **figures})
     with (options.out / "log.jsonl").open("a") as log:

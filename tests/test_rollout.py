@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from dc2g_jax import rollout as rollout_module
-from dc2g_jax.datasets.starts import Start
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.estimation.networks import Architecture, init_weights
 from dc2g_jax.evaluation import episodes_from
 from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.grid.sensing import field_of_view
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.planners import DC2G, EXPLORE, GAVE_UP, TO_GOAL, Frontier, Oracle
 from dc2g_jax.planning.rules import complete_rules
@@ -137,13 +135,3 @@ def test_one_program_serves_all_weights_of_an_architecture(terrains):
     assert_equal(leads(0), first)
     leads(1)
     assert (rollout_module._run._cache_size(), rollout_module._first_slots._cache_size()) == before
-
-
-def test_a_field_of_view_is_taken_as_given(street):
-    """The oracle's path does not depend on what is seen, the frontier's does."""
-    episodes = episodes_from([Start("street", 9, 4, 0)], {"street": 0})
-    near, far = (
-        rollout(planner, world_from_terrain(street[None]), episodes, sensing=field_of_view(radius), step_limit=60)
-        for planner, radius in ((Oracle(), 1), (Oracle(), 9))
-    )
-    assert_equal(near, far)

@@ -2,6 +2,7 @@
 
 import csv
 import functools
+import re
 import zlib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -109,19 +110,26 @@ def sample_starts(houses: Iterable[House], per_house: int, *, seed: int) -> list
 
 _REQUIRED = ("house", "x", "y", "heading")
 _OPTIONAL = ("range", "expanding_range")
+# Kernels of the authors' code need two cells; their size grows with the square of the range.
+_MIN_RANGE, _MAX_RANGE = 2, 64
 
 
 def _whole_number(path: Path, line: int, row: dict[str, str], column: str, low: int, high: int | None) -> int:
     """One cell of the table as a whole number within bounds."""
     text = (row[column] or "").strip()
     bounds = f"of at least {low}" if high is None else f"from {low} to {high}"
-    if not text.lstrip("-").isdigit() or int(text) < low or (high is not None and int(text) > high):
-        raise InputError(f"{path}, line {line}: {column} is {text!r}; give a whole number {bounds}")
-    return int(text)
+    # No number here has more than six digits, and `int` would take many more spellings than a table should.
+    number = int(text) if re.fullmatch(r"-?[0-9]{1,6}", text) else None
+    if number is None or number < low or (high is not None and number > high):
+        raise InputError(f"{path}, line {line}: {column} is {text[:20]!r}; give a whole number {bounds}")
+    return number
 
 
 def _read_start(path: Path, line: int, row: dict[str, str], dataset: HouseDataset) -> Start:
-    house = dataset.house((row["house"] or "").strip())
+    try:
+        house = dataset.house((row["house"] or "").strip())
+    except InputError as error:
+        raise InputError(f"{path}, line {line}: {error}") from None
     reason = why_no_episode(house)
     if reason is not None:
         raise InputError(f"{path}, line {line}: no episode can be run in {house.name}: {reason}; remove the line")
@@ -136,8 +144,8 @@ def _read_start(path: Path, line: int, row: dict[str, str], dataset: HouseDatase
             "start on a traversable cell that is connected to one"
         )
     ranges = [
-        _whole_number(path, line, row, column, low, 64) if (row.get(column) or "").strip() else None
-        for column, low in zip(_OPTIONAL, (1, 2), strict=True)
+        _whole_number(path, line, row, column, _MIN_RANGE, _MAX_RANGE) if (row.get(column) or "").strip() else None
+        for column in _OPTIONAL
     ]
     return Start(house.name, x, y, _whole_number(path, line, row, "heading", 0, HEADINGS - 1), *ranges)
 

@@ -29,13 +29,15 @@ _NETWORK = "compact_unet"
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """Keep Orbax's progress reports, which go to absl's logger, out of the way."""
-    logger = logging.getLogger("absl")
-    before = logger.level
-    logger.setLevel(logging.ERROR)
+    loggers = [logging.getLogger(name) for name in ("absl", "asyncio")]
+    before = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
     try:
         yield
     finally:
-        logger.setLevel(before)
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)
 
 
 def save_network(folder: str | Path, network: NetworkCostToGo, card: dict[str, Any] | None = None) -> Path:
@@ -113,9 +115,14 @@ def load_network(folder: str | Path) -> NetworkCostToGo:
     folder = Path(folder).absolute()
     architecture = _read_card(folder)
     wanted = networks.weight_shapes(architecture)
+    if not (folder / _WEIGHTS / "_CHECKPOINT_METADATA").is_file():
+        raise InputError(f"{folder / _WEIGHTS}: holds no weights; save or copy the network again")
     try:
         with _quiet(), ocp.StandardCheckpointer() as checkpointer:
-            found = checkpointer.metadata(folder / _WEIGHTS).item_metadata.tree
+            metadata = checkpointer.metadata(folder / _WEIGHTS).item_metadata
+            if metadata is None:
+                raise ValueError("its list of arrays is missing or damaged")
+            found = metadata.tree
             differing = sorted(set(_shapes(wanted).items()) ^ set(_shapes(found).items()))
             if differing:
                 name = differing[0][0]

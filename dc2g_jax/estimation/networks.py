@@ -88,8 +88,10 @@ class CompactUNet(nnx.Module):
 
     def __init__(self, architecture: Architecture, *, rngs: nnx.Rngs):
         widths = architecture.widths
-        if len(widths) != _HALVINGS:
-            raise ValueError(f"widths {widths}: the network has {_HALVINGS} scales; give one width for each")
+        if len(widths) != _HALVINGS or min(widths) < 1:
+            raise ValueError(
+                f"widths {widths}: the network has {_HALVINGS} scales; give a width of at least 1 for each"
+            )
         self.architecture = architecture
         self.embed = nnx.Linear(4 * len(CLASS_NAMES), widths[0], rngs=rngs)
         self.local = _Residual(widths[0], rngs=rngs)

@@ -50,14 +50,14 @@ def full(height: int, width: int) -> UInt32[np.ndarray, "h n_words"]:
 
 
 def single(x: Int[Array, ""], y: Int[Array, ""], height: int, n_words: int) -> Board:
-    """The board that holds the one cell in column `x`, row `y` (no batch axes; empty if out of bounds)."""
+    """The board that holds the one cell in column `x`, row `y`, which must be in bounds (no batch axes)."""
     bit = jnp.left_shift(jnp.uint32(1), (x % WORD_BITS).astype(jnp.uint32))
     here = (jnp.arange(height) == y)[:, None] & (jnp.arange(n_words) == x // WORD_BITS)
     return jnp.where(here, bit, jnp.uint32(0))
 
 
 def contains(board: Board, x: Int[Array, ""], y: Int[Array, ""]) -> Bool[Array, ""]:
-    """Is the cell in column `x`, row `y` in the set? `False` out of bounds (no batch axes)."""
+    """Is the in-bounds cell in column `x`, row `y` in the set (no batch axes)?"""
     return intersects(board, single(x, y, *board.shape))
 
 

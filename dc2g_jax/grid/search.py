@@ -34,9 +34,9 @@ class FirstAction:
       found: does a plan exist?
     """
 
-    action: Int[Array, ""]
-    length: Int[Array, ""]
-    found: Bool[Array, ""]
+    action: Int[Array, "*batch"]
+    length: Int[Array, "*batch"]
+    found: Bool[Array, "*batch"]
 
 
 def first_action(pose: Pose, targets: PoseSet, free: Board) -> FirstAction:
@@ -113,7 +113,7 @@ def _grown_goals(traversable: Bool[Array, "h w"], goals: Bool[Array, "h w"]) -> 
     ground = traversable & ~goals
 
     def lonely(cells: Bool[Array, "h w"]) -> Bool[Array, ""]:
-        return jnp.any(cells) & ~jnp.any(grow(cells) & ground) & ~jnp.all(cells)
+        return jnp.any(goals) & jnp.any(ground) & ~jnp.any(grow(cells) & ground)
 
     return jax.lax.while_loop(lonely, grow, goals)
 

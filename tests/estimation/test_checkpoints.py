@@ -31,9 +31,15 @@ def assert_equal(one: NetworkCostToGo, other: NetworkCostToGo) -> None:
         assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
 
 
+@pytest.fixture(scope="module")
+def saved_once(tmp_path_factory) -> Path:
+    return save_network(tmp_path_factory.mktemp("saved") / "network", network())
+
+
 @pytest.fixture
-def folder(tmp_path) -> Path:
-    return save_network(tmp_path / "network", network())
+def folder(saved_once, tmp_path) -> Path:
+    """A saved network to do as one likes with."""
+    return shutil.copytree(saved_once, tmp_path / "network")
 
 
 def refusal(folder: Path, *mentions: object) -> str:
@@ -146,7 +152,9 @@ def test_no_weights(folder):
 
 
 def weight_files(folder: Path) -> list[Path]:
-    return sorted(path for path in (folder / "weights").rglob("*") if path.is_file())
+    """Files of the weights, less what each process wrote before all was merged."""
+    files = sorted(path for path in (folder / "weights").rglob("*") if path.is_file())
+    return [path for path in files if "ocdbt.process_0" not in path.parts]
 
 
 def deleted(path: Path) -> None:

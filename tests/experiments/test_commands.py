@@ -121,7 +121,7 @@ def test_training_resumes_and_its_network_plans(few_houses, tmp_path):
     out = tmp_path / "run"
     options = [
         "train", "--dataset", few_houses, "--out", out, "--extra-houses", 2, "--starts-per-house", 1,
-        "--masks-per-episode", 2, "--steps", 4, "--batch-size", 4,
+        "--masks-per-episode", 2, "--steps", 4, "--batch-size", 4, "--ranges", 6, "--validate-every", 0,
     ]  # fmt: skip
     first = run(*options)
     assert first.returncode == 0, first.stderr

@@ -74,7 +74,7 @@ def test_oracle_episodes(shape):
 
 
 @both_rules
-@pytest.mark.parametrize("shape", [(11, 33), (33, 1), (9, 64)], ids="{0[0]}x{0[1]}".format)
+@pytest.mark.parametrize("shape", [(11, 33), (9, 64)], ids="{0[0]}x{0[1]}".format)
 def test_frontier_episodes(shape, rules):
     terrains, poses = random_worlds(shape, 200)
     check_against_oracle(run(Frontier(RULES[rules]), terrains, poses), terrains, poses, "frontier", rules)
