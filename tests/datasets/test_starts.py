@@ -140,7 +140,7 @@ def test_ranges_are_optional(tmp_path, dataset):
         ("street,-,4,0", ["x", "'-'"]),
         ("street,--3,4,0", ["x", "'--3'"]),
         ("street,²,4,0", ["x", "'²'"]),
-        ("street,3,4,0,0,", ["range", "'0'", "1 to 64"]),
+        ("street,3,4,0,0,", ["range", "'0'", "2 to 64"]),
         ("street,3,4,0,65,", ["range", "'65'"]),
         ("street,3,4,0,wide,", ["range", "'wide'"]),
         ("street,3,4,0,5,1", ["expanding_range", "'1'", "2 to 64"]),

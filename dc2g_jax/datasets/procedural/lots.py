@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dc2g_jax.datasets.drawing import (
+from dc2g_jax.datasets.procedural.drawing import (
     Frame,
     Points,
     Range,
@@ -22,7 +22,7 @@ from dc2g_jax.datasets.drawing import (
     travelled,
     uniform,
 )
-from dc2g_jax.datasets.streets import Kerb
+from dc2g_jax.datasets.procedural.streets import Kerb
 
 
 @dataclass(frozen=True)

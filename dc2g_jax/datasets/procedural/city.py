@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dc2g_jax.datasets.drawing import (
+from dc2g_jax.datasets.procedural.drawing import (
     Frame,
     Shape,
     Sketch,
@@ -20,8 +20,8 @@ from dc2g_jax.datasets.drawing import (
     uniform,
     view_around,
 )
-from dc2g_jax.datasets.lots import car
-from dc2g_jax.datasets.streets import Kerb, Sidewalks, Streets, lay_streets
+from dc2g_jax.datasets.procedural.lots import car
+from dc2g_jax.datasets.procedural.streets import Kerb, Sidewalks, Streets, lay_streets
 from dc2g_jax.grid.sampling import ClassImage
 
 #: Layer -> shape in a building's frame: the sidewalk's inner edge is y = 0, the street towards negative y.

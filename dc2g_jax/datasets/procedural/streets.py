@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from dc2g_jax.datasets.drawing import (
+from dc2g_jax.datasets.procedural.drawing import (
     Frame,
     Points,
     Range,

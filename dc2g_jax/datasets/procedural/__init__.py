@@ -7,8 +7,8 @@ that starts on the road can reach a front door in the 50x50 grid that the map is
 import cv2
 import numpy as np
 
-from dc2g_jax.datasets.city import draw_city
-from dc2g_jax.datasets.suburbs import SUBURBS, draw_suburb
+from dc2g_jax.datasets.procedural.city import draw_city
+from dc2g_jax.datasets.procedural.suburbs import SUBURBS, draw_suburb
 from dc2g_jax.grid.sampling import ClassImage, sample_grid
 from dc2g_jax.grid.terrain import FRONT_DOOR, ROAD, TRAVERSABLE
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dc2g_jax.datasets.drawing import Frame, Range, Shape, Sketch, choose, rectangle, uniform, view_around
-from dc2g_jax.datasets.lots import LotStyle, build_lot, car
-from dc2g_jax.datasets.streets import Kerb, Sidewalks, Streets, lay_streets
+from dc2g_jax.datasets.procedural.drawing import Frame, Range, Shape, Sketch, choose, rectangle, uniform, view_around
+from dc2g_jax.datasets.procedural.lots import LotStyle, build_lot, car
+from dc2g_jax.datasets.procedural.streets import Kerb, Sidewalks, Streets, lay_streets
 from dc2g_jax.grid.sampling import ClassImage
 
 
