@@ -54,6 +54,8 @@ def save_network(folder: str | Path, network: NetworkCostToGo, card: dict[str, A
     shutil.rmtree(partial, ignore_errors=True)
     with _quiet(), ocp.StandardCheckpointer() as checkpointer:
         checkpointer.save(partial, jax.tree.map(np.asarray, network.weights))
+    # A note by Orbax that names the folder on this machine; nothing reads it.
+    (partial / "commit_success.txt").unlink(missing_ok=True)
     shutil.rmtree(folder / _WEIGHTS, ignore_errors=True)
     partial.rename(folder / _WEIGHTS)
     facts = {

@@ -16,6 +16,7 @@ from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.poses import PoseSet, every_heading
 from dc2g_jax.grid.world import World
 from dc2g_jax.gridworld import Belief
+from dc2g_jax.planning import frontiers
 from dc2g_jax.planning.rules import Rules
 
 #: Plan modes.
@@ -110,6 +111,11 @@ class Frontier:
 class DC2G:
     """Deep Cost-to-Go (Algorithm 2): to the frontier-expanding pose with the lowest estimated cost-to-go.
 
+    Subgoals are the frontier-expanding poses of the rules that reveal something when reached, and where there are none
+    of them, all poses that do. So exploration always ends, whatever the rules. (The `complete` rules count no other
+    poses in the first place; under the `reference` rules alone a robot can go back and forth for ever between two poses
+    that show nothing.)
+
     Attributes:
       estimator: partial map in, cost-to-go grid out, lower is better.
       rules: what is seen and what counts as frontier.
@@ -129,12 +135,15 @@ class DC2G:
         """Head for the most promising frontier-expanding pose, or for the goal once it is reachable."""
         before, estimator_state = state
         reachable = _reachable(belief, before)
-        candidates = self.rules.frontier_expanding(belief, reachable)
+        revealing = frontiers.complete(belief, reachable, self.rules.sensing)
+        preferred = self.rules.frontier_expanding(belief, reachable) & revealing
+        candidates = jnp.where(bitboard.is_empty(preferred), revealing, preferred)
         score = self.estimator.estimate(belief.terrain, estimator_state)[None]
         if self.distance_weight:
             lengths = search.distances(belief.pose, reachable, belief.width)
             score = score + self.distance_weight * lengths
-        plan = _explore_or_finish(belief, reachable, candidates, _lowest(score, candidates, belief.width), self.rules)
+        subgoals = _lowest(score, candidates, belief.width)
+        plan = _explore_or_finish(belief, reachable, candidates, subgoals, self.rules)
         return plan, (reachable, estimator_state)
 
 

@@ -58,10 +58,7 @@ def expanding_offsets(radius: int, heading: int) -> list[Offset]:
     """Offsets (dx, dy) from the robot to a frontier cell it expands, rules `reference`, in raster order."""
     span = range(-radius, radius + 1)
     wedge = {
-        (dx, dy)
-        for dy in span
-        for dx in span
-        if dx * dx + dy * dy < radius * radius and _in_wedge(dx, dy, heading)
+        (dx, dy) for dy in span for dx in span if dx * dx + dy * dy < radius * radius and _in_wedge(dx, dy, heading)
     }
     square = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
     kept = {(dx, dy) for dx, dy in wedge if all((dx + i, dy + j) in wedge for i, j in square)}
@@ -302,13 +299,12 @@ def run_episode(
     """Run one episode on terrain classes [h w]; return success, actions as letters, mode of the last plan.
 
     `goals` (bool [h w]) are all front doors unless given. `dc2g` takes a cost-to-go grid or a function of
-    (seen, observed terrain), unseen terrain being 0. A start on a goal cell is a success without an action.
+    (seen, observed terrain), unseen terrain being 0,, and goes where
+    something is revealed. A start on a goal cell is a success without an action.
     """
     traversable = np.isin(terrain, TRAVERSABLE_CLASSES)
     goals = terrain == FRONT_DOOR if goals is None else goals
-    oracle_actions = (
-        shortest_actions(traversable, pose, np.stack([goals] * 4)) if planner == "oracle" else None
-    )
+    oracle_actions = shortest_actions(traversable, pose, np.stack([goals] * 4)) if planner == "oracle" else None
     seen = visible(pose, sensing_radius, terrain.shape)
     letters: list[str] = []
     mode: Mode = "explore"
@@ -326,6 +322,8 @@ def run_episode(
             radii = {"sensing_radius": sensing_radius, "expanding_radius": expanding_radius}
             poses = explore_poses(seen, reached, pose, rules=rules, **radii)
             if planner == "dc2g":
+                revealing = explore_poses(seen, reached, pose, rules="complete", **radii)
+                poses = poses & revealing if (poses & revealing).any() else revealing
                 observed = np.where(seen, terrain, 0)
                 costs = cost_to_go(seen, observed) if callable(cost_to_go) else cost_to_go
                 poses = lowest_cost_poses(poses, costs)
