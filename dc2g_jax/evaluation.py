@@ -23,6 +23,10 @@ PLANNERS = ("oracle", "frontier", "dc2g", "true_cost_to_go")
 #: Cost per action of distance to a subgoal in the `dc2g` planner, chosen on validation houses (see BENCHMARKS.md).
 DISTANCE_WEIGHT = 0.5
 
+#: Actions after which the `dc2g` planner explores what is nearest: the fewest of those tried that cost nothing on
+#: validation houses (see BENCHMARKS.md).
+PATIENCE = 100
+
 
 def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) -> Planner:
     """A planner by name.
@@ -42,7 +46,7 @@ def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) ->
     if name == "true_cost_to_go":
         return DC2G(estimator=ExactCostToGo(), rules=rules)
     if name == "dc2g" and estimator is not None:
-        return DC2G(estimator=estimator, rules=rules, distance_weight=DISTANCE_WEIGHT)
+        return DC2G(estimator=estimator, rules=rules, distance_weight=DISTANCE_WEIGHT, patience=PATIENCE)
     raise ValueError(f"no planner {name!r} can be made; known: {', '.join(PLANNERS)} (dc2g needs an estimator)")
 
 

@@ -121,11 +121,14 @@ class DC2G:
       rules: what is seen and what counts as frontier.
       distance_weight: cost added per action of distance to a subgoal. 0 is the paper's rule; with a positive weight
         a subgoal far off must promise more than one close by. In units of the estimate per action.
+      patience: actions after which the estimate is no longer trusted and the robot explores what is nearest: an
+        estimator that has not led to a goal by then misleads it here. `None` to trust it for ever, as the paper does.
     """
 
     estimator: Estimator
     rules: Rules = struct.field(pytree_node=False)
     distance_weight: float = struct.field(pytree_node=False, default=0.0)
+    patience: int | None = struct.field(pytree_node=False, default=None)
 
     def init(self, world: World) -> tuple[Board, Any]:
         """Nothing is reachable before the first observation; the estimator sets itself up."""
@@ -142,6 +145,9 @@ class DC2G:
         if self.distance_weight:
             lengths = search.distances(belief.pose, reachable, belief.width)
             score = score + self.distance_weight * lengths
+        if self.patience is not None:
+            # Of poses with equal scores the plan goes to the nearest.
+            score = jnp.where(belief.steps < self.patience, score, 0.0)
         subgoals = _lowest(score, candidates, belief.width)
         plan = _explore_or_finish(belief, reachable, candidates, subgoals, self.rules)
         return plan, (reachable, estimator_state)

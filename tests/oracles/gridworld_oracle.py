@@ -299,8 +299,8 @@ def run_episode(
     """Run one episode on terrain classes [h w]; return success, actions as letters, mode of the last plan.
 
     `goals` (bool [h w]) are all front doors unless given. `dc2g` takes a cost-to-go grid or a function of
-    (seen, observed terrain), unseen terrain being 0,, and goes where
-    something is revealed. A start on a goal cell is a success without an action.
+    (seen, observed terrain), unseen terrain being 0, and goes where something is revealed.
+    A start on a goal cell is a success without an action.
     """
     traversable = np.isin(terrain, TRAVERSABLE_CLASSES)
     goals = terrain == FRONT_DOOR if goals is None else goals
