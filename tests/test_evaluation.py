@@ -10,6 +10,7 @@ from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo
 from dc2g_jax.estimation.networks import Architecture, init_weights
 from dc2g_jax.evaluation import (
     DISTANCE_WEIGHT,
+    PATIENCE,
     Runner,
     episodes_from,
     extra_steps,
@@ -91,7 +92,7 @@ def test_make_planner():
     assert make_planner("oracle", RULES) == Oracle()
     assert make_planner("frontier", RULES) == Frontier(RULES)
     assert make_planner("true_cost_to_go", RULES) == DC2G(ExactCostToGo(), RULES)
-    assert make_planner("dc2g", RULES, estimator) == DC2G(estimator, RULES, DISTANCE_WEIGHT)
+    assert make_planner("dc2g", RULES, estimator) == DC2G(estimator, RULES, DISTANCE_WEIGHT, PATIENCE)
 
 
 @pytest.mark.parametrize("name", ["", "Oracle", "dc2g", "random"])

@@ -284,6 +284,15 @@ def moved(pose: Pose, action: int, shape: tuple[int, int]) -> Pose:
     return (x + dx, y + dy, heading) if inside else pose
 
 
+def revealing_poses(
+    poses: Array, seen: Array, reached: Array, pose: Pose, *, sensing_radius: int, expanding_radius: int
+) -> Array:
+    """Poses dc2g chooses among: those of `poses` that reveal something, or all that do where none of them does."""
+    radii = {"sensing_radius": sensing_radius, "expanding_radius": expanding_radius}
+    revealing = explore_poses(seen, reached, pose, rules="complete", **radii)
+    return poses & revealing if (poses & revealing).any() else revealing
+
+
 def run_episode(
     terrain: Array,
     pose: Pose,
@@ -322,8 +331,7 @@ def run_episode(
             radii = {"sensing_radius": sensing_radius, "expanding_radius": expanding_radius}
             poses = explore_poses(seen, reached, pose, rules=rules, **radii)
             if planner == "dc2g":
-                revealing = explore_poses(seen, reached, pose, rules="complete", **radii)
-                poses = poses & revealing if (poses & revealing).any() else revealing
+                poses = revealing_poses(poses, seen, reached, pose, **radii)
                 observed = np.where(seen, terrain, 0)
                 costs = cost_to_go(seen, observed) if callable(cost_to_go) else cost_to_go
                 poses = lowest_cost_poses(poses, costs)

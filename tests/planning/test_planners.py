@@ -137,6 +137,9 @@ def test_dc2g_weighs_the_distance_to_a_subgoal(rules):
         candidates = oracle.explore_poses(
             seen, reached, pose, rules=rules, sensing_radius=SENSING, expanding_radius=EXPANDING
         )
+        candidates = oracle.revealing_poses(
+            candidates, seen, reached, pose, sensing_radius=SENSING, expanding_radius=EXPANDING
+        )
         plan, subgoals = decide(terrain, seen, pose)
         if not candidates.any():
             assert int(plan.mode) == GAVE_UP
@@ -228,3 +231,23 @@ def test_equal_rules_are_one_value():
     assert reference_rules(5, 4) is reference_rules(5, 4)
     assert hash(Frontier(reference_rules(5, 4))) == hash(Frontier(reference_rules(5, 4)))
     assert EIGHT_CONNECTED[:4] == FOUR_CONNECTED
+
+
+@both_rules
+def test_dc2g_out_of_patience_goes_to_the_nearest_pose_that_reveals_something(rules):
+    decide = deciding(DC2G(Scattered(), RULES[rules], distance_weight=0.5, patience=0), 33)
+    decided = 0
+    for seed in range(40):
+        terrain, seen, pose = random_moment(seed, (7, 33), 0.8)
+        terrain = np.where(terrain == oracle.FRONT_DOOR, 3, terrain).astype(np.uint8)
+        free = seen & np.isin(terrain, oracle.TRAVERSABLE_CLASSES)
+        reached = oracle.reachable(free, *pose[:2])
+        radii = {"sensing_radius": SENSING, "expanding_radius": EXPANDING}
+        candidates = oracle.explore_poses(seen, reached, pose, rules=rules, **radii)
+        candidates = oracle.revealing_poses(candidates, seen, reached, pose, **radii)
+        plan, subgoals = decide(terrain, seen, pose)
+        if candidates.any():
+            decided += 1
+            np.testing.assert_array_equal(subgoals, candidates)
+            assert int(plan.length) == oracle.distances_from(free, pose)[candidates].min()
+    assert decided > 10
