@@ -4,6 +4,7 @@ Pure functions on one robot; use `jax.vmap` for many.
 """
 
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Int, UInt8, UInt32
 
@@ -88,7 +89,7 @@ def at_goal(world: World, pose: Pose) -> Bool[Array, ""]:
     return bitboard.contains(world.goals, pose.x, pose.y)
 
 
-def belief_from_map(observed: UInt8[Array, "h w"], pose: Pose) -> Belief:
+def belief_from_map(observed: UInt8[Array, "h w"] | UInt8[np.ndarray, "h w"], pose: Pose) -> Belief:
     """The belief of a robot that brings its own partial map.
 
     Args:
