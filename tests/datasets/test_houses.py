@@ -39,9 +39,7 @@ def chunk(kind: bytes, content: bytes) -> bytes:
     return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
 
-def png(
-    samples: np.ndarray, color_type: int, depth: int = 8, *extra: tuple[bytes, bytes], idat=None
-) -> bytes:
+def png(samples: np.ndarray, color_type: int, depth: int = 8, *extra: tuple[bytes, bytes], idat=None) -> bytes:
     """Encode rows that are already packed into bytes, uint8 [H bytes]."""
     channels = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}[color_type]
     rows = np.ascontiguousarray(samples).reshape(samples.shape[0], -1).view(np.uint8)
@@ -152,9 +150,7 @@ def test_a_written_class_image_reads_back_equal(tmp_path_factory, seed, height, 
     (place / "palette.csv").write_text(PALETTE_TEXT)
     classes = drawing(seed, height, width)
     write_class_image(place / "image.png", classes)
-    np.testing.assert_array_equal(
-        read_class_image(place / "image.png", read_palette(place / "palette.csv")), classes
-    )
+    np.testing.assert_array_equal(read_class_image(place / "image.png", read_palette(place / "palette.csv")), classes)
 
 
 def test_classes_are_mapped_by_name_whatever_the_order_of_rows(folder):
@@ -168,9 +164,7 @@ def test_classes_are_mapped_by_name_whatever_the_order_of_rows(folder):
 
 @pytest.mark.parametrize("alias", ["_boundary_", "_background_"])
 def test_aliases_mean_unknown_and_the_first_class_with_a_colour_has_it(tmp_path, alias):
-    (tmp_path / "palette.csv").write_text(
-        f"class,r,g,b\n{alias},9,9,9\nroad,5,5,5\ngrass,5,5,5\ntree,9,9,9\n"
-    )
+    (tmp_path / "palette.csv").write_text(f"class,r,g,b\n{alias},9,9,9\nroad,5,5,5\ngrass,5,5,5\ntree,9,9,9\n")
     (tmp_path / "image.png").write_bytes(png(np.array([[[9, 9, 9], [5, 5, 5]]], np.uint8), 2))
     classes = read_class_image(tmp_path / "image.png", read_palette(tmp_path / "palette.csv"))
     assert classes.tolist() == [[0, ROAD]]
@@ -330,9 +324,7 @@ def test_an_index_outside_the_files_own_palette(tmp_path, palette):
 def test_an_enormous_picture_is_refused_before_it_is_decoded(tmp_path, palette):
     path = tmp_path / "a.png"
     header = struct.pack(">2I5B", 10**6, 10**6, 8, 2, 0, 0, 0)
-    path.write_bytes(
-        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", b"") + chunk(b"IEND", b"")
-    )
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", b"") + chunk(b"IEND", b""))
     refusal(lambda: read_class_image(path, palette), path, "1000000 x 1000000", "scale it down")
 
 
@@ -341,9 +333,7 @@ def test_a_colour_outside_the_palette(folder):
     picture = cv2.imread(str(path))
     picture[7, 5] = (3, 120, 2)
     cv2.imwrite(str(path), picture)
-    message = refusal(
-        lambda: load_dataset(folder), path, "x=5, y=7", "(2, 120, 3)", "grass (0, 128, 0)", "repaint"
-    )
+    message = refusal(lambda: load_dataset(folder), path, "x=5, y=7", "(2, 120, 3)", "grass (0, 128, 0)", "repaint")
     assert "more" not in message
     picture[9] = (3, 120, 2)
     cv2.imwrite(str(path), picture)
@@ -414,16 +404,12 @@ def test_bad_house_lists(folder, text, mentions):
 def test_a_listed_house_without_an_image(folder):
     path = first_image(folder)
     path.unlink()
-    refusal(
-        lambda: load_dataset(folder), path, "training_houses.csv", "line 2", "'n000m000h000'", "add the image"
-    )
+    refusal(lambda: load_dataset(folder), path, "training_houses.csv", "line 2", "'n000m000h000'", "add the image")
 
 
 def test_images_without_their_list(folder):
     (folder / "training_houses.csv").unlink()
-    refusal(
-        lambda: load_dataset(folder), folder / "training_houses.csv", "no such file", "full_semantic/train"
-    )
+    refusal(lambda: load_dataset(folder), folder / "training_houses.csv", "no such file", "full_semantic/train")
 
 
 def test_paths_that_are_no_dataset(folder, tmp_path):
@@ -461,9 +447,7 @@ def test_wrong_grid_size(folder):
     )
     refusal(lambda: load_dataset(folder, cells=0), folder, "0 cells", "at least 1")
     write_class_image(first_image(folder), drawing(0, 200, 49))
-    refusal(
-        lambda: load_dataset(folder), first_image(folder), "wrong grid size", "49 x 200", "50 x 50", "larger"
-    )
+    refusal(lambda: load_dataset(folder), first_image(folder), "wrong grid size", "49 x 200", "50 x 50", "larger")
 
 
 def test_what_cannot_be_saved(folder, tmp_path):
@@ -474,13 +458,9 @@ def test_what_cannot_be_saved(folder, tmp_path):
     refusal(lambda: save_dataset([("a/b", "test", image)], tmp_path / "d"), "'a/b'", "letters")
     twice = [("a", "test", image), ("a", "train", image)]
     refusal(lambda: save_dataset(twice, tmp_path / "e"), "'a'", "twice", "unique")
-    refusal(
-        lambda: save_dataset([("a", "test", image + 16)], tmp_path / "f"), "worlda.png", "0 to 15", "class"
-    )
+    refusal(lambda: save_dataset([("a", "test", image + 16)], tmp_path / "f"), "worlda.png", "0 to 15", "class")
     refusal(lambda: save_dataset([("a", "test", image[0])], tmp_path / "g"), "worlda.png", "[70]", "[H W]")
-    refusal(
-        lambda: save_dataset([("a", "test", image)], folder / "labels_colors.csv" / "x"), "cannot be written"
-    )
+    refusal(lambda: save_dataset([("a", "test", image)], folder / "labels_colors.csv" / "x"), "cannot be written")
 
 
 # --- which dataset is opened ----------------------------------------------------------------------------
@@ -517,9 +497,7 @@ def test_location_comes_before_the_environment(folder, tmp_path, monkeypatch, li
     assert lines == []
 
 
-def test_a_location_that_was_asked_for_is_never_replaced(
-    folder, tmp_path, monkeypatch, lines, few_procedural
-):
+def test_a_location_that_was_asked_for_is_never_replaced(folder, tmp_path, monkeypatch, lines, few_procedural):
     refusal(
         lambda: open_dataset(tmp_path / "gone", log=lines.append),
         tmp_path / "gone",
