@@ -299,7 +299,9 @@ def test_many_at_once_all_get_the_whole_dataset(fetch, server, source, tmp_path)
 def test_interrupt_ends_the_download_at_once_and_leaves_no_half_dataset(server, manifest, source, tmp_path):
     server.script = {f"full/train/a {index}.png": ["stall"] for index in range(1, 12, 2)}
     code = (
-        "import pathlib, sys; from dc2g_jax.datasets.download import fetch_dataset;"
+        # Where the tests run in the background, processes start with interrupts ignored.
+        "import pathlib, signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
+        "from dc2g_jax.datasets.download import fetch_dataset;"
         f"fetch_dataset({str(tmp_path / 'cache')!r}, base_url={server.url!r}, "
         f"manifest=pathlib.Path({str(manifest)!r}))"
     )
