@@ -7,12 +7,11 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax.datasets.houses import HouseDataset
+from dc2g_jax.datasets.houses import HouseDataset, stack_worlds
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.estimation.estimators import Estimator, ExactCostToGo
 from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax.grid.terrain import FRONT_DOOR
-from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.planners import DC2G, MODE_NAMES, Frontier, Oracle, Planner
 from dc2g_jax.planning.rules import Rules, Settings
 from dc2g_jax.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
@@ -128,7 +127,7 @@ class Runner:
         self._dataset = dataset
         self._index = {house.name: number for number, house in enumerate(dataset.houses)}
         # Every house of the dataset, whether used or not: the compiled program is then the same for all requests.
-        self._worlds = world_from_terrain(np.stack([house.terrain for house in dataset.houses]))
+        self._worlds = stack_worlds(dataset.houses)
         self._settings = settings
         self._step_limit = step_limit
         self._progress = progress

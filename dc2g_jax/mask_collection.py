@@ -23,6 +23,9 @@ _EPISODES_PER_CALL = 128
 #: Errors of the leading planners: standard deviation of the logarithm of the cost-to-go's error.
 _NOISE = (0.2, 0.5, 1.0)
 
+#: How many planners `leading_planners` gives.
+LEADERS = 1 + len(_NOISE)
+
 
 def _smooth_noise(rng: np.random.Generator, height: int, width: int) -> Float[np.ndarray, "h w"]:
     """A smooth random field of zero mean and unit standard deviation, float32."""
@@ -58,7 +61,7 @@ class Masks(NamedTuple):
       world: index of each mask's world.
     """
 
-    boards: UInt32[np.ndarray, "masks h n_words"]
+    boards: UInt32[np.ndarray, "masks n_words h"]
     world: Int[np.ndarray, "masks"]
 
 
@@ -71,8 +74,9 @@ def _moments(
     *,
     sensing: Kernel,
 ) -> Moments:
-    own_worlds = jax.tree.map(lambda leaf: leaf[episodes.world], worlds)
-    return jax.vmap(functools.partial(moments_along, sensing=sensing))(own_worlds, episodes.start, actions, times)
+    own_worlds = jax.tree.map(lambda leaf: leaf[..., episodes.world], worlds)
+    along = jax.vmap(functools.partial(moments_along, sensing=sensing), in_axes=(-1, 0, 0, 0))
+    return along(own_worlds, episodes.start, actions, times)
 
 
 def collect_masks(

@@ -12,6 +12,7 @@ import jax
 import tyro
 from tqdm import tqdm
 
+from dc2g_jax.datasets.download import cache_folder
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo
@@ -28,6 +29,7 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
     """Run a command: parse its options, and turn bad input and Ctrl-C into one line and an exit status."""
     parsed = tyro.cli(options)
     try:
+        keep_compiled_programs()
         main(parsed)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -35,6 +37,14 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         sys.exit(130)
+
+
+def keep_compiled_programs() -> None:
+    """Keep compiled programs in the user's cache folder for later runs, unless JAX has been told where."""
+    folder_option = "jax_compilation_cache_dir"
+    if getattr(jax.config, folder_option) is None:
+        jax.config.update(folder_option, str(cache_folder() / "compiled"))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
 class EpisodeProgress:

@@ -19,7 +19,7 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
+from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset, stack_worlds
 from dc2g_jax.datasets.pairs import TrainingSet, draw_pairs
 from dc2g_jax.datasets.procedural import extra_training_houses
 from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
@@ -29,12 +29,10 @@ from dc2g_jax.estimation.estimators import NetworkCostToGo, world_cost_to_go
 from dc2g_jax.estimation.training import TrainingConfig, init_state, train_step
 from dc2g_jax.evaluation import Runner, episodes_from, summarize
 from dc2g_jax.grid.sampling import sample_grid
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.mask_collection import Masks, collect_masks, concatenate_masks, leading_planners
+from dc2g_jax.mask_collection import LEADERS, Masks, collect_masks, concatenate_masks, leading_planners
 from dc2g_jax.planning.rules import SETTINGS, complete_rules
 from experiments.common import command_line
 
-_LEADERS = 4
 _STEPS_PER_REPORT = 50
 
 
@@ -98,14 +96,14 @@ def usable(dataset: HouseDataset, split: str) -> list[House]:
 def observation_masks(options: Options, houses: list[House], n_own: int) -> Masks:
     """Masks of robots of all ranges under way in all houses, ordered by house."""
     index = {house.name: number for number, house in enumerate(houses)}
-    worlds = world_from_terrain(np.stack([house.terrain for house in houses]))
+    worlds = stack_worlds(houses)
     height, width = houses[0].terrain.shape
     collected = []
-    with tqdm(total=len(options.ranges) * _LEADERS, desc="masks", unit="rollout", file=sys.stderr) as bar:
+    with tqdm(total=len(options.ranges) * LEADERS, desc="masks", unit="rollout", file=sys.stderr) as bar:
         for place, sensing_range in enumerate(options.ranges):
             rules = complete_rules(sensing_range)
             for turn, planner in enumerate(leading_planners(rules, height, width, seed=options.seed)):
-                seed = (options.seed * len(options.ranges) + place) * _LEADERS + turn
+                seed = (options.seed * len(options.ranges) + place) * LEADERS + turn
                 starts = sample_starts(houses[:n_own], options.starts_per_house, seed=seed)
                 starts += sample_starts(houses[n_own:], options.starts_per_extra_house, seed=seed)
                 collected.append(
@@ -126,10 +124,10 @@ def observation_masks(options: Options, houses: list[House], n_own: int) -> Mask
 
 def training_set(houses: list[House], n_own: int, masks: Masks) -> TrainingSet:
     """Labels of all houses (Algorithm 1, line 5) beside their masks."""
-    worlds = world_from_terrain(np.stack([house.terrain for house in houses]))
+    worlds = stack_worlds(houses)
     return TrainingSet(
-        terrain=worlds.terrain,
-        cost_to_go=jax.jit(jax.vmap(world_cost_to_go))(worlds),
+        terrain=jnp.moveaxis(worlds.terrain, -1, 0),
+        cost_to_go=jnp.moveaxis(jax.jit(world_cost_to_go)(worlds), -1, 0),
         masks=jnp.asarray(masks.boards),
         mask_world=jnp.asarray(masks.world, jnp.int32),
         n_own=jnp.int32(np.sum(masks.world < n_own)),

@@ -11,7 +11,7 @@ from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import Start, published_episodes
 from dc2g_jax.estimation.estimators import ExactCostToGo
 from dc2g_jax.evaluation import Runner, extra_steps
-from dc2g_jax.grid import bitboard
+from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax.grid.search import EIGHT_CONNECTED
 from dc2g_jax.grid.world import world_from_terrain
@@ -61,14 +61,15 @@ def test_every_recorded_moment_inside_an_episode(shared, golden_grids, sensing_r
         belief = Belief(
             pose=make_pose(x, y, heading),
             steps=jnp.int32(0),
-            terrain=jnp.where(seen, world.terrain, jnp.uint8(0)),
+            classes=world.classes & board,
             seen=board,
             traversable=world.traversable & board,
             goals=world.goals & board,
+            width=world.width,
         )
         plan, reachable = planner.plan(belief, planner.init(world))
         expanding = rules.frontier_expanding(belief, reachable)
-        return plan.action, bitboard.unpack(reachable, 50), bitboard.unpack(expanding, 50)
+        return plan.action, bitboard.unpack(reachable, 50), poses.unpack(expanding, 50)
 
     with np.load(shared / "golden" / "states.npz") as file:
         chosen = file["range"] == sensing_range

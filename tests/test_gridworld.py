@@ -111,11 +111,12 @@ def test_steps_can_be_scanned_and_mapped(street):
 
 
 def test_worlds_of_a_batch_are_those_of_its_members(street, island):
-    both = world_from_terrain(np.stack([street, island]))
+    both = world_from_terrain(np.stack([street, island], axis=-1))
     for number, terrain in enumerate((street, island)):
         alone = world_from_terrain(terrain)
         assert alone.terrain.dtype == np.uint8
-        jax.tree.map(lambda many, one, n=number: np.testing.assert_array_equal(many[n], one), both, alone)
+        jax.tree.map(lambda many, one, n=number: np.testing.assert_array_equal(many[..., n], one), both, alone)
+        np.testing.assert_array_equal(alone.terrain, terrain)
         np.testing.assert_array_equal(
             bitboard.unpack(alone.traversable, terrain.shape[1]), np.isin(terrain, oracle.TRAVERSABLE_CLASSES)
         )

@@ -39,7 +39,7 @@ def some_episodes(terrains: np.ndarray, seed: int, count: int = N_EPISODES) -> E
 def run(terrains, episodes, planner=None, **options) -> Trajectories:
     planner = Frontier(RULES) if planner is None else planner
     options = {"sensing": RULES.sensing, "step_limit": 60, "slots": N_EPISODES, **options}
-    return rollout(planner, world_from_terrain(terrains), episodes, **options)
+    return rollout(planner, world_from_terrain(np.moveaxis(terrains, 0, -1)), episodes, **options)
 
 
 def assert_equal(one: Trajectories, other: Trajectories) -> None:
@@ -102,36 +102,76 @@ def test_the_step_limit_ends_an_episode(terrains):
     assert limited.success.any()
 
 
-def test_progress_grows_and_ends_at_the_number_of_episodes(terrains):
+def test_progress_grows_and_ends_at_the_number_of_episodes(terrains, monkeypatch):
+    monkeypatch.setattr(rollout_module, "_SECONDS_PER_CALL", 0)
     reports: list[int] = []
     run(terrains, some_episodes(terrains, 2), slots=1, on_progress=reports.append)
     assert len(reports) > 3
     assert reports == sorted(reports)
     assert reports[-1] == N_EPISODES
-    assert 0 < reports[0] < N_EPISODES
+    assert 0 <= reports[0] < N_EPISODES
+
+
+def test_what_fails_in_one_queue_ends_the_rollout(terrains):
+    def fail(finished: int) -> None:
+        raise RuntimeError(f"{finished} episodes are enough")
+
+    with pytest.raises(RuntimeError, match="are enough"):
+        run(terrains, some_episodes(terrains, 2), on_progress=fail)
+
+
+def test_actions_are_kept_only_if_asked_for(terrains):
+    episodes = some_episodes(terrains, 0)
+    kept, dropped = run(terrains, episodes), run(terrains, episodes, keep_actions=False)
+    assert dropped.actions.shape == (N_EPISODES, 0)
+    for name in ("steps", "success", "mode"):
+        np.testing.assert_array_equal(getattr(dropped, name), getattr(kept, name))
+
+
+def compiled_programs() -> list[int]:
+    return [program._cache_size() for program in rollout_module._programs(jax.default_backend())]
 
 
 def test_one_program_serves_all_episodes_of_the_same_shapes(terrains):
     run(terrains, some_episodes(terrains, 3))
     run(terrains, some_episodes(terrains, 3), Oracle())
-    before = rollout_module._run._cache_size(), rollout_module._first_slots._cache_size()
+    before = compiled_programs()
     run(terrains, some_episodes(terrains, 4))
     run(terrains[::-1], some_episodes(terrains[::-1], 5))
     run(terrains, some_episodes(terrains, 6), Frontier(complete_rules(3)), on_progress=lambda _: None)
     run(terrains, some_episodes(terrains, 6), Oracle())
-    assert (rollout_module._run._cache_size(), rollout_module._first_slots._cache_size()) == before
+    # Nor does the number of episodes matter, up to the next power of two.
+    for count in (N_EPISODES - 1, N_EPISODES + 2):
+        run(terrains, some_episodes(terrains, 8, count))
+    assert compiled_programs() == before
+
+
+def network_planner(seed: int) -> DC2G:
+    architecture = Architecture(widths=(4,) * len(Architecture().widths))
+    network = NetworkCostToGo(weights=init_weights(architecture, jax.random.key(seed)), architecture=architecture)
+    return DC2G(network, RULES, distance_weight=0.5)
 
 
 def test_one_program_serves_all_weights_of_an_architecture(terrains):
-    architecture = Architecture(widths=(4,) * len(Architecture().widths))
     episodes = some_episodes(terrains, 7, count=5)
 
     def leads(seed: int) -> Trajectories:
-        network = NetworkCostToGo(weights=init_weights(architecture, jax.random.key(seed)), architecture=architecture)
-        return run(terrains, episodes, DC2G(network, RULES, distance_weight=0.5), slots=5)
+        return run(terrains, episodes, network_planner(seed), slots=5)
 
     first = leads(0)
-    before = rollout_module._run._cache_size(), rollout_module._first_slots._cache_size()
+    before = compiled_programs()
     assert_equal(leads(0), first)
     leads(1)
-    assert (rollout_module._run._cache_size(), rollout_module._first_slots._cache_size()) == before
+    assert compiled_programs() == before
+
+
+def test_a_network_leads_each_robot_as_if_it_were_alone(terrains):
+    """Neither the slots nor the devices nor the company in the network's batches change a single action."""
+    episodes, planner = some_episodes(terrains, 9), network_planner(0)
+    together = run(terrains, episodes, planner, slots=32, devices=jax.local_devices()[:1])
+    cpu = jax.local_devices()[0]
+    for options in ({"slots": 5}, {"slots": 17, "devices": [cpu, cpu, cpu]}, {"slots": 1}):
+        assert_equal(run(terrains, episodes, planner, **options), together)
+    for number in range(0, N_EPISODES, 7):
+        alone = run(terrains, jax.tree.map(lambda leaf, n=number: leaf[n : n + 1], episodes), planner)
+        assert_equal(alone, jax.tree.map(lambda leaf, n=number: leaf[n : n + 1], together))

@@ -17,6 +17,7 @@ from dc2g_jax.datasets.tables import read_table
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES
+from dc2g_jax.grid.world import World, world_from_terrain
 
 SPLIT_FILES = {"train": "training_houses.csv", "val": "validation_houses.csv", "test": "testing_houses.csv"}
 PALETTE_FILE = "labels_colors.csv"
@@ -77,6 +78,11 @@ class HouseDataset:
         close = difflib.get_close_matches(name, [house.name for house in self.houses], n=3, cutoff=0.5)
         remedy = f"did you mean {' or '.join(close)}?" if close else "see the dataset's house lists for names"
         raise InputError(f"{self.name}: no house is called {name!r}; {remedy}")
+
+
+def stack_worlds(houses: Iterable[House]) -> World:
+    """The worlds of houses of one grid size, stacked in their order along the last axis."""
+    return world_from_terrain(np.stack([house.terrain for house in houses], axis=-1))
 
 
 def group_of(house: House) -> str | None:

@@ -6,10 +6,9 @@ from flax import struct
 from jaxtyping import Array, Bool, Int, Int8, UInt32
 
 from dc2g_jax.grid import bitboard
-from dc2g_jax.grid.poses import Pose
+from dc2g_jax.grid.poses import Pose, moved
 from dc2g_jax.grid.sensing import Kernel, visible
 from dc2g_jax.grid.world import World
-from dc2g_jax.gridworld import moved
 
 
 @struct.dataclass
@@ -21,7 +20,7 @@ class Moments:
       exploring: is a goal still out of reach, so that a planner would ask for a cost-to-go?
     """
 
-    seen: UInt32[Array, "*batch h n_words"]
+    seen: UInt32[Array, "*batch n_words h"]
     exploring: Bool[Array, "*batch"]
 
 
@@ -39,7 +38,7 @@ def moments_along(
       times: numbers of actions, each from 0 to `len(actions)`.
       sensing: field of view.
     """
-    height, width = world.terrain.shape
+    height, width = world.height, world.width
 
     def look(carry: tuple[Pose, Array], action: Array) -> tuple[tuple[Pose, Array], tuple[Pose, Array]]:
         pose, seen = carry
@@ -51,7 +50,7 @@ def moments_along(
     _, (poses, seen) = jax.lax.scan(look, first, actions.astype(jnp.int32))
     poses, seen = jax.tree.map(lambda one, rest: jnp.concatenate([one[None], rest])[times], first, (poses, seen))
 
-    def out_of_reach(pose: Pose, seen: UInt32[Array, "h n_words"]) -> Bool[Array, ""]:
+    def out_of_reach(pose: Pose, seen: UInt32[Array, "n_words h"]) -> Bool[Array, ""]:
         robot = bitboard.single(pose.x, pose.y, *seen.shape)
         reachable = bitboard.flood(robot, world.traversable & seen)
         return ~bitboard.intersects(reachable, world.goals)

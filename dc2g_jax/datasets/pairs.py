@@ -27,7 +27,7 @@ class TrainingSet:
 
     terrain: UInt8[Array, "worlds h w"]
     cost_to_go: Float[Array, "worlds h w"]
-    masks: UInt32[Array, "masks h n_words"]
+    masks: UInt32[Array, "masks n_words h"]
     mask_world: Int[Array, "masks"]
     n_own: Int[Array, ""]
 

@@ -1,15 +1,18 @@
 """The interface planners see: a partial map in, a cost-to-go grid out, lower is better."""
 
+import functools
 from typing import Any, Protocol
 
+import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Float, UInt8
+from jaxtyping import Array, Bool, Float, UInt8
 
 from dc2g_jax.estimation import networks
 from dc2g_jax.estimation.networks import Architecture
 from dc2g_jax.grid import bitboard, search
-from dc2g_jax.grid.world import World
+from dc2g_jax.grid.world import World, unpack_classes
+from dc2g_jax.gridworld import Belief
 
 
 class Estimator(Protocol):
@@ -19,9 +22,72 @@ class Estimator(Protocol):
         """State for an episode in `world`. Only a privileged estimator may read the world."""
         ...
 
-    def estimate(self, terrain: UInt8[Array, "h w"], state: Any) -> Float[Array, "h w"]:
+    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "h w *batch"]:
         """Cost-to-go of every cell given the observed class indices (0 = not observed). Finite, lower is better."""
         ...
+
+
+def _call_sizes(n_robots: int) -> list[int]:
+    """Numbers of maps that an estimator is given at a time, largest first: the three largest powers of four up to half
+    the robots.
+
+    Never fewer than four: the last bits of a convolution may depend on the size of a tiny batch.
+    """
+    sizes = [4]
+    while 8 * sizes[-1] <= n_robots:
+        sizes.append(4 * sizes[-1])
+    return sizes[:-4:-1]
+
+
+def update_estimates(
+    estimator: Estimator,
+    wanted: Bool[Array, "*batch"],
+    belief: Belief,
+    state: Any,
+    estimates: Float[Array, "h w *batch"],
+) -> Float[Array, "h w *batch"]:
+    """Ask the estimator for the wanted robots alone, a few at a time, and keep the other robots' old estimates.
+
+    Args:
+      estimator: what to ask.
+      wanted: which robots need a new estimate.
+      belief: what the robots know.
+      state: the estimator's state.
+      estimates: the old estimates.
+    """
+    batch_axes = wanted.ndim
+
+    def flat(leaf: Array) -> Array:
+        return leaf.reshape(*leaf.shape[: leaf.ndim - batch_axes], -1)
+
+    wanted, classes, old, state = jax.tree.map(flat, (wanted, belief.classes, estimates, state))
+    n_robots = wanted.shape[0]
+    sizes = _call_sizes(n_robots)
+    # Indices of the wanted robots first; the rest lie beyond the batch, where nothing is written.
+    queue = jnp.nonzero(wanted, size=n_robots + sizes[-1], fill_value=n_robots)[0]
+    n_wanted = jnp.sum(wanted, dtype=jnp.int32)
+
+    def ask(at_a_time: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        asked, answers = carry
+        robots = jax.lax.dynamic_slice_in_dim(queue, asked, at_a_time)
+        # Where the queue has run out the map is unknown throughout.
+        own_classes = classes.at[..., robots].get(mode="fill", fill_value=0)
+        own_state = jax.tree.map(lambda leaf: leaf.at[..., robots].get(mode="clip"), state)
+        answer = estimator.estimate(unpack_classes(own_classes, belief.width), own_state)
+        answer = jnp.moveaxis(answer, -1, 0).astype(answers.dtype)
+        return asked + at_a_time, answers.at[robots].set(answer, mode="drop")
+
+    def asked_for_all(at_a_time: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Full calls as long as there are; the smallest size also takes what is left."""
+        least = 1 if at_a_time == sizes[-1] else at_a_time
+        return jax.lax.while_loop(lambda carry: carry[0] + least <= n_wanted, functools.partial(ask, at_a_time), carry)
+
+    # Robots first for the while, so that each answer is written in one piece.
+    carry = (jnp.int32(0), jnp.moveaxis(old, -1, 0))
+    for at_a_time in sizes:
+        carry = asked_for_all(at_a_time, carry)
+    answers = jnp.moveaxis(carry[1], 0, -1)
+    return answers.reshape(estimates.shape)
 
 
 @struct.dataclass
@@ -41,10 +107,13 @@ class NetworkCostToGo:
         del world
         return ()
 
-    def estimate(self, terrain: UInt8[Array, "h w"], state: tuple[()]) -> Float[Array, "h w"]:
-        """The network's answer to a partial map, in cells."""
+    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "h w *batch"]:
+        """The network's answer to partial maps, in cells."""
         del state
-        return networks.apply(self.architecture, self.weights, terrain[None])[0]
+        height, width, *batch = terrain.shape
+        maps = jnp.moveaxis(terrain.reshape(height, width, -1), -1, 0)
+        answers = networks.apply(self.architecture, self.weights, maps)
+        return jnp.moveaxis(answers, 0, -1).reshape(height, width, *batch)
 
 
 @struct.dataclass
@@ -60,21 +129,22 @@ class ExactCostToGo:
     log_error: Float[Array, "h w"] | float = 0.0
     moves: tuple[tuple[int, int], ...] = struct.field(pytree_node=False, default=search.FOUR_CONNECTED)
 
-    def init(self, world: World) -> Float[Array, "h w"]:
+    def init(self, world: World) -> Float[Array, "h w *batch"]:
         """Solve the whole map."""
         return world_cost_to_go(world, moves=self.moves)
 
-    def estimate(self, terrain: UInt8[Array, "h w"], state: Float[Array, "h w"]) -> Float[Array, "h w"]:
+    def estimate(
+        self, terrain: UInt8[Array, "h w *batch"], state: Float[Array, "h w *batch"]
+    ) -> Float[Array, "h w *batch"]:
         """The values of the whole map, whatever has been observed."""
-        del terrain
-        return state * jnp.exp(self.log_error)
+        factor = jnp.exp(jnp.asarray(self.log_error, jnp.float32))
+        return state * factor.reshape(*factor.shape, *(1 for _ in terrain.shape[factor.ndim :]))
 
 
 def world_cost_to_go(
     world: World, *, moves: tuple[tuple[int, int], ...] = search.FOUR_CONNECTED
-) -> Float[Array, "h w"]:
+) -> Float[Array, "h w *batch"]:
     """Exact cost-to-go of a world, in cells; infinity where a robot cannot drive or cannot reach a goal."""
-    width = world.terrain.shape[-1]
     return search.cost_to_go(
-        bitboard.unpack(world.traversable, width), bitboard.unpack(world.goals, width), moves=moves
+        bitboard.unpack(world.traversable, world.width), bitboard.unpack(world.goals, world.width), moves=moves
     )

@@ -1,13 +1,17 @@
 """Packed sets of grid cells.
 
-A *board* holds one set of cells of an `h x w` grid as `uint32[h, n_words]`: bit `i` of word `j` in row `y`
+A *board* holds one set of cells of an `h x w` grid as `uint32[n_words, h]`: bit `i` of word `j` in row `y`
 is the cell in column `32 j + i`. Set algebra on boards is `&`, `|` and `~` on whole words, so one operation
 handles 32 cells. Bits beyond column `w - 1` are padding: every set built here and intersected with a set of
 in-bounds cells keeps them zero.
 
-All functions work on leading batch axes too, except where a docstring says otherwise.
+The words of one column of words lie side by side in memory, so that one vector instruction serves as many rows as it
+has lanes and a shift by rows is a shifted view. Here and in everything built on it, batch axes come last: a thousand
+boards are `uint32[n_words, h, 1000]`, and the lanes serve different robots. Functions take one board or a batch alike.
 """
 
+import collections
+import functools
 from collections.abc import Iterable
 
 import jax
@@ -17,7 +21,10 @@ from jaxtyping import Array, Bool, Int, UInt32
 
 WORD_BITS = 32
 
-Board = UInt32[Array, "*batch h n_words"]
+#: Steps of a flood between two looks at whether it still grows: a look costs more than a step.
+_STEPS_BETWEEN_LOOKS = 4
+
+Board = UInt32[Array, "n_words h *batch"]
 Offsets = Iterable[tuple[int, int]]
 
 
@@ -26,75 +33,95 @@ def word_count(width: int) -> int:
     return -(-width // WORD_BITS)
 
 
-def pack(cells: Bool[Array, "*batch h w"]) -> Board:
+def pack(cells: Bool[Array, "h w *batch"]) -> Board:
     """Pack a boolean grid into a board."""
-    width = cells.shape[-1]
+    height, width, *batch = cells.shape
     n_words = word_count(width)
-    padding = [(0, 0)] * (cells.ndim - 1) + [(0, n_words * WORD_BITS - width)]
-    bits = jnp.pad(jnp.asarray(cells, jnp.uint32), padding)
-    bits = bits.reshape(*cells.shape[:-1], n_words, WORD_BITS)
-    return jnp.sum(bits << jnp.arange(WORD_BITS, dtype=jnp.uint32), axis=-1, dtype=jnp.uint32)
+    padding = [(0, 0)] * cells.ndim
+    padding[1] = (0, n_words * WORD_BITS - width)
+    bits = jnp.pad(jnp.asarray(cells, jnp.uint32), padding).reshape(height, n_words, WORD_BITS, *batch)
+    place = jax.lax.broadcasted_iota(jnp.uint32, bits.shape, 2)
+    return jnp.swapaxes(jnp.sum(bits << place, axis=2, dtype=jnp.uint32), 0, 1)
 
 
-def unpack(board: Board, width: int) -> Bool[Array, "*batch h w"]:
+def unpack(board: Board, width: int) -> Bool[Array, "h w *batch"]:
     """Unpack a board into a boolean grid of `width` columns."""
-    bits = (board[..., None] >> jnp.arange(WORD_BITS, dtype=jnp.uint32)) & jnp.uint32(1)
-    return bits.reshape(*board.shape[:-1], -1)[..., :width].astype(bool)
+    n_words, height, *batch = board.shape
+    place = jax.lax.broadcasted_iota(jnp.uint32, (height, n_words, WORD_BITS, *batch), 2)
+    bits = (jnp.swapaxes(board, 0, 1)[:, :, None] >> place) & jnp.uint32(1)
+    return bits.reshape(height, n_words * WORD_BITS, *batch)[:, :width].astype(bool)
 
 
-def full(height: int, width: int) -> UInt32[np.ndarray, "h n_words"]:
+def full(height: int, width: int) -> UInt32[np.ndarray, "n_words h"]:
     """The board of all in-bounds cells, as a NumPy constant."""
     bits_left = np.clip(width - WORD_BITS * np.arange(word_count(width)), 0, WORD_BITS)
     row = (np.uint64(1) << bits_left.astype(np.uint64)) - np.uint64(1)
-    return np.tile(row.astype(np.uint32), (height, 1))
+    return np.tile(row.astype(np.uint32)[:, None], (1, height))
 
 
-def single(x: Int[Array, ""], y: Int[Array, ""], height: int, n_words: int) -> Board:
-    """The board that holds the one cell in column `x`, row `y`, which must be in bounds (no batch axes)."""
+def complement(board: Board, width: int) -> Board:
+    """The in-bounds cells that are not in the set, of a grid of `width` columns."""
+    n_words, height, *batch = board.shape
+    in_bounds = full(height, width).reshape(n_words, height, *(1 for _ in batch))
+    return ~board & in_bounds
+
+
+def single(x: Int[Array, "*batch"], y: Int[Array, "*batch"], n_words: int, height: int) -> Board:
+    """The board that holds the one cell in column `x`, row `y`, which must be in bounds."""
+    shape = (n_words, height, *x.shape)
+    word, row = (jax.lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
     bit = jnp.left_shift(jnp.uint32(1), (x % WORD_BITS).astype(jnp.uint32))
-    here = (jnp.arange(height) == y)[:, None] & (jnp.arange(n_words) == x // WORD_BITS)
-    return jnp.where(here, bit, jnp.uint32(0))
+    return jnp.where((row == y) & (word == x // WORD_BITS), bit, jnp.uint32(0))
 
 
-def contains(board: Board, x: Int[Array, ""], y: Int[Array, ""]) -> Bool[Array, ""]:
-    """Is the in-bounds cell in column `x`, row `y` in the set (no batch axes)?"""
-    return intersects(board, single(x, y, *board.shape))
+def _word_at(board: Board, word: Int[Array, "*batch"], row: Int[Array, "*batch"]) -> UInt32[Array, "*batch"]:
+    """One word of each board."""
+    n_words, height, *batch = board.shape
+    words = board.reshape(n_words * height, *batch)
+    return jnp.take_along_axis(words, (word * height + row)[None], axis=0, mode="promise_in_bounds")[0]
 
 
-def is_empty(board: Board, axes: tuple[int, ...] | None = None) -> Bool[Array, "..."]:
-    """Is the set empty? Over all axes, or over the given ones."""
-    return ~jnp.any(board != 0, axis=axes)
+def contains(board: Board, x: Int[Array, "*batch"], y: Int[Array, "*batch"]) -> Bool[Array, "*batch"]:
+    """Is the cell in column `x`, row `y`, which must be in bounds, in the set?"""
+    word = _word_at(board, x // WORD_BITS, y)
+    return ((word >> (x % WORD_BITS).astype(jnp.uint32)) & 1) == 1
 
 
-def intersects(a: Board, b: Board) -> Bool[Array, ""]:
-    """Do two sets share a cell? Over all axes."""
-    return jnp.any((a & b) != 0)
+def is_empty(board: Board) -> Bool[Array, "*batch"]:
+    """Is the set empty?"""
+    return ~jnp.any(board != 0, axis=(0, 1))
+
+
+def intersects(a: Board, b: Board) -> Bool[Array, "*batch"]:
+    """Do two sets share a cell?"""
+    return ~is_empty(a & b)
 
 
 def count(board: Board) -> Int[Array, "*batch"]:
     """Number of cells in the set."""
-    return jnp.sum(jax.lax.population_count(board).astype(jnp.int32), axis=(-2, -1))
+    return jnp.sum(jax.lax.population_count(board).astype(jnp.int32), axis=(0, 1))
 
 
-def first(board: Board) -> Board:
-    """The set's first cell in raster order alone (row by row, left to right); empty for an empty set.
-
-    No batch axes.
-    """
-    words = board.reshape(-1)
-    is_first_word = jnp.arange(words.size) == jnp.argmax(words != 0)
-    lowest_bit = words & (~words + jnp.uint32(1))
-    return jnp.where(is_first_word, lowest_bit, jnp.uint32(0)).reshape(board.shape)
+def first(board: Board) -> tuple[Int[Array, "*batch"], Int[Array, "*batch"]]:
+    """Column and row of the set's first cell in raster order (row by row, left to right); (0, 0) for an empty set."""
+    n_words, height = board.shape[:2]
+    word, row = (jax.lax.broadcasted_iota(jnp.int32, board.shape, axis) for axis in (0, 1))
+    beyond = n_words * height
+    number = jnp.min(jnp.where(board != 0, row * n_words + word, beyond), axis=(0, 1))
+    first_row, first_word = jnp.divmod(jnp.where(number == beyond, 0, number), n_words)
+    bits = _word_at(board, first_word, first_row)
+    lowest_bit = jax.lax.population_count((bits & (~bits + jnp.uint32(1))) - jnp.uint32(1)).astype(jnp.int32)
+    return jnp.where(bits == 0, 0, first_word * WORD_BITS + lowest_bit), first_row
 
 
 def _shift_axis(board: Board, amount: int, axis: int) -> Board:
-    """Move whole rows (`axis=-2`) or words (`axis=-1`) by `amount`, filling with zeros."""
+    """Move whole words (`axis=0`) or rows (`axis=1`) by `amount`, filling with zeros."""
     size = board.shape[axis]
     if amount == 0:
         return board
     if abs(amount) >= size:
         return jnp.zeros_like(board)
-    kept = jax.lax.slice_in_dim(board, max(0, -amount), size - max(0, amount), axis=board.ndim + axis)
+    kept = jax.lax.slice_in_dim(board, max(0, -amount), size - max(0, amount), axis=axis)
     padding = [(0, 0, 0)] * board.ndim
     padding[axis] = (max(0, amount), max(0, -amount), 0)
     return jax.lax.pad(kept, jnp.uint32(0), padding)
@@ -103,10 +130,10 @@ def _shift_axis(board: Board, amount: int, axis: int) -> Board:
 def _shift_columns(board: Board, dx: int) -> Board:
     """Move the set by `dx` columns. Cells moved past the last word vanish."""
     words, bits = divmod(dx, WORD_BITS)
-    low = _shift_axis(board, words, -1)
+    low = _shift_axis(board, words, 0)
     if bits == 0:
         return low
-    carried = _shift_axis(board, words + 1, -1)
+    carried = _shift_axis(board, words + 1, 0)
     return (low << jnp.uint32(bits)) | (carried >> jnp.uint32(WORD_BITS - bits))
 
 
@@ -116,7 +143,7 @@ def shift(board: Board, dx: int, dy: int) -> Board:
     Cells moved off the map vanish; cells moved past column `w - 1` may lie in the padding until the result is
     intersected with a set of in-bounds cells.
     """
-    return _shift_axis(_shift_columns(board, dx), dy, -2)
+    return _shift_axis(_shift_columns(board, dx), dy, 1)
 
 
 def neighbours(board: Board) -> Board:
@@ -125,55 +152,46 @@ def neighbours(board: Board) -> Board:
 
 
 def flood(seed: Board, free: Board) -> Board:
-    """Cells of `free` that are 4-connected to `seed` through `free`, and `seed & free` itself (no batch axes).
+    """Cells of `free` that are 4-connected to `seed` through `free`, and `seed & free` itself.
 
     A seed that already holds a part of the answer (the last step's, say) makes the flood shorter by as much.
     """
-    inside = seed & free
 
-    def grow(carry: tuple[Board, Array]) -> tuple[Board, Array]:
-        reached, _ = carry
-        grown = reached | (neighbours(reached) & free)
-        return grown, jnp.any(grown != reached)
+    def grow(_: Array, reached: Board) -> Board:
+        return reached | (neighbours(reached) & free)
 
-    return jax.lax.while_loop(lambda carry: carry[1], grow, (inside, ~is_empty(inside)))[0]
+    def grow_some(carry: tuple[Board, Array]) -> tuple[Board, Array]:
+        grown = jax.lax.fori_loop(0, _STEPS_BETWEEN_LOOKS, grow, carry[0])
+        return grown, jnp.any(grown != carry[0])
 
-
-def _runs(offsets: Offsets) -> list[tuple[int, int, int]]:
-    """Split offsets into horizontal runs `(dy, dx of the offset nearest to 0, length)` on one side of `dx = 0`."""
-    runs: list[tuple[int, int, int]] = []
-    for dy, right, distance in sorted((dy, dx >= 0, abs(dx)) for dx, dy in offsets):
-        sign = 1 if right else -1
-        if runs:
-            last_dy, last_dx, length = runs[-1]
-            if last_dy == dy and sign * (distance - length) == last_dx and (last_dx >= 0) == right:
-                runs[-1] = (dy, last_dx, length + 1)
-                continue
-        runs.append((dy, sign * distance, 1))
-    return runs
+    # A board that is complete stays as it is while others of the batch still grow.
+    return jax.lax.while_loop(lambda carry: carry[1], grow_some, (seed & free, jnp.bool_(True)))[0]
 
 
 def cells_that_see(targets: Board, offsets: Offsets) -> Board:
     """Cells `p` for which `p + offset` is in `targets` for at least one of the constant `offsets` `(dx, dy)`.
 
-    Offsets are handled a horizontal run at a time, and a run of length `n` as the union of two runs whose
-    length is a power of two, so that the work grows with the number of rows and not with the number of offsets.
-    Runs lie on one side of `dx = 0`, so that cells only ever move outward and none is lost at an edge.
+    The targets are framed by zeros once; every offset is then a plain view of the frame, and all of them together one
+    loop over it without a branch, which is faster than sharing the work of neighbouring offsets. Offsets with the same
+    `dx` share their bit shift.
     """
-    runs = _runs(offsets)
-    longest = max((length for _, _, length in runs), default=1)
+    by_column: dict[int, list[int]] = collections.defaultdict(list)
+    for dx, dy in offsets:
+        by_column[dx].append(dy)
+    n_words, height, *batch = targets.shape
+    rows = max((abs(dy) for dys in by_column.values() for dy in dys), default=0)
+    words = max((word_count(abs(dx)) for dx in by_column), default=0)
+    framed = jnp.pad(targets, [(words, words + 1), (rows, rows)] + [(0, 0) for _ in batch])
+
+    def rows_together(dys: list[int], first_word: int) -> Board:
+        columns = framed[words + first_word : words + first_word + n_words]
+        return functools.reduce(jnp.bitwise_or, (columns[:, rows + dy : rows + dy + height] for dy in dys))
+
     seeing = jnp.zeros_like(targets)
-    for sign in (1, -1):
-        # doubled[k]: cells from which one of the 2^k cells on that side, the own one included, is a target
-        doubled = [targets]
-        while 2 ** len(doubled) <= longest:
-            last = doubled[-1]
-            doubled.append(last | shift(last, -sign * 2 ** (len(doubled) - 1), 0))
-        for dy, dx, length in runs:
-            if (dx >= 0) != (sign > 0):
-                continue
-            power = length.bit_length() - 1
-            rest = length - 2**power
-            row = shift(doubled[power], -dx, -dy)
-            seeing |= row if rest == 0 else row | shift(doubled[power], -(dx + sign * rest), -dy)
+    for dx, dys in sorted(by_column.items()):
+        word, bit = divmod(dx, WORD_BITS)
+        view = rows_together(dys, word)
+        if bit:
+            view = (view >> jnp.uint32(bit)) | (rows_together(dys, word + 1) << jnp.uint32(WORD_BITS - bit))
+        seeing |= view
     return seeing

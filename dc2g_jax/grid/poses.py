@@ -1,15 +1,16 @@
 """Poses (column, row, heading), the three actions, and sets of poses.
 
-A *pose set* is a stack of four boards, one a heading: `uint32[4, h, n_words]`.
+A *pose set* is a stack of four boards, one a heading: `uint32[4, n_words, h]`, batch axes last.
 """
 
+import jax
 import jax.numpy as jnp
 from flax import struct
 from jax.typing import ArrayLike
-from jaxtyping import Array, Int, UInt32
+from jaxtyping import Array, Bool, Int, UInt32
 
 from dc2g_jax.grid import bitboard
-from dc2g_jax.grid.bitboard import Board
+from dc2g_jax.grid.bitboard import WORD_BITS, Board
 
 #: Heading -> (dx, dy) of one cell forward; x grows to the right, y downward.
 FORWARD = ((1, 0), (0, 1), (-1, 0), (0, -1))
@@ -19,7 +20,7 @@ HEADINGS = len(FORWARD)
 FORWARD_ACTION, LEFT_ACTION, RIGHT_ACTION = 0, 1, 2
 ACTION_LETTERS = "FLR"
 
-PoseSet = UInt32[Array, "heading h n_words"]
+PoseSet = UInt32[Array, "heading n_words h *batch"]
 
 
 @struct.dataclass
@@ -42,15 +43,59 @@ def make_pose(x: ArrayLike, y: ArrayLike, heading: ArrayLike) -> Pose:
     return Pose(x=jnp.asarray(x, jnp.int32), y=jnp.asarray(y, jnp.int32), heading=jnp.asarray(heading, jnp.int32))
 
 
+def moved(pose: Pose, action: Int[Array, "*batch"], height: int, width: int) -> Pose:
+    """The pose after an action. A step forward off the map stays in place."""
+    delta = jnp.asarray(FORWARD, jnp.int32)[pose.heading]
+    forward = action == FORWARD_ACTION
+    turn = jnp.where(action == LEFT_ACTION, -1, jnp.where(action == RIGHT_ACTION, 1, 0)).astype(jnp.int32)
+    return Pose(
+        x=jnp.clip(pose.x + jnp.where(forward, delta[..., 0], 0), 0, width - 1),
+        y=jnp.clip(pose.y + jnp.where(forward, delta[..., 1], 0), 0, height - 1),
+        heading=(pose.heading + turn) % HEADINGS,
+    )
+
+
 def every_heading(cells: Board) -> PoseSet:
     """All poses that stand on one of the cells."""
     return jnp.broadcast_to(cells, (HEADINGS, *cells.shape))
 
 
-def only(pose: Pose, height: int, n_words: int) -> PoseSet:
+def with_headings(headings: Bool[Array, "heading *batch"], cells: Board) -> PoseSet:
+    """All poses that stand on one of the cells in one of the headings."""
+    return jnp.where(headings[:, None, None], cells, jnp.uint32(0))
+
+
+def only(pose: Pose, n_words: int, height: int) -> PoseSet:
     """The set that holds one pose alone."""
-    cell = bitboard.single(pose.x, pose.y, height, n_words)
-    return jnp.where((jnp.arange(HEADINGS) == pose.heading)[:, None, None], cell, jnp.uint32(0))
+    headings = jax.lax.broadcasted_iota(jnp.int32, (HEADINGS, *pose.heading.shape), 0) == pose.heading
+    return with_headings(headings, bitboard.single(pose.x, pose.y, n_words, height))
+
+
+def contains(poses: PoseSet, pose: Pose) -> Bool[Array, "*batch"]:
+    """Is the in-bounds pose in the set?"""
+    n_words, height, *batch = poses.shape[1:]
+    side_by_side = poses.reshape(HEADINGS * n_words, height, *batch)
+    return bitboard.contains(side_by_side, pose.x + pose.heading * (n_words * WORD_BITS), pose.y)
+
+
+def occupied(poses: PoseSet) -> Board:
+    """The cells on which a pose of the set stands."""
+    return poses[0] | poses[1] | poses[2] | poses[3]
+
+
+def is_empty(poses: PoseSet) -> Bool[Array, "*batch"]:
+    """Is the set empty?"""
+    return bitboard.is_empty(occupied(poses))
+
+
+def unpack(poses: PoseSet, width: int) -> Bool[Array, "heading h w *batch"]:
+    """Unpack a pose set into boolean grids of `width` columns."""
+    return jnp.stack([bitboard.unpack(board, width) for board in poses])
+
+
+def pack(poses: Bool[Array, "heading h w *batch"]) -> PoseSet:
+    """The inverse of `unpack`."""
+    return jnp.stack([bitboard.pack(grid) for grid in poses])
 
 
 def moved_forward(poses: PoseSet, cells: int = 1) -> PoseSet:
@@ -60,11 +105,7 @@ def moved_forward(poses: PoseSet, cells: int = 1) -> PoseSet:
     )
 
 
-def turned_left(poses: PoseSet) -> PoseSet:
-    """Every pose of the set turned left."""
-    return jnp.roll(poses, -1, axis=0)
-
-
-def turned_right(poses: PoseSet) -> PoseSet:
-    """Every pose of the set turned right."""
-    return jnp.roll(poses, 1, axis=0)
+def turned(poses: PoseSet) -> PoseSet:
+    """Every pose of the set turned left, and every pose turned right."""
+    along_x, along_y = poses[0] | poses[2], poses[1] | poses[3]
+    return jnp.stack([along_y, along_x, along_y, along_x])

@@ -4,24 +4,88 @@ Wavefronts grow as whole pose sets, one action a step, so the work of a search i
 number of words in the map.
 """
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from dc2g_jax.grid import bitboard
+from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.bitboard import Board
-from dc2g_jax.grid.poses import HEADINGS, Pose, PoseSet, moved_forward, only, turned_left, turned_right
+from dc2g_jax.grid.poses import (
+    FORWARD_ACTION,
+    HEADINGS,
+    LEFT_ACTION,
+    RIGHT_ACTION,
+    Pose,
+    PoseSet,
+    moved,
+    moved_forward,
+    only,
+    turned,
+)
+
+#: Wavefront steps between two looks at whether the wavefronts still grow. Most searches end before the first.
+_STEPS_BETWEEN_LOOKS = 32
 
 
-def _predecessors(poses: PoseSet) -> PoseSet:
+class _Search(NamedTuple):
+    """A wavefront under way.
+
+    Attributes:
+      reached: poses reached so far.
+      length: steps of the wavefront so far.
+      active: does it go on? It stands still where it has arrived, so that each search of a batch ends by itself.
+    """
+
+    reached: PoseSet
+    length: Int[Array, "*batch"]
+    active: Bool[Array, "*batch"]
+
+
+def _search(
+    start: PoseSet,
+    active: Bool[Array, "*batch"],
+    free: Board,
+    grown: Callable[[PoseSet], PoseSet],
+    arrived: Callable[[PoseSet], Bool[Array, "*batch"]],
+) -> _Search:
+    """Let a wavefront grow over free cells until it has arrived or grows no more.
+
+    Args:
+      start: its first poses.
+      active: is there anything to search for?
+      free: cells it may cover.
+      grown: the poses one action further (or closer).
+      arrived: has it got where it should?
+    """
+
+    def grow(search: _Search) -> _Search:
+        reached = search.reached | (grown(search.reached) & jnp.where(search.active, free, jnp.uint32(0)))
+        return _Search(reached, search.length + search.active, search.active & ~arrived(reached))
+
+    def grow_for_a_while(search: _Search) -> _Search:
+        def go_on(carry: tuple[_Search, Array]) -> Bool[Array, ""]:
+            return jnp.any(carry[0].active) & (carry[1] < _STEPS_BETWEEN_LOOKS)
+
+        later, _ = jax.lax.while_loop(go_on, lambda carry: (grow(carry[0]), carry[1] + 1), (search, jnp.int32(0)))
+        return later._replace(active=later.active & ~poses.is_empty(later.reached ^ search.reached))
+
+    length = jnp.zeros(active.shape, jnp.int32)
+    first = _Search(start, length, active & ~arrived(start))
+    return jax.lax.while_loop(lambda search: jnp.any(search.active), grow_for_a_while, first)
+
+
+def _predecessors(reached: PoseSet) -> PoseSet:
     """Poses from which one action leads into the set."""
-    return moved_forward(poses, -1) | turned_left(poses) | turned_right(poses)
+    return moved_forward(reached, -1) | turned(reached)
 
 
-def _successors(poses: PoseSet) -> PoseSet:
+def _successors(reached: PoseSet) -> PoseSet:
     """Poses into which one action leads from the set."""
-    return moved_forward(poses) | turned_left(poses) | turned_right(poses)
+    return moved_forward(reached) | turned(reached)
 
 
 @struct.dataclass
@@ -42,60 +106,156 @@ class FirstAction:
 def first_action(pose: Pose, targets: PoseSet, free: Board) -> FirstAction:
     """First action of the lexicographically smallest shortest plan from `pose` into `targets` (Algorithm 2, line 12).
 
-    Actions are ordered forward, left, right. The wavefront grows backward from the targets and stops at the robot,
-    so neither a distance field nor a table of parents is kept: the set of the last step before the robot is hit
-    holds just the poses that are one action closer.
+    Actions are ordered forward, left, right. The wavefront grows backward from the targets and stops one action short
+    of the robot, so neither a distance field nor a table of parents is kept: it has then reached just those of the
+    robot's three next poses that are one action closer.
 
     Args:
       pose: where the robot is.
       targets: poses to reach; those not on free cells are ignored.
       free: cells the robot may use; a plan never leaves them.
     """
-    robot = only(pose, *free.shape)
     start = targets & free
+    columns, height = free.shape[0] * bitboard.WORD_BITS, free.shape[1]
+    next_poses = [
+        moved(pose, jnp.int32(action), height, columns) for action in (FORWARD_ACTION, LEFT_ACTION, RIGHT_ACTION)
+    ]
 
-    def grow(carry: tuple[PoseSet, PoseSet, Array, Array]) -> tuple[PoseSet, PoseSet, Array, Array]:
-        reached, _, length, _ = carry
-        grown = reached | (_predecessors(reached) & free)
-        go_on = jnp.any(grown != reached) & ~bitboard.intersects(grown, robot)
-        return grown, reached, length + 1, go_on
+    def closer(reached: PoseSet) -> Bool[Array, "action *batch"]:
+        return jnp.stack([poses.contains(reached, next_pose) for next_pose in next_poses])
 
-    go_on = ~bitboard.is_empty(start) & ~bitboard.intersects(start, robot)
-    reached, closer, length, _ = jax.lax.while_loop(
-        lambda carry: carry[3], grow, (start, jnp.zeros_like(start), jnp.int32(0), go_on)
+    there = poses.contains(start, pose)
+    active = ~there & bitboard.contains(free, pose.x, pose.y) & ~poses.is_empty(start)
+    search = _search(start, active, free, _predecessors, lambda reached: jnp.any(closer(reached), axis=0))
+    actions = closer(search.reached) & active
+    on_the_way = jnp.any(actions, axis=0)
+    return FirstAction(
+        action=jnp.where(on_the_way, jnp.argmax(actions, axis=0), FORWARD_ACTION).astype(jnp.int32),
+        length=jnp.where(on_the_way, search.length + 1, 0),
+        found=there | on_the_way,
     )
-    found = bitboard.intersects(reached, robot)
-    successors = (moved_forward(robot), turned_left(robot), turned_right(robot))
-    hits = jnp.stack([bitboard.intersects(closer, successor) for successor in successors])
-    action = jnp.argmax(hits).astype(jnp.int32)
-    return FirstAction(action=action, length=jnp.where(found, length, 0), found=found)
 
 
-def distances(pose: Pose, free: Board, width: int) -> Int[Array, "heading h w"]:
-    """Length in actions of the shortest plan from `pose` to every pose over free cells, -1 where there is none.
+def first_headings(
+    pose: Pose, x: Int[Array, "*batch"], y: Int[Array, "*batch"], free: Board
+) -> Bool[Array, "heading *batch"]:
+    """The headings in which a robot can first stand on the cell in column `x`, row `y`; none if it cannot get there.
 
-    The counts are kept bit-sliced while the wavefront grows: plane `b` holds the poses whose distance has bit `b`.
+    Args:
+      pose: where the robot is.
+      x: column of the cell.
+      y: row of the cell.
+      free: cells the robot may use.
     """
-    height, n_words = free.shape
-    bits = max(1, (HEADINGS * height * width).bit_length())
-    start = only(pose, height, n_words) & free
-    plane_index = jnp.arange(bits, dtype=jnp.int32)[:, None, None, None]
 
-    def grow(carry: tuple[PoseSet, Array, Array, Array]) -> tuple[PoseSet, Array, Array, Array]:
-        reached, planes, length, _ = carry
-        new = _successors(reached) & free & ~reached
-        length = length + 1
-        in_plane = ((length >> plane_index) & 1) == 1
-        planes = planes | jnp.where(in_plane, new, jnp.uint32(0))
-        return reached | new, planes, length, jnp.any(new != 0)
+    def there(reached: PoseSet) -> Bool[Array, "heading *batch"]:
+        return jnp.stack([bitboard.contains(reached[heading], x, y) for heading in range(HEADINGS)])
 
-    planes = jnp.zeros((bits, *start.shape), jnp.uint32)
-    reached, planes, _, _ = jax.lax.while_loop(
-        lambda carry: carry[3], grow, (start, planes, jnp.int32(0), ~bitboard.is_empty(start))
+    start = only(pose, *free.shape[:2]) & free
+    active = bitboard.contains(free, pose.x, pose.y) & bitboard.contains(free, x, y)
+    search = _search(start, active, free, _successors, lambda reached: jnp.any(there(reached), axis=0))
+    return there(search.reached)
+
+
+class _Counts(NamedTuple):
+    """Bit-sliced distances of poses.
+
+    Attributes:
+      start: the pose they are counted from, distance 0.
+      reached: poses with a distance.
+      planes: distance less one in Gray code, highest bit first: a plane holds the poses whose code has that bit.
+    """
+
+    start: PoseSet
+    reached: PoseSet
+    planes: UInt32[Array, "bit heading n_words h *batch"]
+
+
+#: Wavefront steps counted in the low planes before the high planes are touched, as a power of two.
+_LOW_BITS = 4
+
+
+def _count(pose: Pose, free: Board) -> _Counts:
+    """Distances from a pose in actions, counted while the wavefront grows.
+
+    A step adds one to the count of every pose not yet reached. In Gray code consecutive numbers differ in one bit, so
+    that adding one is an exclusive or with one plane: with one of the low ones, or once in a while with a high one.
+    """
+    n_words, height = free.shape[:2]
+    start = only(pose, n_words, height) & free
+    high_bits = (HEADINGS * height * n_words * bitboard.WORD_BITS).bit_length() - _LOW_BITS
+
+    def flipped(planes: Array, plane: Array, flips: PoseSet) -> Array:
+        index = jax.lax.broadcasted_iota(jnp.int32, planes.shape, 0)
+        return planes ^ jnp.where(index == plane, flips, jnp.uint32(0))
+
+    def trailing_ones(number: Array) -> Array:
+        return jax.lax.population_count(number & ~(number + 1))
+
+    def grow(number: Array, carry: tuple[PoseSet, Array]) -> tuple[PoseSet, Array]:
+        reached, low = carry
+        reached = reached | (_successors(reached) & free)
+        return reached, flipped(low, trailing_ones(number), ~reached)
+
+    def grow_a_round(carry: tuple[PoseSet, Array, Array, Array, Array]) -> tuple[PoseSet, Array, Array, Array, Array]:
+        before, low, high, rounds, _ = carry
+        reached, low = jax.lax.fori_loop(0, 2**_LOW_BITS, grow, (before, low))
+        # The last of these steps flips none of the low bits but a high one.
+        high = flipped(high, trailing_ones(rounds), ~reached)
+        return reached, low, high, rounds + 1, jnp.any(reached != before)
+
+    low, high = (jnp.zeros((bits, *start.shape), jnp.uint32) for bits in (_LOW_BITS, high_bits))
+    reached, low, high, _, _ = jax.lax.while_loop(
+        lambda carry: carry[-1], grow_a_round, (start, low, high, jnp.int32(0), jnp.bool_(True))
     )
-    weights = jnp.left_shift(jnp.int32(1), plane_index)
-    lengths = jnp.sum(bitboard.unpack(planes, width) * weights, axis=0, dtype=jnp.int32)
-    return jnp.where(bitboard.unpack(reached, width), lengths, -1)
+    return _Counts(start, reached, jnp.concatenate([low, high])[::-1])
+
+
+def distances(pose: Pose, free: Board, width: int) -> Int[Array, "heading h w *batch"]:
+    """Length in actions of the shortest plan from `pose` to every pose over free cells, -1 where there is none."""
+    counts = _count(pose, free)
+
+    def read(carry: tuple[Array, Array], plane: PoseSet) -> tuple[tuple[Array, Array], None]:
+        lengths, binary = carry
+        binary = binary ^ plane
+        return (2 * lengths + poses.unpack(binary, width), binary), None
+
+    zero = jnp.zeros((HEADINGS, free.shape[1], width, *free.shape[2:]), jnp.int32)
+    (lengths, _), _ = jax.lax.scan(read, (zero, jnp.zeros_like(counts.start)), counts.planes)
+    lengths = jnp.where(poses.unpack(counts.start, width), 0, lengths + 1)
+    return jnp.where(poses.unpack(counts.reached, width), lengths, -1)
+
+
+def nearest_headings(
+    pose: Pose, candidates: PoseSet, free: Board, width: int
+) -> tuple[PoseSet, Int[Array, "h w *batch"]]:
+    """For every cell the candidate headings that are reached soonest, and the number of actions to them.
+
+    Args:
+      pose: where the robot is; must not be a candidate.
+      candidates: poses to compare; those that cannot be reached are ignored.
+      free: cells the robot may use.
+      width: columns of the map.
+
+    Returns:
+      The nearest candidates of every cell, and their distance; without meaning on cells without candidates.
+    """
+    counts = _count(pose, free)
+
+    def compare(carry: tuple[PoseSet, PoseSet], plane: PoseSet) -> tuple[tuple[PoseSet, PoseSet], Board]:
+        nearest, binary = carry
+        binary = binary ^ plane
+        # Bit by bit from the highest: where a candidate has a zero, those with a one are farther.
+        without = nearest & ~binary
+        some_without = poses.occupied(without)
+        return (nearest & ~(binary & some_without), binary), ~some_without
+
+    start = (candidates & counts.reached, jnp.zeros_like(candidates))
+    (nearest, _), cell_planes = jax.lax.scan(compare, start, counts.planes)
+    lengths = jnp.int32(0)
+    for plane in cell_planes:
+        lengths = 2 * lengths + bitboard.unpack(plane, width)
+    return nearest, lengths + 1
 
 
 #: Moves between cells, `(dx, dy)`: the four a robot can make, and the eight of the paper's cost-to-go images.
@@ -103,27 +263,40 @@ FOUR_CONNECTED = ((1, 0), (-1, 0), (0, 1), (0, -1))
 EIGHT_CONNECTED = (*FOUR_CONNECTED, (1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
-def _grown_goals(traversable: Bool[Array, "h w"], goals: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
+def _shifted(values: Array, dx: int, dy: int, fill: float) -> Array:
+    """Values `[h w *batch]` moved by `dx` columns and `dy` rows, each 1 at most, with `fill` moved in."""
+    height, width = values.shape[:2]
+    padded = jnp.pad(values, [(1, 1), (1, 1)] + [(0, 0)] * (values.ndim - 2), constant_values=fill)
+    return padded[1 - dy : 1 - dy + height, 1 - dx : 1 - dx + width]
+
+
+def _grown_goals(traversable: Bool[Array, "h w *batch"], goals: Bool[Array, "h w *batch"]) -> Bool[Array, "h w *batch"]:
     """The goal cells, grown by 3x3 squares until they touch traversable ground (unchanged where they never do)."""
 
-    def grow(cells: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-        rows = cells | jnp.pad(cells, ((1, 0), (0, 0)))[:-1] | jnp.pad(cells, ((0, 1), (0, 0)))[1:]
-        return rows | jnp.pad(rows, ((0, 0), (1, 0)))[:, :-1] | jnp.pad(rows, ((0, 0), (0, 1)))[:, 1:]
+    def grow(cells: Bool[Array, "h w *batch"]) -> Bool[Array, "h w *batch"]:
+        rows = cells | _shifted(cells, 0, 1, False) | _shifted(cells, 0, -1, False)
+        return rows | _shifted(rows, 1, 0, False) | _shifted(rows, -1, 0, False)
+
+    def somewhere(cells: Bool[Array, "h w *batch"]) -> Bool[Array, "*batch"]:
+        return jnp.any(cells, axis=(0, 1))
 
     ground = traversable & ~goals
+    can_touch = somewhere(goals) & somewhere(ground)
 
-    def lonely(cells: Bool[Array, "h w"]) -> Bool[Array, ""]:
-        return jnp.any(goals) & jnp.any(ground) & ~jnp.any(grow(cells) & ground)
+    def lonely(cells: Bool[Array, "h w *batch"]) -> Bool[Array, "*batch"]:
+        return can_touch & ~somewhere(grow(cells) & ground)
 
-    return jax.lax.while_loop(lonely, grow, goals)
+    return jax.lax.while_loop(
+        lambda cells: jnp.any(lonely(cells)), lambda cells: jnp.where(lonely(cells), grow(cells), cells), goals
+    )
 
 
 def cost_to_go(
-    traversable: Bool[Array, "h w"],
-    goals: Bool[Array, "h w"],
+    traversable: Bool[Array, "h w *batch"],
+    goals: Bool[Array, "h w *batch"],
     *,
     moves: tuple[tuple[int, int], ...] = EIGHT_CONNECTED,
-) -> Float[Array, "h w"]:
+) -> Float[Array, "h w *batch"]:
     """Exact least travel cost from every cell to the nearest goal cell, in cells (Algorithm 1, line 5).
 
     Over traversable cells and goal cells; a straight step costs 1 and a diagonal one sqrt 2, also past corners. Where
@@ -141,18 +314,14 @@ def cost_to_go(
     goals = _grown_goals(traversable, goals)
     free = traversable | goals
 
-    def moved(values: Array, dx: int, dy: int, fill: float) -> Array:
-        padded = jnp.pad(values, 1, constant_values=fill)
-        return jax.lax.slice(padded, (1 - dy, 1 - dx), (1 - dy + values.shape[0], 1 - dx + values.shape[1]))
-
     def relax(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
         straight, diagonal, cost, _ = carry
         best_straight, best_diagonal, best = straight, diagonal, cost
         for dx, dy in moves:
             is_diagonal = abs(dx * dy)
-            new_straight = moved(straight, dx, dy, 0) + (1 - is_diagonal)
-            new_diagonal = moved(diagonal, dx, dy, 0) + is_diagonal
-            reached = free & jnp.isfinite(moved(cost, dx, dy, jnp.inf))
+            new_straight = _shifted(straight, dx, dy, 0) + (1 - is_diagonal)
+            new_diagonal = _shifted(diagonal, dx, dy, 0) + is_diagonal
+            reached = free & jnp.isfinite(_shifted(cost, dx, dy, jnp.inf))
             new = jnp.where(reached, new_straight + jnp.sqrt(jnp.float32(2)) * new_diagonal, jnp.inf)
             better = new < best
             best_straight = jnp.where(better, new_straight, best_straight)

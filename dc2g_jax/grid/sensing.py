@@ -9,7 +9,7 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, UInt32
+from jaxtyping import Array, Bool, Int, UInt32
 
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.bitboard import WORD_BITS, Board
@@ -102,14 +102,29 @@ def expanding_kernel(radius: int) -> Kernel:
     return _turned([*kept, (0, 0), (1, 0), (2, 0)], radius)
 
 
-def _kernel_rows(kernel: Kernel) -> UInt32[np.ndarray, "heading dy n_words"]:
-    """Rows of the kernel as packed words; bit 0 of word 0 is the offset `dx = -radius`."""
-    array = kernel.as_array()
-    n_words = bitboard.word_count(array.shape[-1])
-    bits = np.zeros((*array.shape[:2], n_words * WORD_BITS), dtype=np.uint64)
-    bits[..., : array.shape[-1]] = array
-    weights = np.uint64(1) << np.arange(WORD_BITS, dtype=np.uint64)
-    return (bits.reshape(*array.shape[:2], n_words, WORD_BITS) * weights).sum(-1).astype(np.uint32)
+def _kernel_runs(kernel: Kernel) -> list[Int[np.ndarray, "bound heading dy"]]:
+    """The kernel as horizontal runs: arrays of first and last `dx` for each heading and row, `dy = -radius - 1` first.
+
+    As many arrays as the fullest row has runs; a row with fewer has empty ones, as have the rows beyond the kernel.
+    """
+    padded = np.pad(kernel.as_array(), ((0, 0), (1, 1), (1, 1)))
+    change = np.diff(padded.astype(np.int8), axis=-1)
+    runs: list[np.ndarray] = []
+    for heading, row in np.ndindex(padded.shape[:2]):
+        starts, ends = (np.flatnonzero(change[heading, row] == sign) for sign in (1, -1))
+        for number, bounds in enumerate(zip(starts, ends - 1, strict=True)):
+            if number == len(runs):
+                empty = np.broadcast_to(np.array([0, -1], np.int32)[:, None, None], (2, *padded.shape[:2]))
+                runs.append(empty.copy())
+            runs[number][:, heading, row] = np.array(bounds) - kernel.radius
+    return runs
+
+
+def _bits_below(end: Int[Array, "..."]) -> UInt32[Array, "..."]:
+    """A word's lowest `end` bits: none for negative numbers, all for 32 and more."""
+    all_bits = jnp.uint32(0xFFFFFFFF)
+    some = ~(all_bits << jnp.clip(end, 0, WORD_BITS - 1).astype(jnp.uint32))
+    return jnp.where(end >= WORD_BITS, all_bits, some)
 
 
 def visible(kernel: Kernel, pose: Pose, height: int, width: int) -> Board:
@@ -118,21 +133,16 @@ def visible(kernel: Kernel, pose: Pose, height: int, width: int) -> Board:
     Returns:
       Board of an `height x width` grid.
     """
-    n_words = bitboard.word_count(width)
-    rows = _kernel_rows(kernel)
-    # Zeros on both sides of the kernel, so that any window of n_words + 1 words near it can be sliced out.
-    margin = n_words + bitboard.word_count(kernel.radius) + 1
-    table = jnp.asarray(np.pad(rows, ((0, 0), (0, 0), (margin, margin + 1))))[pose.heading]
-    offset_row = jnp.arange(height) - pose.y + kernel.radius
-    in_kernel = (offset_row >= 0) & (offset_row <= 2 * kernel.radius)
-    # Board column 0 is kernel column radius - x.
-    start = kernel.radius - pose.x
-    word, bit = start // WORD_BITS, (start % WORD_BITS).astype(jnp.uint32)
-    window = jax.lax.dynamic_slice_in_dim(table, word + margin, n_words + 1, axis=-1)
-    # Two shifts, because shifting a 32-bit word by 32 is undefined.
-    aligned = (window[:, :-1] >> bit) | ((window[:, 1:] << 1) << (jnp.uint32(WORD_BITS - 1) - bit))
-    placed = aligned[jnp.clip(offset_row, 0, 2 * kernel.radius)]
-    return jnp.where(in_kernel[:, None], placed, jnp.uint32(0)) & bitboard.full(height, width)
+    n_words, n_rows = bitboard.word_count(width), 2 * kernel.radius + 3
+    row = jax.lax.broadcasted_iota(jnp.int32, (height, *pose.x.shape), 0)
+    kernel_row = jnp.clip(row - pose.y + kernel.radius + 1, 0, n_rows - 1) + pose.heading * n_rows
+    word_start = WORD_BITS * jax.lax.broadcasted_iota(jnp.int32, (n_words, height, *pose.x.shape), 0)
+    covered = jnp.zeros(word_start.shape, jnp.uint32)
+    for bounds in _kernel_runs(kernel):
+        first, last = (jnp.asarray(bound.reshape(-1)).at[kernel_row].get(mode="promise_in_bounds") for bound in bounds)
+        end = jnp.minimum(pose.x + last + 1, width)
+        covered |= _bits_below(end - word_start) & ~_bits_below(pose.x + first - word_start)
+    return covered
 
 
 def poses_that_see(targets: Board, kernel: Kernel) -> PoseSet:

@@ -22,6 +22,9 @@ CLASS_NAMES: tuple[str, ...] = (
     "traversable",
 )
 
+#: Bits in a class index.
+CLASS_BITS = (len(CLASS_NAMES) - 1).bit_length()
+
 #: Class index -> RGB colour, uint8 [16 3], as in the published dataset's palette.
 CLASS_COLORS = np.array(
     [

@@ -13,25 +13,46 @@ class World:
     """A static world.
 
     Attributes:
-      terrain: class index of every cell, see `dc2g_jax.grid.terrain`.
+      classes: bit planes of the class indices: plane `b` holds the cells whose index has bit `b`.
       traversable: board of the cells a robot may drive on.
       goals: board of the goal cells.
+      width: columns of the map.
     """
 
-    terrain: UInt8[Array, "*batch h w"]
-    traversable: UInt32[Array, "*batch h n_words"]
-    goals: UInt32[Array, "*batch h n_words"]
+    classes: UInt32[Array, "bit n_words h *batch"]
+    traversable: UInt32[Array, "n_words h *batch"]
+    goals: UInt32[Array, "n_words h *batch"]
+    width: int = struct.field(pytree_node=False)
+
+    @property
+    def height(self) -> int:
+        """Rows of the map."""
+        return self.goals.shape[1]
+
+    @property
+    def terrain(self) -> UInt8[Array, "h w *batch"]:
+        """Class index of every cell, see `dc2g_jax.grid.terrain`."""
+        return unpack_classes(self.classes, self.width)
 
 
-def world_from_terrain(classes: UInt8[Array, "*batch h w"] | UInt8[np.ndarray, "*batch h w"]) -> World:
+def unpack_classes(classes: UInt32[Array, "bit n_words h *batch"], width: int) -> UInt8[Array, "h w *batch"]:
+    """Class indices from their bit planes."""
+    indices = jnp.uint8(0)
+    for bit, plane in enumerate(classes):
+        indices |= bitboard.unpack(plane, width).astype(jnp.uint8) << jnp.uint8(bit)
+    return jnp.asarray(indices)
+
+
+def world_from_terrain(classes: UInt8[Array, "h w *batch"] | UInt8[np.ndarray, "h w *batch"]) -> World:
     """The world of a grid of class indices; every front door cell is a goal.
 
     Args:
-      classes: class index of every cell; leading axes make a batch of worlds.
+      classes: class index of every cell; further axes make a batch of worlds.
     """
     classes = jnp.asarray(classes, jnp.uint8)
     return World(
-        terrain=classes,
+        classes=jnp.stack([bitboard.pack(((classes >> bit) & 1) == 1) for bit in range(terrain.CLASS_BITS)]),
         traversable=bitboard.pack(jnp.asarray(terrain.TRAVERSABLE)[classes]),
         goals=bitboard.pack(classes == terrain.FRONT_DOOR),
+        width=classes.shape[1],
     )

@@ -13,7 +13,6 @@ from matplotlib.patches import Patch
 
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.evaluation import Summary
-from dc2g_jax.grid.poses import FORWARD
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, TRAVERSABLE
 from dc2g_jax.inspection.replay import Frames
 
@@ -134,9 +133,8 @@ def _draw_robot(axes: Axes, frames: Frames, frame: int) -> None:
     x, y = frames.pose.x[: frame + 1], frames.pose.y[: frame + 1]
     axes.plot(x, y, color="white", linewidth=2.4, solid_joinstyle="round")
     axes.plot(x, y, color="black", linewidth=1.2, solid_joinstyle="round")
-    dx, dy = FORWARD[frames.pose.heading[frame]]
     axes.plot(x[:1], y[:1], "o", color="white", markeredgecolor="black", markersize=5)
-    marker = {(1, 0): ">", (0, 1): "v", (-1, 0): "<", (0, -1): "^"}[dx, dy]
+    marker = ">v<^"[frames.pose.heading[frame]]
     axes.plot(x[-1:], y[-1:], marker, color="#f0e442", markeredgecolor="black", markersize=9)
 
 

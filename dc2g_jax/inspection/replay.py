@@ -13,13 +13,13 @@ from dc2g_jax import gridworld
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.evaluation import EpisodeResult, make_planner
-from dc2g_jax.grid import bitboard, search
+from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.poses import ACTION_LETTERS, Pose, every_heading, make_pose
 from dc2g_jax.grid.sensing import visible
 from dc2g_jax.grid.world import World, world_from_terrain
 from dc2g_jax.gridworld import Belief
-from dc2g_jax.planning.planners import Planner
+from dc2g_jax.planning.planners import Planner, reachable_cells
 from dc2g_jax.planning.rules import Rules
 from dc2g_jax.rollout import NO_ACTION
 
@@ -70,16 +70,16 @@ class _Carry(NamedTuple):
     """What goes from one step of the replay to the next."""
 
     belief: Belief
-    reachable: UInt32[Array, "h n_words"]
+    reachable: UInt32[Array, "n_words h"]
     planner_state: Any
 
 
 def _nearest(
-    subgoals: UInt32[Array, "heading h n_words"], length: Array, pose: Pose, reachable: Board, width: int
+    subgoals: UInt32[Array, "heading n_words h"], length: Array, pose: Pose, reachable: Board, width: int
 ) -> Array:
     """The subgoals `length` actions away over reachable ground; all of them where there is none."""
-    at_length = bitboard.pack(search.distances(pose, reachable, width) == length) & subgoals
-    return jnp.where(bitboard.is_empty(at_length), subgoals, at_length)
+    at_length = poses.pack(search.distances(pose, reachable, width) == length) & subgoals
+    return jnp.where(poses.is_empty(at_length), subgoals, at_length)
 
 
 def _frame(carry: _Carry, world: World, planner: Planner, rules: Rules) -> tuple[_Carry, dict[str, Any]]:
@@ -87,14 +87,15 @@ def _frame(carry: _Carry, world: World, planner: Planner, rules: Rules) -> tuple
     belief = carry.belief
     height, width = belief.height, belief.width
     pose = belief.pose
-    robot = bitboard.single(pose.x, pose.y, *carry.reachable.shape)
-    reachable = bitboard.flood(robot | carry.reachable, belief.traversable)
+    reachable = reachable_cells(belief, carry.reachable)
     plan, planner_state = planner.plan(belief, carry.planner_state)
     way_home = search.first_action(pose, every_heading(world.goals), world.traversable)
     boards = {
         "seen": belief.seen,
         "field_of_view": visible(rules.sensing, pose, height, width),
         "reachable": reachable,
+    }
+    pose_sets = {
         "candidates": rules.frontier_expanding(belief, reachable),
         "subgoals": _nearest(plan.subgoals, plan.length, pose, reachable, width),
     }
@@ -102,6 +103,7 @@ def _frame(carry: _Carry, world: World, planner: Planner, rules: Rules) -> tuple
         "pose": pose,
         "terrain": belief.terrain,
         **{name: bitboard.unpack(board, width) for name, board in boards.items()},
+        **{name: poses.unpack(pose_set, width) for name, pose_set in pose_sets.items()},
         "mode": plan.mode,
         "action": plan.action,
         "length": plan.length,

@@ -4,8 +4,6 @@ Two ways to say it, both measured: as the paper's text means it (`complete`) and
 it (`reference`).
 """
 
-import jax.numpy as jnp
-
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.poses import PoseSet, only
@@ -15,12 +13,12 @@ from dc2g_jax.gridworld import Belief
 
 def _unseen(belief: Belief) -> Board:
     """In-bounds cells that have not been observed."""
-    return ~belief.seen & jnp.asarray(bitboard.full(belief.height, belief.width))
+    return bitboard.complement(belief.seen, belief.width)
 
 
 def _reachable_but_here(poses: PoseSet, belief: Belief, reachable: Board) -> PoseSet:
     """The poses on reachable cells, without the one the robot is in."""
-    return poses & reachable & ~only(belief.pose, *reachable.shape)
+    return poses & reachable & ~only(belief.pose, *reachable.shape[:2])
 
 
 def frontier_cells(belief: Belief, reachable: Board) -> Board:

@@ -1,17 +1,19 @@
 """Planners behind one small protocol: `init` once per world, `plan` once per step.
 
+Worlds, beliefs and states are those of one robot or of a batch, whose axes come last.
+
 A planner is a frozen dataclass and a pytree: what it learned (an estimator's weights) are its leaves, what it obeys
 (rules) is static. So one compiled program serves every checkpoint of the same architecture.
 """
 
-from typing import Any, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float, Int
 
-from dc2g_jax.estimation.estimators import Estimator
-from dc2g_jax.grid import bitboard, search
+from dc2g_jax.estimation.estimators import Estimator, update_estimates
+from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.poses import PoseSet, every_heading
 from dc2g_jax.grid.world import World
@@ -42,7 +44,15 @@ class Plan:
 
 
 class Planner(Protocol):
-    """What a rollout asks of a planner. Both methods are pure and traced; use `jax.vmap` for many robots."""
+    """What a rollout asks of a planner. Both methods are pure and traced.
+
+    Attributes:
+      robots_a_core: how many robots side by side suit one core of a CPU.
+      robots_on_large_maps: the same where the boards of so many do not stay in its caches.
+    """
+
+    robots_a_core: ClassVar[int]
+    robots_on_large_maps: ClassVar[int]
 
     def init(self, world: World) -> Any:
         """The planner's state at the start of an episode in `world`.
@@ -60,6 +70,10 @@ class Planner(Protocol):
 class Oracle:
     """Shortest plan to the nearest goal on the whole map: the lower bound every planner is measured against."""
 
+    #: Many robots fill a core's vector lanes, and so do the rows of one; the numbers between do neither.
+    robots_a_core: ClassVar[int] = 32
+    robots_on_large_maps: ClassVar[int] = 1
+
     def init(self, world: World) -> tuple[Board, Board]:
         """The whole map: traversable cells and goal cells."""
         return world.traversable, world.goals
@@ -73,9 +87,9 @@ class Oracle:
         return Plan(action=first.action, mode=mode, length=first.length, subgoals=subgoals), state
 
 
-def _reachable(belief: Belief, before: Board) -> Board:
+def reachable_cells(belief: Belief, before: Board) -> Board:
     """Reachable cells now (Algorithm 2, line 4), grown from those reachable a step before: ground is never lost."""
-    robot = bitboard.single(belief.pose.x, belief.pose.y, *before.shape)
+    robot = bitboard.single(belief.pose.x, belief.pose.y, *before.shape[:2])
     return bitboard.flood(robot | before, belief.traversable)
 
 
@@ -85,7 +99,7 @@ def _explore_or_finish(belief: Belief, reachable: Board, candidates: PoseSet, su
     goal_reachable = ~bitboard.is_empty(goals)
     targets = jnp.where(goal_reachable, rules.goal_poses(belief, goals, reachable), subgoals)
     first = search.first_action(belief.pose, targets, reachable)
-    exploring = jnp.where(bitboard.is_empty(candidates), GAVE_UP, EXPLORE)
+    exploring = jnp.where(poses.is_empty(candidates), GAVE_UP, EXPLORE)
     mode = jnp.where(goal_reachable, TO_GOAL, exploring).astype(jnp.int32)
     return Plan(action=first.action, mode=mode, length=first.length, subgoals=targets)
 
@@ -95,6 +109,8 @@ class Frontier:
     """Pure exploration: always to the nearest frontier-expanding pose (Yamauchi's frontier, the paper's baseline)."""
 
     rules: Rules = struct.field(pytree_node=False)
+    robots_a_core: ClassVar[int] = Oracle.robots_a_core
+    robots_on_large_maps: ClassVar[int] = Oracle.robots_on_large_maps
 
     def init(self, world: World) -> Board:
         """Nothing is reachable before the first observation."""
@@ -102,7 +118,7 @@ class Frontier:
 
     def plan(self, belief: Belief, state: Board) -> tuple[Plan, Board]:
         """Head for the nearest frontier-expanding pose, or for the goal once it is reachable."""
-        reachable = _reachable(belief, state)
+        reachable = reachable_cells(belief, state)
         candidates = self.rules.frontier_expanding(belief, reachable)
         return _explore_or_finish(belief, reachable, candidates, candidates, self.rules), reachable
 
@@ -129,32 +145,63 @@ class DC2G:
     rules: Rules = struct.field(pytree_node=False)
     distance_weight: float = struct.field(pytree_node=False, default=0.0)
     patience: int | None = struct.field(pytree_node=False, default=None)
+    #: A network answers many maps at once in less time each.
+    robots_a_core: ClassVar[int] = 64
+    robots_on_large_maps: ClassVar[int] = 16
 
-    def init(self, world: World) -> tuple[Board, Any]:
+    def init(self, world: World) -> "ExplorationState":
         """Nothing is reachable before the first observation; the estimator sets itself up."""
-        return jnp.zeros_like(world.traversable), self.estimator.init(world)
+        nothing = jnp.zeros_like(world.traversable)
+        batch = nothing.shape[2:]
+        return ExplorationState(
+            reachable=nothing,
+            estimate=jnp.zeros((world.height, world.width, *batch), jnp.float32),
+            estimated_from=nothing,
+            estimator=self.estimator.init(world),
+        )
 
-    def plan(self, belief: Belief, state: tuple[Board, Any]) -> tuple[Plan, tuple[Board, Any]]:
+    def plan(self, belief: Belief, state: "ExplorationState") -> "tuple[Plan, ExplorationState]":
         """Head for the most promising frontier-expanding pose, or for the goal once it is reachable."""
-        before, estimator_state = state
-        reachable = _reachable(belief, before)
+        reachable = reachable_cells(belief, state.reachable)
         revealing = frontiers.complete(belief, reachable, self.rules.sensing)
         preferred = self.rules.frontier_expanding(belief, reachable) & revealing
-        candidates = jnp.where(bitboard.is_empty(preferred), revealing, preferred)
-        score = self.estimator.estimate(belief.terrain, estimator_state)[None]
-        if self.distance_weight:
-            lengths = search.distances(belief.pose, reachable, belief.width)
-            score = score + self.distance_weight * lengths
+        candidates = jnp.where(poses.is_empty(preferred), revealing, preferred)
+        undecided = ~poses.is_empty(candidates) & ~bitboard.intersects(reachable, belief.goals)
         if self.patience is not None:
-            # Of poses with equal scores the plan goes to the nearest.
-            score = jnp.where(belief.steps < self.patience, score, 0.0)
-        subgoals = _lowest(score, candidates, belief.width)
+            undecided &= belief.steps < self.patience
+        # An estimate stands until something new is seen; robots that do not explore ask for none.
+        outdated = undecided & ~bitboard.is_empty(belief.seen ^ state.estimated_from)
+        estimate = update_estimates(self.estimator, outdated, belief, state.estimator, state.estimate)
+        estimated_from = jnp.where(outdated, belief.seen, state.estimated_from)
+        nearest, score = candidates, estimate
+        if self.distance_weight:
+            free = jnp.where(undecided, reachable, jnp.uint32(0))
+            nearest, lengths = search.nearest_headings(belief.pose, candidates, free, belief.width)
+            score = score + self.distance_weight * lengths
+        # Without a current estimate all candidates are equal, and of equal ones the plan goes to the nearest.
+        subgoals = jnp.where(undecided, nearest & _lowest(score, poses.occupied(nearest), belief.width), candidates)
         plan = _explore_or_finish(belief, reachable, candidates, subgoals, self.rules)
-        return plan, (reachable, estimator_state)
+        return plan, ExplorationState(reachable, estimate, estimated_from, state.estimator)
 
 
-def _lowest(score: Array, candidates: PoseSet, width: int) -> PoseSet:
-    """The candidates of lowest score (Algorithm 2, line 11). Equal ones all stay: the plan goes to the nearest."""
-    is_candidate = bitboard.unpack(candidates, width)
-    score = jnp.where(is_candidate, score, jnp.inf)
-    return bitboard.pack(is_candidate & (score == jnp.min(score)))
+class ExplorationState(NamedTuple):
+    """What DC2G keeps from one step to the next.
+
+    Attributes:
+      reachable: reachable cells at the last step.
+      estimate: cost-to-go of every cell as last estimated.
+      estimated_from: cells that had been observed then.
+      estimator: the estimator's own state.
+    """
+
+    reachable: Board
+    estimate: Float[Array, "h w *batch"]
+    estimated_from: Board
+    estimator: Any
+
+
+def _lowest(score: Float[Array, "h w *batch"], cells: Board, width: int) -> Board:
+    """The cells of lowest score (Algorithm 2, line 11). Equal ones all stay: the plan goes to the nearest."""
+    chosen_from = bitboard.unpack(cells, width)
+    score = jnp.where(chosen_from, score, jnp.inf)
+    return bitboard.pack(chosen_from & (score == jnp.min(score, axis=(0, 1))))

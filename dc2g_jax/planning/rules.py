@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from dc2g_jax.grid import bitboard, search
 from dc2g_jax.grid.bitboard import Board
-from dc2g_jax.grid.poses import PoseSet, every_heading
+from dc2g_jax.grid.poses import PoseSet, every_heading, with_headings
 from dc2g_jax.grid.sensing import Kernel, expanding_kernel, field_of_view
 from dc2g_jax.gridworld import Belief
 from dc2g_jax.planning import frontiers
@@ -42,14 +42,12 @@ def first_goal(belief: Belief, goals: Board, reachable: Board) -> PoseSet:
 
     Ties between headings go to the smaller index.
     """
-    target = bitboard.first(goals)
-    # An empty map where no goal is reachable: nothing is searched for nothing.
+    x, y = bitboard.first(goals)
+    # Nothing is searched where there is nothing to find.
     free = jnp.where(bitboard.is_empty(goals), jnp.uint32(0), reachable)
-    lengths = search.distances(belief.pose, free, belief.width)
-    at_target = bitboard.unpack(target, belief.width) & (lengths >= 0)
-    per_heading = jnp.min(jnp.where(at_target, lengths, jnp.iinfo(jnp.int32).max), axis=(1, 2))
-    soonest = jnp.arange(len(per_heading)) == jnp.argmin(per_heading)
-    return jnp.where(soonest[:, None, None], target, jnp.uint32(0))
+    headings = search.first_headings(belief.pose, x, y, free)
+    soonest = headings & (jnp.cumsum(headings, axis=0) == 1)
+    return with_headings(soonest, bitboard.single(x, y, *reachable.shape[:2]))
 
 
 @functools.cache

@@ -28,13 +28,12 @@ N_WORLDS, N_MASKS, N_OWN = 4, 30, 12
 def training_set(shape: tuple[int, int]) -> tuple[TrainingSet, np.ndarray]:
     """Random worlds under random masks, and the masks as boolean grids."""
     terrains = np.stack([maps.random_terrain(seed, shape, 0.75) for seed in range(N_WORLDS)])
-    worlds = world_from_terrain(terrains)
     owners = np.sort(np.random.default_rng(0).integers(N_WORLDS, size=N_MASKS))
     seen = np.stack([maps.random_cells(seed, shape, (0.3, 0.7, 0.97)[seed % 3]) for seed in range(N_MASKS)])
     data = TrainingSet(
-        terrain=worlds.terrain,
-        cost_to_go=jax.jit(jax.vmap(world_cost_to_go))(worlds),
-        masks=bitboard.pack(jnp.asarray(seen)),
+        terrain=jnp.asarray(terrains),
+        cost_to_go=jnp.stack([world_cost_to_go(world_from_terrain(terrain)) for terrain in terrains]),
+        masks=jax.vmap(bitboard.pack)(jnp.asarray(seen)),
         mask_world=jnp.asarray(owners, jnp.int32),
         n_own=jnp.int32(N_OWN),
     )
@@ -74,13 +73,12 @@ def test_pairs(shape, edge_width):
 
 def test_labels_do_not_depend_on_what_is_hidden(street):
     """The cost is of the hidden map, so a visible cell keeps its label under every mask."""
-    worlds = world_from_terrain(street[None])
     cost = np.asarray(world_cost_to_go(world_from_terrain(street)))
     masks = np.stack([maps.random_cells(seed, street.shape, 0.5) for seed in range(8)])
     data = TrainingSet(
-        terrain=worlds.terrain,
+        terrain=jnp.asarray(street)[None],
         cost_to_go=jnp.asarray(cost)[None],
-        masks=bitboard.pack(jnp.asarray(masks)),
+        masks=jax.vmap(bitboard.pack)(jnp.asarray(masks)),
         mask_world=jnp.zeros(8, jnp.int32),
         n_own=jnp.int32(8),
     )
@@ -124,8 +122,8 @@ def test_cost_to_go_of_a_turned_map_is_the_turned_cost_to_go():
         n_own=jnp.int32(1),
     )
     pairs = pair_maker()(full, jnp.zeros(SYMMETRIES, jnp.int32), jnp.arange(SYMMETRIES))
-    costs = jax.jit(jax.vmap(world_cost_to_go))(world_from_terrain(pairs.terrain))
-    np.testing.assert_array_equal(costs, pairs.target)
+    costs = jax.jit(world_cost_to_go)(world_from_terrain(jnp.moveaxis(pairs.terrain, 0, -1)))
+    np.testing.assert_array_equal(jnp.moveaxis(costs, -1, 0), pairs.target)
 
 
 def test_a_map_that_is_not_square_keeps_its_shape():
@@ -184,7 +182,7 @@ def test_moments_equal_stepping_the_gridworld(shape):
 def test_masks_collected_along_paths(street, island):
     rules = complete_rules(2)
     planner = Frontier(rules)
-    worlds = world_from_terrain(np.stack([street, island]))
+    worlds = world_from_terrain(np.stack([street, island], axis=-1))
     # More episodes than are looked at in one call.
     count = 130
     index = np.arange(count) % 2

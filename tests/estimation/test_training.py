@@ -31,12 +31,12 @@ DRAW = functools.partial(draw_pairs, batch_size=CONFIG.batch_size, own_share=1.0
 @pytest.fixture(scope="module")
 def data() -> TrainingSet:
     shape = (16, 16)
-    worlds = world_from_terrain(np.stack([maps.random_terrain(seed, shape, 0.85, doors=2) for seed in range(3)]))
+    terrains = np.stack([maps.random_terrain(seed, shape, 0.85, doors=2) for seed in range(3)])
     seen = np.stack([maps.random_cells(seed, shape, 0.8) for seed in range(6)])
     return TrainingSet(
-        terrain=worlds.terrain,
-        cost_to_go=jax.jit(jax.vmap(world_cost_to_go))(worlds),
-        masks=bitboard.pack(jnp.asarray(seen)),
+        terrain=jnp.asarray(terrains),
+        cost_to_go=jnp.stack([world_cost_to_go(world_from_terrain(terrain)) for terrain in terrains]),
+        masks=jax.vmap(bitboard.pack)(jnp.asarray(seen)),
         mask_world=jnp.arange(6, dtype=jnp.int32) % 3,
         n_own=jnp.int32(6),
     )

@@ -48,15 +48,17 @@ def everything(shape: tuple[int, int]):
 
     def run(cells, others):
         a, b = bitboard.pack(cells), bitboard.pack(others)
-        columns, rows = jnp.meshgrid(jnp.arange(-2, width + 2), jnp.arange(-2, height + 2))
+        columns, rows = jnp.meshgrid(jnp.arange(width), jnp.arange(height))
         contains = jax.vmap(jax.vmap(functools.partial(bitboard.contains, a)))
+        x, y = bitboard.first(a)
         return {
             "boards": (a, b),
             "unpacked": bitboard.unpack(a, width),
             "count": bitboard.count(a),
             "is_empty": bitboard.is_empty(a),
             "intersects": bitboard.intersects(a, b),
-            "first": bits(bitboard.first(a)),
+            "first": (x, y),
+            "complement": bitboard.unpack(bitboard.complement(a, width), width),
             "contains": contains(columns, rows),
             "neighbours": bits(bitboard.neighbours(a)),
             "flood": bits(bitboard.flood(a, b)),
@@ -81,13 +83,12 @@ def test_every_operation_equals_its_cell_by_cell_meaning(shape, seed, density, f
     assert result["count"] == cells.sum()
     assert result["is_empty"] == (not cells.any())
     assert result["intersects"] == (cells & others).any()
-    np.testing.assert_array_equal(result["contains"], np.pad(cells, 2))
+    np.testing.assert_array_equal(result["contains"], cells)
+    np.testing.assert_array_equal(result["complement"], ~cells)
     np.testing.assert_array_equal(result["neighbours"], oracle._neighbour_of(cells))
 
-    first = np.zeros_like(cells)
-    if cells.any():
-        first.flat[np.argmax(cells)] = True
-    np.testing.assert_array_equal(result["first"], first)
+    row, column = np.unravel_index(np.argmax(cells), shape)
+    assert result["first"] == (column, row)
 
     flooded = np.zeros_like(cells)
     for y, x in np.argwhere(cells & others):
@@ -109,11 +110,11 @@ def test_bits_are_columns_counted_from_the_lowest(shape):
     height, width = shape
     board = np.asarray(bitboard.pack(jnp.ones(shape, bool)))
     assert board.dtype == np.uint32
-    assert board.shape == (height, bitboard.word_count(width))
+    assert board.shape == (bitboard.word_count(width), height)
     np.testing.assert_array_equal(board, bitboard.full(height, width))
     for x in {0, width // 2, width - 1}:
         single = np.asarray(bitboard.single(jnp.int32(x), jnp.int32(height - 1), *board.shape))
-        assert single[height - 1, x // 32] == 1 << (x % 32)
+        assert single[x // 32, height - 1] == 1 << (x % 32)
         assert np.count_nonzero(single) == 1
 
 
@@ -124,27 +125,37 @@ def test_word_count(width, words):
     assert bitboard.word_count(width) == words
 
 
-def test_leading_axes_are_a_batch():
+def test_further_axes_are_a_batch():
     cells = np.stack([[maps.random_cells(10 * i + j, (7, 33), 0.5) for i in range(3)] for j in range(2)])
+    cells = np.moveaxis(cells, (2, 3), (0, 1))
     boards = bitboard.pack(jnp.asarray(cells))
-    assert boards.shape == (2, 3, 7, 2)
+    assert boards.shape == (2, 7, 2, 3)
     np.testing.assert_array_equal(bitboard.unpack(boards, 33), cells)
-    np.testing.assert_array_equal(bitboard.count(boards), cells.sum((-2, -1)))
-    np.testing.assert_array_equal(bitboard.is_empty(boards, (-2, -1)), ~cells.any((-2, -1)))
+    x, y = jnp.asarray([[3, 32, 0], [31, 7, 5]]), jnp.asarray([[0, 6, 2], [1, 1, 4]])
+    free = bitboard.pack(jnp.asarray(np.roll(cells, 1, axis=-1) | cells))
     for operation in (
-        bitboard.neighbours,
-        lambda board: bitboard.shift(board, 5, -1),
-        lambda board: bitboard.cells_that_see(board, OFFSET_SETS[3]),
+        lambda board, free, x, y: (bitboard.count(board), bitboard.is_empty(board), bitboard.first(board)),
+        lambda board, free, x, y: bitboard.neighbours(board),
+        lambda board, free, x, y: bitboard.shift(board, 5, -1),
+        lambda board, free, x, y: bitboard.cells_that_see(board, OFFSET_SETS[3]),
+        lambda board, free, x, y: bitboard.complement(board, 33),
+        lambda board, free, x, y: bitboard.intersects(board, ~free),
+        lambda board, free, x, y: (bitboard.contains(board, x, y), bitboard.single(x, y, 2, 7)),
+        lambda board, free, x, y: bitboard.flood(bitboard.single(x, y, 2, 7), free),
     ):
-        one_by_one = jnp.stack([jnp.stack([operation(board) for board in row]) for row in boards])
-        np.testing.assert_array_equal(operation(boards), one_by_one)
+        together = operation(boards, free, x, y)
+        for j, i in np.ndindex(2, 3):
+            alone = operation(boards[..., j, i], free[..., j, i], x[j, i], y[j, i])
+            jax.tree.map(
+                lambda many, one, j=j, i=i: np.testing.assert_array_equal(many[..., j, i], one), together, alone
+            )
 
 
 def test_a_flood_that_goes_on_from_an_earlier_answer_gives_the_same():
     free = bitboard.pack(jnp.asarray(maps.random_cells(4, (20, 65), 0.7)))
     everything_free = bitboard.unpack(free, 65)
     y, x = np.argwhere(np.asarray(everything_free))[0]
-    seed = bitboard.single(jnp.int32(x), jnp.int32(y), 20, 3)
+    seed = bitboard.single(jnp.int32(x), jnp.int32(y), 3, 20)
     whole = bitboard.flood(seed, free)
     part = seed | (bitboard.neighbours(seed) & free)
     np.testing.assert_array_equal(bitboard.flood(part, free), whole)

@@ -3,6 +3,7 @@
 import functools
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from dc2g_jax.grid import bitboard, search
+from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.search import EIGHT_CONNECTED, FOUR_CONNECTED
 from tests import maps
@@ -23,7 +24,7 @@ each_shape = pytest.mark.parametrize("shape", maps.SHAPES, ids="{0[0]}x{0[1]}".f
 def searching(shape: tuple[int, int]):
     def run(x, y, heading, free, targets):
         pose, board = make_pose(x, y, heading), bitboard.pack(free)
-        first = search.first_action(pose, bitboard.pack(targets), board)
+        first = search.first_action(pose, poses.pack(targets), board)
         return first, search.distances(pose, board, shape[1])
 
     return jax.jit(run)
@@ -86,6 +87,68 @@ def test_the_longest_way_in_a_winding_corridor():
     assert int(first.length) == len(plan) > 500
     assert int(first.action) == plan[0]
     np.testing.assert_array_equal(distances, oracle.distances_from(free, (0, 0, 2)))
+
+
+@functools.cache
+def comparing(shape: tuple[int, int]):
+    """Everything about one robot, or about a batch of them."""
+
+    def run(x, y, heading, free, targets, cell_x, cell_y):
+        pose, board, target_poses = make_pose(x, y, heading), bitboard.pack(free), poses.pack(targets)
+        nearest, lengths = search.nearest_headings(pose, target_poses, board, shape[1])
+        return {
+            "first": search.first_action(pose, target_poses, board),
+            "headings": search.first_headings(pose, cell_x, cell_y, board),
+            "distances": search.distances(pose, board, shape[1]),
+            "nearest": poses.unpack(nearest, shape[1]),
+            "lengths": lengths,
+        }
+
+    return jax.jit(run)
+
+
+def a_robot(seed: int, shape: tuple[int, int], density: float, target_density: float):
+    """Free cells, a pose on one of them, other poses as targets, and any cell."""
+    rng = np.random.default_rng(seed)
+    free = maps.random_cells(seed, shape, density)
+    free.flat[seed % free.size] = True
+    x, y, heading = maps.random_pose(seed, free)
+    targets = rng.random((4, *shape)) < target_density
+    targets[heading, y, x] = False
+    return x, y, heading, free, targets, int(rng.integers(shape[1])), int(rng.integers(shape[0]))
+
+
+@each_shape
+@given(seed=maps.seeds, density=maps.densities, target_density=st.sampled_from([0.0, 0.02, 0.5, 1.0]))
+@settings(max_examples=20)
+def test_nearest_and_first_headings(shape, seed, density, target_density):
+    robot = a_robot(seed, shape, density, target_density)
+    *pose, free, targets, cell_x, cell_y = robot
+    result = comparing(shape)(*robot)
+    wanted = oracle.distances_from(free, tuple(pose))
+
+    far = np.where(targets & (wanted >= 0), wanted, np.iinfo(int).max)
+    soonest = targets & (wanted >= 0) & (far == far.min(axis=0))
+    np.testing.assert_array_equal(result["nearest"], soonest)
+    some = soonest.any(axis=0)
+    np.testing.assert_array_equal(np.asarray(result["lengths"])[some], far.min(axis=0)[some])
+
+    at_cell = wanted[:, cell_y, cell_x]
+    np.testing.assert_array_equal(result["headings"], (at_cell >= 0) & (at_cell == at_cell.min()))
+
+
+@pytest.mark.parametrize("shape", [(7, 33), (12, 12), (5, 65)], ids="{0[0]}x{0[1]}".format)
+def test_each_search_of_a_batch_gives_what_it_gives_alone(shape):
+    """Though they all grow until the last has arrived: long and short ones, and some with nothing to find."""
+    robots = [a_robot(seed, shape, (1.0, 0.65, 0.4)[seed % 3], (0.002, 0.02, 0.0)[seed % 4 % 3]) for seed in range(24)]
+    batch = [np.stack(parts, axis=-1) for parts in zip(*robots, strict=True)]
+    together = comparing(shape)(*batch)
+    found, lengths = together["first"].found, together["first"].length
+    assert {bool(value) for value in found} == {True, False}
+    assert int(jnp.max(lengths)) > 8
+    for number, robot in enumerate(robots):
+        alone = comparing(shape)(*robot)
+        jax.tree.map(lambda many, one, n=number: np.testing.assert_array_equal(many[..., n], one), together, alone)
 
 
 # --- cost-to-go ---------------------------------------------------------------------------------------

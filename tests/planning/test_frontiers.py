@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from dc2g_jax.grid import bitboard
+from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.sensing import expanding_kernel, field_of_view
 from dc2g_jax.grid.world import world_from_terrain
@@ -26,10 +26,11 @@ def belief_of(terrain, seen, pose) -> Belief:
     return Belief(
         pose=make_pose(*pose),
         steps=jnp.int32(0),
-        terrain=jnp.where(seen, world.terrain, jnp.uint8(0)),
+        classes=world.classes & board,
         seen=board,
         traversable=world.traversable & board,
         goals=world.goals & board,
+        width=world.width,
     )
 
 
@@ -39,13 +40,13 @@ def frontier_sets(width: int):
         belief = belief_of(terrain, seen, pose)
         robot = bitboard.single(belief.pose.x, belief.pose.y, *belief.seen.shape)
         reachable = bitboard.flood(robot, belief.traversable)
-        boards = (
-            reachable,
-            frontiers.frontier_cells(belief, reachable),
+        boards = (reachable, frontiers.frontier_cells(belief, reachable))
+        pose_sets = (
             frontiers.complete(belief, reachable, field_of_view(SENSING)),
             frontiers.reference(belief, reachable, expanding_kernel(EXPANDING)),
         )
-        return [bitboard.unpack(board, width) for board in boards], boards
+        unpacked = [bitboard.unpack(board, width) for board in boards] + [poses.unpack(p, width) for p in pose_sets]
+        return unpacked, (*boards, *pose_sets)
 
     return jax.jit(run)
 

@@ -11,7 +11,7 @@ from flax import struct
 
 from dc2g_jax.estimation.estimators import ExactCostToGo, world_cost_to_go
 from dc2g_jax.evaluation import action_letters
-from dc2g_jax.grid import bitboard
+from dc2g_jax.grid import poses
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.search import EIGHT_CONNECTED, FOUR_CONNECTED
 from dc2g_jax.grid.sensing import field_of_view
@@ -33,25 +33,24 @@ both_rules = pytest.mark.parametrize("rules", RULES)
 
 def random_worlds(shape, first_seed: int, doors: int = 1, episodes: int = EPISODES):
     """Random maps, and a start on traversable ground that is no door in each."""
-    terrains, poses = [], []
+    terrains, starts = [], []
     for seed in range(first_seed, first_seed + episodes):
         terrain = maps.random_terrain(seed, shape, (0.65, 0.75, 0.85)[seed % 3], doors=doors if seed % 4 else 2 * doors)
         terrain.flat[0 if terrain.flat[0] != oracle.FRONT_DOOR else -1] = 3
         ground = np.isin(terrain, oracle.TRAVERSABLE_CLASSES) & (terrain != oracle.FRONT_DOOR)
         terrains.append(terrain)
-        poses.append(maps.random_pose(seed, ground))
-    return np.stack(terrains), poses
+        starts.append(maps.random_pose(seed, ground))
+    return np.stack(terrains), starts
 
 
-def run(planner, terrains, poses, sensing=None, step_limit=STEP_LIMIT):
-    worlds = world_from_terrain(terrains)
-    starts = make_pose(*np.array(poses).T)
-    episodes = Episodes(world=jnp.arange(len(poses), dtype=jnp.int32), start=starts)
+def run(planner, terrains, starts, sensing=None, step_limit=STEP_LIMIT):
+    worlds = world_from_terrain(np.moveaxis(terrains, 0, -1))
+    episodes = Episodes(world=jnp.arange(len(starts), dtype=jnp.int32), start=make_pose(*np.array(starts).T))
     return rollout(planner, worlds, episodes, sensing=sensing or field_of_view(SENSING), step_limit=step_limit, slots=4)
 
 
-def check_against_oracle(done, terrains, poses, planner: str, rules: str, cost_to_go=lambda index: None):
-    for index, (terrain, pose) in enumerate(zip(terrains, poses, strict=True)):
+def check_against_oracle(done, terrains, starts, planner: str, rules: str, cost_to_go=lambda index: None):
+    for index, (terrain, pose) in enumerate(zip(terrains, starts, strict=True)):
         success, actions, mode = oracle.run_episode(
             terrain,
             pose,
@@ -69,24 +68,24 @@ def check_against_oracle(done, terrains, poses, planner: str, rules: str, cost_t
 
 @pytest.mark.parametrize("shape", [(11, 33), (1, 40)], ids="{0[0]}x{0[1]}".format)
 def test_oracle_episodes(shape):
-    terrains, poses = random_worlds(shape, 100)
-    check_against_oracle(run(Oracle(), terrains, poses), terrains, poses, "oracle", "complete")
+    terrains, starts = random_worlds(shape, 100)
+    check_against_oracle(run(Oracle(), terrains, starts), terrains, starts, "oracle", "complete")
 
 
 @both_rules
 @pytest.mark.parametrize("shape", [(11, 33), (9, 64)], ids="{0[0]}x{0[1]}".format)
 def test_frontier_episodes(shape, rules):
-    terrains, poses = random_worlds(shape, 200)
-    check_against_oracle(run(Frontier(RULES[rules]), terrains, poses), terrains, poses, "frontier", rules)
+    terrains, starts = random_worlds(shape, 200)
+    check_against_oracle(run(Frontier(RULES[rules]), terrains, starts), terrains, starts, "frontier", rules)
 
 
 @pytest.mark.parametrize(("rules", "moves"), [("reference", EIGHT_CONNECTED), ("complete", FOUR_CONNECTED)])
 def test_dc2g_episodes_with_exact_cost_to_go(rules, moves):
-    terrains, poses = random_worlds((11, 33), 300)
+    terrains, starts = random_worlds((11, 33), 300)
     planner = DC2G(ExactCostToGo(moves=moves), RULES[rules])
-    costs = np.asarray(jax.vmap(functools.partial(world_cost_to_go, moves=moves))(world_from_terrain(terrains)))
+    costs = np.asarray(world_cost_to_go(world_from_terrain(np.moveaxis(terrains, 0, -1)), moves=moves))
     check_against_oracle(
-        run(planner, terrains, poses), terrains, poses, "dc2g", rules, cost_to_go=lambda index: costs[index]
+        run(planner, terrains, starts), terrains, starts, "dc2g", rules, cost_to_go=lambda index: costs[..., index]
     )
 
 
@@ -100,8 +99,11 @@ class Scattered:
 
     def estimate(self, terrain, state: Any):
         del state
-        y, x = jnp.indices(terrain.shape)
-        return ((7 * x + 5 * y + jnp.sum(terrain == 0) + terrain) % 11).astype(jnp.float32)
+        y, x = (
+            index.reshape(*index.shape, *(1 for _ in terrain.shape[2:])) for index in jnp.indices(terrain.shape[:2])
+        )
+        unknown = jnp.sum(terrain == 0, axis=(0, 1))
+        return ((7 * x + 5 * y + unknown + terrain) % 11).astype(jnp.float32)
 
 
 def scattered(seen, terrain):
@@ -111,16 +113,16 @@ def scattered(seen, terrain):
 
 @both_rules
 def test_dc2g_episodes_with_an_estimator_of_what_was_observed(rules):
-    terrains, poses = random_worlds((11, 33), 400)
-    done = run(DC2G(Scattered(), RULES[rules]), terrains, poses)
-    check_against_oracle(done, terrains, poses, "dc2g", rules, cost_to_go=lambda index: scattered)
+    terrains, starts = random_worlds((11, 33), 400)
+    done = run(DC2G(Scattered(), RULES[rules]), terrains, starts)
+    check_against_oracle(done, terrains, starts, "dc2g", rules, cost_to_go=lambda index: scattered)
 
 
 @functools.cache
 def deciding(planner, width: int):
     def decide(terrain, seen, pose):
         plan, _ = planner.plan(belief_of(terrain, seen, pose), planner.init(world_from_terrain(terrain)))
-        return plan, bitboard.unpack(plan.subgoals, width)
+        return plan, poses.unpack(plan.subgoals, width)
 
     return jax.jit(decide)
 
@@ -177,17 +179,17 @@ def test_once_a_goal_is_reachable_the_plan_goes_there(rules):
 def test_exploration_by_complete_rules_always_ends_with_everything_seen(planner):
     """Without a goal in reach the robot gives up, and by then it has seen all there was to see."""
     shape, rules = (11, 33), RULES["complete"]
-    terrains, poses = random_worlds(shape, 500, doors=0, episodes=40)
+    terrains, starts = random_worlds(shape, 500, doors=0, episodes=40)
     for index in range(0, 40, 2):  # in half of them there is a door, walled in
         row, column = index % 7 + 2, index % 29 + 2
-        if abs(poses[index][0] - column) + abs(poses[index][1] - row) > 1:
+        if abs(starts[index][0] - column) + abs(starts[index][1] - row) > 1:
             terrains[index, row, column - 1 : column + 2] = terrains[index, row - 1 : row + 2, column] = 7
             terrains[index, row, column] = oracle.FRONT_DOOR
     chosen = Frontier(rules) if planner == "frontier" else DC2G(Scattered(), rules)
-    done = run(chosen, terrains, poses, step_limit=2000)
+    done = run(chosen, terrains, starts, step_limit=2000)
     assert (done.mode == GAVE_UP).all()
     assert not done.success.any()
-    for index, (terrain, pose) in enumerate(zip(terrains, poses, strict=True)):
+    for index, (terrain, pose) in enumerate(zip(terrains, starts, strict=True)):
         component = oracle.reachable(np.isin(terrain, oracle.TRAVERSABLE_CLASSES), *pose[:2])
         seen = oracle.visible(pose, SENSING, shape)
         for action in done.actions[index, : done.steps[index]]:
@@ -199,9 +201,9 @@ def test_exploration_by_complete_rules_always_ends_with_everything_seen(planner)
 
 @both_rules
 def test_a_robot_never_drives_where_it_cannot(rules):
-    terrains, poses = random_worlds((11, 33), 600)
-    done = run(Frontier(RULES[rules]), terrains, poses)
-    for index, pose in enumerate(poses):
+    terrains, starts = random_worlds((11, 33), 600)
+    done = run(Frontier(RULES[rules]), terrains, starts)
+    for index, pose in enumerate(starts):
         for action in done.actions[index, : done.steps[index]]:
             pose = oracle.moved(pose, int(action), terrains[index].shape)
             assert terrains[index][pose[1], pose[0]] in oracle.TRAVERSABLE_CLASSES

@@ -1,0 +1,134 @@
+"""Episodes in plain single-threaded C: `gridworld.c`, compiled here and called through ctypes."""
+
+import concurrent.futures
+import ctypes
+import dataclasses
+import functools
+import hashlib
+import os
+import shlex
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from experiments.baselines.problem import (
+    PLANNERS,
+    BaselineUnavailable,
+    Offsets,
+    Outcome,
+    PlannerName,
+    Problem,
+    empty_outcome,
+)
+
+_SOURCE = Path(__file__).with_name("gridworld.c")
+FLAGS = ("-std=c99", "-O3", "-march=native", "-shared", "-fPIC")
+
+
+def compiler() -> list[str]:
+    """The C compiler: the one the environment variable CC names, else the first of cc, gcc and clang.
+
+    Raises:
+      BaselineUnavailable: if there is none.
+    """
+    chosen = shlex.split(os.environ.get("CC", "")) or next(
+        ([name] for name in ("cc", "gcc", "clang") if shutil.which(name)), []
+    )
+    if not chosen or shutil.which(chosen[0]) is None:
+        wanted = chosen[0] if chosen else "cc, gcc or clang"
+        raise BaselineUnavailable(f"no C compiler ({wanted} is not on the PATH); install one or set CC")
+    return chosen
+
+
+def _build(command: list[str], target: Path) -> None:
+    """Compile into a file of its own first, so that no one ever loads half a library."""
+    partial = target.with_name(f"{target.stem}-{os.getpid()}.so")
+    result = subprocess.run(
+        [*command, *FLAGS, str(_SOURCE), "-o", str(partial)], capture_output=True, text=True, check=False
+    )
+    if result.returncode != 0:
+        lines = result.stderr.strip().splitlines() or [f"exit status {result.returncode}"]
+        raise BaselineUnavailable(f"{shlex.join(command)} cannot compile {_SOURCE.name}: {lines[0]}")
+    partial.replace(target)
+
+
+@functools.cache
+def library() -> ctypes.CDLL:
+    """The compiled program, built once for each version of the source, compiler and machine."""
+    command = compiler()
+    recipe = repr((_SOURCE.read_bytes(), command, FLAGS, os.uname()))
+    folder = Path(tempfile.gettempdir()) / f"dc2g_jax-baselines-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    target = folder / f"gridworld-{hashlib.sha256(recipe.encode()).hexdigest()[:16]}.so"
+    if not target.exists():
+        _build(command, target)
+    return ctypes.CDLL(str(target))
+
+
+def _address(array: np.ndarray) -> ctypes.c_void_p:
+    assert array.flags.c_contiguous
+    return array.ctypes.data_as(ctypes.c_void_p)
+
+
+def _addresses(offsets: Offsets) -> list[ctypes.c_void_p]:
+    return [_address(array) for array in offsets]
+
+
+def _run(problem: Problem, planner: PlannerName) -> Outcome:
+    """Run every episode, one after another."""
+    outcome = empty_outcome(problem)
+    _, height, width = problem.traversable.shape
+    status = library().run_episodes(
+        height,
+        width,
+        _address(problem.traversable),
+        _address(problem.goals),
+        len(problem.world),
+        _address(problem.world),
+        _address(problem.start),
+        *_addresses(problem.sensing),
+        *_addresses(problem.expanding),
+        int(problem.complete),
+        PLANNERS.index(planner),
+        problem.step_limit,
+        _address(outcome.steps),
+        _address(outcome.success),
+        _address(outcome.actions),
+    )
+    if status != 0:
+        raise MemoryError(f"no memory for a robot on {height} x {width} cells")
+    return outcome
+
+
+def run_episodes(problem: Problem, planner: PlannerName, *, threads: int = 1) -> Outcome:
+    """Run every episode: one after another on one core, or dealt out to several, each of which does the same.
+
+    Args:
+      problem: the episodes.
+      planner: who leads the robots.
+      threads: cores to use.
+
+    Raises:
+      BaselineUnavailable: if there is no compiler.
+    """
+    library()
+    if threads == 1:
+        return _run(problem, planner)
+    hands = [
+        dataclasses.replace(
+            problem,
+            world=np.ascontiguousarray(problem.world[hand::threads]),
+            start=np.ascontiguousarray(problem.start[hand::threads]),
+        )
+        for hand in range(threads)
+    ]
+    whole = empty_outcome(problem)
+    with concurrent.futures.ThreadPoolExecutor(threads) as pool:
+        for hand, part in enumerate(pool.map(_run, hands, [planner] * threads)):
+            whole.steps[hand::threads] = part.steps
+            whole.success[hand::threads] = part.success
+            whole.actions[hand::threads] = part.actions
+    return whole

@@ -1,0 +1,131 @@
+"""How fast everything is, beside what one would pick instead: `python -m experiments.benchmark`."""
+
+import dataclasses
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Literal
+
+from dc2g_jax.datasets.houses import open_dataset
+from dc2g_jax.errors import InputError
+from experiments.benchmarks import figures, machine, report
+from experiments.benchmarks.bench import Bench
+from experiments.benchmarks.compiling import program_rows
+from experiments.benchmarks.kernels import kernel_rows, network_rows
+from experiments.benchmarks.planners import planner_rows
+from experiments.benchmarks.rows import Row
+from experiments.benchmarks.stepping import environment_rows
+from experiments.benchmarks.sweeps import batch_rows, grid_rows, range_rows
+from experiments.benchmarks.workload import make_workload
+from experiments.common import command_line, open_network, output_folder
+
+Section = Literal["planners", "environment", "kernels", "network", "programs", "batch", "grid", "range"]
+
+_SECTIONS: dict[Section, Callable[[Bench], Iterator[Row]]] = {
+    "planners": planner_rows,
+    "environment": environment_rows,
+    "kernels": kernel_rows,
+    "network": network_rows,
+    "programs": program_rows,
+    "batch": batch_rows,
+    "grid": grid_rows,
+    "range": range_rows,
+}
+
+_ABOUT = (
+    "Medians of repeats, worst beside them; compilation apart. A planner step is one robot's plan, action and "
+    "observation, counted once; every program replans from scratch at every step, by the rules of the authors' code. "
+    "`frontier_lazy` does the same with fewer looks: it searches outward and tests each pose only when it comes to it. "
+    "Houses: training and validation ones, never test houses. Shares are of what this machine was measured to do, from "
+    "counted work: words handled by each operation as written, inputs and outputs read and written once and what a "
+    "loop carries once a turn. Where that fits into the caches the share of the memory bandwidth can exceed 100 %."
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Measure planners, environment, kernels and network, side by side with plain C, Numba, NumPy and libraries.
+
+    Writes `benchmark.json`, `benchmark.md` and `benchmark.png` and prints the table. Programs that are not installed
+    are left out with the reason; `pip install -e ".[benchmark]"` brings them.
+
+    Attributes:
+      only: parts to measure; all where not given.
+      quick: small cases that show in a minute that everything runs; its figures mean little.
+      repeats: how often everything is timed; 5, or 2 with --quick, where not given.
+      starts_per_house: episodes in each training and validation house.
+      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
+      network: folder of a trained network for `dc2g`; the shipped one where not given.
+      out: folder to write to; a new one below outputs/ where not given.
+    """
+
+    only: tuple[Section, ...] = ()
+    quick: bool = False
+    repeats: int | None = None
+    starts_per_house: int = 12
+    dataset: str | None = None
+    network: Path | None = None
+    out: Path | None = None
+
+
+def measured(bench: Bench, sections: tuple[Section, ...]) -> list[Row]:
+    """All rows, told as they come."""
+    rows, started = [], time.monotonic()
+    for section in sections:
+        for row in _SECTIONS[section](bench):
+            seconds = time.monotonic() - started
+            print(f"{seconds:5.0f} s  {section}: {report.line_of(row)}", file=sys.stderr, flush=True)
+            rows.append(row)
+    return rows
+
+
+def main(options: Options) -> None:
+    """Measure and write."""
+    if options.repeats is not None and options.repeats < 1:
+        raise InputError(f"--repeats {options.repeats}: nothing would be measured; give 1 or more")
+    if options.starts_per_house < 1:
+        raise InputError(f"--starts-per-house {options.starts_per_house}: there would be no episode; give 1 or more")
+    started = time.monotonic()
+    dataset = open_dataset(options.dataset)
+    repeats = options.repeats or (2 if options.quick else 5)
+    workload = make_workload(
+        dataset,
+        per_house=1 if options.quick else options.starts_per_house,
+        most_houses=4 if options.quick else None,
+    )
+    network = open_network(options.network)
+    out = output_folder(options.out, "benchmark")
+
+    description = machine.describe()
+    print(", ".join(f"{name} {value}" for name, value in description.items()))
+    if machine.load() > machine.cores() / 2:
+        print(f"The machine is busy (load {machine.load():.1f}): the figures will be low", file=sys.stderr)
+    peaks = machine.peaks(repeats, quick=options.quick)
+    print("\n".join(report.peak_lines(peaks)))
+    bench = Bench(
+        workload=workload,
+        network=network,
+        repeats=repeats,
+        quick=options.quick,
+        peaks={resource: peak.rate for resource, peak in peaks.items()},
+    )
+    rows = measured(bench, options.only or tuple(_SECTIONS))
+    facts = {
+        "machine": description,
+        "about": _ABOUT,
+        "dataset": dataset.name,
+        "houses": len(workload.houses),
+        "episodes": len(workload.starts),
+        "repeats": repeats,
+        "quick": options.quick,
+        "seconds": round(time.monotonic() - started, 1),
+    }
+    written = report.write(out, facts, peaks, rows)
+    written += figures.plot(out / "benchmark", facts, rows)
+    print(report.text(rows))
+    print(f"Written: {', '.join(str(path) for path in written)}")
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

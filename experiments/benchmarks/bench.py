@@ -1,0 +1,84 @@
+"""What every part of the benchmark is given."""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.evaluation import make_planner
+from dc2g_jax.planning.planners import Planner
+from dc2g_jax.planning.rules import SETTINGS, Rules
+from experiments.benchmarks.machine import BANDWIDTH, WORD_ARITHMETIC
+from experiments.benchmarks.rows import Row
+from experiments.benchmarks.timing import Measured, Timing, measure
+from experiments.benchmarks.work import count_work
+from experiments.benchmarks.workload import Robots, Workload, robots_under_way, taken_over
+
+#: Reach of the field of view where it is not what varies, in cells.
+SENSING_RANGE = 8
+
+#: Robots in the middle of their episodes that batches are made of.
+_POOL = 2048
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Bench:
+    """Workload, thoroughness and what the machine can do.
+
+    Attributes:
+      workload: houses and starts.
+      network: the estimator of `dc2g`.
+      repeats: how often everything is timed.
+      quick: smaller and fewer cases, to see that everything runs.
+      peaks: the most the machine does, by resource, in units a second.
+    """
+
+    workload: Workload
+    network: NetworkCostToGo
+    repeats: int
+    quick: bool
+    peaks: Mapping[str, float]
+
+    def measure(self, call: Callable[[], Any]) -> Measured:
+        """Time a call."""
+        return measure(call, repeats=self.repeats, shortest_repeat=0.0 if self.quick else 0.1)
+
+    def rules(self, sensing_range: int = SENSING_RANGE) -> Rules:
+        """The rules everything is measured by: those of the authors' code, as in the recorded episodes."""
+        return SETTINGS["reference"].rules(sensing_range)
+
+    def planner(self, name: str, sensing_range: int = SENSING_RANGE) -> Planner:
+        """A planner by name."""
+        return make_planner(name, self.rules(sensing_range), self.network)
+
+    @functools.cached_property
+    def _pools(self) -> dict[str, Robots]:
+        return {}
+
+    def robots(self, planner: str) -> Robots:
+        """Robots in the middle of their episodes: led by `frontier`, and taken over by the planner for its first step.
+
+        So all planners are measured in the same places.
+        """
+        sensing = self.rules().sensing
+        if planner not in self._pools:
+            if planner == "frontier":
+                count = 64 if self.quick else _POOL
+                self._pools[planner] = robots_under_way(self.workload, self.planner(planner), sensing, count)
+            else:
+                self._pools[planner] = taken_over(self.robots("frontier"), self.planner(planner), sensing)
+        return self._pools[planner]
+
+    def shares(self, timing: Timing, function: Callable[..., Any], *arguments: Any) -> dict[str, float]:
+        """What part of the machine's bandwidth and arithmetic a kernel reaches, from its counted work."""
+        work = count_work(function, *arguments)
+        return {
+            BANDWIDTH: work.bytes / timing.median / self.peaks[BANDWIDTH],
+            WORD_ARITHMETIC: work.operations / timing.median / self.peaks[WORD_ARITHMETIC],
+        }
+
+
+def own(section: str, what: str, unit: str, **more: Any) -> Row:
+    """A row of this package."""
+    return Row(section=section, what=what, by="dc2g_jax", unit=unit, **more)

@@ -1,0 +1,103 @@
+"""Size of each program, seconds to compile it, memory it needs."""
+
+import dataclasses
+import functools
+import statistics
+from collections.abc import Callable, Iterator
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dc2g_jax import gridworld
+from dc2g_jax import rollout as rollout_module
+from dc2g_jax.datasets.pairs import draw_pairs
+from dc2g_jax.estimation.training import TrainingConfig, init_state, train_step
+from dc2g_jax.mask_collection import Masks
+from dc2g_jax.rollout import STEP_LIMIT
+from experiments.benchmarks.bench import SENSING_RANGE, Bench, own
+from experiments.benchmarks.programs import Program, compile_program, nothing_kept
+from experiments.benchmarks.rows import Row
+from experiments.train import training_set
+
+
+def _reset_and_step(bench: Bench, batch: int) -> dict[str, Callable[[], Program]]:
+    robots, sensing = bench.robots("frontier").batch(batch), bench.rules().sensing
+    belief, world = robots.belief, robots.world
+    actions = jnp.zeros(batch, jnp.int32)
+
+    reset, step = (functools.partial(function, sensing=sensing) for function in (gridworld.reset, gridworld.step))
+    return {
+        "reset": lambda: compile_program(reset, world, belief.pose),
+        "step": lambda: compile_program(step, world, belief, actions),
+    }
+
+
+def _plan(bench: Bench, planner: str, batch: int) -> Callable[[], Program]:
+    robots, chosen = bench.robots(planner).batch(batch), bench.planner(planner)
+    return lambda: compile_program(
+        lambda planner, belief, state: planner.plan(belief, state), chosen, robots.belief, robots.state
+    )
+
+
+def _rollout(bench: Bench, planner: str, slots: int) -> Callable[[], Program]:
+    """The loop of a rollout with so many slots."""
+    workload, chosen, sensing = bench.workload, bench.planner(planner), bench.rules().sensing
+    first_state, run = rollout_module._programs(jax.local_devices()[0].platform)
+    queue, state = first_state(
+        chosen, workload.worlds, workload.episodes, jnp.int32(len(workload.starts)),
+        sensing=sensing, n_slots=slots, kept_steps=STEP_LIMIT,
+    )  # fmt: skip
+
+    steps = jnp.int32(1)
+    return lambda: compile_program(run, state, queue, chosen, steps, sensing=sensing, step_limit=STEP_LIMIT)
+
+
+def _train_step(bench: Bench) -> Callable[[], Program]:
+    """One optimiser step. Shapes are enough to compile it."""
+    houses, config = list(bench.workload.houses), TrainingConfig(batch_size=_training_batch(bench))
+    board = bench.workload.worlds.goals.shape[:-1]
+    masks = Masks(boards=np.zeros((1024, *board), np.uint32), world=np.zeros(1024, np.int32))
+    data = jax.eval_shape(lambda: training_set(houses, len(houses), masks))
+    state = jax.eval_shape(lambda: init_state(config))
+    draw = functools.partial(draw_pairs, batch_size=config.batch_size, own_share=1.0, edge_weight=4.0)
+
+    return lambda: compile_program(train_step, state, data, config=config, draw_batch=draw)
+
+
+def _training_batch(bench: Bench) -> int:
+    return 8 if bench.quick else TrainingConfig.batch_size
+
+
+def _row(bench: Bench, what: str, batch: int, program: Callable[[], Program]) -> Row:
+    made = []
+    for _ in range(1 if bench.quick else min(3, bench.repeats)):
+        with nothing_kept():
+            made.append(program())
+    seconds = [each.trace_seconds + each.compile_seconds for each in made]
+    row = own("programs", what, "s", batch=batch, cells=bench.workload.cells, sensing_range=SENSING_RANGE)
+    return dataclasses.replace(
+        row,
+        seconds=statistics.median(seconds),
+        first_seconds=seconds[0],
+        repeats=len(made),
+        facts={
+            "equations": float(made[0].equations),
+            "trace seconds": statistics.median(each.trace_seconds for each in made),
+            "compile seconds": statistics.median(each.compile_seconds for each in made),
+            "worst seconds": max(seconds),
+            "memory, MiB": made[0].memory / 2**20,
+        },
+    )
+
+
+def program_rows(bench: Bench) -> Iterator[Row]:
+    """Reset, step, every planner's plan and rollout, and the training step."""
+    batch = 16 if bench.quick else 64
+    programs: dict[str, Callable[[], Program]] = _reset_and_step(bench, batch)
+    planners = ("frontier",) if bench.quick else ("oracle", "frontier", "dc2g")
+    programs |= {f"plan, {planner}": _plan(bench, planner, batch) for planner in planners}
+    programs |= {f"rollout, {planner}": _rollout(bench, planner, batch) for planner in planners}
+    for what, program in programs.items():
+        yield _row(bench, what, batch, program)
+    yield _row(bench, "training step", _training_batch(bench), _train_step(bench))

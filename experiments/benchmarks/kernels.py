@@ -1,0 +1,201 @@
+"""Single kernels on robots in the middle of their episodes, beside the library functions one would reach for."""
+
+import functools
+import importlib
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dc2g_jax.estimation import networks
+from dc2g_jax.grid import bitboard, search
+from dc2g_jax.grid.poses import PoseSet, every_heading, unpack
+from dc2g_jax.grid.sensing import expanding_kernel, visible
+from dc2g_jax.gridworld import Belief
+from dc2g_jax.planning import frontiers, planners
+from dc2g_jax.rollout import every_device
+from experiments.baselines import libraries
+from experiments.benchmarks.bench import SENSING_RANGE, Bench, own
+from experiments.benchmarks.machine import BANDWIDTH, FLOAT_ARITHMETIC
+from experiments.benchmarks.programs import compile_program
+from experiments.benchmarks.rows import Row, attempt
+
+UNIT = "maps"
+
+
+def reachable_cells(belief: Belief) -> bitboard.Board:
+    """Cells each robot can reach, from nothing."""
+    return planners.reachable_cells(belief, jnp.zeros_like(belief.seen))
+
+
+def _own_kernels(bench: Bench, batch: int) -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
+    """Name -> function and its arguments."""
+    robots = bench.robots("frontier").batch(batch)
+    belief, world = robots.belief, robots.world
+    height, width = belief.height, belief.width
+    sensing, expanding = bench.rules().sensing, expanding_kernel(SENSING_RANGE)
+    reachable = jax.jit(reachable_cells)(belief)
+    subgoals: PoseSet = jax.jit(functools.partial(frontiers.reference, expanding=expanding))(belief, reachable)
+    cells = bitboard.unpack(world.traversable, width), bitboard.unpack(world.goals, width)
+    return {
+        "field of view": (lambda pose: visible(sensing, pose, height, width), (belief.pose,)),
+        "reachability": (reachable_cells, (belief,)),
+        "frontier-expanding, reference": (
+            functools.partial(frontiers.reference, expanding=expanding),
+            (belief, reachable),
+        ),
+        "frontier-expanding, complete": (
+            functools.partial(frontiers.complete, sensing=sensing),
+            (belief, reachable),
+        ),
+        "first action": (search.first_action, (belief.pose, subgoals, reachable)),
+        "all distances": (
+            lambda pose, reachable: search.distances(pose, reachable, width),
+            (belief.pose, reachable),
+        ),
+        "cost-to-go, 8-connected": (search.cost_to_go, cells),
+        "first action to the goal": (
+            search.first_action,
+            (belief.pose, every_heading(world.goals), world.traversable),
+        ),
+    }
+
+
+class _Maps:
+    """The first few robots' maps as plain arrays, and answers to check."""
+
+    def __init__(self, bench: Bench, count: int):
+        robots = bench.robots("frontier").batch(count)
+        belief, width = robots.belief, robots.world.width
+        pose = np.stack([belief.pose.x, belief.pose.y, belief.pose.heading])
+        reachable = jax.jit(reachable_cells)(belief)
+        subgoals = frontiers.reference(belief, reachable, expanding=expanding_kernel(SENSING_RANGE))
+
+        def maps(board: Any) -> np.ndarray:
+            return np.ascontiguousarray(np.moveaxis(np.asarray(bitboard.unpack(board, width)), -1, 0))
+
+        self.count = count
+        self.poses = [(int(x), int(y), int(heading)) for x, y, heading in pose.T]
+        self.seen, self.free = maps(belief.seen), maps(belief.traversable)
+        self.reachable = maps(reachable)
+        self.traversable, self.goals = maps(robots.world.traversable), maps(robots.world.goals)
+        self.subgoals = np.moveaxis(np.asarray(unpack(subgoals, width)), -1, 0)
+        self.actions = np.asarray(search.first_action(belief.pose, subgoals, reachable).action)
+
+
+def _peer(
+    bench: Bench, row: Row, count: int, function: Callable[[int], Any], expected: Any = None, tolerance: float = 0.0
+) -> Row:
+    """A function of one map, on one map after another."""
+    measured = bench.measure(lambda: [function(number) for number in range(count)])
+    facts = {}
+    if expected is not None:
+        facts["same answer"] = float(np.allclose(np.asarray(measured.output), expected, rtol=tolerance, atol=tolerance))
+    return row.with_figures(measured, float(count), facts=facts)
+
+
+def _first_actions(maps: _Maps, number: int) -> int:
+    oracle = importlib.import_module("tests.oracles.gridworld_oracle")
+    actions = oracle.shortest_actions(maps.reachable[number], maps.poses[number], maps.subgoals[number])
+    return actions[0] if actions else 0
+
+
+def _peers(bench: Bench, maps: _Maps) -> Iterator[Row]:
+    """Libraries and the plain NumPy program."""
+
+    def oracle() -> Any:
+        return importlib.import_module("tests.oracles.gridworld_oracle")
+
+    last = [jnp.moveaxis(jnp.asarray(cells), 0, -1) for cells in (maps.traversable, maps.goals)]
+    costs = np.moveaxis(np.asarray(search.cost_to_go(*last)), -1, 0)
+    cases: list[tuple[str, str, Callable[[int], Any], Any]] = [
+        (
+            "reachability",
+            "scipy.ndimage.label",
+            lambda n: libraries.reachable_scipy(maps.free[n], *maps.poses[n][:2]),
+            maps.reachable,
+        ),
+        ("reachability", "NumPy", lambda n: oracle().reachable(maps.free[n], *maps.poses[n][:2]), maps.reachable),
+        (
+            "frontier-expanding, reference",
+            "NumPy",
+            lambda n: oracle().frontier_expanding_reference(
+                maps.seen[n], maps.reachable[n], maps.poses[n], SENSING_RANGE
+            ),
+            maps.subgoals,
+        ),
+        ("first action", "NumPy", lambda n: _first_actions(maps, n), maps.actions),
+        (
+            "cost-to-go, 8-connected",
+            "skimage.graph.MCP_Geometric",
+            lambda n: libraries.cost_to_go_skimage(maps.traversable[n], maps.goals[n]),
+            costs,
+        ),
+        (
+            "first action to the goal",
+            "skimage.graph.MCP (cells, turns not counted)",
+            lambda n: libraries.path_skimage(maps.traversable[n], *maps.poses[n][:2], maps.goals[n]),
+            None,
+        ),
+        (
+            "cost-to-go, 8-connected",
+            "cv2.distanceTransform (ignores obstacles)",
+            lambda n: libraries.distance_opencv(maps.goals[n]),
+            None,
+        ),
+    ]
+    for what, by, function, expected in cases:
+        row = Row("kernels", what, by=by, unit=UNIT, batch=1, cells=bench.workload.cells, cores=1)
+        yield attempt(row, functools.partial(_peer, bench, row, maps.count, function, expected, 1e-5))
+
+
+def kernel_rows(bench: Bench) -> Iterator[Row]:
+    """Each kernel alone, with its share of the machine's bandwidth and arithmetic."""
+    batch = 32 if bench.quick else 1024
+    case = {"batch": batch, "cells": bench.workload.cells, "sensing_range": SENSING_RANGE}
+    for what, (function, arguments) in _own_kernels(bench, batch).items():
+        compiled = jax.jit(function)
+        measured = bench.measure(functools.partial(compiled, *arguments))
+        shares = bench.shares(measured.timing, function, *arguments)
+        yield own("kernels", what, UNIT, **case).with_figures(measured, float(batch), shares=shares)
+    yield from _peers(bench, _Maps(bench, 4 if bench.quick else 64))
+
+
+def network_row(bench: Bench, section: str, batch: int) -> Row:
+    """The network alone on partial maps."""
+    belief = bench.robots("frontier").batch(batch).belief
+    weights, terrain = bench.network.weights, jnp.moveaxis(belief.terrain, -1, 0)
+    program = compile_program(functools.partial(networks.apply, bench.network.architecture), weights, terrain)
+    measured = bench.measure(lambda: program.call(weights, terrain))
+    seconds = measured.timing.median
+    least_bytes = sum(leaf.nbytes for leaf in jax.tree.leaves((weights, terrain))) + measured.output.nbytes
+    shares = {
+        BANDWIDTH: least_bytes / seconds / bench.peaks[BANDWIDTH],
+        FLOAT_ARITHMETIC: program.flops / seconds / bench.peaks[FLOAT_ARITHMETIC],
+    }
+    row = own(section, "network", UNIT, batch=batch, cells=bench.workload.cells)
+    return row.with_figures(measured, float(batch), shares=shares, facts={"operations/map": program.flops / batch})
+
+
+@functools.cache
+def network_pace_row(bench: Bench) -> Row:
+    """The network alone, asked by every core at once as rollouts do: the pace it sets for a planner."""
+    batch, devices = 4 if bench.quick else 64, every_device()
+    belief = bench.robots("frontier").batch(batch).belief
+    weights, terrain = bench.network.weights, jnp.moveaxis(belief.terrain, -1, 0)
+    program = jax.jit(functools.partial(networks.apply, bench.network.architecture))
+    placed = [jax.device_put((weights, terrain), device) for device in devices]
+    with ThreadPoolExecutor(len(devices)) as pool:
+        measured = bench.measure(lambda: list(pool.map(lambda inputs: jax.block_until_ready(program(*inputs)), placed)))
+    row = own("network", "network, every core at once", UNIT, batch=batch * len(devices), cells=bench.workload.cells)
+    return row.with_figures(measured, float(batch * len(devices)))
+
+
+def network_rows(bench: Bench) -> Iterator[Row]:
+    """Maps a second at a few batch sizes."""
+    yield network_pace_row(bench)
+    for batch in (4,) if bench.quick else (1, 16, 64, 128, 256):
+        yield network_row(bench, "network", batch)

@@ -1,0 +1,114 @@
+"""The report: a table on the screen and in Markdown, everything in JSON."""
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from experiments.benchmarks.machine import Peak
+from experiments.benchmarks.rows import Row
+
+#: Section -> heading.
+SECTIONS = {
+    "planners": "Whole episodes",
+    "environment": "Environment steps alone",
+    "kernels": "Kernels alone",
+    "network": "The network alone",
+    "programs": "Programs: equations, seconds to compile, memory",
+    "batch": "By batch",
+    "grid": "By size of the map",
+    "range": "By sensing range",
+}
+_COLUMNS = ("what", "by", "cores", "batch", "cells", "range", "a second", "worst", "median", "share", "more")
+
+
+def _figures(value: float | None) -> str:
+    """A number with three significant digits."""
+    if value is None:
+        return ""
+    if value >= 1e6:
+        return f"{value / 1e6:.3g} M"
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+
+
+def _seconds(value: float | None) -> str:
+    if value is None:
+        return ""
+    for scale, unit in ((1.0, "s"), (1e-3, "ms"), (1e-6, "us")):
+        if value >= scale or unit == "us":
+            return f"{value / scale:.3g} {unit}"
+    return ""
+
+
+def cells_of(row: Row) -> list[str]:
+    """A row as the table has it."""
+    shares = ", ".join(f"{100 * share:.3g} % {resource}" for resource, share in row.shares.items())
+    if row.missing is not None:
+        more = row.missing
+    else:
+        facts = [f"{name} {_figures(value)}" for name, value in row.facts.items() if name != "same actions"]
+        same = row.facts.get("same actions", row.facts.get("same answer"))
+        facts = [fact for fact in facts if not fact.startswith("same answer")]
+        if same is not None:
+            facts.append("same answer" if same == 1.0 else "ANOTHER ANSWER")
+        if row.added_memory is not None and row.added_memory >= 2**20:
+            facts.append(f"{row.added_memory / 2**20:,.0f} MiB more memory")
+        more = ", ".join(facts)
+    rate = "" if row.rate is None else f"{_figures(row.rate)} {row.unit}"
+    numbers = ["" if value is None else str(value) for value in (row.cores, row.batch, row.cells, row.sensing_range)]
+    return [row.what, row.by, *numbers, rate, _figures(row.worst_rate), _seconds(row.seconds), shares, more]
+
+
+def line_of(row: Row) -> str:
+    """A row as it is told while the benchmark goes on."""
+    return " | ".join(cell for cell in cells_of(row) if cell)
+
+
+def _table(rows: Sequence[Row]) -> list[list[str]]:
+    """Rows of text, without columns that stay empty."""
+    texts = [cells_of(row) for row in rows]
+    used = [column for column in range(len(_COLUMNS)) if any(text[column] for text in texts)]
+    return [[text[column] for column in used] for text in [list(_COLUMNS), *texts]]
+
+
+def _markdown(table: Sequence[Sequence[str]]) -> list[str]:
+    lines = ["| " + " | ".join(cell.replace("|", "/") for cell in row) + " |" for row in table]
+    return [lines[0], "|" + "---|" * len(table[0]), *lines[1:]]
+
+
+def _aligned(table: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(len(row[column]) for row in table) for column in range(len(table[0]))]
+    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in table]
+
+
+def _by_section(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    return {section: own for section in SECTIONS if (own := [row for row in rows if row.section == section])}
+
+
+def text(rows: Sequence[Row]) -> str:
+    """The table for the screen."""
+    parts = [[SECTIONS[section], *_aligned(_table(own)), ""] for section, own in _by_section(rows).items()]
+    return "\n".join(line for part in parts for line in part)
+
+
+def peak_lines(peaks: Mapping[str, Peak]) -> list[str]:
+    """What the machine does at best, a line a resource."""
+    return [
+        f"measured {resource}: {_figures(peak.rate / 1e9)} G {peak.unit}, worst {_figures(peak.worst_rate / 1e9)}"
+        for resource, peak in peaks.items()
+    ]
+
+
+def write(folder: Path, facts: Mapping[str, Any], peaks: Mapping[str, Peak], rows: Sequence[Row]) -> list[Path]:
+    """Write `benchmark.json` and `benchmark.md`."""
+    told = {resource: dataclasses.asdict(peak) for resource, peak in peaks.items()}
+    data = {**facts, "peaks": told, "rows": [dataclasses.asdict(row) for row in rows]}
+    (folder / "benchmark.json").write_text(json.dumps(data, indent=1) + "\n")
+    machine = [f"- {name}: {value}" for name, value in facts["machine"].items()]
+    lines = ["# Benchmark", "", *machine, *(f"- {line}" for line in peak_lines(peaks)), ""]
+    lines += [facts["about"], ""]
+    for section, own in _by_section(rows).items():
+        lines += [f"## {SECTIONS[section]}", "", *_markdown(_table(own)), ""]
+    (folder / "benchmark.md").write_text("\n".join(lines))
+    return [folder / "benchmark.json", folder / "benchmark.md"]

@@ -1,0 +1,110 @@
+"""Environment steps alone, random actions: ours, and those of other gridworlds in JAX."""
+
+import dataclasses
+import functools
+import importlib
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dc2g_jax import gridworld
+from dc2g_jax.grid.poses import Pose
+from dc2g_jax.grid.terrain import ROAD
+from dc2g_jax.grid.world import World
+from dc2g_jax.gridworld import Belief
+from dc2g_jax.rollout import cores
+from experiments.baselines import environments
+from experiments.baselines.environments import Environment
+from experiments.benchmarks.bench import SENSING_RANGE, Bench, own
+from experiments.benchmarks.programs import compile_program
+from experiments.benchmarks.rows import Row, attempt, growing
+
+UNIT = "environment steps"
+
+#: Steps of every environment in one call, after a reset that is timed with them and not counted: so the others are
+#: usually measured, and so the compiler sees what is the same in all environments of a batch.
+_STEPS = 32
+
+
+def _actions(batch: int) -> jax.Array:
+    """The same random actions for everyone, [steps batch]."""
+    return jnp.asarray(np.random.default_rng(0).integers(3, size=(_STEPS, batch)), jnp.int32)
+
+
+def own_steps(bench: Bench, row: Row, batch: int) -> Row:
+    """Steps of this package's gridworld in the benchmark's houses."""
+    robots = bench.robots("frontier").batch(batch)
+    sensing = bench.rules().sensing
+
+    def run(world: World, pose: Pose, actions: jax.Array) -> Belief:
+        def step(belief: Belief, action: jax.Array) -> tuple[Belief, None]:
+            return gridworld.step(world, belief, action, sensing), None
+
+        return jax.lax.scan(step, gridworld.reset(world, pose, sensing), actions)[0]
+
+    arguments = (robots.world, robots.belief.pose, _actions(batch))
+    program = compile_program(run, *arguments)
+    measured = bench.measure(lambda: program.call(*arguments))
+    return row.with_figures(measured, float(_STEPS * batch))
+
+
+def _peer_steps(bench: Bench, make: Callable[[int, int], Environment], row: Row, batch: int) -> Row:
+    environment = make(batch, bench.workload.cells)
+
+    def run(key: jax.Array, actions: jax.Array) -> Any:
+        def step(states: Any, action: jax.Array) -> tuple[Any, None]:
+            return environment.step(states, action), None
+
+        return environment.outcome(jax.lax.scan(step, environment.reset(key), actions)[0])
+
+    arguments = (jax.random.key(0), _actions(batch))
+    program = compile_program(run, *arguments)
+    measured = bench.measure(lambda: program.call(*arguments))
+    return row.with_figures(measured, float(_STEPS * batch))
+
+
+def _numpy_steps(bench: Bench, row: Row) -> Row:
+    """One robot of the plain NumPy program."""
+    oracle = importlib.import_module("tests.oracles.gridworld_oracle")
+    shape = (bench.workload.cells, bench.workload.cells)
+    terrain = np.full(shape, ROAD, np.uint8)
+    actions = np.random.default_rng(0).integers(3, size=_STEPS)
+
+    def run() -> np.ndarray:
+        pose, seen = (shape[1] // 2, shape[0] // 2, 0), np.zeros(shape, bool)
+        for action in actions:
+            pose = oracle.moved(pose, int(action), shape)
+            seen |= oracle.visible(pose, SENSING_RANGE, shape)
+        return np.where(seen, terrain, 0)
+
+    return row.with_figures(bench.measure(run), float(_STEPS))
+
+
+def peers(bench: Bench, section: str, batches: Sequence[int]) -> Iterator[Row]:
+    """Other environments with the same batches and side."""
+    cells = bench.workload.cells
+    view = 2 * SENSING_RANGE + 1
+    made: dict[str, Callable[[int, int], Environment]] = {
+        f"XLand-MiniGrid ({view} x {view} view)": functools.partial(environments.xland_minigrid, view=view),
+        "NAVIX (first-person view)": environments.navix,
+        "NAVIX (no observation)": functools.partial(environments.navix, observed=False),
+    }
+    for name, make in made.items():
+        row = Row(section, "random actions", by=name, unit=UNIT, cells=cells)
+        yield from growing(batches, row, functools.partial(_peer_steps, bench, make))
+
+
+def environment_rows(bench: Bench) -> Iterator[Row]:
+    """Environment steps a second, side by side."""
+    batch = 64 if bench.quick else 1024
+    row = own(
+        "environment", "random actions", UNIT,
+        batch=batch, cells=bench.workload.cells, sensing_range=SENSING_RANGE, cores=cores(),
+    )  # fmt: skip
+    yield own_steps(bench, row, batch)
+    yield from peers(bench, "environment", [batch])
+    row = dataclasses.replace(row, by="NumPy", batch=1, cores=1)
+    yield attempt(row, functools.partial(_numpy_steps, bench, row))

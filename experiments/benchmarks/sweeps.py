@@ -1,0 +1,85 @@
+"""How speed depends on the batch, on the size of the map and on the sensing range."""
+
+import dataclasses
+import functools
+from collections.abc import Iterator
+
+import jax
+
+from dc2g_jax.rollout import cores
+from experiments.benchmarks.bench import SENSING_RANGE, Bench, own
+from experiments.benchmarks.kernels import network_row
+from experiments.benchmarks.planners import UNIT, own_episodes, plain_programs
+from experiments.benchmarks.programs import compile_program
+from experiments.benchmarks.rows import Row, growing
+from experiments.benchmarks.stepping import UNIT as ENVIRONMENT_UNIT
+from experiments.benchmarks.stepping import own_steps, peers
+from experiments.benchmarks.workload import Workload, cycles, resized
+
+#: Planner steps of every robot in one call of the batch sweep.
+_CYCLES = 4
+
+#: Robots that one call moves at the least, a batch after another.
+_FEWEST_ROBOTS = 64
+
+#: Actions after which an episode ends where map or sensing range vary, so that large maps take no hours.
+_STEP_LIMIT = 100
+
+
+def _planner_steps(bench: Bench, planner: str, row: Row, batch: int) -> Row:
+    """A few planner steps of robots in the middle of their episodes, in one program."""
+    # Small batches follow one another, so that no single robot stands for all.
+    batches = [bench.robots(planner).batch(batch, number) for number in range(max(1, _FEWEST_ROBOTS // batch))]
+    program = compile_program(cycles(bench.planner(planner), bench.rules().sensing, _CYCLES), batches[0])
+    measured = bench.measure(lambda: [program.call(robots) for robots in batches])
+    units = float(_CYCLES * batch * len(batches))
+    return row.with_figures(measured, units, facts={"program, MiB": program.memory / 2**20})
+
+
+def _slots(bench: Bench, row: Row, batch: int) -> Row:
+    """Whole episodes with so many slots on each core or accelerator."""
+    return own_episodes(bench, row, bench.workload, "frontier", slots=batch)[0]
+
+
+def batch_rows(bench: Bench) -> Iterator[Row]:
+    """Batches from one to very many: robots, environments, maps."""
+    batches = (4,) if bench.quick else tuple(4**power for power in range(9))
+    case = {"cells": bench.workload.cells, "sensing_range": SENSING_RANGE}
+    for planner in ("frontier",) if bench.quick else ("oracle", "frontier", "dc2g"):
+        row = own("batch", f"{planner}, in the middle of episodes", UNIT, **case)
+        yield from growing(batches, row, functools.partial(_planner_steps, bench, planner))
+    if not bench.quick:
+        row = own("batch", "frontier, whole episodes by slots", UNIT, **case)
+        yield from growing([size for size in batches if size <= 256], row, functools.partial(_slots, bench))
+    row = own("batch", "environment, random actions", ENVIRONMENT_UNIT, **case)
+    yield from growing(batches, row, lambda row, batch: own_steps(bench, row, batch))
+    row = own("batch", "network", "maps", cells=bench.workload.cells)
+    yield from growing(batches, row, lambda row, batch: network_row(bench, "batch", batch))
+    yield from peers(bench, "batch", batches[:1] if bench.quick else batches[::2])
+
+
+def _side_by_side(bench: Bench, section: str, workload: Workload, sensing_range: int) -> Iterator[Row]:
+    """Frontier exploration: this package on all cores, C and Numba on one, the same episodes."""
+    own_cores = cores() if jax.local_devices()[0].platform == "cpu" else None
+    row = own(section, "frontier", UNIT, cells=workload.cells, sensing_range=sensing_range, cores=own_cores)
+    mine, actions = own_episodes(
+        bench, row, workload, "frontier", sensing_range=sensing_range, step_limit=_STEP_LIMIT
+    )  # fmt: skip
+    yield mine
+    problem = workload.problem(sensing_range=sensing_range, step_limit=_STEP_LIMIT)
+    yield from plain_programs(bench, row, problem, "frontier", actions)
+    lazy = dataclasses.replace(row, what="frontier_lazy")
+    yield from plain_programs(bench, lazy, problem, "frontier_lazy", actions)
+
+
+def grid_rows(bench: Bench) -> Iterator[Row]:
+    """Maps of growing size: houses side by side."""
+    sides = {60: 4} if bench.quick else {25: 128, 50: 128, 100: 64, 200: 32, 400: 16}
+    for cells, count in sides.items():
+        yield from _side_by_side(bench, "grid", resized(bench.workload, cells, count=count), SENSING_RANGE)
+
+
+def range_rows(bench: Bench) -> Iterator[Row]:
+    """Sensors of growing reach."""
+    for sensing_range in (4,) if bench.quick else (4, 8, 16, 32):
+        yield from _side_by_side(bench, "range", bench.workload, sensing_range)

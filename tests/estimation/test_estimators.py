@@ -1,0 +1,87 @@
+"""Who is asked for an estimate, and when."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from flax import struct
+
+from dc2g_jax import gridworld
+from dc2g_jax.estimation.estimators import update_estimates
+from dc2g_jax.grid.poses import make_pose
+from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.gridworld import belief_from_map
+from dc2g_jax.planning.planners import DC2G, EXPLORE, TO_GOAL
+from dc2g_jax.planning.rules import complete_rules
+from tests import maps
+
+SHAPE = (7, 33)
+asked: list[int] = []
+
+
+@struct.dataclass
+class Counting:
+    """Notes how many maps it is given at a time, and tells every cell what it is and how much of the map is known."""
+
+    def init(self, world) -> Any:
+        return jnp.arange(world.goals.shape[-1]) if world.goals.ndim > 2 else jnp.int32(0)
+
+    def estimate(self, terrain, state: Any):
+        jax.debug.callback(lambda: asked.append(terrain.shape[-1]))
+        return (terrain + 100 * jnp.sum(terrain != 0, axis=(0, 1)) + 10000 * state).astype(jnp.float32)
+
+
+@pytest.fixture(autouse=True)
+def nobody_asked_yet():
+    asked.clear()
+
+
+def some_beliefs(count: int):
+    terrain = np.stack([maps.random_terrain(seed, SHAPE, 0.8) for seed in range(count)], axis=-1)
+    terrain *= np.stack([maps.random_cells(seed, SHAPE, 0.5) for seed in range(count)], axis=-1)
+    return terrain, belief_from_map(terrain, make_pose(*np.zeros((3, count), int)))
+
+
+@pytest.mark.parametrize("count", [1, 3, 16, 37, 300])
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_the_wanted_robots_get_new_estimates_and_the_others_keep_theirs(count, share):
+    terrain, belief = some_beliefs(count)
+    wanted = np.random.default_rng(count).random(count) < share
+    state, old = jnp.arange(count), jnp.full((*SHAPE, count), -1.0)
+    update = jax.jit(lambda *arguments: update_estimates(Counting(), *arguments))
+    new = jax.block_until_ready(update(jnp.asarray(wanted), belief, state, old))
+    jax.effects_barrier()
+    whole = terrain + 100 * (terrain != 0).sum(axis=(0, 1)) + 10000 * np.arange(count)
+    np.testing.assert_array_equal(new, np.where(wanted, whole, -1))
+    assert wanted.sum() <= sum(asked) <= wanted.sum() + max(3, count // 64)
+
+
+def test_an_estimate_stands_until_something_new_is_seen(street):
+    planner, sensing = DC2G(Counting(), complete_rules(2)), complete_rules(2).sensing
+    world = world_from_terrain(street)
+    plan = jax.jit(planner.plan)
+    belief, state = gridworld.reset(world, make_pose(9, 5, 2), sensing), planner.init(world)
+    decision, state = plan(belief, state)
+    assert int(decision.mode) == EXPLORE
+    jax.effects_barrier()
+    assert len(asked) == 1
+
+    again, state = plan(belief, state)
+    jax.effects_barrier()
+    assert len(asked) == 1
+    jax.tree.map(np.testing.assert_array_equal, again, decision)
+
+    belief = gridworld.step(world, belief, decision.action, sensing)
+    plan(belief, state)
+    jax.effects_barrier()
+    assert len(asked) == 2
+
+
+def test_nobody_asks_on_the_way_to_a_goal_in_reach(street):
+    planner = DC2G(Counting(), complete_rules(2))
+    decision, _ = planner.plan(belief_from_map(street, make_pose(9, 5, 2)), planner.init(world_from_terrain(street)))
+    jax.effects_barrier()
+    assert int(decision.mode) == TO_GOAL
+    assert not asked

@@ -1,0 +1,135 @@
+"""The programs we compare ourselves with do the same as the recorded episodes and the plain NumPy oracle."""
+
+import csv
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from dc2g_jax.grid.poses import ACTION_LETTERS
+from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
+from experiments.baselines import c_gridworld, libraries
+from experiments.baselines.problem import BaselineUnavailable, Outcome, PlannerName, Problem, make_problem
+from tests.maps import SHAPES, random_cells, random_pose, random_terrain
+from tests.oracles import gridworld_oracle as oracle
+
+RunEpisodes = Callable[[Problem, PlannerName], Outcome]
+
+
+@pytest.fixture(scope="module", params=["c", "numba"])
+def run_episodes(request: pytest.FixtureRequest) -> RunEpisodes:
+    """One of the two programs."""
+    if request.param == "numba":
+        pytest.importorskip("numba", reason="numba is not installed")
+        from experiments.baselines import numba_gridworld
+
+        return numba_gridworld.run_episodes
+    try:
+        c_gridworld.library()
+    except BaselineUnavailable as reason:
+        pytest.skip(str(reason))
+    return c_gridworld.run_episodes
+
+
+def letters(outcome: Outcome, episode: int) -> str:
+    return "".join(ACTION_LETTERS[action] for action in outcome.actions[episode, : outcome.steps[episode]])
+
+
+def test_recorded_episodes_action_for_action(shared, golden_grids, run_episodes):
+    names, terrain = list(golden_grids), np.stack(list(golden_grids.values()))
+    with (shared / "golden" / "episodes.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    groups: dict[tuple[str, str, str], list[dict[str, str]]] = {}
+    for row in rows[::3]:
+        groups.setdefault((row["planner"], row["range"], row["expanding_range"]), []).append(row)
+    checked = 0
+    for (planner, sensing_range, expanding_range), group in groups.items():
+        problem = make_problem(
+            terrain,
+            [names.index(row["house"]) for row in group],
+            [[int(row[column]) for column in ("x", "y", "heading")] for row in group],
+            sensing_range=int(sensing_range),
+            expanding_range=int(expanding_range),
+            step_limit=1500,
+        )
+        for name in (planner, "frontier_lazy")[: 1 + (planner == "frontier")]:
+            outcome = run_episodes(problem, name)
+            for episode, row in enumerate(group):
+                result = (bool(outcome.success[episode]), letters(outcome, episode))
+                assert result == (row["success"] == "1", row["actions"]), (name, row)
+                assert np.all(outcome.actions[episode, outcome.steps[episode] :] == -1)
+                checked += 1
+    assert checked >= len(rows) // 3
+
+
+@pytest.mark.parametrize("rules", ["reference", "complete"])
+def test_random_maps_as_the_oracle(run_episodes, rules):
+    endings = set()
+    for seed, shape in enumerate([*SHAPES[1:], (12, 17)] * 4):
+        terrain = random_terrain(seed, shape, density=(0.6, 0.8, 0.95)[seed % 3], doors=seed % 3)
+        if not TRAVERSABLE[terrain].any():
+            continue
+        pose = random_pose(seed, TRAVERSABLE[terrain])
+        radii = {"sensing": 2 + seed % 5, "expanding": 2 + seed % 4}
+        problem = make_problem(
+            terrain[None],
+            [0],
+            [pose],
+            sensing_range=radii["sensing"],
+            expanding_range=radii["expanding"],
+            rules=rules,
+            step_limit=60,
+        )
+        for name in ("oracle", "frontier", "frontier_lazy"):
+            success, actions, mode = oracle.run_episode(
+                terrain,
+                pose,
+                name.removesuffix("_lazy"),
+                rules=rules,
+                sensing_radius=radii["sensing"],
+                expanding_radius=radii["expanding"],
+                max_steps=60,
+            )
+            outcome = run_episodes(problem, name)
+            assert (bool(outcome.success[0]), letters(outcome, 0)) == (success, actions), (seed, name)
+            endings.add((success, mode, len(actions) == 60))
+    assert {True, False} == {success for success, _, _ in endings}
+    assert "gave_up" in {mode for _, mode, _ in endings}
+
+
+def test_a_compiler_that_is_not_there_is_named(monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler -m64")
+    with pytest.raises(BaselineUnavailable, match="no-such-compiler"):
+        c_gridworld.compiler()
+
+
+def test_scipy_labels_what_is_reachable():
+    pytest.importorskip("scipy", reason="scipy is not installed")
+    for seed in range(10):
+        free = random_cells(seed, (20, 45), 0.65)
+        x, y, _ = random_pose(seed, free)
+        np.testing.assert_array_equal(libraries.reachable_scipy(free, x, y), oracle.reachable(free, x, y))
+
+
+def test_skimage_finds_the_least_cost():
+    pytest.importorskip("skimage", reason="scikit-image is not installed")
+    for seed in range(10):
+        terrain = random_terrain(seed, (15, 34), 0.7, doors=2)
+        traversable, goals = TRAVERSABLE[terrain], terrain == FRONT_DOOR
+        expected = oracle.cost_to_go(traversable, goals)
+        np.testing.assert_allclose(libraries.cost_to_go_skimage(traversable, goals), expected, rtol=1e-12)
+        x, y, _ = random_pose(seed, traversable)
+        # Without turns a way over cells has as many steps as the forward actions of a plan at the least.
+        plan = oracle.shortest_actions(traversable, (x, y, 0), np.stack([goals] * 4))
+        cells = libraries.path_skimage(traversable, x, y, goals)
+        assert (cells < 0) == (plan is None)
+        assert plan is None or cells <= plan.count(0)
+    assert plan is not None
+
+
+def test_opencv_measures_straight_lines():
+    goals = np.zeros((9, 12), bool)
+    goals[4, 3] = True
+    rows, columns = np.indices(goals.shape)
+    expected = np.hypot(rows - 4, columns - 3)
+    np.testing.assert_allclose(libraries.distance_opencv(goals), expected, rtol=0.03)

@@ -1,0 +1,175 @@
+"""The benchmark command end to end, and the sums it does."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax.datasets.houses import procedural_dataset
+from experiments.baselines.problem import BaselineUnavailable
+from experiments.benchmarks.machine import peaks
+from experiments.benchmarks.programs import TooLarge, compile_program
+from experiments.benchmarks.report import SECTIONS
+from experiments.benchmarks.rows import Row, attempt
+from experiments.benchmarks.timing import checksum, measure, summarize
+from experiments.benchmarks.work import Work, count_work, equations
+from experiments.benchmarks.workload import make_workload, resized
+from tests.conftest import CACHE
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def run(*options: object) -> subprocess.CompletedProcess:
+    """Run the command as users do; compiled programs are kept between test runs."""
+    command = [sys.executable, "-m", "experiments.benchmark", *(str(option) for option in options)]
+    environment = {"JAX_COMPILATION_CACHE_DIR": str(CACHE / "jax"), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.1"}
+    return subprocess.run(
+        ["env", *(f"{name}={value}" for name, value in environment.items()), *command],
+        cwd=ROOT, capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+
+
+def test_quick_benchmark_of_everything(tmp_path):
+    result = run("--quick", "--repeats", 1, "--dataset", "procedural", "--out", tmp_path / "out")
+    assert result.returncode == 0, result.stderr
+    facts = json.loads((tmp_path / "out" / "benchmark.json").read_text())
+    rows = facts["rows"]
+    assert {row["section"] for row in rows} == set(SECTIONS)
+    assert all(peak["rate"] > 0 for peak in facts["peaks"].values())
+    assert facts["machine"]["cores"] >= 1
+    assert facts["houses"] == 4
+    for row in rows:
+        if row["by"] == "dc2g_jax":
+            assert row["missing"] is None, row
+        if row["missing"] is not None:
+            assert row["missing"].startswith("not available: "), row
+        elif row["unit"] == "s":
+            assert row["seconds"] > 0
+            assert row["facts"]["equations"] > 10
+        else:
+            assert row["rate"] >= row["worst_rate"] > 0
+        assert all(share > 0 for share in row["shares"].values())
+        for agreement in ("same actions", "same answer"):
+            assert row["facts"].get(agreement, 1.0) == 1.0, row
+    of_planners = {(row["what"], row["by"]) for row in rows if row["section"] == "planners"}
+    assert {("oracle", "NumPy"), ("frontier", "C"), ("frontier", "Numba"), ("dc2g", "dc2g_jax")} <= of_planners
+    table = (tmp_path / "out" / "benchmark.md").read_text()
+    assert all(f"## {heading}" in table for heading in SECTIONS.values())
+    assert (tmp_path / "out" / "benchmark.png").stat().st_size > 10_000
+    assert "Whole episodes" in result.stdout
+
+
+@pytest.mark.parametrize("option", ["--repeats", "--starts-per-house"])
+def test_nothing_to_measure_is_refused(option, tmp_path):
+    result = run("--quick", option, 0, "--dataset", "procedural", "--out", tmp_path / "out")
+    assert result.returncode == 2
+    lines = result.stderr.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith(f"error: {option} 0")
+    assert not (tmp_path / "out").exists()
+
+
+def test_medians_and_worsts():
+    timing = summarize([3.0, 1.0, 2.0, 9.0, 2.5], first=20.0)
+    assert (timing.median, timing.worst, timing.first, timing.repeats) == (2.5, 9.0, 20.0, 5)
+    with pytest.raises(ValueError, match="at least one"):
+        summarize([], first=1.0)
+
+
+def test_measuring_calls_and_keeps_the_output():
+    calls = []
+
+    def call() -> jax.Array:
+        calls.append(1)
+        return jnp.arange(4)
+
+    measured = measure(call, repeats=3, shortest_repeat=0.0)
+    assert len(calls) == 2 + 3  # the first, one to see how long it takes, the repeats
+    assert measured.timing.repeats == 3
+    assert 0 < measured.timing.median <= measured.timing.worst
+    assert measured.peak_memory > 0
+    np.testing.assert_array_equal(measured.output, range(4))
+
+
+def test_checksums_tell_outputs_apart():
+    one = {"a": np.arange(3), "b": np.array([1.0, np.inf])}
+    assert checksum(one) == checksum({"a": jnp.arange(3), "b": jnp.array([1.0, jnp.inf])})
+    assert checksum(one) != checksum({"a": np.arange(3), "b": np.array([2.0, np.inf])})
+    assert checksum(one) != checksum({"a": np.arange(4), "b": np.array([1.0, np.inf])})
+
+
+def test_rates_follow_from_seconds():
+    measured = measure(lambda: np.ones(2), repeats=2, shortest_repeat=0.0)
+    row = Row("kernels", "what", by="NumPy", unit="maps").with_figures(measured, 10.0)
+    assert row.rate == pytest.approx(10.0 / measured.timing.median)
+    assert row.worst_rate == pytest.approx(10.0 / measured.timing.worst)
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (BaselineUnavailable("no C compiler"), "not available: no C compiler"),
+        (ModuleNotFoundError("No module named 'numba'"), "not available: No module named 'numba'"),
+        (TooLarge("needs 99 GiB"), "left out: needs 99 GiB"),
+        (RuntimeError("it broke\nhere"), "failed: RuntimeError: it broke"),
+    ],
+)
+def test_a_peer_that_cannot_run_is_a_row_that_says_why(error, reason):
+    def fail() -> Row:
+        raise error
+
+    row = attempt(Row("kernels", "what", by="peer", unit="maps"), fail)
+    assert row.missing == reason
+    assert row.rate is None
+
+
+def test_work_is_counted_through_loops():
+    def countdown(x: jax.Array, mask: jax.Array) -> jax.Array:
+        """`n` turns of one shift and one `or` on 8 words, `n` being the first word's value."""
+
+        def turn(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            return carry[0] - 1, (carry[1] << 1) | mask
+
+        return jax.lax.while_loop(lambda carry: carry[0] > 0, turn, (x[0], x))[1]
+
+    x, mask = jnp.full(8, 5, jnp.uint32), jnp.ones(8, jnp.uint32)
+    work = count_work(countdown, x, mask)
+    assert work.turns == 5
+    # A turn: 8 shifts, 8 ors, one subtraction; 6 comparisons in all. Bytes: the mask, and the carry in and out.
+    assert work.operations == 5 * (8 + 8 + 1) + 6
+    assert work.bytes == 5 * (32 + 2 * (32 + 4)) + 3 * 32
+    assert count_work(lambda a, b: a & b, x, mask) == Work(operations=8, bytes=3 * 32, turns=0)
+    nested = jax.jit(lambda a, b: jax.lax.fori_loop(0, a[0].astype(jnp.int32), lambda _, c: countdown(c, b), a))
+    assert count_work(nested, jnp.full(8, 1, jnp.uint32), mask).turns == 2
+    assert equations(jax.make_jaxpr(countdown)(x, mask).jaxpr) > 4
+
+
+def test_compiled_programs_are_told_about():
+    program = compile_program(
+        jax.jit(lambda a, *, power: (a @ a) ** power, static_argnames="power"), jnp.eye(8), power=2
+    )
+    np.testing.assert_array_equal(program.call(jnp.eye(8)), np.eye(8))
+    assert program.flops >= 2 * 8**3
+    assert program.memory >= 2 * 8 * 8 * 4
+    assert program.equations >= 2
+    assert program.compile_seconds > 0
+
+
+def test_the_machine_does_something():
+    assert all(0 < peak.worst_rate <= peak.rate for peak in peaks(1, quick=True).values())
+
+
+def test_no_test_house_is_measured_with():
+    workload = make_workload(procedural_dataset(), per_house=2, most_houses=3)
+    assert {house.split for house in workload.houses} <= {"train", "val"}
+    assert len(workload.starts) == 6
+    assert [start.house for start in workload.starts[:3]] == [house.name for house in workload.houses]
+    for cells in (25, 60):
+        larger = resized(workload, cells, count=3)
+        assert larger.terrain.shape == (3, cells, cells)
+        assert len(larger.starts) == 3
