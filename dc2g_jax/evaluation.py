@@ -243,3 +243,28 @@ def summarize(extra: Sequence[float], success: Sequence[bool]) -> Summary:
         success=float(np.mean(success)),
         episodes=len(extra),
     )
+
+
+def house_bootstrap(
+    values: Sequence[float] | np.ndarray, houses: Sequence[str], *, resamples: int, seed: int, share: float = 0.95
+) -> tuple[float, float]:
+    """Interval of a mean over episodes, by drawing whole houses anew: episodes of one house are not independent.
+
+    For a paired comparison, give the differences.
+
+    Args:
+      values: one value an episode.
+      houses: the house of each episode.
+      resamples: how many sets of houses are drawn, with replacement, as many as there are.
+      seed: of the draws.
+      share: share of the drawn means that the interval holds, 0 to 1.
+
+    Returns:
+      Lower and upper end.
+    """
+    names, house = np.unique(np.asarray(houses), return_inverse=True)
+    totals, counts = np.bincount(house, weights=values), np.bincount(house)
+    drawn = np.random.default_rng(seed).integers(len(names), size=(resamples, len(names)))
+    means = totals[drawn].sum(axis=1) / counts[drawn].sum(axis=1)
+    low, high = np.quantile(means, ((1 - share) / 2, (1 + share) / 2))
+    return float(low), float(high)

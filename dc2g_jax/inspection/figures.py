@@ -117,6 +117,47 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], dataset: str
     return _save(figure, path)
 
 
+def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float, float]]]) -> list[Path]:
+    """Draw a point an episode: the authors' extra steps across, ours up; a panel for each group of houses.
+
+    Args:
+      path: where to write, without an ending.
+      extra: group -> (authors', ours) of each episode, in percent.
+
+    Returns:
+      The files written: PNG and SVG.
+    """
+    figure = Figure(figsize=(3.1 * len(extra) + 0.4, 3.9), layout="constrained")
+    all_axes = figure.subplots(1, len(extra), squeeze=False, sharex=True, sharey=True)[0]
+    most = max(value for pairs in extra.values() for pair in pairs for value in pair)
+    ends = (-4.0, 1.6 * most)
+    for axes, (group, pairs) in zip(all_axes, extra.items(), strict=True):
+        authors, ours = np.array(pairs, float).T
+        below, above = int(np.sum(ours < authors)), int(np.sum(ours > authors))
+        axes.fill_between(ends, ends, ends[0], color="#0072b2", alpha=0.08, linewidth=0)
+        axes.plot(ends, ends, color="#555555", linewidth=0.8)
+        axes.plot(authors, ours, "o", color="#0072b2", markeredgecolor="white", markeredgewidth=0.4, markersize=5)
+        axes.plot(authors.mean(), ours.mean(), "X", color="#d55e00", markeredgecolor="black", markersize=10)
+        # The scale is linear up to 10 % and logarithmic beyond, so that episodes without extra steps can be shown.
+        for scale, limits in ((axes.set_xscale, axes.set_xlim), (axes.set_yscale, axes.set_ylim)):
+            scale("symlog", linthresh=10, linscale=0.6)
+            limits(*ends)
+        ticks = [tick for tick in (0, 10, 30, 100, 300, 1000, 3000) if tick < ends[1]]
+        axes.set_xticks(ticks, [str(tick) for tick in ticks])
+        axes.set_yticks(ticks, [str(tick) for tick in ticks])
+        axes.minorticks_off()
+        axes.grid(True, color="#dddddd", linewidth=0.5)
+        axes.set_axisbelow(True)
+        axes.set_aspect("equal")
+        axes.set_title(_GROUP_LABELS.get(group, group).replace("\n", " "), fontsize=10)
+        for place, text in (((0.97, 0.04), f"lower in {below}"), ((0.03, 0.93), f"higher in {above}")):
+            side = "right" if place[0] > 0.5 else "left"
+            axes.annotate(text, place, xycoords="axes fraction", ha=side, fontsize=8.5, color="#333333")
+    all_axes[0].set_ylabel("extra steps, this package (%)")
+    figure.supxlabel("extra steps, authors' network (%)      cross: means", fontsize=9.5)
+    return _save(figure, path)
+
+
 #: Hidden ground of a map is drawn in the class colours mixed with this much white.
 _HIDDEN_WHITE = 0.82
 

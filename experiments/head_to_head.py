@@ -1,0 +1,215 @@
+"""The authors' network against ours, episode by episode: `python -m experiments.head_to_head`.
+
+Both run the 400 published episodes: same houses, same starts, same sensing; the authors' step counts are their own.
+"""
+
+import csv
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dc2g_jax.datasets.houses import HouseDataset, open_dataset
+from dc2g_jax.datasets.starts import PublishedEpisode, published_episodes
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.evaluation import EpisodeResult, Runner, extra_steps, house_bootstrap
+from dc2g_jax.inspection.figures import plot_head_to_head
+from dc2g_jax.planning.rules import SETTINGS
+from dc2g_jax.rollout import STEP_LIMIT
+from experiments.common import EpisodeProgress, command_line, open_network, output_folder, versions, write_episodes
+
+#: Groups of the tables, in order; the last holds all episodes.
+GROUPS = ("train", "same_neighborhood", "new_neighborhood", "urban", "all")
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Run DC2G from the 400 published starts and compare it with the authors' own runs, episode by episode.
+
+    Attributes:
+      dataset: folder of the published houses; where not given, DC2G_DATA, the cache, or a download.
+      network: folder of a trained network; the shipped one where not given.
+      resamples: draws of houses for the bootstrap intervals.
+      seed: of the draws.
+      out: folder to write to; a new one below outputs/ where not given.
+    """
+
+    dataset: str | None = None
+    network: Path | None = None
+    resamples: int = 10_000
+    seed: int = 0
+    out: Path | None = None
+
+
+class Pair(NamedTuple):
+    """One episode, both sides: what each row of `head_to_head.csv` holds.
+
+    Attributes:
+      house: name of the house.
+      x: first column.
+      y: first row.
+      heading: first heading.
+      group: of the house.
+      oracle: actions of the oracle, ours.
+      authors_oracle: actions of the authors' oracle.
+      frontier: actions of frontier exploration, ours.
+      authors_frontier: the authors'.
+      dc2g: actions of DC2G, ours.
+      authors_dc2g: the authors'.
+      extra: extra steps of our DC2G beyond our oracle, in percent.
+      authors_extra: the authors' DC2G beyond the authors' oracle.
+    """
+
+    house: str
+    x: int
+    y: int
+    heading: int
+    group: str
+    oracle: int
+    authors_oracle: int
+    frontier: int
+    authors_frontier: int
+    dc2g: int
+    authors_dc2g: int
+    extra: float
+    authors_extra: float
+
+
+def pair_up(
+    published: Sequence[PublishedEpisode], frontier: Sequence[EpisodeResult], dc2g: Sequence[EpisodeResult]
+) -> list[Pair]:
+    """Our results beside the authors', in the order of the published episodes."""
+    return [
+        Pair(
+            house=theirs.start.house,
+            x=theirs.start.x,
+            y=theirs.start.y,
+            heading=theirs.start.heading,
+            group=theirs.group,
+            oracle=ours.oracle_steps,
+            authors_oracle=theirs.oracle,
+            frontier=blind.steps,
+            authors_frontier=theirs.frontier,
+            dc2g=ours.steps,
+            authors_dc2g=theirs.dc2g,
+            extra=ours.extra,
+            authors_extra=extra_steps(theirs.dc2g, theirs.oracle),
+        )
+        for theirs, blind, ours in zip(published, frontier, dc2g, strict=True)
+    ]
+
+
+def run_published(dataset: HouseDataset, network: NetworkCostToGo) -> list[EpisodeResult]:
+    """Frontier exploration, then DC2G, from the published starts."""
+    runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())
+    return runner.run([episode.start for episode in published_episodes()], ("frontier", "dc2g"), network)
+
+
+def compare(pairs: Sequence[Pair], *, resamples: int, seed: int) -> dict[str, Any]:
+    """The figures of one group of episodes. Intervals hold 95 % of `resamples` draws of its houses."""
+    houses = [pair.house for pair in pairs]
+    steps = np.array([(pair.dc2g, pair.authors_dc2g, pair.frontier, pair.authors_frontier) for pair in pairs], float)
+    ours, authors, frontier, authors_frontier = steps.T
+    extra = np.array([pair.extra for pair in pairs])
+    authors_extra = np.array([pair.authors_extra for pair in pairs])
+    shorter, longer = int(np.sum(ours < authors)), int(np.sum(ours > authors))
+
+    def interval(values: np.ndarray) -> list[float]:
+        return [round(bound, 2) for bound in house_bootstrap(values, houses, resamples=resamples, seed=seed)]
+
+    faster, authors_faster = 100 * (frontier / ours - 1), 100 * (authors_frontier / authors - 1)
+    return {
+        "episodes": len(pairs),
+        "houses": len(set(houses)),
+        "mean_extra": round(float(extra.mean()), 2),
+        "mean_extra_interval": interval(extra),
+        "authors_mean_extra": round(float(authors_extra.mean()), 2),
+        "difference": round(float(np.mean(extra - authors_extra)), 2),
+        "difference_interval": interval(extra - authors_extra),
+        "median_extra": round(float(np.median(extra)), 2),
+        "authors_median_extra": round(float(np.median(authors_extra)), 2),
+        "shorter": shorter,
+        "equal": len(pairs) - shorter - longer,
+        "longer": longer,
+        "shorter_of_differing": round(shorter / max(1, shorter + longer), 4),
+        "time_outs": int(np.sum(ours >= STEP_LIMIT)),
+        "authors_time_outs": int(np.sum(authors >= STEP_LIMIT)),
+        "frontier_over_dc2g": round(float(faster.mean()), 2),
+        "frontier_over_dc2g_interval": interval(faster),
+        "authors_frontier_over_dc2g": round(float(authors_faster.mean()), 2),
+    }
+
+
+def print_comparison(tables: dict[str, dict[str, Any]]) -> None:
+    """The tables side by side, a column a group."""
+    rows = (
+        ("episodes", "{episodes}"),
+        ("mean extra steps, ours %", "{mean_extra:.1f}"),
+        ("  95 % interval", "{mean_extra_interval[0]:.1f} to {mean_extra_interval[1]:.1f}"),
+        ("mean extra steps, authors' %", "{authors_mean_extra:.1f}"),
+        ("ours less authors'", "{difference:+.1f}"),
+        ("  95 % interval", "{difference_interval[0]:+.1f} to {difference_interval[1]:+.1f}"),
+        ("median, ours %", "{median_extra:.1f}"),
+        ("median, authors' %", "{authors_median_extra:.1f}"),
+        ("ours shorter / equal / longer", "{shorter} / {equal} / {longer}"),
+        ("shorter of those that differ", "{shorter_of_differing:.1%}"),
+        ("time-outs, ours / authors'", "{time_outs} / {authors_time_outs}"),
+        ("frontier / dc2g - 1, ours %", "{frontier_over_dc2g:.1f}"),
+        ("frontier / dc2g - 1, authors' %", "{authors_frontier_over_dc2g:.1f}"),
+    )
+    print(f"\n{'':34}" + "".join(f"{group:>20}" for group in tables))
+    for label, cell in rows:
+        print(f"{label:34}" + "".join(f"{cell.format(**table):>20}" for table in tables.values()))
+
+
+def main(options: Options) -> None:
+    """Run, compare, write."""
+    if options.resamples < 1:
+        raise InputError(f"--resamples {options.resamples}: give at least 1")
+    dataset = open_dataset(options.dataset)
+    if dataset.source != "published":
+        raise InputError(
+            f"{dataset.name}: the authors' episodes are in the published houses; give --dataset with a copy of them"
+        )
+    network = open_network(options.network)
+    out = output_folder(options.out, "head_to_head")
+    published = published_episodes()
+    results = run_published(dataset, network)
+    pairs = pair_up(published, results[: len(published)], results[len(published) :])
+    groups = {group: [pair for pair in pairs if group in (pair.group, "all")] for group in GROUPS}
+    tables = {group: compare(own, resamples=options.resamples, seed=options.seed) for group, own in groups.items()}
+    print_comparison(tables)
+    by_house = {house: [pair for pair in pairs if pair.house == house] for house in sorted({p.house for p in pairs})}
+    beaten = [
+        house for house, own in by_house.items() if np.mean([p.frontier for p in own]) < np.mean([p.dc2g for p in own])
+    ]
+    print(f"\nHouses in which frontier exploration is shorter on average: {len(beaten)} of {len(by_house)}")
+    with (out / "head_to_head.csv").open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(Pair._fields)
+        writer.writerows(
+            pair._replace(extra=round(pair.extra, 4), authors_extra=round(pair.authors_extra, 4)) for pair in pairs
+        )
+    write_episodes(out / "episodes.csv", results)
+    facts = {
+        "dataset": dataset.name,
+        "versions": versions(),
+        "resamples": options.resamples,
+        "seed": options.seed,
+        "groups": tables,
+        "houses_where_frontier_is_shorter": beaten,
+    }
+    (out / "results.json").write_text(json.dumps(facts, indent=2) + "\n")
+    plot_head_to_head(
+        out / "head_to_head",
+        {group: [(pair.authors_extra, pair.extra) for pair in groups[group]] for group in GROUPS[:-1]},
+    )
+    print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+
+
+if __name__ == "__main__":
+    command_line(Options, main)
