@@ -93,7 +93,10 @@ class _Doubling(nnx.Module):
         kernel = self.kernel[...].reshape(2, 2, 2, 2, width_in, width_out).transpose(0, 2, 4, 1, 3, 5)
         kernel = kernel.reshape(2, 2, width_in, 4 * width_out).astype(self.dtype)
         blocks = sum(
-            jnp.pad(features.astype(self.dtype) @ kernel[down, right], ((0, 0), (down, 1 - down), (right, 1 - right), (0, 0)))
+            jnp.pad(
+                features.astype(self.dtype) @ kernel[down, right],
+                ((0, 0), (down, 1 - down), (right, 1 - right), (0, 0)),
+            )
             for down in (0, 1)
             for right in (0, 1)
         )
@@ -185,6 +188,7 @@ class Discriminator(nnx.Module):
 Network = type[Generator] | type[Discriminator]
 
 
+@functools.partial(jax.jit, static_argnums=(0, 1))
 def init_weights(network: Network, architecture: TranslatorArchitecture, key: Array) -> dict[str, Any]:
     """Fresh weights of either network: a nested dictionary of float32 arrays."""
     return nnx.to_pure_dict(nnx.split(network(architecture, rngs=nnx.Rngs(key)))[1])
@@ -224,5 +228,5 @@ def discriminate(
     images: Float[Array, "b s s 3"],
     answers: Float[Array, "b s s 3"],
 ) -> Float[Array, "b p q"]:
-    """Log-odds, patch by patch, that the answers are true ones for these pictures; `weights` are the discriminator's."""
+    """Log-odds, patch by patch, that answers are true ones for these pictures; `weights` are the discriminator's."""
     return _merged(Discriminator, architecture, weights)(images, answers)
