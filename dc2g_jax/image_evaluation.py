@@ -10,9 +10,9 @@ from jaxtyping import Array, Float, Int, UInt8
 from dc2g_jax.datasets.image_pairs import ImageSet, labelled_grid, labelled_map, make_image_pair, masked_pair
 from dc2g_jax.estimation import translator
 from dc2g_jax.estimation.estimators import Estimator, TranslatorCostToGo
-from dc2g_jax.estimation.images import cost_to_go_image, resize_nearest
+from dc2g_jax.estimation.images import cost_to_go_image
 from dc2g_jax.estimation.metrics import ImageMetrics, image_metrics
-from dc2g_jax.grid.sampling import ClassImage
+from dc2g_jax.grid.sampling import ClassImage, resize_nearest
 from dc2g_jax.grid.terrain import TRAVERSABLE
 from dc2g_jax.grid.world import world_from_terrain
 

@@ -14,7 +14,7 @@ import numpy as np
 from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset
 from dc2g_jax.datasets.image_pairs import houses_with_door
 from dc2g_jax.datasets.similarity import distance_to_training, similarity_scale
-from dc2g_jax.grid.sampling import sample_image
+from dc2g_jax.grid.sampling import resize_nearest
 from dc2g_jax.image_evaluation import full_map_metrics
 from dc2g_jax.inspection.image_figures import METRIC_LABELS, Points, plot_by_similarity
 from experiments.common import command_line, open_network, output_folder, versions
@@ -42,7 +42,7 @@ def distances(dataset: HouseDataset, houses: Sequence[House]) -> list[float]:
     """Distance of each house from the training houses."""
 
     def squeezed(house: House) -> np.ndarray:
-        return sample_image(house.terrain, _SIZE, _SIZE)
+        return resize_nearest(house.terrain, _SIZE, _SIZE)
 
     scale = similarity_scale(np.stack([squeezed(house) for house in houses_with_door(dataset, "train")]))
     return [distance_to_training(squeezed(house), scale) for house in houses]

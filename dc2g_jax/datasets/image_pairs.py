@@ -10,9 +10,9 @@ from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
 
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.images import cost_to_go_image, resize_nearest, semantic_image
+from dc2g_jax.estimation.images import cost_to_go_image, semantic_image
 from dc2g_jax.grid import bitboard, search
-from dc2g_jax.grid.sampling import ClassImage, sample_grid, sample_image
+from dc2g_jax.grid.sampling import ClassImage, resize_nearest, sample_grid
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE, UNKNOWN
 
 
@@ -72,9 +72,9 @@ def labelled_map(image: ClassImage, size: int) -> tuple[UInt8[np.ndarray, "s s"]
     """
     height, width = (max(1, round(size * side / max(image.shape))) for side in image.shape)
     reduced = np.full((size, size), UNKNOWN, np.uint8)
-    reduced[:height, :width] = sample_image(image, height, width)
+    reduced[:height, :width] = resize_nearest(image, height, width)
     cost = np.asarray(_solve(TRAVERSABLE[reduced], reduced == FRONT_DOOR))
-    return sample_image(reduced[:height, :width], size, size), sample_image(cost[:height, :width], size, size)
+    return resize_nearest(reduced[:height, :width], size, size), resize_nearest(cost[:height, :width], size, size)
 
 
 def labelled_grid(image: ClassImage, cells: int) -> tuple[UInt8[np.ndarray, "s s"], Float[np.ndarray, "s s"]]:

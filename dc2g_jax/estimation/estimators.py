@@ -12,6 +12,7 @@ from dc2g_jax.estimation import images, networks, translator
 from dc2g_jax.estimation.networks import Architecture
 from dc2g_jax.estimation.translator import TranslatorArchitecture
 from dc2g_jax.grid import bitboard, search
+from dc2g_jax.grid.sampling import resize_nearest
 from dc2g_jax.grid.world import World, unpack_classes
 from dc2g_jax.gridworld import Belief
 
@@ -137,7 +138,7 @@ class TranslatorCostToGo:
     def translate(self, terrain: UInt8[Array, "b h w"]) -> Float[Array, "b s s 3"]:
         """Pictures of the cost-to-go of partial maps, which are resized to the network's own size first."""
         size = self.architecture.size
-        pictures = jax.vmap(lambda one: images.semantic_image(images.resize_nearest(one, size, size)))(terrain)
+        pictures = jax.vmap(lambda one: images.semantic_image(resize_nearest(one, size, size)))(terrain)
         return translator.translate(self.architecture, self.weights, pictures)
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "h w *batch"]:

@@ -6,7 +6,7 @@ Pictures are RGB, float32 from 0 to 1 with the colours last. All functions take 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, UInt8
 
-from dc2g_jax.grid.sampling import nearest_pixels
+from dc2g_jax.grid.sampling import resize_nearest
 from dc2g_jax.grid.terrain import CLASS_COLORS, TRAVERSABLE, UNKNOWN
 
 #: A pixel of a higher HSV saturation is not grey and so stands for ground that cannot be driven on (section IV-A3).
@@ -14,11 +14,6 @@ SATURATION_LIMIT = 0.3
 
 #: Colour of ground that cannot be driven on.
 RED = (1.0, 0.0, 0.0)
-
-
-def resize_nearest(grid: Array, height: int, width: int) -> Array:
-    """A grid `[h w ...]` resized to `[height width ...]` by nearest neighbour, as the houses' images are sampled."""
-    return grid[nearest_pixels(grid.shape[0], height)][:, nearest_pixels(grid.shape[1], width)]
 
 
 def semantic_image(terrain: UInt8[Array, "h w"]) -> Float[Array, "h w 3"]:

@@ -12,6 +12,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import nnx
 from jaxtyping import Array, Float
 
@@ -62,8 +63,8 @@ class TranslatorArchitecture:
 class _InstanceNorm(nnx.Module):
     """Every channel of every picture to zero mean and unit variance, then scaled and shifted."""
 
-    def __init__(self, width: int, *, rngs: nnx.Rngs):
-        self.scale = nnx.Param(1 + _SPREAD * jax.random.normal(rngs.params(), (width,)))
+    def __init__(self, width: int):
+        self.scale = nnx.Param(jnp.ones(width))
         self.offset = nnx.Param(jnp.zeros(width))
 
     def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h w c"]:
@@ -81,8 +82,8 @@ class _Doubling(nnx.Module):
     convolution some fifteen times slower.
     """
 
-    def __init__(self, width_in: int, width_out: int, *, dtype: Any, rngs: nnx.Rngs):
-        self.kernel = nnx.Param(_SPREAD * jax.random.normal(rngs.params(), (*_KERNEL, width_in, width_out)))
+    def __init__(self, width_in: int, width_out: int, *, dtype: Any):
+        self.kernel = nnx.Param(jnp.zeros((*_KERNEL, width_in, width_out)))
         self.bias = nnx.Param(jnp.zeros(width_out))
         self.dtype = dtype
 
@@ -107,17 +108,16 @@ class _Doubling(nnx.Module):
 
 def _convolution(width_in: int, width_out: int, step: int, *, dtype: Any, rngs: nnx.Rngs) -> nnx.Conv:
     """A 4x4 convolution that halves the resolution (step 2), or takes one pixel off it (step 1)."""
-    spread = nnx.initializers.normal(_SPREAD)
     options: dict[str, Any] = {"strides": (step, step), "padding": ((1, 1), (1, 1)), "dtype": dtype, "rngs": rngs}
-    return nnx.Conv(width_in, width_out, _KERNEL, kernel_init=spread, **options)
+    return nnx.Conv(width_in, width_out, _KERNEL, **options)
 
 
 class _Layer(nnx.Module):
     """A convolution and, perhaps, normalisation."""
 
-    def __init__(self, convolution: nnx.Conv | _Doubling, width: int, *, normalize: bool, rngs: nnx.Rngs):
+    def __init__(self, convolution: nnx.Conv | _Doubling, width: int, *, normalize: bool):
         self.convolution = convolution
-        self.norm = _InstanceNorm(width, rngs=rngs) if normalize else None
+        self.norm = _InstanceNorm(width) if normalize else None
 
     def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h2 w2 d"]:
         features = self.convolution(features)
@@ -143,9 +143,9 @@ class Generator(nnx.Module):
         for level, width in enumerate(widths):
             below, skipped = (widths[level - 1] if level else 3), (1 if level == innermost else 2)
             halve = _convolution(below, width, 2, dtype=dtype, rngs=rngs)
-            double = _Doubling(skipped * width, below, dtype=dtype, rngs=rngs)
-            setattr(self, f"down{level}", _Layer(halve, width, normalize=0 < level < innermost, rngs=rngs))
-            setattr(self, f"up{level}", _Layer(double, below, normalize=level > 0, rngs=rngs))
+            double = _Doubling(skipped * width, below, dtype=dtype)
+            setattr(self, f"down{level}", _Layer(halve, width, normalize=0 < level < innermost))
+            setattr(self, f"up{level}", _Layer(double, below, normalize=level > 0))
 
     def __call__(self, images: Float[Array, "b s s 3"], key: Array | None = None) -> Float[Array, "b s s 3"]:
         """Translate pictures. With a key, features are dropped at random, as in training."""
@@ -174,7 +174,7 @@ class Discriminator(nnx.Module):
             width = 1 if last else filters * 2**layer
             step = 2 if layer < _DISCRIMINATOR_HALVINGS else 1
             convolution = _convolution(width_in, width, step, dtype=dtype, rngs=rngs)
-            setattr(self, f"layer{layer}", _Layer(convolution, width, normalize=layer > 0 and not last, rngs=rngs))
+            setattr(self, f"layer{layer}", _Layer(convolution, width, normalize=layer > 0 and not last))
             width_in = width
 
     def __call__(self, images: Float[Array, "b s s 3"], answers: Float[Array, "b s s 3"]) -> Float[Array, "b p q"]:
@@ -188,10 +188,28 @@ class Discriminator(nnx.Module):
 Network = type[Generator] | type[Discriminator]
 
 
+def _empty(network: Network, architecture: TranslatorArchitecture) -> tuple[Any, Any]:
+    """A network's structure, and its state as shapes and dtypes only."""
+    return nnx.split(nnx.eval_shape(lambda: network(architecture, rngs=nnx.Rngs(0))))
+
+
 @functools.partial(jax.jit, static_argnums=(0, 1))
 def init_weights(network: Network, architecture: TranslatorArchitecture, key: Array) -> dict[str, Any]:
-    """Fresh weights of either network: a nested dictionary of float32 arrays."""
-    return nnx.to_pure_dict(nnx.split(network(architecture, rngs=nnx.Rngs(key)))[1])
+    """Fresh weights of either network: a nested dictionary of float32 arrays.
+
+    All are cut from one long draw, as a program with a draw for each takes long to compile.
+    """
+    shapes = nnx.to_pure_dict(_empty(network, architecture)[1])
+    leaves, structure = jax.tree_util.tree_flatten_with_path(shapes)
+    ends = np.cumsum([leaf.size for _, leaf in leaves])
+    draws = _SPREAD * jax.random.normal(key, (int(ends[-1]),))
+
+    def weight(path: Any, leaf: jax.ShapeDtypeStruct, end: int) -> Array:
+        own = draws[end - leaf.size : end].reshape(leaf.shape)
+        return {"kernel": own, "scale": 1 + own}.get(path[-1].key, jnp.zeros(leaf.shape))
+
+    weights = [weight(path, leaf, end) for (path, leaf), end in zip(leaves, ends.tolist(), strict=True)]
+    return jax.tree_util.tree_unflatten(structure, weights)
 
 
 def weight_shapes(architecture: TranslatorArchitecture) -> dict[str, Any]:
@@ -200,7 +218,7 @@ def weight_shapes(architecture: TranslatorArchitecture) -> dict[str, Any]:
 
 
 def _merged(network: Network, architecture: TranslatorArchitecture, weights: dict[str, Any]) -> Any:
-    graph, state = nnx.split(nnx.eval_shape(lambda: network(architecture, rngs=nnx.Rngs(0))))
+    graph, state = _empty(network, architecture)
     nnx.replace_by_pure_dict(state, weights)
     return nnx.merge(graph, state)
 

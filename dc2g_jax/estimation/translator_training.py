@@ -117,9 +117,14 @@ def init_translator(config: TranslatorConfig) -> TranslatorState:
     )
 
 
-def discriminator_loss(true: Float[Array, "b p q"], generated: Float[Array, "b p q"]) -> Float[Array, ""]:
-    """Cross-entropy of telling true from generated patches, from their log-odds to be true."""
-    return jnp.mean(jax.nn.softplus(-true) + jax.nn.softplus(generated))
+def discriminator_loss(
+    architecture: TranslatorArchitecture, weights: Any, batch: ImageBatch, generated: Float[Array, "b s s 3"]
+) -> Float[Array, ""]:
+    """Cross-entropy of telling true from generated patches: the mean of each kind's, added up."""
+    images = jnp.concatenate([batch.image, batch.image])
+    odds = translator.discriminate(architecture, weights, images, jnp.concatenate([batch.target, generated]))
+    true, false = jnp.split(odds, 2)
+    return jnp.mean(jax.nn.softplus(-true)) + jnp.mean(jax.nn.softplus(false))
 
 
 def _updated(config: TranslatorConfig, weights: Any, gradient: Any, optimizer: Any) -> tuple[Any, Any]:
@@ -143,24 +148,20 @@ def translator_step(
     batch_key, dropout_key = jax.random.split(jax.random.fold_in(jax.random.key(config.seed), 1))
     batch = draw_batch(batch_key, state.step, data)
     dropout_key = jax.random.fold_in(dropout_key, state.step)
-    judge = functools.partial(translator.discriminate, architecture)
     generated, backward = jax.vjp(
         lambda weights: translator.translate(architecture, weights, batch.image, dropout_key), state.generator
     )
     discriminator, discriminator_optimizer = state.discriminator, state.discriminator_optimizer
     if loss.gan:
-        gradient = jax.grad(
-            lambda weights: discriminator_loss(
-                judge(weights, batch.image, batch.target), judge(weights, batch.image, generated)
-            )
-        )(discriminator)
+        gradient = jax.grad(lambda weights: discriminator_loss(architecture, weights, batch, generated))(discriminator)
         discriminator, discriminator_optimizer = _updated(config, discriminator, gradient, discriminator_optimizer)
 
     def generator_loss(generated: Float[Array, "b s s 3"]) -> tuple[Array, Array]:
         difference = jnp.mean(jnp.abs(generated - batch.target))
         total = loss.l1 * difference
         if loss.gan:
-            total += loss.gan * jnp.mean(jax.nn.softplus(-judge(discriminator, batch.image, generated)))
+            odds = translator.discriminate(architecture, discriminator, batch.image, generated)
+            total += loss.gan * jnp.mean(jax.nn.softplus(-odds))
         return total, difference
 
     by_picture, difference = jax.grad(generator_loss, has_aux=True)(generated)

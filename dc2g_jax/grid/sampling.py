@@ -1,12 +1,16 @@
 """Sampling a semantic picture of any size onto a square grid of cells."""
 
+from typing import TypeVar
+
 import cv2
+import jax
 import numpy as np
 import numpy.typing as npt
 
 from dc2g_jax.grid.terrain import FRONT_DOOR, PATH
 
 ClassImage = npt.NDArray[np.uint8]
+Grid = TypeVar("Grid", np.ndarray, jax.Array)
 
 
 def nearest_pixels(pixels: int, samples: int) -> npt.NDArray[np.int64]:
@@ -17,9 +21,9 @@ def nearest_pixels(pixels: int, samples: int) -> npt.NDArray[np.int64]:
     return (pixels * (2 * np.arange(samples) + 1) - 1) // (2 * samples)
 
 
-def sample_image(classes: ClassImage, height: int, width: int) -> ClassImage:
-    """Resize a class image [H W] to [height width] by nearest neighbour, and nothing else (see `nearest_pixels`)."""
-    return classes[np.ix_(nearest_pixels(classes.shape[0], height), nearest_pixels(classes.shape[1], width))]
+def resize_nearest(grid: Grid, height: int, width: int) -> Grid:
+    """Resize a grid `[h w ...]` to `[height width ...]` by nearest neighbour and nothing else, see `nearest_pixels`."""
+    return grid[nearest_pixels(grid.shape[0], height)][:, nearest_pixels(grid.shape[1], width)]
 
 
 def sample_grid(classes: ClassImage, cells: int = 50) -> ClassImage:
@@ -42,6 +46,6 @@ def sample_grid(classes: ClassImage, cells: int = 50) -> ClassImage:
         raise ValueError(f"classes must be a non-empty [H W] array, got shape {classes.shape}")
     if cells < 1:
         raise ValueError(f"cells must be positive, got {cells}")
-    sampled = sample_image(classes, cells, cells)
+    sampled = resize_nearest(classes, cells, cells)
     path = cv2.dilate((sampled == PATH).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     return np.where(path & (sampled != FRONT_DOOR), np.uint8(PATH), sampled).astype(np.uint8)

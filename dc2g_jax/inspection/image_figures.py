@@ -80,19 +80,19 @@ def plot_translations(
     """
     rows = len(full)
     figure = Figure(figsize=(11.4, 1.86 * rows + 1.0), layout="constrained")
-    halves = [figure.add_subfigure(half) for half in figure.add_gridspec(1, 2)]
+    halves = list(np.ravel(figure.subfigures(1, 2, squeeze=False)))
     for half, title, examples in zip(halves, ("full maps", "partial maps"), (full, partial), strict=True):
         half.suptitle(title, fontsize=11)
         grid = half.subplots(rows, 3, squeeze=False)
-        for row, example in zip(grid, examples, strict=True):
+        for number, (row, example) in enumerate(zip(grid, examples, strict=True)):
             for axes, picture, name in zip(row, example[1:], ("input", "prediction", "truth"), strict=True):
                 axes.imshow(np.clip(picture, 0, 1), interpolation="nearest")
-                bare_axes(axes, name if row is grid[0] else "")
+                bare_axes(axes, "" if number else name)
             row[0].set_ylabel(example.name, fontsize=7.5)
     legend = {"white": "near the goal", "#555555": "far", "red": "not traversable", "black": "not observed, or cut off"}
     patches = [Patch(facecolor=colour, edgecolor="#333333", label=label) for colour, label in legend.items()]
-    figure.legend(handles=patches, loc="outside lower center", ncols=len(patches), frameon=False, fontsize=8.5)
-    figure.supxlabel(caption, fontsize=8, color="#555555")
+    options = {"ncols": len(patches), "frameon": False, "fontsize": 8.5, "title_fontsize": 8}
+    figure.legend(handles=patches, title=caption, loc="outside lower center", **options)
     return save_figure(figure, path)
 
 
