@@ -97,7 +97,11 @@ def main(options: Options) -> None:
     networks = {name: points_of(distance, full_map_metrics(network, images)) for name, network in chosen.items()}
     print_table(networks)
     write_houses(out / "houses.csv", houses, networks)
-    plot_by_similarity(out / "fig6", networks, f"{len(houses)} test houses of {dataset.name}, fully observed.")
+    caption = (
+        f"{len(houses)} test houses of {dataset.name}, fully observed. "
+        "A network that gives a cost for every cell takes traversability from the map."
+    )
+    plot_by_similarity(out / "fig6", networks, caption)
     facts = {
         "dataset": dataset.name,
         "houses": len(houses),

@@ -37,11 +37,11 @@ class _Kind(NamedTuple):
     weight_shapes: Callable[[Any], dict[str, Any]]
 
 
-def _read_compact(facts: dict[str, Any]) -> Architecture:
+def _read_compact(facts: Any) -> Architecture:
     return Architecture(widths=tuple(int(width) for width in facts["widths"]), cost_scale=float(facts["cost_scale"]))
 
 
-def _read_translator(facts: dict[str, Any]) -> TranslatorArchitecture:
+def _read_translator(facts: Any) -> TranslatorArchitecture:
     return TranslatorArchitecture(
         size=int(facts["size"]), base_filters=int(facts["base_filters"]), compute_dtype=facts["compute_dtype"]
     )

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import load_network, save_network
-from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation import translator
+from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network, save_network
+from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.networks import Architecture, init_weights
+from dc2g_jax.estimation.translator import TranslatorArchitecture
 from dc2g_jax.grid.terrain import CLASS_NAMES
 
 N_SCALES = len(Architecture().widths)
@@ -23,7 +25,7 @@ def network(width: int = 4, seed: int = 0, cost_scale: float = 20.0) -> NetworkC
     return NetworkCostToGo(weights=init_weights(architecture, jax.random.key(seed)), architecture=architecture)
 
 
-def assert_equal(one: NetworkCostToGo, other: NetworkCostToGo) -> None:
+def assert_equal(one: TrainedNetwork, other: TrainedNetwork) -> None:
     assert one.architecture == other.architecture
     assert jax.tree.structure(one) == jax.tree.structure(other)
     for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
@@ -110,8 +112,33 @@ def changed_card(folder: Path, **changes) -> None:
 
 
 def test_another_kind_of_network(folder):
+    changed_card(folder, network="transformer")
+    refusal(folder, "network.json", "transformer", "compact_unet", "pix2pix")
+
+
+def test_the_card_decides_what_kind_of_network_it_is(folder):
     changed_card(folder, network="pix2pix")
-    refusal(folder, "network.json", "pix2pix")
+    refusal(folder, "network.json", "architecture")
+
+
+def test_a_translator_comes_back_as_one(tmp_path):
+    architecture = TranslatorArchitecture(size=32, base_filters=2, compute_dtype="bfloat16")
+    saved = TranslatorCostToGo(
+        weights=translator.init_weights(translator.Generator, architecture, jax.random.key(0)),
+        architecture=architecture,
+    )
+    folder = save_network(tmp_path / "network", saved, {"loss": "l1"})
+    loaded = load_network(folder)
+    assert isinstance(loaded, TranslatorCostToGo)
+    assert_equal(loaded, saved)
+    assert json.loads((folder / "network.json").read_text())["network"] == "pix2pix"
+    changed_card(folder, architecture={"size": 32, "base_filters": 4, "compute_dtype": "bfloat16"})
+    refusal(folder, "weights", "another architecture")
+    for wrong in ({"size": 33}, {"base_filters": 0}, {"compute_dtype": 8}):
+        changed_card(folder, architecture={"size": 32, "base_filters": 2, "compute_dtype": "float32", **wrong})
+        refusal(folder, "network.json", "architecture")
+    changed_card(folder, classes=["grass"])
+    refusal(folder, "network.json", "classes")
 
 
 @pytest.mark.parametrize("classes", [None, [], [*CLASS_NAMES[:-1], "water"], [*CLASS_NAMES, "water"], 5])

@@ -38,7 +38,8 @@ def data() -> ImageSet:
 
 
 def train(data, steps: int, state=None, config: TranslatorConfig = CONFIG):
-    state = init_translator(config) if state is None else state
+    # On a device by name, as restored states are: the step is then compiled once for both.
+    state = jax.device_put(init_translator(config) if state is None else state, jax.devices()[0])
     differences = []
     for _ in range(steps):
         state, difference = translator_step(state, data, config=config, draw_batch=DRAW)

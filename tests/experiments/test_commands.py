@@ -12,8 +12,11 @@ import pytest
 from dc2g_jax.datasets.houses import load_dataset, save_dataset
 from dc2g_jax.datasets.procedural import procedural_houses
 from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS
+from dc2g_jax.shipped import shipped
+from experiments.common import SHIPPED_NETWORK
 
 ROOT = Path(__file__).resolve().parents[2]
+SHIPPED = shipped(SHIPPED_NETWORK)
 
 
 def run(*arguments: object) -> subprocess.CompletedProcess:
@@ -139,7 +142,55 @@ def test_training_resumes_and_its_network_plans(few_houses, tmp_path):
     assert result.returncode == 0, result.stderr
 
 
-@pytest.mark.parametrize("command", ["reproduce_fig7", "run_episodes", "train"])
+def test_the_papers_training_and_its_figures(few_houses, tmp_path):
+    training = [
+        "--dataset", few_houses, "--size", 32, "--base-filters", 2, "--train-masks", 4, "--validation-masks", 2,
+        "--steps", 4, "--validate-every", 2,
+    ]  # fmt: skip
+    runs = tmp_path / "runs"
+    first = run("train_translator", *training, "--out", runs / "l1+gan-seed0")
+    assert first.returncode == 0, first.stderr
+    assert "4 pairs of 1 houses" in first.stdout
+    network = runs / "l1+gan-seed0" / "network"
+    card = json.loads((network / "network.json").read_text())
+    assert (card["network"], card["loss"], card["steps"]) == ("pix2pix", "l1+gan", 4)
+    # Fig. 5 goes on with what is there, and that is finished.
+    fig5 = run("reproduce_fig5", *training, "--losses", "l1+gan", "--seeds", 0, "--out", runs)
+    assert fig5.returncode == 0, fig5.stderr
+    facts = json.loads((runs / "results.json").read_text())
+    assert [figures["step"] for figures in facts["runs"]["l1+gan"][0]] == [2, 4]
+    fig4 = run("reproduce_fig4", "--dataset", few_houses, "--network", network, "--rows", 1, "--out", tmp_path / "fig4")
+    assert fig4.returncode == 0, fig4.stderr
+    fig6 = run("reproduce_fig6", "--dataset", few_houses, "--network", network, SHIPPED, "--out", tmp_path / "fig6")
+    assert fig6.returncode == 0, fig6.stderr
+    facts = json.loads((tmp_path / "fig6" / "results.json").read_text())
+    assert facts["houses"] == 2
+    assert set(facts["networks"]) == {str(network), str(SHIPPED)}
+    with (tmp_path / "fig6" / "houses.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 4
+    assert facts["networks"][str(network)]["l1"]["mean"] == pytest.approx(
+        np.mean([float(row["l1"]) for row in rows[:2]]), abs=1e-4
+    )
+    for name in ("runs/fig5.png", "runs/fig5.svg", "fig4/fig4.png", "fig4/fig4.svg", "fig6/fig6.png", "fig6/fig6.svg"):
+        assert (tmp_path / name).stat().st_size > 0
+    assert "l2" in complaint(run("reproduce_fig5", *training, "--losses", "l2", "--out", tmp_path / "no"))
+    assert "size 33" in complaint(run("train_translator", *training, "--size", 33, "--out", tmp_path / "no"))
+    assert not (tmp_path / "no").exists()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "reproduce_fig4",
+        "reproduce_fig5",
+        "reproduce_fig6",
+        "reproduce_fig7",
+        "run_episodes",
+        "train",
+        "train_translator",
+    ],
+)
 def test_help_names_every_option(command):
     result = run(command, "--help")
     assert result.returncode == 0

@@ -1,0 +1,139 @@
+"""Pairs of pictures: labels as the authors', masks that only hide, and every pair once an epoch."""
+
+import functools
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+
+from dc2g_jax.datasets.drawn_masks import drawn_masks
+from dc2g_jax.datasets.houses import House, HouseDataset, load_dataset
+from dc2g_jax.datasets.image_pairs import (
+    all_pairs,
+    draw_image_pairs,
+    houses_with_door,
+    labelled_grid,
+    labelled_map,
+    make_image_pair,
+)
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.images import cost_to_go_image
+from dc2g_jax.grid import bitboard
+from dc2g_jax.grid.sampling import resize_nearest, sample_grid
+from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
+from tests import maps
+from tests.conftest import PUBLISHED
+
+make_pairs = jax.jit(jax.vmap(make_image_pair, in_axes=(None, 0)))
+
+
+def dijkstra_oracle(terrain: np.ndarray) -> np.ndarray:
+    """8-connected cost to the nearest door over traversable cells, by SciPy."""
+    cells = [tuple(int(v) for v in cell) for cell in np.argwhere(TRAVERSABLE[terrain])]
+    number = {cell: place for place, cell in enumerate(cells)}
+    edges = [
+        (number[row, column], number[row + dy, column + dx], float(np.hypot(dx, dy)))
+        for row, column in cells
+        for dx in (-1, 0, 1)
+        for dy in (-1, 0, 1)
+        if (dx or dy) and (row + dy, column + dx) in number
+    ]
+    start, end, length = zip(*edges, strict=True)
+    graph = coo_array((length, (start, end)), shape=(len(cells), len(cells))).tocsr()
+    doors = [number[cell] for cell in cells if terrain[cell] == FRONT_DOOR]
+    cost = np.full(terrain.shape, np.inf)
+    cost[tuple(np.array(cells).T)] = dijkstra(graph, indices=doors, min_only=True)
+    return cost
+
+
+def test_labels_are_exact():
+    terrain = maps.random_terrain(5, (32, 32), 0.7, doors=2)
+    same, cost = labelled_map(terrain, 32)
+    np.testing.assert_array_equal(same, terrain)
+    np.testing.assert_allclose(cost, dijkstra_oracle(terrain), rtol=1e-5)
+    grid, cost = labelled_grid(terrain, 20)
+    np.testing.assert_array_equal(grid, sample_grid(terrain, 20))
+    np.testing.assert_allclose(cost, dijkstra_oracle(grid), rtol=1e-5)
+
+
+def test_distances_are_those_of_the_map_in_its_own_proportions():
+    image = np.full((16, 64), ROAD, np.uint8)
+    image[:, 0] = FRONT_DOOR
+    terrain, cost = labelled_map(image, 32)
+    assert terrain.shape == cost.shape == (32, 32)
+    # 32 pixels along the longer side: half the image's; rows are stretched and no farther apart for it.
+    np.testing.assert_array_equal(cost, np.tile(np.arange(32.0), (32, 1)))
+
+
+def test_labels_agree_with_the_authors_images(shared):
+    del shared
+    houses = load_dataset(PUBLISHED, cells=None).split("val")
+    for house in houses:
+        path = PUBLISHED / "full_c2g" / house.split / f"world{house.name}-front_door.png"
+        theirs = resize_nearest(cv2.imread(str(path))[..., ::-1], 256, 256) / 255.0
+        terrain, cost = labelled_map(house.terrain, 256)
+        ours = np.asarray(cost_to_go_image(jnp.asarray(cost), jnp.asarray(terrain)))
+        red, our_red = (image[..., 0] > image[..., 1] + 0.5 for image in (theirs, ours))
+        assert np.mean(red == our_red) > 0.98
+        # Their search overestimates slightly.
+        difference = np.abs(theirs - ours)[~red & ~our_red]
+        assert difference.mean() < 0.01
+        assert np.quantile(difference, 0.99) < 0.06
+
+
+def some_houses() -> list[House]:
+    return [House(f"h{seed}", "train", maps.random_terrain(seed, (40, 32), 0.85)) for seed in range(3)]
+
+
+def test_a_mask_only_hides():
+    houses, masks = some_houses(), drawn_masks(4, 32, seed=0)
+    data = all_pairs(houses, masks)
+    assert len(data.pair_house) == 12
+    pairs = make_pairs(data, jnp.arange(12))
+    whole = make_pairs(all_pairs(houses, np.ones((1, 32, 32), bool)), jnp.arange(3))
+    for index in range(12):
+        seen, house = masks[index % 4], index // 4
+        expected = np.where(seen[..., None], whole.image[house], 0)
+        np.testing.assert_array_equal(pairs.image[index], expected)
+        red = np.asarray(pairs.target[index])[..., 0] != np.asarray(pairs.target[index])[..., 1]
+        np.testing.assert_array_equal(red, seen & ~TRAVERSABLE[np.asarray(data.terrain[house])])
+        # Greys are those of the whole map, brightened alike.
+        ours, full = np.asarray(pairs.target[index])[..., 2], np.asarray(whole.target[house])[..., 2] * seen
+        np.testing.assert_allclose(ours * full.max(), full, atol=1e-5)
+
+
+def test_an_epoch_has_every_pair_once():
+    data = all_pairs(some_houses(), drawn_masks(4, 32, seed=0))
+    draw = jax.jit(functools.partial(draw_image_pairs, batch_size=2))
+    every = {np.asarray(image).tobytes() for image in make_pairs(data, jnp.arange(12)).image}
+    epochs = []
+    for epoch in range(2):
+        batches = [draw(jax.random.key(0), jnp.int32(6 * epoch + step), data).image for step in range(6)]
+        epochs.append([np.asarray(image).tobytes() for batch in batches for image in batch])
+        assert set(epochs[-1]) == every
+    assert epochs[0] != epochs[1]
+    again = draw(jax.random.key(0), jnp.int32(7), data).image
+    assert [np.asarray(image).tobytes() for image in again] == epochs[1][2:4]
+
+
+@pytest.mark.parametrize("size", [16, 50])
+def test_masks_may_have_another_resolution(size):
+    data = all_pairs(some_houses(), np.ones((1, 32, 32), bool))
+    coarse = maps.random_cells(0, (size, size), 0.5)
+    data = data.replace(masks=bitboard.pack(jnp.asarray(coarse))[None])
+    image = make_pairs(data, jnp.arange(1)).image[0]
+    seen = resize_nearest(coarse, 32, 32) & (np.asarray(data.terrain[0]) != 0)
+    np.testing.assert_array_equal(np.asarray(image).any(axis=-1), seen)
+
+
+def test_houses_without_a_door_are_left_out_and_a_split_without_houses_is_refused():
+    doorless = House("n0", "val", np.full((40, 40), GRASS, np.uint8))
+    dataset = HouseDataset("some", "folder", (*some_houses(), doorless))
+    assert [house.name for house in houses_with_door(dataset, "train")] == ["h0", "h1", "h2"]
+    for split in ("val", "test"):
+        with pytest.raises(InputError, match=f"some: no {split} house has a front door"):
+            houses_with_door(dataset, split)

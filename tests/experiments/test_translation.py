@@ -1,0 +1,110 @@
+"""The translator's training: masks of both kinds, and what happens when it is interrupted or diverges."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax.datasets.houses import House, HouseDataset
+from dc2g_jax.datasets.procedural import draw_house
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.translator_training import init_translator
+from dc2g_jax.grid import bitboard
+from experiments import translation
+from experiments.translation import TranslationOptions, image_set, read_log, train_translator, translation_data
+
+OPTIONS = TranslationOptions(
+    size=32, base_filters=2, train_masks=5, validation_masks=1, steps=30, validate_every=10
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def dataset() -> HouseDataset:
+    style = "urban"
+    houses = [House(f"n00{seed}", "train", draw_house(seed, style)) for seed in range(2)]
+    return HouseDataset("drawn", "folder", (*houses, House("n009", "val", draw_house(2, style))))
+
+
+def test_pairs_by_default_are_as_many_as_the_papers(dataset):
+    options = TranslationOptions(size=32)
+    data = translation_data(dataset, options)
+    assert (len(data.train.pair_house), len(data.validation.pair_house)) == (2 * 256, 80)
+    assert data.train.masks.shape == (256, 1, 32)
+    # Validation masks are none of the training masks.
+    seen = {np.asarray(mask).tobytes() for mask in data.train.masks}
+    assert not seen & {np.asarray(mask).tobytes() for mask in data.validation.masks}
+
+
+def test_masks_of_robots(dataset):
+    data = image_set(dataset, "train", size=32, masks="rollout", per_house=6)
+    np.testing.assert_array_equal(data.pair_house, np.repeat([0, 1], 6))
+    assert data.masks.shape == (12, 2, 50)
+    share = [np.asarray(bitboard.unpack(mask, 50)).mean() for mask in data.masks]
+    assert 0 < min(share) < max(share) < 1
+    again = image_set(dataset, "train", size=32, masks="rollout", per_house=6)
+    np.testing.assert_array_equal(again.masks, data.masks)
+
+
+def test_no_masks_make_no_pairs(dataset):
+    with pytest.raises(InputError, match="train: 0 masks a house"):
+        image_set(dataset, "train", size=32, masks="paper", per_house=0)
+
+
+@pytest.fixture
+def steps(monkeypatch):
+    """Stand-in for the real step: notes its number, and misbehaves where told."""
+    taken, trouble = [], {}
+
+    def step(state, data, *, config, draw_batch):
+        number = int(state.step)
+        if trouble.get(number) is KeyboardInterrupt:
+            raise trouble.pop(number)
+        taken.append(number)
+        return state.replace(step=state.step + 1), jnp.float32(trouble.get(number, 0.5))
+
+    monkeypatch.setattr(translation, "translator_step", step)
+    monkeypatch.setattr(translation, "mean_metrics", lambda network, data: {"l1": 0.25})
+    return taken, trouble
+
+
+def train(out, dataset, **changes) -> None:
+    options = dataclasses.replace(OPTIONS, **changes)
+    train_translator(out, dataset, translation_data(dataset, options), options.config("l1", 0), options)
+
+
+def test_an_interrupted_run_goes_on_where_it_was(dataset, tmp_path, steps):
+    taken, trouble = steps
+    trouble[17] = KeyboardInterrupt
+    with pytest.raises(KeyboardInterrupt):
+        train(tmp_path / "run", dataset)
+    assert taken == list(range(17))
+    train(tmp_path / "run", dataset)
+    assert taken == list(range(30))
+    log = read_log(tmp_path / "run")
+    assert list(log) == [10, 20, 30]
+    assert log[30] == {"step": 30, "train_l1": 0.5, "l1": 0.25}
+    assert (tmp_path / "run" / "network" / "network.json").is_file()
+    with pytest.raises(InputError, match="train_masks was 5"):
+        train(tmp_path / "run", dataset, train_masks=4)
+
+
+def test_a_run_that_diverges_stops_and_says_so(dataset, tmp_path, steps):
+    steps[1][12] = np.nan
+    with pytest.raises(InputError, match=r"run: .* nan at step 20; lower --learning-rate"):
+        train(tmp_path / "run", dataset)
+    assert list(read_log(tmp_path / "run")) == [10]
+
+
+def test_steps_taken_twice_count_once(tmp_path):
+    lines = ['{"step": 10, "l1": 0.5}', '{"step": 20, "l1": 0.4}', '{"step": 10, "l1": 0.5}', '{"step": 20, "l1": 0.3}']
+    (tmp_path / "log.jsonl").write_text("\n".join(lines) + "\n")
+    assert read_log(tmp_path) == {10: {"step": 10, "l1": 0.5}, 20: {"step": 20, "l1": 0.3}}
+
+
+def test_networks_that_cannot_be_built_are_refused_in_one_line():
+    with pytest.raises(InputError, match="size 48"):
+        dataclasses.replace(OPTIONS, size=48).config("l1", 0)
+    with pytest.raises(InputError, match="l1, gan"):
+        OPTIONS.config("l3", 0)
+    assert int(init_translator(OPTIONS.config("l1", 0)).step) == 0

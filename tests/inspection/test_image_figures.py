@@ -1,0 +1,40 @@
+"""Figures 4 to 6 draw what they are given."""
+
+import numpy as np
+import pytest
+
+from dc2g_jax.inspection import image_figures
+from dc2g_jax.inspection.image_figures import METRIC_LABELS, Example, Points
+
+
+def check(files) -> None:
+    assert sorted(path.suffix for path in files) == [".png", ".svg"]
+    assert all(path.stat().st_size > 1000 for path in files)
+
+
+def test_figure_4(tmp_path):
+    pictures = np.random.default_rng(0).random((3, 8, 8, 3))
+    examples = [Example(f"house{number}", *pictures) for number in range(2)]
+    check(image_figures.plot_translations(tmp_path / "fig4", examples, examples, "caption"))
+
+
+def test_figure_5(tmp_path):
+    def run(seed: int):
+        values = np.random.default_rng(seed).random((4, 3))
+        return {10 * n: dict(zip(("l1", "low_precision", "low_recall"), v, strict=True)) for n, v in enumerate(values)}
+
+    runs = {"l1": [run(0), run(1)], "gan": [run(2)]}
+    check(image_figures.plot_training(tmp_path / "fig5", runs, "caption", window=2))
+
+
+def test_the_moving_average():
+    smooth = image_figures._moving_average(np.array([4.0, 2.0, 0.0, 6.0]), 2)
+    assert smooth == pytest.approx([4, 3, 1, 3])
+    assert image_figures._moving_average(np.array([4.0, 2.0]), 9) == pytest.approx([4, 3])
+
+
+def test_figure_6(tmp_path):
+    metrics = {name: [0.5, 0.7, 1.0] for name in METRIC_LABELS}
+    fits = {name: (0.1, 0.5) for name in METRIC_LABELS}
+    networks = {"one": Points([0.1, 0.2, 0.4], metrics, fits), "other": Points([0.1, 0.1, 0.1], metrics, {})}
+    check(image_figures.plot_by_similarity(tmp_path / "fig6", networks, "caption"))
