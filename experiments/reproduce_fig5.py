@@ -45,12 +45,15 @@ def main(options: Options) -> None:
     """Train all runs one after another, then draw them."""
     if not options.losses or not options.seeds or options.window < 1 or options.training.validate_every < 1:
         raise InputError("losses, seeds, window and validate-every: Fig. 5 needs at least one of each")
-    configs = {(loss, seed): options.training.config(loss, seed) for loss in options.losses for seed in options.seeds}
+    configs = {loss: options.training.config(loss) for loss in options.losses}
     dataset = open_dataset(options.dataset, cells=None)
     data = translation_data(dataset, options.training)
-    for (loss, seed), config in configs.items():
-        train_translator(options.out / f"{loss}-seed{seed}", dataset, data, config, options.training)
-    runs = {loss: [read_log(options.out / f"{loss}-seed{seed}") for seed in options.seeds] for loss in options.losses}
+    runs: dict[str, list[dict[int, dict[str, float]]]] = {loss: [] for loss in options.losses}
+    for loss, config in configs.items():
+        for seed in options.seeds:
+            folder = options.out / f"{loss}-seed{seed}"
+            train_translator(folder, dataset, data, config, options.training, seed=seed)
+            runs[loss].append(read_log(folder))
     training = options.training
     caption = (
         f"{len(data.train.pair_house)} training and {len(data.validation.pair_house)} validation pairs of "

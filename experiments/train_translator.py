@@ -37,14 +37,14 @@ class Options:
 
 def main(options: Options) -> None:
     """Make the pairs, train."""
-    config = options.training.config(options.loss, options.seed)
+    config = options.training.config(options.loss)
     dataset = open_dataset(options.dataset, cells=None)
     data = translation_data(dataset, options.training)
     print(
         f"Training on {len(data.train.pair_house)} pairs of {len(data.train.terrain)} houses of {dataset.name}, "
         f"validating on {len(data.validation.pair_house)}"
     )
-    train_translator(options.out, dataset, data, config, options.training)
+    train_translator(options.out, dataset, data, config, options.training, seed=options.seed)
     print(f"Trained: {options.out / 'network'}")
 
 

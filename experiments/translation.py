@@ -69,7 +69,7 @@ class TranslationOptions:
     validate_every: int = 500
     minutes_per_checkpoint: float = 5.0
 
-    def config(self, loss: str, seed: int) -> TranslatorConfig:
+    def config(self, loss: str) -> TranslatorConfig:
         """What the package is asked to train.
 
         Raises:
@@ -79,11 +79,16 @@ class TranslationOptions:
             architecture = TranslatorArchitecture(self.size, self.base_filters, self.compute_dtype)
         except ValueError as error:
             raise InputError(f"networks: {error}") from None
-        return TranslatorConfig(architecture, loss, self.steps, self.batch_size, self.learning_rate, seed=seed)
+        return TranslatorConfig(architecture, loss, self.steps, self.batch_size, self.learning_rate)
 
-    def facts(self, dataset: HouseDataset) -> dict[str, Any]:
+    def facts(self, dataset: HouseDataset, seed: int) -> dict[str, Any]:
         """What must be the same for a run to be resumed, beside the configuration."""
-        return {"dataset": dataset.name, "masks": self.masks, "train_masks": self.train_masks}
+        return {"seed": seed, "dataset": dataset.name, "masks": self.masks, "train_masks": self.train_masks}
+
+    def next_stop(self, step: int) -> int:
+        """The next step after which to report or to validate."""
+        stops = [_STEPS_PER_REPORT, self.validate_every or _STEPS_PER_REPORT]
+        return min(self.steps, *(step - step % every + every for every in stops))
 
 
 class TranslationData(NamedTuple):
@@ -161,7 +166,9 @@ def translation_data(dataset: HouseDataset, options: TranslationOptions) -> Tran
     )
 
 
-def _card(dataset: HouseDataset, config: TranslatorConfig, options: TranslationOptions, step: int) -> dict[str, Any]:
+def _card(
+    dataset: HouseDataset, config: TranslatorConfig, options: TranslationOptions, seed: int, step: int
+) -> dict[str, Any]:
     """What to know about a network: where it comes from."""
     commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
     return {
@@ -170,7 +177,7 @@ def _card(dataset: HouseDataset, config: TranslatorConfig, options: TranslationO
         "loss": config.loss,
         "command": shlex.join(["python", "-m", f"experiments.{Path(sys.argv[0]).stem}", *sys.argv[1:]]),
         "commit": commit.stdout.strip() or "unknown",
-        "seed": config.seed,
+        "seed": seed,
         "steps": step,
     }
 
@@ -181,21 +188,24 @@ def train_translator(
     data: TranslationData,
     config: TranslatorConfig,
     options: TranslationOptions,
+    *,
+    seed: int,
 ) -> None:
     """Train a translator to the end, from where an earlier run in the same folder stopped; save at Ctrl-C.
 
     Leaves `network/` and `log.jsonl` in the folder, with a line for every validation.
     """
-    checkpoints = TrainingCheckpoints(out, config, options.facts(dataset), first_state=init_translator)
+    first_state = partial(init_translator, seed=seed)
+    checkpoints = TrainingCheckpoints(out, config, options.facts(dataset, seed), first_state=first_state)
     draw = partial(draw_image_pairs, batch_size=config.batch_size)
     try:
-        state = checkpoints.restore() or init_translator(config)
+        state = checkpoints.restore() or first_state(config)
         step, saved = int(state.step), time.monotonic()
         with tqdm(total=config.steps, initial=step, desc=out.name, unit="step", file=sys.stderr) as bar:
             try:
                 while step < config.steps:
                     differences = []
-                    for _ in range(min(_STEPS_PER_REPORT - step % _STEPS_PER_REPORT, config.steps - step)):
+                    for _ in range(options.next_stop(step) - step):
                         state, difference = translator_step(state, data.train, config=config, draw_batch=draw)
                         differences.append(difference)
                     mean = float(np.mean(differences))
@@ -208,7 +218,7 @@ def train_translator(
                         )
                     if step == config.steps or (options.validate_every and step % options.validate_every == 0):
                         network = TranslatorCostToGo(weights=state.generator, architecture=config.architecture)
-                        save_network(out / "network", network, _card(dataset, config, options, step))
+                        save_network(out / "network", network, _card(dataset, config, options, seed, step))
                         if options.validate_every:
                             log(out, step, mean, mean_metrics(network, data.validation))
                     if time.monotonic() - saved > 60 * options.minutes_per_checkpoint:

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, UInt32
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import translator
@@ -43,7 +43,6 @@ class TranslatorConfig:
       batch_size: pairs a step.
       learning_rate: of Adam, for both networks.
       beta1: of Adam.
-      seed: of weights, the order of the pairs and dropout.
 
     Raises:
       InputError: for an unknown loss.
@@ -55,7 +54,6 @@ class TranslatorConfig:
     batch_size: int = 1
     learning_rate: float = 2e-4
     beta1: float = 0.5
-    seed: int = 0
 
     def __post_init__(self) -> None:
         if self.loss not in LOSSES:
@@ -68,6 +66,8 @@ class TranslatorState:
 
     Attributes:
       step: optimiser steps taken.
+      key: of the run, as data: decides the order of the pairs and what is dropped, step by step. Part of the state, so
+        that runs of several seeds share a compiled step.
       generator: the generator's weights.
       discriminator: the discriminator's weights; they stay what they are where the loss makes no use of them.
       generator_optimizer: optax state.
@@ -75,6 +75,7 @@ class TranslatorState:
     """
 
     step: Int[Array, ""]
+    key: UInt32[Array, "2"]
     generator: Any
     discriminator: Any
     generator_optimizer: Any
@@ -103,13 +104,19 @@ def _optimizer(config: TranslatorConfig) -> optax.GradientTransformation:
     return optax.adam(config.learning_rate, b1=config.beta1)
 
 
-def init_translator(config: TranslatorConfig) -> TranslatorState:
-    """The state before the first step."""
-    generator_key, discriminator_key = jax.random.split(jax.random.key(config.seed))
+def init_translator(config: TranslatorConfig, *, seed: int) -> TranslatorState:
+    """The state before the first step.
+
+    Args:
+      config: how to train.
+      seed: of weights, the order of the pairs and dropout.
+    """
+    generator_key, discriminator_key, run_key = jax.random.split(jax.random.key(seed), 3)
     generator = translator.init_weights(Generator, config.architecture, generator_key)
     discriminator = translator.init_weights(Discriminator, config.architecture, discriminator_key)
     return TranslatorState(
         step=jnp.int32(0),
+        key=jax.random.key_data(run_key),
         generator=generator,
         discriminator=discriminator,
         generator_optimizer=_optimizer(config).init(generator),
@@ -138,14 +145,14 @@ def translator_step(
 ) -> tuple[TranslatorState, Float[Array, ""]]:
     """Take one step: first the discriminator learns to tell the generator's pictures, then the generator to fool it.
 
-    The batch and the dropout of a step depend on the seed and the number of the step alone, so training that was
+    The batch and the dropout of a step depend on the run's key and the number of the step alone, so training that was
     interrupted and resumed gives the same weights as training that was not.
 
     Returns:
       The new state and the mean absolute difference of the generated pictures from the true ones.
     """
     loss, architecture = LOSSES[config.loss], config.architecture
-    batch_key, dropout_key = jax.random.split(jax.random.fold_in(jax.random.key(config.seed), 1))
+    batch_key, dropout_key = jax.random.split(jax.random.wrap_key_data(state.key))
     batch = draw_batch(batch_key, state.step, data)
     dropout_key = jax.random.fold_in(dropout_key, state.step)
     generated, backward = jax.vjp(
@@ -169,6 +176,7 @@ def translator_step(
     generator, generator_optimizer = _updated(config, state.generator, gradient, state.generator_optimizer)
     new = TranslatorState(
         step=state.step + 1,
+        key=state.key,
         generator=generator,
         discriminator=discriminator,
         generator_optimizer=generator_optimizer,

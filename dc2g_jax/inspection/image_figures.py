@@ -57,7 +57,12 @@ class Points(NamedTuple):
     fits: Mapping[str, tuple[float, float]]
 
 
-def _plain(axes: Axes) -> None:
+def _plain(axes: Axes, metric: str) -> None:
+    """A panel of one metric: an error from 0 on, or a share from 0 to 1."""
+    if metric == "l1":
+        axes.set_ylim(bottom=0)
+    else:
+        axes.set_ylim(-0.03, 1.03)
     axes.grid(True, color="#dddddd", linewidth=0.6)
     axes.set_axisbelow(True)
     for side in ("top", "right"):
@@ -138,8 +143,7 @@ def plot_training(
             axes.fill_between(steps, mean - deviation, mean + deviation, color=colour, alpha=0.18, linewidth=0)
         axes.set_xlabel("training steps")
         axes.set_title(METRIC_LABELS[metric].replace("\n", " "), fontsize=10)
-        axes.set_ylim(bottom=0)
-        _plain(axes)
+        _plain(axes, metric)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False)
     figure.supxlabel(caption, fontsize=8, color="#555555")
@@ -171,11 +175,7 @@ def plot_by_similarity(path: str | Path, networks: Mapping[str, Points], caption
                 ends = np.array([min(points.distance), max(points.distance)])
                 axes.plot(ends, slope * ends + intercept, color=colour, linestyle=_LINES[1], linewidth=1.5)
         axes.set_ylabel(label, fontsize=9)
-        if metric == "l1":
-            axes.set_ylim(bottom=0)
-        else:
-            axes.set_ylim(-0.03, 1.03)
-        _plain(axes)
+        _plain(axes, metric)
     panels[-1].set_xlabel("distance from the most similar training house (0: same words, 1: no word in common)")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=min(3, len(labels)), frameon=False)
