@@ -1,6 +1,7 @@
 """The translator's training: masks of both kinds, and what happens when it is interrupted or diverges."""
 
 import dataclasses
+import json
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,12 +11,13 @@ from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.procedural import draw_house
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid import bitboard
-from experiments import translation
+from experiments import reproduce_fig4, reproduce_fig5, translation
 from experiments.translation import TranslationOptions, image_set, read_log, train_translator, translation_data
 
 OPTIONS = TranslationOptions(
     size=32, base_filters=2, train_masks=5, validation_masks=1, steps=30, validate_every=10
 )  # fmt: skip
+METRICS = {"l1": 0.25, "low_precision": 0.9, "low_recall": 0.5}
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +65,7 @@ def steps(monkeypatch):
         return state.replace(step=state.step + 1), jnp.float32(trouble.get(number, 0.5))
 
     monkeypatch.setattr(translation, "translator_step", step)
-    monkeypatch.setattr(translation, "mean_metrics", lambda network, data: {"l1": 0.25})
+    monkeypatch.setattr(translation, "mean_metrics", lambda network, data: dict(METRICS))
     return taken, trouble
 
 
@@ -82,7 +84,7 @@ def test_an_interrupted_run_goes_on_where_it_was(dataset, tmp_path, steps):
     assert taken == list(range(30))
     log = read_log(tmp_path / "run")
     assert list(log) == [10, 20, 30]
-    assert log[30] == {"step": 30, "train_l1": 0.5, "l1": 0.25}
+    assert log[30] == {"step": 30, "train_l1": 0.5, **METRICS}
     assert (tmp_path / "run" / "network" / "network.json").is_file()
     with pytest.raises(InputError, match="train_masks was 5"):
         train(tmp_path / "run", dataset, train_masks=4)
@@ -93,6 +95,33 @@ def test_a_run_that_diverges_stops_and_says_so(dataset, tmp_path, steps):
     with pytest.raises(InputError, match=r"run: .* nan at step 20; lower --learning-rate"):
         train(tmp_path / "run", dataset)
     assert list(read_log(tmp_path / "run")) == [10]
+
+
+def test_figure_5_goes_on_with_the_runs_that_are_there(dataset, tmp_path, steps, monkeypatch):
+    monkeypatch.setattr(reproduce_fig5, "open_dataset", lambda location, *, cells: dataset)
+    options = reproduce_fig5.Options(out=tmp_path, losses=("l1", "l1+gan"), seeds=(0, 3), training=OPTIONS)
+    for _ in range(2):
+        reproduce_fig5.main(options)
+    assert steps[0] == 4 * list(range(30))
+    facts = json.loads((tmp_path / "results.json").read_text())
+    assert {loss: len(runs) for loss, runs in facts["runs"].items()} == {"l1": 2, "l1+gan": 2}
+    assert [figures["step"] for figures in facts["runs"]["l1"][1]] == [10, 20, 30]
+    assert (tmp_path / "fig5.png").stat().st_size > 0
+    for wrong in ({"losses": ("l2",)}, {"losses": ()}, {"seeds": ()}, {"window": 0}):
+        with pytest.raises(InputError, match=r"l2|at least one"):
+            reproduce_fig5.main(dataclasses.replace(options, out=tmp_path / "no", **wrong))
+    assert not (tmp_path / "no").exists()
+
+
+def test_figure_4_shows_as_many_houses_as_asked_for(dataset, tmp_path, monkeypatch):
+    houses = tuple(dataclasses.replace(house, split="test") for house in dataset.houses)
+    monkeypatch.setattr(
+        reproduce_fig4, "open_dataset", lambda location, *, cells: HouseDataset("drawn", "folder", houses)
+    )
+    reproduce_fig4.main(reproduce_fig4.Options(rows=1, out=tmp_path / "fig4"))
+    assert {path.name for path in (tmp_path / "fig4").iterdir()} == {"fig4.png", "fig4.svg"}
+    with pytest.raises(InputError, match="rows: 0"):
+        reproduce_fig4.main(reproduce_fig4.Options(rows=0, out=tmp_path / "no"))
 
 
 def test_steps_taken_twice_count_once(tmp_path):
