@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import functools
 import json
 import logging
 import shutil
@@ -94,6 +95,7 @@ def _read_card(folder: Path) -> Architecture:
     try:
         known = Architecture(
             widths=tuple(int(width) for width in architecture["widths"]),
+            quantiles=tuple(float(level) for level in architecture["quantiles"]),
             cost_scale=float(architecture["cost_scale"]),
         )
         networks.weight_shapes(known)
@@ -178,7 +180,7 @@ class TrainingCheckpoints:
         step = self._manager.latest_step()
         if step is None:
             return None
-        template = jax.eval_shape(lambda: init_state(self._config))
+        template = jax.eval_shape(functools.partial(init_state, self._config.recipe), self._config.hyperparameters)
         with _quiet():
             return self._manager.restore(step, args=ocp.args.StandardRestore(template))
 
