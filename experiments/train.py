@@ -68,7 +68,7 @@ class Options:
     batch_size: int = TrainingConfig.batch_size
     learning_rate: float = TrainingConfig.learning_rate
     seed: int = 0
-    validate_every: int = 3000
+    validate_every: int = 5000
     minutes_per_checkpoint: float = 2.0
 
     @property
