@@ -9,6 +9,7 @@ from typing import Literal
 
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.estimators import NetworkCostToGo
 from experiments.benchmarks import figures, machine, report
 from experiments.benchmarks.bench import Bench
 from experiments.benchmarks.compiling import program_rows
@@ -95,6 +96,8 @@ def main(options: Options) -> None:
         most_houses=4 if options.quick else None,
     )
     network = open_network(options.network)
+    if not isinstance(network, NetworkCostToGo):
+        raise InputError(f"{options.network}: is no compact network; the benchmark measures that kind alone")
     out = output_folder(options.out, "benchmark")
 
     description = machine.describe()

@@ -14,8 +14,7 @@ from tqdm import tqdm
 
 from dc2g_jax.datasets.download import cache_folder
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import load_network
-from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network
 from dc2g_jax.evaluation import EpisodeResult
 from dc2g_jax.shipped import shipped
 
@@ -84,7 +83,7 @@ def output_folder(chosen: Path | None, command: str) -> Path:
     return chosen
 
 
-def open_network(folder: Path | None) -> NetworkCostToGo:
+def open_network(folder: Path | None) -> TrainedNetwork:
     """The network in a folder, or the one that comes with the package."""
     return load_network(shipped(SHIPPED_NETWORK) if folder is None else folder)
 

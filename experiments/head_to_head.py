@@ -15,7 +15,7 @@ import numpy as np
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import PublishedEpisode, published_episodes
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.evaluation import EpisodeResult, Runner, extra_steps, house_bootstrap
 from dc2g_jax.inspection.figures import plot_head_to_head
 from dc2g_jax.planning.rules import SETTINGS
@@ -103,7 +103,7 @@ def pair_up(
     ]
 
 
-def run_published(dataset: HouseDataset, network: NetworkCostToGo) -> list[EpisodeResult]:
+def run_published(dataset: HouseDataset, network: TrainedNetwork) -> list[EpisodeResult]:
     """Frontier exploration, then DC2G, from the published starts."""
     runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())
     return runner.run([episode.start for episode in published_episodes()], ("frontier", "dc2g"), network)

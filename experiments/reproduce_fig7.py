@@ -19,7 +19,7 @@ from tqdm import tqdm
 from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset, tell_on_stderr
 from dc2g_jax.datasets.starts import published_episodes, sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.evaluation import PLANNERS, EpisodeResult, Runner, Summary, extra_steps, summarize
 from dc2g_jax.inspection.figures import plot_episode, plot_extra_steps
 from dc2g_jax.inspection.recording import record_episode
@@ -97,7 +97,7 @@ def _episode(result: EpisodeResult, group: str) -> Episode:
     return Episode(result.planner, group, result.house, result.extra, result.success)
 
 
-def run_published(dataset: HouseDataset, network: NetworkCostToGo) -> tuple[list[EpisodeResult], list[Episode]]:
+def run_published(dataset: HouseDataset, network: TrainedNetwork) -> tuple[list[EpisodeResult], list[Episode]]:
     """The 400 published episodes: our results, and table entries with the authors' own beside ours."""
     published = published_episodes()
     runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())
@@ -136,7 +136,7 @@ def frontier_over_dc2g(results: list[EpisodeResult]) -> dict[str, dict[str, floa
 
 
 def run_sampled(
-    dataset: HouseDataset, network: NetworkCostToGo, options: Options
+    dataset: HouseDataset, network: TrainedNetwork, options: Options
 ) -> tuple[list[EpisodeResult], list[Episode]]:
     """Sampled starts in every test house in which an episode can be run; as many in each, so houses weigh equally."""
     houses: tuple[House, ...] = dataset.split("test")
@@ -154,7 +154,7 @@ def run_sampled(
 
 
 def record(
-    out: Path, dataset: HouseDataset, settings: str, results: list[EpisodeResult], network: NetworkCostToGo, count: int
+    out: Path, dataset: HouseDataset, settings: str, results: list[EpisodeResult], network: TrainedNetwork, count: int
 ) -> None:
     """Record `count` episodes, spread evenly over those run: for the rerun viewer and as a figure."""
     rules = SETTINGS[settings].rules()

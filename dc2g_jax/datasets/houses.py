@@ -37,7 +37,7 @@ class House:
     Attributes:
         name: `nNNNmMMMhHHH` in the published dataset (neighbourhood, map, house).
         split: 'train', 'val' or 'test'.
-        terrain: uint8 [cells cells], class indices, read-only.
+        terrain: class indices, read-only: uint8 [cells cells], or [H W] where the images were left as they are.
     """
 
     name: str
@@ -97,7 +97,7 @@ def group_of(house: House) -> str | None:
     return house.split if house.split in SPLIT_FILES else None
 
 
-def load_dataset(folder: str | os.PathLike[str], *, cells: int = 50) -> HouseDataset:
+def load_dataset(folder: str | os.PathLike[str], *, cells: int | None = 50) -> HouseDataset:
     """Read a folder in the published layout.
 
     The layout: `labels_colors.csv`; the house lists `training_houses.csv`, `validation_houses.csv` and
@@ -106,14 +106,14 @@ def load_dataset(folder: str | os.PathLike[str], *, cells: int = 50) -> HouseDat
 
     Args:
         folder: the dataset.
-        cells: cells a side of the grid that every image is sampled to.
+        cells: cells a side of the grid that every image is sampled to; `None` to leave them as they are.
 
     Raises:
         InputError: anything in the folder is missing, damaged or contradicts itself; the message names the
             file, the value and the remedy.
     """
     folder = Path(folder)
-    if cells < 1:
+    if cells is not None and cells < 1:
         raise InputError(f"{folder}: a grid of {cells} cells a side is no grid; ask for at least 1")
     try:
         _check_folder(folder)
@@ -132,8 +132,9 @@ def load_dataset(folder: str | os.PathLike[str], *, cells: int = 50) -> HouseDat
         raise InputError(f"{where}: cannot be read ({error.strerror}); allow reading or copy it") from None
 
 
-def procedural_dataset(seed: int = 0, *, cells: int = 50) -> HouseDataset:
-    """Return the embedded procedural houses, sampled to `cells` a side like images from a folder.
+def procedural_dataset(seed: int = 0, *, cells: int | None = 50) -> HouseDataset:
+    """Return the embedded procedural houses, sampled to `cells` a side like images from a folder
+    (`None`: as they are drawn).
 
     Raises:
         InputError: `cells` is less than 1 or more than the drawn maps have pixels.
@@ -197,7 +198,7 @@ def tell_on_stderr(line: str) -> None:
 def open_dataset(
     location: str | os.PathLike[str] | None = None,
     *,
-    cells: int = 50,
+    cells: int | None = 50,
     log: Callable[[str], None] = tell_on_stderr,
 ) -> HouseDataset:
     """Open the dataset that is meant, fetching the published one where nothing else is said.
@@ -208,7 +209,7 @@ def open_dataset(
 
     Args:
         location: a folder in the published layout, or the word 'procedural'.
-        cells: cells a side of the grids.
+        cells: cells a side of the grids; `None` to leave the images as they are.
         log: takes the line about the fallback.
 
     Raises:
@@ -230,7 +231,7 @@ def open_dataset(
     return load_dataset(folder, cells=cells)
 
 
-def _open_location(location: str, setting: str, cells: int) -> HouseDataset:
+def _open_location(location: str, setting: str, cells: int | None) -> HouseDataset:
     if location == PROCEDURAL:
         return procedural_dataset(cells=cells)
     try:
@@ -293,7 +294,7 @@ def _image_path(folder: Path, split: str, name: str) -> Path:
     return folder / IMAGE_FOLDER / split / f"world{name}.png"
 
 
-def _read_house(folder: Path, split: str, name: str, line: int, palette: Palette, cells: int) -> House:
+def _read_house(folder: Path, split: str, name: str, line: int, palette: Palette, cells: int | None) -> House:
     path = _image_path(folder, split, name)
     if not path.exists():
         raise InputError(
@@ -303,13 +304,13 @@ def _read_house(folder: Path, split: str, name: str, line: int, palette: Palette
     return House(name, split, _sample(str(path), read_class_image(path, palette), cells))
 
 
-def _sample(where: str, classes: np.ndarray, cells: int) -> np.ndarray:
+def _sample(where: str, classes: np.ndarray, cells: int | None) -> np.ndarray:
     height, width = classes.shape
-    if cells < 1 or min(height, width) < cells:
+    if cells is not None and (cells < 1 or min(height, width) < cells):
         raise InputError(
             f"{where}: wrong grid size: {width} x {height} pixels cannot fill {cells} x {cells} cells; "
             f"use a larger image or 1 to {min(height, width)} cells"
         )
-    terrain = np.array(sample_grid(classes, cells), dtype=np.uint8)
+    terrain = np.array(classes if cells is None else sample_grid(classes, cells), dtype=np.uint8)
     terrain.setflags(write=False)
     return terrain

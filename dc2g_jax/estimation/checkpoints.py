@@ -6,25 +6,55 @@ import functools
 import json
 import logging
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 import orbax.checkpoint as ocp
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation import networks
-from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation import networks, translator
+from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.networks import Architecture
-from dc2g_jax.estimation.training import TrainingConfig, TrainingState, init_state
+from dc2g_jax.estimation.training import first_state
+from dc2g_jax.estimation.translator import TranslatorArchitecture
 from dc2g_jax.grid.terrain import CLASS_NAMES
 
 _CARD = "network.json"
 _WEIGHTS = "weights"
 _CONFIG = "config.json"
-_NETWORK = "compact_unet"
+
+TrainedNetwork = NetworkCostToGo | TranslatorCostToGo
+
+
+class _Kind(NamedTuple):
+    """A kind of network: the estimator it makes, how its card is read, and what weights it needs."""
+
+    estimator: type[TrainedNetwork]
+    read_architecture: Callable[[Any], Any]
+    weight_shapes: Callable[[Any], dict[str, Any]]
+
+
+def _read_compact(facts: dict[str, Any]) -> Architecture:
+    return Architecture(
+        widths=tuple(int(width) for width in facts["widths"]),
+        quantiles=tuple(float(level) for level in facts["quantiles"]),
+        cost_scale=float(facts["cost_scale"]),
+    )
+
+
+def _read_translator(facts: dict[str, Any]) -> TranslatorArchitecture:
+    return TranslatorArchitecture(
+        size=int(facts["size"]), base_filters=int(facts["base_filters"]), compute_dtype=facts["compute_dtype"]
+    )
+
+
+_KINDS = {
+    "compact_unet": _Kind(NetworkCostToGo, _read_compact, networks.weight_shapes),
+    "pix2pix": _Kind(TranslatorCostToGo, _read_translator, translator.weight_shapes),
+}
 
 
 @contextlib.contextmanager
@@ -41,7 +71,7 @@ def _quiet() -> Iterator[None]:
             logger.setLevel(level)
 
 
-def save_network(folder: str | Path, network: NetworkCostToGo, card: dict[str, Any] | None = None) -> Path:
+def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, Any] | None = None) -> Path:
     """Save a network: `network.json` (what it is) and `weights/` (Orbax). Replaces a network already there.
 
     Args:
@@ -60,7 +90,7 @@ def save_network(folder: str | Path, network: NetworkCostToGo, card: dict[str, A
     shutil.rmtree(folder / _WEIGHTS, ignore_errors=True)
     partial.rename(folder / _WEIGHTS)
     facts = {
-        "network": _NETWORK,
+        "network": next(name for name, kind in _KINDS.items() if isinstance(network, kind.estimator)),
         "architecture": dataclasses.asdict(network.architecture),
         "classes": list(CLASS_NAMES),
         **(card or {}),
@@ -81,44 +111,42 @@ def _read_json(path: Path, remedy: str) -> dict[str, Any]:
     return facts
 
 
-def _read_card(folder: Path) -> Architecture:
-    """The architecture of a saved network, once it is sure that this package can run it."""
-    remedy = "give a folder written by `python -m experiments.train`"
+def _read_card(folder: Path) -> tuple[_Kind, Any]:
+    """The kind and the architecture of a saved network, once it is sure that this package can run it."""
+    remedy = "give a folder written by `python -m experiments.train` or `python -m experiments.train_translator`"
     facts = _read_json(folder / _CARD, remedy)
-    if facts.get("network") != _NETWORK:
+    kind = _KINDS.get(str(facts.get("network")))
+    if kind is None:
         raise InputError(
-            f"{folder / _CARD}: the network is {facts.get('network')!r}, but this planner runs {_NETWORK!r}; {remedy}"
+            f"{folder / _CARD}: the network is {facts.get('network')!r}, but this package runs {', '.join(_KINDS)}; "
+            f"{remedy}"
         )
     if facts.get("classes") != list(CLASS_NAMES):
         raise InputError(f"{folder / _CARD}: the network was trained on another list of terrain classes; train it anew")
     architecture: Any = facts.get("architecture")
     try:
-        known = Architecture(
-            widths=tuple(int(width) for width in architecture["widths"]),
-            quantiles=tuple(float(level) for level in architecture["quantiles"]),
-            cost_scale=float(architecture["cost_scale"]),
-        )
-        networks.weight_shapes(known)
+        known = kind.read_architecture(architecture)
+        kind.weight_shapes(known)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{folder / _CARD}: architecture {architecture!r} is not one of this network's ({error}); {remedy}"
         ) from None
-    return known
+    return kind, known
 
 
 def _shapes(tree: Any) -> dict[str, tuple[int, ...]]:
     return {jax.tree_util.keystr(path): tuple(leaf.shape) for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
 
 
-def load_network(folder: str | Path) -> NetworkCostToGo:
-    """Load a network saved by `save_network`.
+def load_network(folder: str | Path) -> TrainedNetwork:
+    """Load a network of any kind saved by `save_network`.
 
     Raises:
       InputError: if there is none, it cannot be read, or its weights are those of another architecture.
     """
     folder = Path(folder).absolute()
-    architecture = _read_card(folder)
-    wanted = networks.weight_shapes(architecture)
+    kind, architecture = _read_card(folder)
+    wanted = kind.weight_shapes(architecture)
     if not (folder / _WEIGHTS / "_CHECKPOINT_METADATA").is_file():
         raise InputError(f"{folder / _WEIGHTS}: holds no weights; save or copy the network again")
     try:
@@ -141,7 +169,7 @@ def load_network(folder: str | Path) -> NetworkCostToGo:
     except Exception as error:  # Orbax raises many kinds for a damaged checkpoint
         reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
         raise InputError(f"{folder / _WEIGHTS}: cannot be read ({reason}); save or copy the network again") from None
-    return NetworkCostToGo(weights=weights, architecture=architecture)
+    return kind.estimator(weights=weights, architecture=architecture)
 
 
 class TrainingCheckpoints:
@@ -151,13 +179,21 @@ class TrainingCheckpoints:
       folder: where they are.
       config: how the run trains. A folder that holds states of another configuration is refused.
       facts: whatever else must be the same for a run to be resumed, such as the data; a JSON object.
+      first_state: `config -> state` before the first step, which has a `step`; states restored have its shapes.
 
     Raises:
       InputError: if the folder holds a run of another configuration.
     """
 
-    def __init__(self, folder: str | Path, config: TrainingConfig, facts: dict[str, Any] | None = None):
-        self._config = config
+    def __init__(
+        self,
+        folder: str | Path,
+        config: Any,
+        facts: dict[str, Any] | None = None,
+        *,
+        first_state: Callable[[Any], Any] = first_state,
+    ):
+        self._first_state = functools.partial(first_state, config)
         folder = Path(folder).absolute()
         folder.mkdir(parents=True, exist_ok=True)
         wanted = json.loads(json.dumps({**dataclasses.asdict(config), **(facts or {})}))
@@ -175,16 +211,24 @@ class TrainingCheckpoints:
                 folder / "states", options=ocp.CheckpointManagerOptions(max_to_keep=2, create=True)
             )
 
-    def restore(self) -> TrainingState | None:
-        """The newest state, or `None` where there is none."""
-        step = self._manager.latest_step()
+    def steps(self) -> list[int]:
+        """Numbers of the steps after which there are states, ascending."""
+        return sorted(self._manager.all_steps())
+
+    def restore(self, step: int | None = None) -> Any:
+        """The state after a step, and nothing that came later; the newest where none is named, `None` if there is none."""
+        if step is None:
+            step = self._manager.latest_step()
         if step is None:
             return None
-        template = jax.eval_shape(functools.partial(init_state, self._config.recipe), self._config.hyperparameters)
+        for later in self.steps():
+            if later > step:
+                self._manager.delete(later)
+        template = jax.eval_shape(self._first_state)
         with _quiet():
             return self._manager.restore(step, args=ocp.args.StandardRestore(template))
 
-    def save(self, state: TrainingState) -> None:
+    def save(self, state: Any) -> None:
         """Save a state; returns when it is on disk."""
         with _quiet():
             self._manager.save(int(state.step), args=ocp.args.StandardSave(state))

@@ -8,9 +8,11 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, UInt8
 
-from dc2g_jax.estimation import networks
+from dc2g_jax.estimation import images, networks, translator
 from dc2g_jax.estimation.networks import Architecture
+from dc2g_jax.estimation.translator import TranslatorArchitecture
 from dc2g_jax.grid import bitboard, search
+from dc2g_jax.grid.sampling import resize_nearest
 from dc2g_jax.grid.world import World, unpack_classes
 from dc2g_jax.gridworld import Belief
 
@@ -118,6 +120,38 @@ class NetworkCostToGo:
         maps = jnp.moveaxis(terrain.reshape(height, width, -1), -1, 0)
         answers = networks.apply(self.architecture, self.weights, maps)
         return jnp.moveaxis(answers, (-1, 0), (0, -1)).reshape(-1, height, width, *batch)
+
+
+@struct.dataclass
+class TranslatorCostToGo:
+    """The paper's image-to-image translator: the map goes in as a picture, the cost-to-go is read off its answer.
+
+    Attributes:
+      weights: the generator's weights.
+      architecture: the networks.
+    """
+
+    weights: Any
+    architecture: TranslatorArchitecture = struct.field(pytree_node=False)
+
+    def init(self, world: World) -> tuple[()]:
+        """Nothing is kept between steps."""
+        del world
+        return ()
+
+    def translate(self, terrain: UInt8[Array, "b h w"]) -> Float[Array, "b s s 3"]:
+        """Pictures of the cost-to-go of partial maps, which are resized to the network's own size first."""
+        size = self.architecture.size
+        pictures = jax.vmap(lambda one: images.semantic_image(resize_nearest(one, size, size)))(terrain)
+        return translator.translate(self.architecture, self.weights, pictures)
+
+    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "1 h w *batch"]:
+        """1 - brightness in the network's picture; 1 where it shows ground that cannot be driven on."""
+        del state
+        height, width, *batch = terrain.shape
+        answers = self.translate(jnp.moveaxis(terrain.reshape(height, width, -1), -1, 0))
+        costs = jax.vmap(lambda one: images.read_cost_to_go(one, height, width))(answers)
+        return jnp.moveaxis(costs, 0, -1).reshape(1, height, width, *batch)
 
 
 @struct.dataclass

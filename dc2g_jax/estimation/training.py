@@ -129,6 +129,11 @@ def init_state(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> Trai
     )
 
 
+def first_state(config: TrainingConfig) -> TrainingState:
+    """The state of a run before its first step."""
+    return init_state(config.recipe, config.hyperparameters)
+
+
 def mean_loss(
     recipe: TrainingConfig, loss_weights: Float[Array, "losses"], weights: Any, batch: Batch
 ) -> Float[Array, ""]:
@@ -186,3 +191,48 @@ def train_step(
       The new state and the loss.
     """
     return _step(state, hyperparameters, data, recipe=recipe, draw_batch=draw_batch)
+
+
+def init_states(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> TrainingState:
+    """The states of several runs before the first step, stacked; each as `init_state` gives it."""
+    return jax.vmap(functools.partial(init_state, recipe))(hyperparameters)
+
+
+@functools.partial(jax.jit, static_argnames=("recipe", "draw_batch"), donate_argnames=("states",))
+def train_steps(
+    states: TrainingState,
+    hyperparameters: Hyperparameters,
+    data: Any,
+    *,
+    recipe: TrainingConfig,
+    draw_batch: DrawBatch,
+) -> tuple[TrainingState, Float[Array, "runs"]]:
+    """Take one optimiser step of several runs in one program, each on batches of its own.
+
+    A run whose loss is not finite keeps the weights that it had; the others go on.
+
+    Args:
+      states: states of all runs, stacked.
+      hyperparameters: of all runs, stacked.
+      data: what `draw_batch` draws from; shared.
+      recipe: what all runs have in common.
+      draw_batch: see `train_step`.
+
+    Returns:
+      The new states and the losses.
+    """
+    one_step = functools.partial(_step, recipe=recipe, draw_batch=draw_batch)
+    new, losses = jax.vmap(one_step, in_axes=(0, 0, None))(states, hyperparameters, data)
+    finite = jnp.isfinite(losses)
+
+    def kept(now: Array, before: Array) -> Array:
+        return jnp.where(finite.reshape(-1, *(1 for _ in now.shape[1:])), now, before)
+
+    return jax.tree.map(kept, new, states).replace(step=new.step), losses
+
+
+def mean_error(architecture: Architecture, weights: Any, batch: Batch) -> Float[Array, ""]:
+    """Mean absolute error in cells of the mean outcome, over the weighted cells of each map and over maps."""
+    estimate = jnp.mean(networks.apply(architecture, weights, batch.terrain), axis=-1, keepdims=True)
+    of_map = functools.partial(map_loss, LOSSES["l1"], levels=jnp.array([0.5]))
+    return jnp.mean(jax.vmap(of_map)(estimate, batch.target, batch.weight))

@@ -1,19 +1,35 @@
 """Sampling a semantic picture of any size onto a square grid of cells."""
 
+from typing import TypeVar
+
 import cv2
+import jax
 import numpy as np
 import numpy.typing as npt
 
 from dc2g_jax.grid.terrain import FRONT_DOOR, PATH
 
 ClassImage = npt.NDArray[np.uint8]
+Grid = TypeVar("Grid", np.ndarray, jax.Array)
+
+
+def nearest_pixels(pixels: int, samples: int) -> npt.NDArray[np.int64]:
+    """The pixel that each sample along an axis reads: the nearest at sample centres, exact ties rounded down.
+
+    Of n pixels, sample i of m reads pixel (n (2 i + 1) - 1) // (2 m).
+    """
+    return (pixels * (2 * np.arange(samples) + 1) - 1) // (2 * samples)
+
+
+def resize_nearest(grid: Grid, height: int, width: int) -> Grid:
+    """Resize a grid `[h w ...]` to `[height width ...]` by nearest neighbour and nothing else, see `nearest_pixels`."""
+    return grid[nearest_pixels(grid.shape[0], height)][:, nearest_pixels(grid.shape[1], width)]
 
 
 def sample_grid(classes: ClassImage, cells: int = 50) -> ClassImage:
     """Squeeze a class image into a square grid, whatever its aspect ratio.
 
-    Nearest neighbour at pixel centres, exact ties rounded down: along an axis of n pixels, cell i reads pixel
-    (n (2 i + 1) - 1) // (2 cells). Then `path` cells are dilated by a 3x3 square over everything, so that a
+    Nearest neighbour (see `nearest_pixels`). Then `path` cells are dilated by a 3x3 square over everything, so that a
     thin path stays connected, and `front_door` cells are put back on top.
 
     Args:
@@ -30,7 +46,6 @@ def sample_grid(classes: ClassImage, cells: int = 50) -> ClassImage:
         raise ValueError(f"classes must be a non-empty [H W] array, got shape {classes.shape}")
     if cells < 1:
         raise ValueError(f"cells must be positive, got {cells}")
-    rows, columns = ((n * (2 * np.arange(cells) + 1) - 1) // (2 * cells) for n in classes.shape)
-    sampled = classes[np.ix_(rows, columns)]
+    sampled = resize_nearest(classes, cells, cells)
     path = cv2.dilate((sampled == PATH).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     return np.where(path & (sampled != FRONT_DOOR), np.uint8(PATH), sampled).astype(np.uint8)

@@ -68,7 +68,7 @@ def _bars(axes: Axes, table: Table, groups: Sequence[str]) -> None:
         axes.spines[side].set_visible(False)
 
 
-def _save(figure: Figure, path: str | Path) -> list[Path]:
+def save_figure(figure: Figure, path: str | Path) -> list[Path]:
     """Write a figure as PNG and SVG."""
     FigureCanvasAgg(figure)
     written = [Path(path).with_suffix(ending) for ending in (".png", ".svg")]
@@ -114,7 +114,7 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], dataset: str
         fontsize=9,
     )
     figure.supxlabel(f"Bars: mean; black lines: median. Houses: {dataset}.", fontsize=8, color="#555555")
-    return _save(figure, path)
+    return save_figure(figure, path)
 
 
 def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float, float]]]) -> list[Path]:
@@ -155,7 +155,7 @@ def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float
             axes.annotate(text, place, xycoords="axes fraction", ha=side, fontsize=8.5, color="#333333")
     all_axes[0].set_ylabel("extra steps, this package (%)")
     figure.supxlabel("extra steps, authors' network (%)      cross: means", fontsize=9.5)
-    return _save(figure, path)
+    return save_figure(figure, path)
 
 
 #: Hidden ground of a map is drawn in the class colours mixed with this much white.
@@ -179,7 +179,8 @@ def _draw_robot(axes: Axes, frames: Frames, frame: int) -> None:
     axes.plot(x[-1:], y[-1:], marker, color="#f0e442", markeredgecolor="black", markersize=9)
 
 
-def _bare(axes: Axes, title: str) -> None:
+def bare_axes(axes: Axes, title: str) -> None:
+    """A title, and no ticks."""
     axes.set_title(title, fontsize=9)
     axes.set_xticks([])
     axes.set_yticks([])
@@ -212,7 +213,7 @@ def plot_episode(
         for axes, frame in zip(grid[row], moments, strict=True):
             axes.imshow(_map_image(house.terrain, frames.seen[frame]), interpolation="nearest")
             _draw_robot(axes, frames, frame)
-            _bare(axes, f"step {frame}" + (" (end)" if frame == last else ""))
+            bare_axes(axes, f"step {frame}" + (" (end)" if frame == last else ""))
         label = _STYLE[planner][0] if planner in _STYLE else planner
         grid[row][0].set_ylabel(f"{label}: {last} steps", fontsize=9)
         row += 1
@@ -230,7 +231,7 @@ def plot_episode(
                 interpolation="nearest",
             )
             axes.set_facecolor("#eeeeee")
-            _bare(axes, "")
+            bare_axes(axes, "")
         grid[row][0].set_ylabel("estimated cost-to-go", fontsize=9)
         figure.colorbar(image, ax=list(grid[row]), label="cells", shrink=0.9, pad=0.01)
         row += 1
@@ -239,4 +240,4 @@ def plot_episode(
         Patch(facecolor=CLASS_COLORS[index] / 255.0, label=CLASS_NAMES[index].replace("_", " ")) for index in present
     ]
     figure.legend(handles=patches, loc="outside lower center", ncols=len(patches), frameon=False, fontsize=8)
-    return _save(figure, path)
+    return save_figure(figure, path)

@@ -1,0 +1,250 @@
+"""The paper's image-to-image translator: the networks of pix2pix (section III-B; Isola et al., CVPR 2017).
+
+The details that the paper leaves open are those of the implementation it names, Hesse's pix2pix in TensorFlow: 4x4
+convolutions, weights drawn with standard deviation 0.02, and normalisation by the statistics of the batch at hand, of
+one picture, which is instance normalisation. The innermost feature is left as it is: it is a single pixel, whose
+normalised value would be zero.
+"""
+
+import dataclasses
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import nnx
+from jaxtyping import Array, Float
+
+_KERNEL = (4, 4)
+_SPREAD = 0.02
+_EPSILON = 1e-5
+_LEAK = 0.2
+
+#: Share of features dropped in the first decoder levels, and how many levels these are.
+_DROPOUT, _DROPOUT_LEVELS = 0.5, 3
+
+#: The discriminator halves its input this often; one of its outputs then sees 70x70 pixels.
+_DISCRIMINATOR_HALVINGS = 3
+
+#: Numbers that the networks can compute with; weights are float32 in either case.
+COMPUTE_DTYPES = {"float32": jnp.float32, "bfloat16": jnp.bfloat16}
+
+
+@dataclasses.dataclass(frozen=True)
+class TranslatorArchitecture:
+    """What it takes to build the networks again.
+
+    Attributes:
+      size: rows and columns of the pictures, a power of two of at least 32. The generator halves a picture until it is
+        a single pixel: 8 times for 256.
+      base_filters: channels at half the pictures' resolution; doubled at every further level, up to 8 times as many.
+      compute_dtype: `float32` or `bfloat16`.
+    """
+
+    size: int = 256
+    base_filters: int = 64
+    compute_dtype: str = "float32"
+
+    def __post_init__(self) -> None:
+        if self.size < 32 or self.size & (self.size - 1):
+            raise ValueError(f"size {self.size}: give a power of two of at least 32")
+        if self.base_filters < 1:
+            raise ValueError(f"base_filters {self.base_filters}: give at least 1")
+        if self.compute_dtype not in COMPUTE_DTYPES:
+            raise ValueError(f"compute_dtype {self.compute_dtype!r}: use one of: {', '.join(COMPUTE_DTYPES)}")
+
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """Channels at each level of the generator, outermost first."""
+        return tuple(self.base_filters * min(2**level, 8) for level in range(self.size.bit_length() - 1))
+
+
+class _InstanceNorm(nnx.Module):
+    """Every channel of every picture to zero mean and unit variance, then scaled and shifted."""
+
+    def __init__(self, width: int):
+        self.scale = nnx.Param(jnp.ones(width))
+        self.offset = nnx.Param(jnp.zeros(width))
+
+    def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h w c"]:
+        wide = features.astype(jnp.float32)
+        mean = jnp.mean(wide, axis=(1, 2), keepdims=True)
+        variance = jnp.var(wide, axis=(1, 2), keepdims=True)
+        normal = (wide - mean) * jax.lax.rsqrt(variance + _EPSILON)
+        return (normal * self.scale[...] + self.offset[...]).astype(features.dtype)
+
+
+class _Doubling(nnx.Module):
+    """A transposed 4x4 convolution that doubles the resolution.
+
+    Written as matrix products whose 4x4 blocks overlap by two: XLA's CPU backend takes the gradients of a transposed
+    convolution some fifteen times slower.
+    """
+
+    def __init__(self, width_in: int, width_out: int, *, dtype: Any):
+        self.kernel = nnx.Param(jnp.zeros((*_KERNEL, width_in, width_out)))
+        self.bias = nnx.Param(jnp.zeros(width_out))
+        self.dtype = dtype
+
+    def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h2 w2 d"]:
+        batch, height, width, width_in = features.shape
+        width_out = self.bias.shape[0]
+        # Axes of the kernel: block row, row in the block, block column, column in the block, input, output.
+        kernel = self.kernel[...].reshape(2, 2, 2, 2, width_in, width_out).transpose(0, 2, 4, 1, 3, 5)
+        kernel = kernel.reshape(2, 2, width_in, 4 * width_out).astype(self.dtype)
+        blocks = sum(
+            jnp.pad(
+                features.astype(self.dtype) @ kernel[down, right],
+                ((0, 0), (down, 1 - down), (right, 1 - right), (0, 0)),
+            )
+            for down in (0, 1)
+            for right in (0, 1)
+        )
+        pixels = jnp.asarray(blocks).reshape(batch, height + 1, width + 1, 2, 2, width_out).transpose(0, 1, 3, 2, 4, 5)
+        pixels = pixels.reshape(batch, 2 * height + 2, 2 * width + 2, width_out)
+        return pixels[:, 1:-1, 1:-1] + self.bias[...].astype(self.dtype)
+
+
+def _convolution(width_in: int, width_out: int, step: int, *, dtype: Any, rngs: nnx.Rngs) -> nnx.Conv:
+    """A 4x4 convolution that halves the resolution (step 2), or takes one pixel off it (step 1)."""
+    options: dict[str, Any] = {"strides": (step, step), "padding": ((1, 1), (1, 1)), "dtype": dtype, "rngs": rngs}
+    return nnx.Conv(width_in, width_out, _KERNEL, **options)
+
+
+class _Layer(nnx.Module):
+    """A convolution and, perhaps, normalisation."""
+
+    def __init__(self, convolution: nnx.Conv | _Doubling, width: int, *, normalize: bool):
+        self.convolution = convolution
+        self.norm = _InstanceNorm(width) if normalize else None
+
+    def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h2 w2 d"]:
+        features = self.convolution(features)
+        return features if self.norm is None else self.norm(features)
+
+
+def _leaky(features: Array) -> Array:
+    return jax.nn.leaky_relu(features, _LEAK)
+
+
+def _dropped(features: Array, key: Array) -> Array:
+    kept = jax.random.bernoulli(key, 1 - _DROPOUT, features.shape)
+    return jnp.where(kept, features / (1 - _DROPOUT), 0).astype(features.dtype)
+
+
+class Generator(nnx.Module):
+    """The U-Net: an encoder down to a single pixel, and a decoder that sees the encoder's features at each level."""
+
+    def __init__(self, architecture: TranslatorArchitecture, *, rngs: nnx.Rngs):
+        widths, dtype = architecture.widths, COMPUTE_DTYPES[architecture.compute_dtype]
+        self.levels = len(widths)
+        innermost = self.levels - 1
+        for level, width in enumerate(widths):
+            below, skipped = (widths[level - 1] if level else 3), (1 if level == innermost else 2)
+            halve = _convolution(below, width, 2, dtype=dtype, rngs=rngs)
+            double = _Doubling(skipped * width, below, dtype=dtype)
+            setattr(self, f"down{level}", _Layer(halve, width, normalize=0 < level < innermost))
+            setattr(self, f"up{level}", _Layer(double, below, normalize=level > 0))
+
+    def __call__(self, images: Float[Array, "b s s 3"], key: Array | None = None) -> Float[Array, "b s s 3"]:
+        """Translate pictures. With a key, features are dropped at random, as in training."""
+        features, skipped = 2 * images - 1, []
+        for level in range(self.levels):
+            features = getattr(self, f"down{level}")(features if level == 0 else _leaky(features))
+            skipped.append(features)
+        for level in reversed(range(self.levels)):
+            if level < self.levels - 1:
+                features = jnp.concatenate([features, skipped[level]], axis=-1)
+            features = getattr(self, f"up{level}")(jax.nn.relu(features))
+            if key is not None and self.levels - level <= _DROPOUT_LEVELS:
+                features = _dropped(features, jax.random.fold_in(key, level))
+        return (jnp.tanh(features.astype(jnp.float32)) + 1) / 2
+
+
+class Discriminator(nnx.Module):
+    """The 70x70 PatchGAN: for every patch, the log-odds that a picture is the true one for a given input."""
+
+    def __init__(self, architecture: TranslatorArchitecture, *, rngs: nnx.Rngs):
+        filters, dtype = architecture.base_filters, COMPUTE_DTYPES[architecture.compute_dtype]
+        self.layers = _DISCRIMINATOR_HALVINGS + 2
+        width_in = 6
+        for layer in range(self.layers):
+            last = layer == self.layers - 1
+            width = 1 if last else filters * 2**layer
+            step = 2 if layer < _DISCRIMINATOR_HALVINGS else 1
+            convolution = _convolution(width_in, width, step, dtype=dtype, rngs=rngs)
+            setattr(self, f"layer{layer}", _Layer(convolution, width, normalize=layer > 0 and not last))
+            width_in = width
+
+    def __call__(self, images: Float[Array, "b s s 3"], answers: Float[Array, "b s s 3"]) -> Float[Array, "b p q"]:
+        """Log-odds for every patch of every pair of an input and an answer."""
+        features = 2 * jnp.concatenate([images, answers], axis=-1) - 1
+        for layer in range(self.layers):
+            features = getattr(self, f"layer{layer}")(features if layer == 0 else _leaky(features))
+        return features[..., 0].astype(jnp.float32)
+
+
+Network = type[Generator] | type[Discriminator]
+
+
+def _empty(network: Network, architecture: TranslatorArchitecture) -> tuple[Any, Any]:
+    """A network's structure, and its state as shapes and dtypes only."""
+    return nnx.split(nnx.eval_shape(lambda: network(architecture, rngs=nnx.Rngs(0))))
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def init_weights(network: Network, architecture: TranslatorArchitecture, key: Array) -> dict[str, Any]:
+    """Fresh weights of either network: a nested dictionary of float32 arrays.
+
+    All are cut from one long draw, as a program with a draw for each takes long to compile.
+    """
+    shapes = nnx.to_pure_dict(_empty(network, architecture)[1])
+    leaves, structure = jax.tree_util.tree_flatten_with_path(shapes)
+    ends = np.cumsum([leaf.size for _, leaf in leaves])
+    draws = _SPREAD * jax.random.normal(key, (int(ends[-1]),))
+
+    def weight(path: Any, leaf: jax.ShapeDtypeStruct, end: int) -> Array:
+        own = draws[end - leaf.size : end].reshape(leaf.shape)
+        return {"kernel": own, "scale": 1 + own}.get(path[-1].key, jnp.zeros(leaf.shape))
+
+    weights = [weight(path, leaf, end) for (path, leaf), end in zip(leaves, ends.tolist(), strict=True)]
+    return jax.tree_util.tree_unflatten(structure, weights)
+
+
+def weight_shapes(architecture: TranslatorArchitecture) -> dict[str, Any]:
+    """The generator's weights as shapes and dtypes only."""
+    return jax.eval_shape(functools.partial(init_weights, Generator, architecture), jax.random.key(0))
+
+
+def _merged(network: Network, architecture: TranslatorArchitecture, weights: dict[str, Any]) -> Any:
+    graph, state = _empty(network, architecture)
+    nnx.replace_by_pure_dict(state, weights)
+    return nnx.merge(graph, state)
+
+
+def translate(
+    architecture: TranslatorArchitecture,
+    weights: dict[str, Any],
+    images: Float[Array, "b s s 3"],
+    key: Array | None = None,
+) -> Float[Array, "b s s 3"]:
+    """Translate pictures of maps to pictures of their cost-to-go.
+
+    Args:
+      architecture: the networks.
+      weights: the generator's.
+      images: pictures of maps, see `dc2g_jax.estimation.images.semantic_image`.
+      key: for dropout in training; without it nothing is dropped, so that an answer depends on its question alone.
+    """
+    return _merged(Generator, architecture, weights)(images, key)
+
+
+def discriminate(
+    architecture: TranslatorArchitecture,
+    weights: dict[str, Any],
+    images: Float[Array, "b s s 3"],
+    answers: Float[Array, "b s s 3"],
+) -> Float[Array, "b p q"]:
+    """Log-odds, patch by patch, that answers are true ones for these pictures; `weights` are the discriminator's."""
+    return _merged(Discriminator, architecture, weights)(images, answers)

@@ -1,0 +1,177 @@
+"""Training the image-to-image translator: losses, state, one step (sections III-B and IV-A)."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+from jaxtyping import Array, Float, Int
+
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation import translator
+from dc2g_jax.estimation.translator import Discriminator, Generator, TranslatorArchitecture
+
+
+class LossWeights(NamedTuple):
+    """What the generator minimises: a weighted sum.
+
+    Attributes:
+      l1: weight of the mean absolute difference from the true picture.
+      gan: weight of the discriminator's doubt.
+    """
+
+    l1: float
+    gan: float
+
+
+#: The paper's three losses, by name; weights as in pix2pix.
+LOSSES = {"l1": LossWeights(100.0, 0.0), "gan": LossWeights(0.0, 1.0), "l1+gan": LossWeights(100.0, 1.0)}
+
+
+@dataclasses.dataclass(frozen=True)
+class TranslatorConfig:
+    """How to train a translator; defaults as in the paper.
+
+    Attributes:
+      architecture: the networks.
+      loss: one of `LOSSES`.
+      steps: optimiser steps in all.
+      batch_size: pairs a step.
+      learning_rate: of Adam, for both networks.
+      beta1: of Adam.
+      seed: of weights, the order of the pairs and dropout.
+
+    Raises:
+      InputError: for an unknown loss.
+    """
+
+    architecture: TranslatorArchitecture = dataclasses.field(default_factory=TranslatorArchitecture)
+    loss: str = "l1+gan"
+    steps: int = 20_000
+    batch_size: int = 1
+    learning_rate: float = 2e-4
+    beta1: float = 0.5
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.loss not in LOSSES:
+            raise InputError(f"loss: no loss is called {self.loss!r}; use one of: {', '.join(LOSSES)}")
+
+
+@struct.dataclass
+class TranslatorState:
+    """Everything that training needs to go on; saved and restored as a whole.
+
+    Attributes:
+      step: optimiser steps taken.
+      generator: the generator's weights.
+      discriminator: the discriminator's weights; they stay what they are where the loss makes no use of them.
+      generator_optimizer: optax state.
+      discriminator_optimizer: optax state.
+    """
+
+    step: Int[Array, ""]
+    generator: Any
+    discriminator: Any
+    generator_optimizer: Any
+    discriminator_optimizer: Any
+
+
+class ImageBatch(Protocol):
+    """Pairs of pictures, see `dc2g_jax.datasets.image_pairs.ImagePair`."""
+
+    @property
+    def image(self) -> Float[Array, "b s s 3"]:
+        """Pictures of partial maps."""
+        ...
+
+    @property
+    def target(self) -> Float[Array, "b s s 3"]:
+        """Pictures of their cost-to-go."""
+        ...
+
+
+#: `(key of the run, step, data) -> batch`
+DrawImages = Callable[[Array, Array, Any], ImageBatch]
+
+
+def _optimizer(config: TranslatorConfig) -> optax.GradientTransformation:
+    return optax.adam(config.learning_rate, b1=config.beta1)
+
+
+def init_translator(config: TranslatorConfig) -> TranslatorState:
+    """The state before the first step."""
+    generator_key, discriminator_key = jax.random.split(jax.random.key(config.seed))
+    generator = translator.init_weights(Generator, config.architecture, generator_key)
+    discriminator = translator.init_weights(Discriminator, config.architecture, discriminator_key)
+    return TranslatorState(
+        step=jnp.int32(0),
+        generator=generator,
+        discriminator=discriminator,
+        generator_optimizer=_optimizer(config).init(generator),
+        discriminator_optimizer=_optimizer(config).init(discriminator),
+    )
+
+
+def discriminator_loss(
+    architecture: TranslatorArchitecture, weights: Any, batch: ImageBatch, generated: Float[Array, "b s s 3"]
+) -> Float[Array, ""]:
+    """Cross-entropy of telling true from generated patches: the mean of each kind's, added up."""
+    images = jnp.concatenate([batch.image, batch.image])
+    odds = translator.discriminate(architecture, weights, images, jnp.concatenate([batch.target, generated]))
+    true, false = jnp.split(odds, 2)
+    return jnp.mean(jax.nn.softplus(-true)) + jnp.mean(jax.nn.softplus(false))
+
+
+def _updated(config: TranslatorConfig, weights: Any, gradient: Any, optimizer: Any) -> tuple[Any, Any]:
+    updates, optimizer = _optimizer(config).update(gradient, optimizer, weights)
+    return optax.apply_updates(weights, updates), optimizer
+
+
+@functools.partial(jax.jit, static_argnames=("config", "draw_batch"), donate_argnames=("state",))
+def translator_step(
+    state: TranslatorState, data: Any, *, config: TranslatorConfig, draw_batch: DrawImages
+) -> tuple[TranslatorState, Float[Array, ""]]:
+    """Take one step: first the discriminator learns to tell the generator's pictures, then the generator to fool it.
+
+    The batch and the dropout of a step depend on the seed and the number of the step alone, so training that was
+    interrupted and resumed gives the same weights as training that was not.
+
+    Returns:
+      The new state and the mean absolute difference of the generated pictures from the true ones.
+    """
+    loss, architecture = LOSSES[config.loss], config.architecture
+    batch_key, dropout_key = jax.random.split(jax.random.fold_in(jax.random.key(config.seed), 1))
+    batch = draw_batch(batch_key, state.step, data)
+    dropout_key = jax.random.fold_in(dropout_key, state.step)
+    generated, backward = jax.vjp(
+        lambda weights: translator.translate(architecture, weights, batch.image, dropout_key), state.generator
+    )
+    discriminator, discriminator_optimizer = state.discriminator, state.discriminator_optimizer
+    if loss.gan:
+        gradient = jax.grad(lambda weights: discriminator_loss(architecture, weights, batch, generated))(discriminator)
+        discriminator, discriminator_optimizer = _updated(config, discriminator, gradient, discriminator_optimizer)
+
+    def generator_loss(generated: Float[Array, "b s s 3"]) -> tuple[Array, Array]:
+        difference = jnp.mean(jnp.abs(generated - batch.target))
+        total = loss.l1 * difference
+        if loss.gan:
+            odds = translator.discriminate(architecture, discriminator, batch.image, generated)
+            total += loss.gan * jnp.mean(jax.nn.softplus(-odds))
+        return total, difference
+
+    by_picture, difference = jax.grad(generator_loss, has_aux=True)(generated)
+    (gradient,) = backward(by_picture)
+    generator, generator_optimizer = _updated(config, state.generator, gradient, state.generator_optimizer)
+    new = TranslatorState(
+        step=state.step + 1,
+        generator=generator,
+        discriminator=discriminator,
+        generator_optimizer=generator_optimizer,
+        discriminator_optimizer=discriminator_optimizer,
+    )
+    return new, difference

@@ -1,0 +1,183 @@
+"""Figures 4 to 6 of the paper: what a network draws, how that changed in training, and how it fares house by house."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from dc2g_jax.inspection.figures import bare_axes, save_figure
+
+#: Colours (Okabe and Ito), markers and line styles of networks and losses, in the order they are given.
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+_MARKERS = ("o", "^", "s", "D", "v", "P")
+_LINES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
+
+#: Metric -> label, in the order of the paper's Fig. 6.
+METRIC_LABELS = {
+    "l1": "per-pixel\n$L_1$ error",
+    "low_precision": "precision,\nlow cost-to-go",
+    "low_recall": "recall,\nlow cost-to-go",
+    "traversable_precision": "precision,\ntraversable",
+    "traversable_recall": "recall,\ntraversable",
+}
+
+
+class Example(NamedTuple):
+    """One map, what a network makes of it, and the truth.
+
+    Attributes:
+      name: of the house.
+      image: picture of the map.
+      predicted: the network's picture of its cost-to-go.
+      true: the true picture.
+    """
+
+    name: str
+    image: Float[np.ndarray, "s s 3"]
+    predicted: Float[np.ndarray, "s s 3"]
+    true: Float[np.ndarray, "s s 3"]
+
+
+class Points(NamedTuple):
+    """A network's metrics, house by house.
+
+    Attributes:
+      distance: each house's distance from the training houses.
+      metrics: metric -> value of each house.
+      fits: metric -> slope and intercept of the best straight line; a metric without a fit is not in it.
+    """
+
+    distance: Sequence[float]
+    metrics: Mapping[str, Sequence[float]]
+    fits: Mapping[str, tuple[float, float]]
+
+
+def _plain(axes: Axes) -> None:
+    axes.grid(True, color="#dddddd", linewidth=0.6)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def plot_translations(
+    path: str | Path, full: Sequence[Example], partial: Sequence[Example], caption: str
+) -> list[Path]:
+    """Draw Fig. 4: input, prediction and truth, of whole maps on the left and of partial ones on the right.
+
+    Args:
+      path: where to write, without an ending.
+      full: examples on fully observed maps.
+      partial: as many on partially observed ones.
+      caption: what network and which houses.
+
+    Returns:
+      The files written: PNG and SVG.
+    """
+    rows = len(full)
+    figure = Figure(figsize=(11.4, 1.86 * rows + 1.0), layout="constrained")
+    halves = list(np.ravel(figure.subfigures(1, 2, squeeze=False)))
+    for half, title, examples in zip(halves, ("full maps", "partial maps"), (full, partial), strict=True):
+        half.suptitle(title, fontsize=11)
+        grid = half.subplots(rows, 3, squeeze=False)
+        for number, (row, example) in enumerate(zip(grid, examples, strict=True)):
+            for axes, picture, name in zip(row, example[1:], ("input", "prediction", "truth"), strict=True):
+                axes.imshow(np.clip(picture, 0, 1), interpolation="nearest")
+                bare_axes(axes, "" if number else name)
+            row[0].set_ylabel(example.name, fontsize=7.5)
+    legend = {"white": "near the goal", "#555555": "far", "red": "not traversable", "black": "not observed, or cut off"}
+    patches = [Patch(facecolor=colour, edgecolor="#333333", label=label) for colour, label in legend.items()]
+    options = {"ncols": len(patches), "frameon": False, "fontsize": 8.5, "title_fontsize": 8}
+    figure.legend(handles=patches, title=caption, loc="outside lower center", **options)
+    return save_figure(figure, path)
+
+
+def _moving_average(values: Float[np.ndarray, "n"], window: int) -> Float[np.ndarray, "n"]:
+    """Mean over the last `window` values, or over as many as there are."""
+    total = np.cumsum(np.concatenate([[0.0], values]))
+    end = np.arange(1, len(values) + 1)
+    start = np.maximum(end - window, 0)
+    return (total[end] - total[start]) / (end - start)
+
+
+def plot_training(
+    path: str | Path,
+    runs: Mapping[str, Sequence[Mapping[int, Mapping[str, float]]]],
+    caption: str,
+    *,
+    window: int,
+) -> list[Path]:
+    """Draw Fig. 5: validation metrics throughout training, one curve a loss.
+
+    Each run is smoothed by a moving average; curves are the mean over a loss's runs, bands one standard deviation.
+
+    Args:
+      path: where to write, without an ending.
+      runs: loss -> runs -> step -> metrics; all runs of a loss were validated at the same steps.
+      caption: what was trained on what.
+      window: validations in the moving average.
+
+    Returns:
+      The files written: PNG and SVG.
+    """
+    metrics = ("l1", "low_precision", "low_recall")
+    figure = Figure(figsize=(10.5, 3.5), layout="constrained")
+    panels = figure.subplots(1, len(metrics))
+    for axes, metric in zip(panels, metrics, strict=True):
+        for (loss, logs), colour, line in zip(runs.items(), _COLOURS, _LINES, strict=False):
+            steps = np.array(sorted(logs[0]))
+            curves = np.stack(
+                [_moving_average(np.array([log[step][metric] for step in steps]), window) for log in logs]
+            )
+            mean, deviation = curves.mean(axis=0), curves.std(axis=0)
+            axes.plot(steps, mean, color=colour, linestyle=line, linewidth=1.8, label=loss)
+            axes.fill_between(steps, mean - deviation, mean + deviation, color=colour, alpha=0.18, linewidth=0)
+        axes.set_xlabel("training steps")
+        axes.set_title(METRIC_LABELS[metric].replace("\n", " "), fontsize=10)
+        axes.set_ylim(bottom=0)
+        _plain(axes)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False)
+    figure.supxlabel(caption, fontsize=8, color="#555555")
+    return save_figure(figure, path)
+
+
+def plot_by_similarity(path: str | Path, networks: Mapping[str, Points], caption: str) -> list[Path]:
+    """Draw Fig. 6: each metric on every house against the house's distance from training, with a line a network.
+
+    Args:
+      path: where to write, without an ending.
+      networks: name -> its points.
+      caption: which houses.
+
+    Returns:
+      The files written: PNG and SVG.
+    """
+    figure = Figure(figsize=(7.4, 9.6), layout="constrained")
+    panels = figure.subplots(len(METRIC_LABELS), 1, sharex=True)
+    for axes, (metric, label) in zip(panels, METRIC_LABELS.items(), strict=True):
+        for number, (name, points) in enumerate(networks.items()):
+            colour, marker = _COLOURS[number % len(_COLOURS)], _MARKERS[number % len(_MARKERS)]
+            axes.scatter(
+                points.distance, points.metrics[metric], s=22, marker=marker, color=colour, alpha=0.75, linewidths=0,
+                label=name,
+            )  # fmt: skip
+            if metric in points.fits:
+                slope, intercept = points.fits[metric]
+                ends = np.array([min(points.distance), max(points.distance)])
+                axes.plot(ends, slope * ends + intercept, color=colour, linestyle=_LINES[1], linewidth=1.5)
+        axes.set_ylabel(label, fontsize=9)
+        if metric == "l1":
+            axes.set_ylim(bottom=0)
+        else:
+            axes.set_ylim(-0.03, 1.03)
+        _plain(axes)
+    panels[-1].set_xlabel("distance from the most similar training house (0: same words, 1: no word in common)")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=min(3, len(labels)), frameon=False)
+    figure.supxlabel(caption, fontsize=8, color="#555555")
+    return save_figure(figure, path)

@@ -1,0 +1,72 @@
+"""The paper's Fig. 5: three losses compared on validation pairs throughout training.
+
+`python -m experiments.reproduce_fig5 --out outputs/fig5`. Interrupted, it goes on where it was when run again.
+"""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from dc2g_jax.datasets.houses import open_dataset
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.translator_training import LOSSES
+from dc2g_jax.inspection.image_figures import plot_training
+from experiments.common import command_line, versions
+from experiments.translation import TranslationOptions, read_log, train_translator, translation_data
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Reproduce Fig. 5: train with each loss several times, and plot validation metrics over the training steps.
+
+    Attributes:
+      out: folder for the runs and the figure; run again with the same options to resume.
+      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
+      losses: which losses.
+      seeds: a run of every loss for each.
+      window: validations in the moving average that smooths each run.
+      training: how each run is trained.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    dataset: str | None = None
+    losses: tuple[str, ...] = tuple(LOSSES)
+    seeds: tuple[int, ...] = (0, 1, 2)
+    window: int = 5
+    training: Annotated[TranslationOptions, tyro.conf.arg(name="")] = dataclasses.field(
+        default_factory=TranslationOptions
+    )
+
+
+def main(options: Options) -> None:
+    """Train all runs one after another, then draw them."""
+    if not options.losses or not options.seeds or options.window < 1 or options.training.validate_every < 1:
+        raise InputError("losses, seeds, window and validate-every: Fig. 5 needs at least one of each")
+    configs = {(loss, seed): options.training.config(loss, seed) for loss in options.losses for seed in options.seeds}
+    dataset = open_dataset(options.dataset, cells=None)
+    data = translation_data(dataset, options.training)
+    for (loss, seed), config in configs.items():
+        train_translator(options.out / f"{loss}-seed{seed}", dataset, data, config, options.training)
+    runs = {loss: [read_log(options.out / f"{loss}-seed{seed}") for seed in options.seeds] for loss in options.losses}
+    training = options.training
+    caption = (
+        f"{len(data.train.pair_house)} training and {len(data.validation.pair_house)} validation pairs of "
+        f"{dataset.name}; {training.base_filters} filters, {training.size} x {training.size} pixels; "
+        f"mean and one standard deviation of {len(options.seeds)} runs, moving average of {options.window}."
+    )
+    plot_training(options.out / "fig5", runs, caption, window=options.window)
+    facts = {
+        "dataset": dataset.name,
+        "training": dataclasses.asdict(training),
+        "versions": versions(),
+        "runs": {loss: [list(log.values()) for log in logs] for loss, logs in runs.items()},
+    }
+    (options.out / "results.json").write_text(json.dumps(facts, indent=2) + "\n")
+    print(f"Written to {options.out}: fig5.png, fig5.svg, results.json, a folder for each run")
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

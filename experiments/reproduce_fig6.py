@@ -1,0 +1,121 @@
+"""The paper's Fig. 6: cost-to-go pictures on whole test maps, against how unlike the training houses each is.
+
+`python -m experiments.reproduce_fig6 --network checkpoints/translator/network checkpoints/mine/network`
+"""
+
+import csv
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset
+from dc2g_jax.datasets.image_pairs import houses_with_door
+from dc2g_jax.datasets.similarity import distance_to_training, similarity_scale
+from dc2g_jax.grid.sampling import resize_nearest
+from dc2g_jax.image_evaluation import full_map_metrics
+from dc2g_jax.inspection.image_figures import METRIC_LABELS, Points, plot_by_similarity
+from experiments.common import command_line, open_network, output_folder, versions
+
+#: Pixels a side of the maps that are compared with the training maps.
+_SIZE = 256
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Reproduce Fig. 6: five metrics of each network on every test house, against the house's distance from training.
+
+    Attributes:
+      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
+      network: folders of trained networks, of either kind; the shipped one where not given.
+      out: folder to write to; a new one below outputs/ where not given.
+    """
+
+    dataset: str | None = None
+    network: tuple[Path, ...] = ()
+    out: Path | None = None
+
+
+def distances(dataset: HouseDataset, houses: Sequence[House]) -> list[float]:
+    """Distance of each house from the training houses."""
+
+    def squeezed(house: House) -> np.ndarray:
+        return resize_nearest(house.terrain, _SIZE, _SIZE)
+
+    scale = similarity_scale(np.stack([squeezed(house) for house in houses_with_door(dataset, "train")]))
+    return [distance_to_training(squeezed(house), scale) for house in houses]
+
+
+def points_of(distance: Sequence[float], rows: Sequence[dict[str, float]]) -> Points:
+    """A network's metrics by name, with the straight line that fits each best in the least-squares sense.
+
+    Houses that are all equally far from training have no such line.
+    """
+    metrics = {name: [row[name] for row in rows] for name in METRIC_LABELS}
+    fits = {}
+    if np.ptp(distance) > 0:
+        for name, values in metrics.items():
+            slope, intercept = np.polyfit(distance, values, 1)
+            fits[name] = (float(slope), float(intercept))
+    return Points(distance, metrics, fits)
+
+
+def print_table(networks: dict[str, Points]) -> None:
+    """Mean of every metric, and the slope of its line."""
+    print("mean over the test houses (slope of the line)")
+    print(f"{'':24}" + "".join(f"{name:>24}" for name in METRIC_LABELS))
+    for network, points in networks.items():
+        cells = [
+            f"{np.mean(values):.3f} ({points.fits[name][0] if name in points.fits else float('nan'):+.3f})"
+            for name, values in points.metrics.items()
+        ]
+        print(f"{network:24}" + "".join(f"{cell:>24}" for cell in cells))
+
+
+def write_houses(path: Path, houses: Sequence[House], networks: dict[str, Points]) -> None:
+    """Write `houses.csv`: one line a network and house."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("network", "house", "group", "distance", *METRIC_LABELS))
+        for network, points in networks.items():
+            for number, house in enumerate(houses):
+                values = (points.metrics[name][number] for name in METRIC_LABELS)
+                row = (round(value, 5) for value in (points.distance[number], *values))
+                writer.writerow((network, house.name, group_of(house), *row))
+
+
+def main(options: Options) -> None:
+    """Measure, tabulate, draw."""
+    dataset = open_dataset(options.dataset, cells=None)
+    houses = houses_with_door(dataset, "test")
+    chosen = {str(folder): open_network(folder) for folder in options.network} or {"shipped": open_network(None)}
+    out = output_folder(options.out, "reproduce_fig6")
+    distance = distances(dataset, houses)
+    images = [house.terrain for house in houses]
+    networks = {name: points_of(distance, full_map_metrics(network, images)) for name, network in chosen.items()}
+    print_table(networks)
+    write_houses(out / "houses.csv", houses, networks)
+    plot_by_similarity(out / "fig6", networks, f"{len(houses)} test houses of {dataset.name}, fully observed.")
+    facts = {
+        "dataset": dataset.name,
+        "houses": len(houses),
+        "versions": versions(),
+        "networks": {
+            name: {
+                metric: {
+                    "mean": float(np.mean(values)),
+                    "slope_and_intercept": points.fits.get(metric),
+                }
+                for metric, values in points.metrics.items()
+            }
+            for name, points in networks.items()
+        },
+    }
+    (out / "results.json").write_text(json.dumps(facts, indent=2) + "\n")
+    print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

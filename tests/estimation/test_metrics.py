@@ -1,0 +1,68 @@
+"""Metrics of predicted pictures against plain counting."""
+
+import cv2
+import jax
+import numpy as np
+import pytest
+from hypothesis import given
+
+from dc2g_jax.estimation.metrics import image_metrics
+from tests import maps
+
+SHAPE = (8, 9)
+measure = jax.jit(image_metrics)
+RED, WHITE, GREY, BLACK = (1.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.5, 0.5, 0.5), (0.0, 0.0, 0.0)
+
+
+def picture(*colours: tuple[float, float, float]) -> np.ndarray:
+    return np.array([colours], np.float32)
+
+
+def share(part: np.ndarray, whole: np.ndarray) -> float:
+    return float((part & whole).sum() / whole.sum()) if whole.any() else 1.0
+
+
+@given(maps.seeds)
+def test_metrics_are_those_of_plain_counting(seed):
+    rng = np.random.default_rng(seed)
+    grey = rng.choice([0.0, 0.5, 0.89, 0.91, 1.0], (2, *SHAPE))[..., None]
+    tint = rng.choice([0.0, 0.1, 0.6], (2, *SHAPE))[..., None] * np.array([0.0, 1.0, 1.0])
+    predicted, true = (grey * (1 - tint)).astype(np.float32)
+    found = measure(predicted, true)
+    sets = []
+    for image in (predicted, true):
+        hsv = cv2.cvtColor(image, cv2.COLOR_RGB2HSV)
+        sets.append(((hsv[..., 2] > 0.9) & (hsv[..., 1] < 0.3), hsv[..., 1] < 0.3))
+    (low, drivable), (low_true, drivable_true) = sets
+    expected = (
+        np.abs(predicted - true).mean(),
+        share(low_true, low),
+        share(low, low_true),
+        share(drivable_true, drivable),
+        share(drivable, drivable_true),
+    )
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_a_perfect_prediction():
+    true = picture(RED, WHITE, GREY, BLACK)
+    assert tuple(map(float, measure(true, true))) == (0.0, 1.0, 1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("predicted", "true", "precision", "recall"),
+    [
+        ((GREY, GREY), (GREY, GREY), 1.0, 1.0),  # nothing to find, nothing found
+        ((GREY, GREY), (WHITE, GREY), 1.0, 0.0),  # missed
+        ((WHITE, GREY), (GREY, GREY), 0.0, 1.0),  # found where there is nothing
+        ((RED, RED), (RED, RED), 1.0, 1.0),
+        ((WHITE, WHITE), (WHITE, GREY), 0.5, 1.0),
+    ],
+)
+def test_empty_sets_are_neither_wrong_nor_missed(predicted, true, precision, recall):
+    found = measure(picture(*predicted), picture(*true))
+    assert (float(found.low_precision), float(found.low_recall)) == (precision, recall)
+
+
+def test_the_l1_error_is_the_mean_over_pixels_and_colours():
+    assert float(measure(picture(RED, WHITE), picture(BLACK, WHITE)).l1) == pytest.approx(1 / 6)

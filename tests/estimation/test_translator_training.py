@@ -1,0 +1,123 @@
+"""Training the translator is a function of its configuration alone, whatever interrupts it, and it learns."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax.datasets.drawn_masks import drawn_masks
+from dc2g_jax.datasets.houses import House
+from dc2g_jax.datasets.image_pairs import ImageSet, all_pairs, draw_image_pairs
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation import translator
+from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax.estimation.translator import TranslatorArchitecture
+from dc2g_jax.estimation.translator_training import (
+    LOSSES,
+    TranslatorConfig,
+    discriminator_loss,
+    init_translator,
+    translator_step,
+)
+from tests import maps
+from tests.estimation.test_training import assert_same_bits
+
+CONFIG = TranslatorConfig(
+    architecture=TranslatorArchitecture(size=32, base_filters=4), steps=30, batch_size=2, learning_rate=2e-3
+)
+DRAW = functools.partial(draw_image_pairs, batch_size=CONFIG.batch_size)
+
+
+@pytest.fixture(scope="module")
+def data() -> ImageSet:
+    houses = [House(f"h{seed}", "train", maps.random_terrain(seed, (40, 32), 0.85)) for seed in range(2)]
+    return all_pairs(houses, drawn_masks(4, 32, seed=0))
+
+
+def train(data, steps: int, state=None, config: TranslatorConfig = CONFIG):
+    state = init_translator(config) if state is None else state
+    differences = []
+    for _ in range(steps):
+        state, difference = translator_step(state, data, config=config, draw_batch=DRAW)
+        differences.append(float(difference))
+    return state, differences
+
+
+@pytest.fixture(scope="module")
+def trained(data):
+    """A run without interruption."""
+    state, differences = train(data, CONFIG.steps)
+    return jax.tree.map(np.array, state), differences
+
+
+def test_an_interrupted_run_ends_like_one_that_was_not(data, trained, tmp_path):
+    state, differences = None, []
+    for steps in (7, CONFIG.steps - 7):
+        # A new process each time.
+        checkpoints = TrainingCheckpoints(tmp_path / "run", CONFIG, first_state=init_translator)
+        state = checkpoints.restore()
+        assert (state is None) == (not differences)
+        state, part = train(data, steps, state)
+        differences += part
+        checkpoints.save(state)
+        checkpoints.close()
+    assert differences == trained[1]
+    assert_same_bits(state, trained[0])
+
+
+def test_it_learns(trained):
+    differences = trained[1]
+    assert np.isfinite(differences).all()
+    assert np.mean(differences[-5:]) < 0.8 * np.mean(differences[:5])
+
+
+def first_layers(state) -> tuple[np.ndarray, np.ndarray]:
+    layers = state.generator["down0"], state.discriminator["layer0"]
+    return tuple(np.array(layer["convolution"]["kernel"]) for layer in layers)
+
+
+def test_the_discriminator_learns_only_where_it_is_asked(data, trained):
+    start = first_layers(init_translator(CONFIG))
+    both = first_layers(trained[0])
+    assert not np.array_equal(both[0], start[0])
+    assert not np.array_equal(both[1], start[1])
+    alone = first_layers(train(data, 1, config=dataclasses.replace(CONFIG, loss="l1"))[0])
+    assert not np.array_equal(alone[0], start[0])
+    assert np.array_equal(alone[1], start[1])
+
+
+def test_the_discriminator_loss_is_the_cross_entropy(data):
+    batch = DRAW(jax.random.key(0), jnp.int32(0), data)
+    generated = 1 - batch.target
+    weights = init_translator(CONFIG).discriminator
+    judge = jax.jit(functools.partial(translator.discriminate, CONFIG.architecture))
+    believed, doubted = (
+        1 / (1 + np.exp(-np.asarray(judge(weights, batch.image, answer)))) for answer in (batch.target, generated)
+    )
+    loss = jax.jit(functools.partial(discriminator_loss, CONFIG.architecture))(weights, batch, generated)
+    assert float(loss) == pytest.approx(np.mean(-np.log(believed)) + np.mean(-np.log(1 - doubted)), rel=1e-5)
+
+
+def test_another_seed_gives_other_weights():
+    one, other = (init_translator(dataclasses.replace(CONFIG, seed=seed)).generator for seed in (0, 1))
+    assert not np.array_equal(one["down0"]["convolution"]["kernel"], other["down0"]["convolution"]["kernel"])
+
+
+def test_an_unknown_loss_is_refused_with_those_there_are():
+    with pytest.raises(InputError) as caught:
+        TranslatorConfig(loss="l2")
+    message = str(caught.value)
+    assert "\n" not in message
+    for name in ("l2", *LOSSES):
+        assert repr(name) in message or name in message
+
+
+def test_a_step_is_compiled_once(data):
+    state, _ = train(data, 1)
+    before = translator_step._cache_size()
+    state, _ = train(data, 2, state)
+    train(dataclasses.replace(data, masks=data.masks ^ jnp.uint32(1)), 1, state)
+    assert translator_step._cache_size() == before
