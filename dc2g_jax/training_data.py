@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dc2g_jax.datasets.houses import House, HouseDataset, stack_worlds
-from dc2g_jax.datasets.pairs import TrainingSet
+from dc2g_jax.datasets.pairs import Pair, TrainingSet, draw_pairs
 from dc2g_jax.datasets.procedural import extra_training_houses
 from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
@@ -135,6 +135,22 @@ def training_set(houses: Sequence[House], n_own: int, masks: Masks) -> TrainingS
         mask_world=jnp.asarray(masks.world, jnp.int32),
         n_own=jnp.int32(np.sum(masks.world < n_own)),
     )
+
+
+def validation_pairs(dataset: HouseDataset, *, count: int, edge_weight: float) -> Pair:
+    """The same pairs in every run, half of them of the dataset's validation houses, half of procedural ones.
+
+    Args:
+      dataset: whose validation houses to use.
+      count: number of pairs.
+      edge_weight: see `dc2g_jax.datasets.pairs.make_pair`.
+    """
+    own = usable(dataset, "val")
+    houses = own + drawn_houses("v", "val", 32, _VALIDATION_SEED, own[0].terrain.shape[0])
+    config = DataConfig(ranges=(5, 8), starts_per_house=8)
+    masks = observation_masks(config, houses, len(own), lambda done, total: None)
+    data = training_set(houses, len(own), masks)
+    return draw_pairs(jax.random.key(0), data, batch_size=count, own_share=0.5, edge_weight=edge_weight, jitter=0.0)
 
 
 class Validation:

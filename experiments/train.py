@@ -9,11 +9,9 @@ import json
 import shlex
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Annotated, Any
 
-import jax
 import numpy as np
 import tyro
 from tqdm import tqdm
@@ -25,12 +23,11 @@ from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.estimation.losses import check_loss_names
 from dc2g_jax.estimation.networks import Architecture
-from dc2g_jax.estimation.training import TrainingConfig, init_state, train_step
+from dc2g_jax.estimation.training import TrainingConfig, TrainingState, first_state, train_step
 from dc2g_jax.mask_collection import Masks
 from dc2g_jax.training_data import DataConfig, Validation, observation_masks, training_houses, training_set
 from experiments.common import command_line
-
-_STEPS_PER_REPORT = 50
+from experiments.training_loop import run_steps
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,7 +54,7 @@ class Options:
 
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     dataset: str | None = None
-    data: Annotated[DataConfig, tyro.conf.arg(prefix_name=False)] = dataclasses.field(default_factory=DataConfig)
+    data: tyro.conf.OmitArgPrefixes[DataConfig] = dataclasses.field(default_factory=DataConfig)
     own_share: float = 0.4
     edge_weight: float = 4.0
     jitter: float = 0.15
@@ -145,35 +142,35 @@ def train(options: Options, dataset: HouseDataset, checkpoints: TrainingCheckpoi
     )
     validation = Validation(dataset) if options.validate_every else None
     recipe, hyperparameters = config.recipe, config.hyperparameters
-    state = checkpoints.restore() or jax.jit(init_state, static_argnums=0)(recipe, hyperparameters)
-    step, saved = int(state.step), time.monotonic()
-    with tqdm(total=config.steps, initial=step, desc="train", unit="step", file=sys.stderr) as bar:
-        try:
-            while step < config.steps:
-                losses = []
-                for _ in range(min(_STEPS_PER_REPORT - step % _STEPS_PER_REPORT, config.steps - step)):
-                    state, loss = train_step(state, hyperparameters, data, recipe=recipe, draw_batch=draw)
-                    losses.append(loss)
-                mean = float(np.mean(losses))
-                step += len(losses)
-                bar.update(len(losses))
-                bar.set_postfix(loss=f"{mean:.4f}")
-                if not np.isfinite(mean):
-                    raise InputError(
-                        f"{options.out}: the loss is {mean} at step {step}; lower --learning-rate "
-                        "(the last checkpoint before it is kept)"
-                    )
-                if step == config.steps or (options.validate_every and step % options.validate_every == 0):
-                    network = NetworkCostToGo(weights=state.average, architecture=config.architecture)
-                    figures = validation.figures(network) if validation else {}
-                    report(options, dataset, network, step, mean, figures)
-                if time.monotonic() - saved > 60 * options.minutes_per_checkpoint:
-                    checkpoints.save(state)
-                    saved = time.monotonic()
-        except KeyboardInterrupt:
-            checkpoints.save(state)
-            raise
-    checkpoints.save(state)
+    state = checkpoints.restore() or first_state(config)
+    latest = float("nan")
+
+    def look(step: int, loss: np.ndarray) -> None:
+        nonlocal latest
+        latest = float(loss)
+        if not np.isfinite(loss):
+            raise InputError(
+                f"{options.out}: the loss is {latest} at step {step}; lower --learning-rate and give another --out "
+                "(the last checkpoint before it is kept)"
+            )
+
+    def validate(state: TrainingState, step: int) -> None:
+        network = NetworkCostToGo(weights=state.average, architecture=config.architecture)
+        figures = validation.figures(network) if validation else {}
+        report(options, dataset, network, step, latest, figures)
+
+    run_steps(
+        state,
+        int(state.step),
+        config.steps,
+        take_step=lambda state: train_step(state, hyperparameters, data, recipe=recipe, draw_batch=draw),
+        look=look,
+        validate=validate,
+        validate_every=options.validate_every,
+        save=checkpoints.save,
+        minutes_per_checkpoint=options.minutes_per_checkpoint,
+        description="train",
+    )
 
 
 def report(

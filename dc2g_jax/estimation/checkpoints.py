@@ -216,7 +216,7 @@ class TrainingCheckpoints:
         return sorted(self._manager.all_steps())
 
     def restore(self, step: int | None = None) -> Any:
-        """The state after a step, and nothing that came later; the newest where none is named, `None` if there is none."""
+        """The state after a step, which becomes the newest; the newest where none is named, `None` if there is none."""
         if step is None:
             step = self._manager.latest_step()
         if step is None:

@@ -13,7 +13,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.estimation.networks import Architecture
-from dc2g_jax.estimation.training import TrainingConfig, init_state, train_step
+from dc2g_jax.estimation.training import TrainingConfig, first_state, train_step
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.world import world_from_terrain
 from tests import maps
@@ -40,10 +40,6 @@ def data() -> TrainingSet:
         mask_world=jnp.arange(6, dtype=jnp.int32) % 3,
         n_own=jnp.int32(6),
     )
-
-
-def first_state(config: TrainingConfig = CONFIG):
-    return init_state(config.recipe, config.hyperparameters)
 
 
 def train(data, steps: int, state=None, config: TrainingConfig = CONFIG):
