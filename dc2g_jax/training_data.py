@@ -15,6 +15,7 @@ from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, world_cost_to_go
 from dc2g_jax.evaluation import Runner, episodes_from
+from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.mask_collection import LEADERS, Masks, collect_masks, concatenate_masks, leading_planners
 from dc2g_jax.planning.rules import SETTINGS, complete_rules
@@ -118,6 +119,30 @@ def observation_masks(
     masks = concatenate_masks(collected)
     order = np.argsort(masks.world, kind="stable")
     return Masks(boards=masks.boards[order], world=masks.world[order])
+
+
+def check_masks(masks: Masks, houses: Sequence[House], where: str) -> None:
+    """See that masks belong to maps of this size.
+
+    Args:
+      masks: the masks.
+      houses: what they are of.
+      where: where the masks are from, for the message.
+
+    Raises:
+      InputError: if they do not, or name a house that is not there.
+    """
+    height, width = houses[0].terrain.shape
+    wanted = (bitboard.word_count(width), height)
+    if masks.boards.ndim != 3 or masks.boards.shape[1:] != wanted or masks.boards.dtype != np.uint32:
+        raise InputError(
+            f"{where}: masks of shape {masks.boards.dtype.name}{list(masks.boards.shape[1:])}, but maps of "
+            f"{height} x {width} cells need uint32{list(wanted)}; delete the file to collect masks anew"
+        )
+    if len(masks.world) != len(masks.boards) or np.any((masks.world < 0) | (masks.world >= len(houses))):
+        raise InputError(
+            f"{where}: masks of houses other than these {len(houses)}; delete the file to collect them anew"
+        )
 
 
 def training_set(houses: Sequence[House], n_own: int, masks: Masks) -> TrainingSet:

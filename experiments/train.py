@@ -7,7 +7,6 @@ import dataclasses
 import functools
 import json
 import shlex
-import subprocess
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -25,8 +24,15 @@ from dc2g_jax.estimation.losses import check_loss_names
 from dc2g_jax.estimation.networks import Architecture
 from dc2g_jax.estimation.training import TrainingConfig, TrainingState, first_state, train_step
 from dc2g_jax.mask_collection import Masks
-from dc2g_jax.training_data import DataConfig, Validation, observation_masks, training_houses, training_set
-from experiments.common import command_line
+from dc2g_jax.training_data import (
+    DataConfig,
+    Validation,
+    check_masks,
+    observation_masks,
+    training_houses,
+    training_set,
+)
+from experiments.common import command_line, commit
 from experiments.training_loop import run_steps
 
 
@@ -85,8 +91,13 @@ def cached_masks(folder: Path, config: DataConfig, houses: list[House], n_own: i
     """Masks from a folder, collected and kept there the first time."""
     path = folder / "masks.npz"
     if path.exists():
-        with np.load(path) as file:
-            return Masks(boards=file["boards"], world=file["world"])
+        try:
+            with np.load(path) as file:
+                masks = Masks(boards=file["boards"], world=file["world"])
+        except (OSError, ValueError, KeyError) as error:
+            raise InputError(f"{path}: cannot be read ({error}); delete it to collect masks anew") from None
+        check_masks(masks, houses, str(path))
+        return masks
     with tqdm(desc="masks", unit="rollout", file=sys.stderr) as bar:
 
         def show(done: int, total: int) -> None:
@@ -114,7 +125,6 @@ def open_training_set(folder: Path, dataset: HouseDataset, config: DataConfig) -
 
 def model_card(options: Options, dataset: HouseDataset, step: int, figures: dict[str, float]) -> dict[str, Any]:
     """What to know about a network: where it comes from and how good it is on validation houses."""
-    commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
     data = options.data
     return {
         "data": f"{dataset.name}, training split, and {data.extra_houses} procedural houses (seed {data.data_seed})",
@@ -122,7 +132,7 @@ def model_card(options: Options, dataset: HouseDataset, step: int, figures: dict
         "target": "4-connected cost-to-go in cells",
         "loss": options.loss,
         "command": shlex.join(["python", "-m", "experiments.train", *sys.argv[1:]]),
-        "commit": commit.stdout.strip() or "unknown",
+        "commit": commit(),
         "seed": options.seed,
         "steps": step,
         "validation": figures,
@@ -187,6 +197,7 @@ def report(
 def main(options: Options) -> None:
     """Train, save and validate."""
     check_loss_names([options.loss])
+    commit()  # that of the code now loaded, whatever is committed later
     dataset = open_dataset(options.dataset)
     apart = {"out", "dataset", "validate_every", "minutes_per_checkpoint"}
     facts = {name: value for name, value in dataclasses.asdict(options).items() if name not in apart}

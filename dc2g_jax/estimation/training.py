@@ -209,7 +209,7 @@ def train_steps(
 ) -> tuple[TrainingState, Float[Array, "runs"]]:
     """Take one optimiser step of several runs in one program, each on batches of its own.
 
-    A run whose loss or weights would not be finite keeps the weights that it had, and its loss is NaN; the others go on.
+    A run whose loss or weights would not be finite keeps those that it had, and its loss is NaN; the others go on.
 
     Args:
       states: states of all runs, stacked.
@@ -223,7 +223,8 @@ def train_steps(
     """
     one_step = functools.partial(_step, recipe=recipe, draw_batch=draw_batch)
     new, losses = jax.vmap(one_step, in_axes=(0, 0, None))(states, hyperparameters, data)
-    finite = jnp.isfinite(losses + jax.vmap(optax.global_norm)(new.weights))
+    of_leaves = [jnp.isfinite(leaf).reshape(len(losses), -1).all(axis=1) for leaf in jax.tree.leaves(new.weights)]
+    finite = functools.reduce(jnp.logical_and, of_leaves, jnp.isfinite(losses))
 
     def kept(now: Array, before: Array) -> Array:
         return jnp.where(finite.reshape(-1, *(1 for _ in now.shape[1:])), now, before)
