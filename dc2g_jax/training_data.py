@@ -175,7 +175,9 @@ def validation_pairs(dataset: HouseDataset, *, count: int, edge_weight: float) -
     config = DataConfig(ranges=(5, 8), starts_per_house=8)
     masks = observation_masks(config, houses, len(own), lambda done, total: None)
     data = training_set(houses, len(own), masks)
-    return draw_pairs(jax.random.key(0), data, batch_size=count, own_share=0.5, edge_weight=edge_weight, jitter=0.0)
+    return draw_pairs(
+        jax.random.key(0), data, batch_size=count, own_share=0.5, edge_weight=edge_weight, jitter=0.0, whole_share=0.0
+    )
 
 
 class Validation:

@@ -52,6 +52,7 @@ class Options:
       own_share: share of a batch drawn from the dataset's own houses rather than procedural ones, 0 to 1.
       edge_weight: weight in the loss of cells within 2 cells of unobserved ground; others have weight 1.
       jitter: logarithm of the largest factor by which half of the maps are stretched, and moved by 40 cells times it.
+      whole_share: share of pairs in which all of the map is observed, 0 to 1.
       steps: optimiser steps of each run.
       batch_size: pairs a step of each run.
       validate_every: steps between validations on pairs; the last step is one too. 0 for the last only.
@@ -69,6 +70,7 @@ class Options:
     own_share: float = 0.4
     edge_weight: float = 4.0
     jitter: float = 0.15
+    whole_share: float = 0.1
     steps: int = 2000
     batch_size: int = TrainingConfig.batch_size
     validate_every: int = 200
@@ -152,6 +154,7 @@ def train_group(
         own_share=options.own_share if options.data.extra_houses else 1.0,
         edge_weight=options.edge_weight,
         jitter=options.jitter,
+        whole_share=options.whole_share,
     )
     latest = np.full(len(runs), np.nan)
 

@@ -47,6 +47,7 @@ class Options:
       own_share: share of a batch drawn from the dataset's own houses rather than procedural ones, 0 to 1.
       edge_weight: weight in the loss of cells within 2 cells of unobserved ground; others have weight 1.
       jitter: logarithm of the largest factor by which half of the maps are stretched, and moved by 40 cells times it.
+      whole_share: share of pairs in which all of the map is observed, 0 to 1.
       loss: name of the loss: quantile, l1, l2, huber or log.
       widths: channels of the network at 1/2, 1/4, 1/8 and 1/16 of the map's resolution.
       quantiles: levels of the quantiles that the network answers with.
@@ -64,6 +65,7 @@ class Options:
     own_share: float = 0.4
     edge_weight: float = 4.0
     jitter: float = 0.15
+    whole_share: float = 0.1
     loss: str = "quantile"
     widths: tuple[int, ...] = Architecture.widths
     quantiles: tuple[float, ...] = Architecture.quantiles
@@ -71,7 +73,7 @@ class Options:
     batch_size: int = TrainingConfig.batch_size
     learning_rate: float = TrainingConfig.learning_rate
     seed: int = 0
-    validate_every: int = 5000
+    validate_every: int = 4000
     minutes_per_checkpoint: float = 2.0
 
     @property
@@ -149,6 +151,7 @@ def train(options: Options, dataset: HouseDataset, checkpoints: TrainingCheckpoi
         own_share=options.own_share if options.data.extra_houses else 1.0,
         edge_weight=options.edge_weight,
         jitter=options.jitter,
+        whole_share=options.whole_share,
     )
     validation = Validation(dataset) if options.validate_every else None
     recipe, hyperparameters = config.recipe, config.hyperparameters

@@ -19,7 +19,7 @@ from dc2g_jax.sweeps import group_by_shape, parse_losses, runs_of_grid, stacked_
 from tests import maps
 
 BASE = TrainingConfig(architecture=Architecture(widths=(4, 4, 4, 4), quantiles=(0.3, 0.7)), steps=20, batch_size=4)
-DRAW = functools.partial(draw_pairs, batch_size=4, own_share=1.0, edge_weight=2.0, jitter=0.0)
+DRAW = functools.partial(draw_pairs, batch_size=4, own_share=1.0, edge_weight=2.0, jitter=0.0, whole_share=0.0)
 
 
 @pytest.fixture(scope="module")

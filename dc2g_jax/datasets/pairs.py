@@ -66,6 +66,7 @@ def make_pair(
     data: TrainingSet,
     index: Int[Array, ""],
     symmetry: Int[Array, ""],
+    whole: Bool[Array, ""] | bool = False,
     *,
     edge_weight: float,
     edge_width: int = 2,
@@ -79,12 +80,13 @@ def make_pair(
       data: labels and masks.
       index: which mask, 0 to masks - 1.
       symmetry: 0 to `SYMMETRIES` - 1.
+      whole: lift the mask, so that all of the map is observed.
       edge_weight: weight of cells near unobserved ground; other cells have weight 1.
       edge_width: how near is near, in cells.
     """
     world = data.mask_world[index]
     width = data.terrain.shape[-1]
-    seen = bitboard.unpack(data.masks[index], width)
+    seen = bitboard.unpack(data.masks[index], width) | whole
     target = data.cost_to_go[world]
     weight = jnp.where(_near(~seen, edge_width), edge_weight, 1.0) * (seen & jnp.isfinite(target))
     pair = Pair(terrain=jnp.where(seen, data.terrain[world], jnp.uint8(0)), target=target, weight=weight)
@@ -129,7 +131,14 @@ def jittered(key: Array, pair: Pair, jitter: float) -> Pair:
 
 
 def draw_pairs(
-    key: Array, data: TrainingSet, *, batch_size: int, own_share: float, edge_weight: float, jitter: float
+    key: Array,
+    data: TrainingSet,
+    *,
+    batch_size: int,
+    own_share: float,
+    edge_weight: float,
+    jitter: float,
+    whole_share: float,
 ) -> Pair:
     """A random batch of training pairs, each in a random symmetry (Algorithm 1, line 9).
 
@@ -141,14 +150,16 @@ def draw_pairs(
         one kind only.
       edge_weight: see `make_pair`.
       jitter: see `jittered`; 0 for none.
+      whole_share: probability that all of a map is observed.
     """
-    which, place, turn, change = jax.random.split(key, 4)
+    which, place, turn, change, lift = jax.random.split(key, 5)
     own = jax.random.uniform(which, (batch_size,)) < own_share
     low, high = jnp.where(own, 0, data.n_own), jnp.where(own, data.n_own, len(data.mask_world))
     position = jax.random.uniform(place, (batch_size,))
     index = jnp.minimum(low + (position * (high - low)).astype(jnp.int32), high - 1)
     symmetry = jax.random.randint(turn, (batch_size,), 0, SYMMETRIES)
-    pairs = jax.vmap(functools.partial(make_pair, data, edge_weight=edge_weight))(index, symmetry)
+    whole = jax.random.bernoulli(lift, whole_share, (batch_size,))
+    pairs = jax.vmap(functools.partial(make_pair, data, edge_weight=edge_weight))(index, symmetry, whole)
     if not jitter:
         return pairs
     return jax.vmap(functools.partial(jittered, jitter=jitter))(jax.random.split(change, batch_size), pairs)

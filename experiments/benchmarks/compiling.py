@@ -66,7 +66,9 @@ def _train_step(bench: Bench) -> Callable[[], Program]:
     )
     recipe, hyperparameters = config.recipe, config.hyperparameters
     state = jax.eval_shape(functools.partial(init_state, recipe), hyperparameters)
-    draw = functools.partial(draw_pairs, batch_size=config.batch_size, own_share=1.0, edge_weight=4.0, jitter=0.15)
+    draw = functools.partial(
+        draw_pairs, batch_size=config.batch_size, own_share=1.0, edge_weight=4.0, jitter=0.15, whole_share=0.1
+    )
 
     return lambda: compile_program(train_step, state, hyperparameters, data, recipe=recipe, draw_batch=draw)
 

@@ -136,7 +136,9 @@ def test_a_map_that_is_not_square_keeps_its_shape():
 @pytest.mark.parametrize(("own_share", "low", "high"), [(1.0, 0, N_OWN), (0.0, N_OWN, N_MASKS)])
 def test_batches_are_drawn_from_the_masks_asked_for(own_share, low, high):
     data, _ = training_set((12, 12))
-    draw = jax.jit(functools.partial(draw_pairs, batch_size=200, own_share=own_share, edge_weight=4.0, jitter=0.0))
+    draw = jax.jit(
+        functools.partial(draw_pairs, batch_size=200, own_share=own_share, edge_weight=4.0, jitter=0.0, whole_share=0.0)
+    )
     batch = draw(jax.random.key(0), data)
     assert batch.terrain.shape == (200, 12, 12)
     every = pair_maker()(data, jnp.repeat(jnp.arange(N_MASKS), 8), jnp.tile(jnp.arange(8), N_MASKS))
@@ -147,6 +149,17 @@ def test_batches_are_drawn_from_the_masks_asked_for(own_share, low, high):
     jax.tree.map(np.testing.assert_array_equal, again, batch)
     other = draw(jax.random.key(1), data)
     assert not np.array_equal(other.terrain, batch.terrain)
+
+
+def test_a_share_of_pairs_shows_the_whole_map():
+    data, _ = training_set((12, 12))
+    draw = functools.partial(draw_pairs, batch_size=400, own_share=0.5, edge_weight=4.0, jitter=0.0, whole_share=0.25)
+    batch = jax.jit(draw)(jax.random.key(0), data)
+    whole = np.asarray((batch.terrain != 0).all(axis=(1, 2)))
+    assert 60 < whole.sum() < 140
+    weight = np.asarray(batch.weight)
+    assert set(np.unique(weight[whole])) == {0.0, 1.0}
+    assert (weight[~whole] == 4).any()
 
 
 def test_jitter_stretches_and_moves_a_map_with_its_labels():

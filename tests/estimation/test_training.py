@@ -25,7 +25,9 @@ CONFIG = TrainingConfig(
     learning_rate=3e-3,
     average_decay=0.9,
 )
-DRAW = functools.partial(draw_pairs, batch_size=CONFIG.batch_size, own_share=1.0, edge_weight=2.0, jitter=0.1)
+DRAW = functools.partial(
+    draw_pairs, batch_size=CONFIG.batch_size, own_share=1.0, edge_weight=2.0, jitter=0.1, whole_share=0.1
+)
 
 
 @pytest.fixture(scope="module")
