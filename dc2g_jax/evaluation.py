@@ -14,17 +14,17 @@ from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.planning.planners import DC2G, MODE_NAMES, Frontier, Oracle, Planner
 from dc2g_jax.planning.rules import Rules, Settings
+from dc2g_jax.planning.selection import ExpectedCost, ReservationCost, Selection
 from dc2g_jax.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
 
 #: Planner names, in the order of the tables.
-PLANNERS = ("oracle", "frontier", "dc2g", "true_cost_to_go")
+PLANNERS = ("oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go")
 
-#: Cost per action of distance to a subgoal in the `dc2g` planner, chosen on validation houses (see BENCHMARKS.md).
-DISTANCE_WEIGHT = 0.5
-
-#: Actions after which the `dc2g` planner explores what is nearest: the fewest of those tried that cost nothing on
-#: validation houses (see BENCHMARKS.md).
-PATIENCE = 100
+#: How the planners that run on a network choose their subgoals, chosen on validation houses (see BENCHMARKS.md).
+SELECTIONS: Mapping[str, Selection] = {
+    "dc2g": ExpectedCost(distance_weight=0.5),
+    "dc2g_uncertain": ReservationCost(distance_weight=0.5),
+}
 
 
 def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) -> Planner:
@@ -33,10 +33,10 @@ def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) ->
     Args:
       name: one of `PLANNERS`.
       rules: what is seen and what counts as frontier.
-      estimator: the network of `dc2g`.
+      estimator: the network of `dc2g` and `dc2g_uncertain`.
 
     Raises:
-      ValueError: for an unknown name, or `dc2g` without an estimator.
+      ValueError: for an unknown name, or a planner that needs an estimator without one.
     """
     if name == "oracle":
         return Oracle()
@@ -44,9 +44,11 @@ def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) ->
         return Frontier(rules=rules)
     if name == "true_cost_to_go":
         return DC2G(estimator=ExactCostToGo(), rules=rules)
-    if name == "dc2g" and estimator is not None:
-        return DC2G(estimator=estimator, rules=rules, distance_weight=DISTANCE_WEIGHT, patience=PATIENCE)
-    raise ValueError(f"no planner {name!r} can be made; known: {', '.join(PLANNERS)} (dc2g needs an estimator)")
+    if name in SELECTIONS and estimator is not None:
+        return DC2G(estimator=estimator, rules=rules, selection=SELECTIONS[name])
+    raise ValueError(
+        f"no planner {name!r} can be made; known: {', '.join(PLANNERS)} ({', '.join(SELECTIONS)}: with an estimator)"
+    )
 
 
 class EpisodeResult(NamedTuple):

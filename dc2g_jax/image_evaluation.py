@@ -42,7 +42,7 @@ def predicted_image(estimator: Estimator, terrain: UInt8[Array, "s s"]) -> Float
     """
     if isinstance(estimator, TranslatorCostToGo):
         return estimator.translate(terrain[None])[0]
-    cost = estimator.estimate(terrain, estimator.init(world_from_terrain(terrain)))
+    cost = jnp.mean(estimator.estimate(terrain, estimator.init(world_from_terrain(terrain))), axis=0)
     return cost_to_go_image(jnp.where(jnp.asarray(TRAVERSABLE)[terrain], cost, jnp.inf), terrain)
 
 

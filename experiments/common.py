@@ -2,7 +2,9 @@
 
 import csv
 import datetime
+import functools
 import importlib.metadata
+import subprocess
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -86,6 +88,17 @@ def output_folder(chosen: Path | None, command: str) -> Path:
 def open_network(folder: Path | None) -> TrainedNetwork:
     """The network in a folder, or the one that comes with the package."""
     return load_network(shipped(SHIPPED_NETWORK) if folder is None else folder)
+
+
+@functools.cache
+def commit() -> str:
+    """The git commit of the code, with `+` after it where files have changed since; `unknown` outside a repository."""
+    here = Path(__file__).parent
+    found = [
+        subprocess.run(["git", *command], capture_output=True, text=True, check=False, cwd=here).stdout.strip()
+        for command in (("rev-parse", "HEAD"), ("status", "--porcelain", "--untracked-files=no"))
+    ]
+    return (found[0] or "unknown") + ("+" if found[1] else "")
 
 
 def versions() -> dict[str, str]:

@@ -9,8 +9,7 @@ from dc2g_jax.datasets.starts import Start
 from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo
 from dc2g_jax.estimation.networks import Architecture, init_weights
 from dc2g_jax.evaluation import (
-    DISTANCE_WEIGHT,
-    PATIENCE,
+    SELECTIONS,
     Runner,
     episodes_from,
     extra_steps,
@@ -92,7 +91,8 @@ def test_make_planner():
     assert make_planner("oracle", RULES) == Oracle()
     assert make_planner("frontier", RULES) == Frontier(RULES)
     assert make_planner("true_cost_to_go", RULES) == DC2G(ExactCostToGo(), RULES)
-    assert make_planner("dc2g", RULES, estimator) == DC2G(estimator, RULES, DISTANCE_WEIGHT, PATIENCE)
+    assert make_planner("dc2g", RULES, estimator) == DC2G(estimator, RULES, SELECTIONS["dc2g"])
+    assert make_planner("dc2g_uncertain", RULES, estimator).selection == SELECTIONS["dc2g_uncertain"]
 
 
 @pytest.mark.parametrize("name", ["", "Oracle", "dc2g", "random"])

@@ -66,6 +66,7 @@ def make_pair(
     data: TrainingSet,
     index: Int[Array, ""],
     symmetry: Int[Array, ""],
+    whole: Bool[Array, ""] | bool = False,
     *,
     edge_weight: float,
     edge_width: int = 2,
@@ -79,19 +80,66 @@ def make_pair(
       data: labels and masks.
       index: which mask, 0 to masks - 1.
       symmetry: 0 to `SYMMETRIES` - 1.
+      whole: lift the mask, so that all of the map is observed.
       edge_weight: weight of cells near unobserved ground; other cells have weight 1.
       edge_width: how near is near, in cells.
     """
     world = data.mask_world[index]
     width = data.terrain.shape[-1]
-    seen = bitboard.unpack(data.masks[index], width)
+    seen = bitboard.unpack(data.masks[index], width) | whole
     target = data.cost_to_go[world]
     weight = jnp.where(_near(~seen, edge_width), edge_weight, 1.0) * (seen & jnp.isfinite(target))
     pair = Pair(terrain=jnp.where(seen, data.terrain[world], jnp.uint8(0)), target=target, weight=weight)
     return jax.tree.map(lambda grid: _turned(grid, symmetry), pair)
 
 
-def draw_pairs(key: Array, data: TrainingSet, *, batch_size: int, own_share: float, edge_weight: float) -> Pair:
+#: Cells by which a map is moved, at most, for each unit of jitter.
+_SHIFT_PER_JITTER = 40.0
+
+
+def jittered(key: Array, pair: Pair, jitter: float) -> Pair:
+    """A pair as it would be were the map a little larger or smaller, a little to the side; half of them as they are.
+
+    Both axes are stretched by factors of their own and cells sampled anew, nearest neighbour; costs grow with the map.
+    What comes in from beyond the map's edge is unobserved.
+
+    Args:
+      key: PRNG key.
+      pair: one training pair.
+      jitter: logarithm of the largest factor; maps are moved by up to 40 cells times it.
+    """
+    height, width = pair.terrain.shape
+    stretch, shift, chance = jax.random.split(key, 3)
+    factors = jnp.exp(jax.random.uniform(stretch, (2,), minval=-jitter, maxval=jitter))
+    offsets = _SHIFT_PER_JITTER * jax.random.uniform(shift, (2,), minval=-jitter, maxval=jitter)
+
+    def sampled(size: int, axis: int) -> tuple[Array, Array]:
+        """Index of the cell that each cell is taken from, and whether it lies on the map."""
+        middle = (size - 1) / 2
+        source = jnp.round((jnp.arange(size) - middle) / factors[axis] + middle + offsets[axis]).astype(jnp.int32)
+        return jnp.clip(source, 0, size - 1), (source >= 0) & (source < size)
+
+    (rows, row_there), (columns, column_there) = sampled(height, 0), sampled(width, 1)
+    there = row_there[:, None] & column_there
+    changed = Pair(
+        terrain=jnp.where(there, pair.terrain[rows][:, columns], jnp.uint8(0)),
+        target=pair.target[rows][:, columns] * jnp.sqrt(factors[0] * factors[1]),
+        weight=jnp.where(there, pair.weight[rows][:, columns], 0.0),
+    )
+    change = jax.random.bernoulli(chance)
+    return jax.tree.map(lambda new, old: jnp.where(change, new, old), changed, pair)
+
+
+def draw_pairs(
+    key: Array,
+    data: TrainingSet,
+    *,
+    batch_size: int,
+    own_share: float,
+    edge_weight: float,
+    jitter: float,
+    whole_share: float,
+) -> Pair:
     """A random batch of training pairs, each in a random symmetry (Algorithm 1, line 9).
 
     Args:
@@ -101,11 +149,17 @@ def draw_pairs(key: Array, data: TrainingSet, *, batch_size: int, own_share: flo
       own_share: probability that a pair is of one of the dataset's own houses; must be 0 or 1 where there are masks of
         one kind only.
       edge_weight: see `make_pair`.
+      jitter: see `jittered`; 0 for none.
+      whole_share: probability that all of a map is observed.
     """
-    which, place, turn = jax.random.split(key, 3)
+    which, place, turn, change, lift = jax.random.split(key, 5)
     own = jax.random.uniform(which, (batch_size,)) < own_share
     low, high = jnp.where(own, 0, data.n_own), jnp.where(own, data.n_own, len(data.mask_world))
     position = jax.random.uniform(place, (batch_size,))
     index = jnp.minimum(low + (position * (high - low)).astype(jnp.int32), high - 1)
     symmetry = jax.random.randint(turn, (batch_size,), 0, SYMMETRIES)
-    return jax.vmap(functools.partial(make_pair, data, edge_weight=edge_weight))(index, symmetry)
+    whole = jax.random.bernoulli(lift, whole_share, (batch_size,))
+    pairs = jax.vmap(functools.partial(make_pair, data, edge_weight=edge_weight))(index, symmetry, whole)
+    if not jitter:
+        return pairs
+    return jax.vmap(functools.partial(jittered, jitter=jitter))(jax.random.split(change, batch_size), pairs)

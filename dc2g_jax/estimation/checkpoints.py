@@ -18,7 +18,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import networks, translator
 from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.networks import Architecture
-from dc2g_jax.estimation.training import init_state
+from dc2g_jax.estimation.training import first_state
 from dc2g_jax.estimation.translator import TranslatorArchitecture
 from dc2g_jax.grid.terrain import CLASS_NAMES
 
@@ -38,7 +38,11 @@ class _Kind(NamedTuple):
 
 
 def _read_compact(facts: Any) -> Architecture:
-    return Architecture(widths=tuple(int(width) for width in facts["widths"]), cost_scale=float(facts["cost_scale"]))
+    return Architecture(
+        widths=tuple(int(width) for width in facts["widths"]),
+        quantiles=tuple(float(level) for level in facts["quantiles"]),
+        cost_scale=float(facts["cost_scale"]),
+    )
 
 
 def _read_translator(facts: Any) -> TranslatorArchitecture:
@@ -187,7 +191,7 @@ class TrainingCheckpoints:
         config: Any,
         facts: dict[str, Any] | None = None,
         *,
-        first_state: Callable[[Any], Any] = init_state,
+        first_state: Callable[[Any], Any] = first_state,
     ):
         self._first_state = functools.partial(first_state, config)
         folder = Path(folder).absolute()
@@ -207,11 +211,19 @@ class TrainingCheckpoints:
                 folder / "states", options=ocp.CheckpointManagerOptions(max_to_keep=2, create=True)
             )
 
-    def restore(self) -> Any:
-        """The newest state, or `None` where there is none."""
-        step = self._manager.latest_step()
+    def steps(self) -> list[int]:
+        """Numbers of the steps after which there are states, ascending."""
+        return sorted(self._manager.all_steps())
+
+    def restore(self, step: int | None = None) -> Any:
+        """The state after a step, which becomes the newest; the newest where none is named, `None` if there is none."""
+        if step is None:
+            step = self._manager.latest_step()
         if step is None:
             return None
+        for later in self.steps():
+            if later > step:
+                self._manager.delete(later)
         template = jax.eval_shape(self._first_state)
         with _quiet():
             return self._manager.restore(step, args=ocp.args.StandardRestore(template))

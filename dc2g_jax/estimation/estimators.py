@@ -1,4 +1,4 @@
-"""The interface planners see: a partial map in, a cost-to-go grid out, lower is better."""
+"""The interface planners see: a partial map in, costs-to-go of every cell out, lower is better."""
 
 import functools
 from typing import Any, Protocol
@@ -18,14 +18,18 @@ from dc2g_jax.gridworld import Belief
 
 
 class Estimator(Protocol):
-    """Estimates the cost-to-go everywhere from a partial map (Algorithm 2, lines 9 and 10)."""
+    """Estimates the cost-to-go everywhere from a partial map (Algorithm 2, lines 9 and 10).
+
+    What lies beyond the sensing horizon is uncertain, so an estimate is a number of equally likely outcomes: evenly
+    spaced quantiles, or the members of an ensemble. An estimator that is sure of itself gives one.
+    """
 
     def init(self, world: World) -> Any:
         """State for an episode in `world`. Only a privileged estimator may read the world."""
         ...
 
-    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "h w *batch"]:
-        """Cost-to-go of every cell given the observed class indices (0 = not observed). Finite, lower is better."""
+    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "outcomes h w *batch"]:
+        """Costs-to-go of every cell given the observed class indices (0 = not observed). Finite, lower is better."""
         ...
 
 
@@ -46,8 +50,8 @@ def update_estimates(
     wanted: Bool[Array, "*batch"],
     belief: Belief,
     state: Any,
-    estimates: Float[Array, "h w *batch"],
-) -> Float[Array, "h w *batch"]:
+    estimates: Float[Array, "outcomes h w *batch"],
+) -> Float[Array, "outcomes h w *batch"]:
     """Ask the estimator for the wanted robots alone, a few at a time, and keep the other robots' old estimates.
 
     Args:
@@ -109,13 +113,13 @@ class NetworkCostToGo:
         del world
         return ()
 
-    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "h w *batch"]:
-        """The network's answer to partial maps, in cells."""
+    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "outcomes h w *batch"]:
+        """The network's answer to partial maps, in cells: an outcome for each of its quantiles."""
         del state
         height, width, *batch = terrain.shape
         maps = jnp.moveaxis(terrain.reshape(height, width, -1), -1, 0)
         answers = networks.apply(self.architecture, self.weights, maps)
-        return jnp.moveaxis(answers, 0, -1).reshape(height, width, *batch)
+        return jnp.moveaxis(answers, (-1, 0), (0, -1)).reshape(-1, height, width, *batch)
 
 
 @struct.dataclass
@@ -141,13 +145,13 @@ class TranslatorCostToGo:
         pictures = jax.vmap(lambda one: images.semantic_image(resize_nearest(one, size, size)))(terrain)
         return translator.translate(self.architecture, self.weights, pictures)
 
-    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "h w *batch"]:
+    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "1 h w *batch"]:
         """1 - brightness in the network's picture; 1 where it shows ground that cannot be driven on."""
         del state
         height, width, *batch = terrain.shape
         answers = self.translate(jnp.moveaxis(terrain.reshape(height, width, -1), -1, 0))
         costs = jax.vmap(lambda one: images.read_cost_to_go(one, height, width))(answers)
-        return jnp.moveaxis(costs, 0, -1).reshape(height, width, *batch)
+        return jnp.moveaxis(costs, 0, -1).reshape(1, height, width, *batch)
 
 
 @struct.dataclass
@@ -169,10 +173,10 @@ class ExactCostToGo:
 
     def estimate(
         self, terrain: UInt8[Array, "h w *batch"], state: Float[Array, "h w *batch"]
-    ) -> Float[Array, "h w *batch"]:
+    ) -> Float[Array, "1 h w *batch"]:
         """The values of the whole map, whatever has been observed."""
         factor = jnp.exp(jnp.asarray(self.log_error, jnp.float32))
-        return state * factor.reshape(*factor.shape, *(1 for _ in terrain.shape[factor.ndim :]))
+        return (state * factor.reshape(*factor.shape, *(1 for _ in terrain.shape[factor.ndim :])))[None]
 
 
 def world_cost_to_go(

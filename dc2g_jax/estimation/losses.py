@@ -1,15 +1,100 @@
-"""Losses between an estimated and an exact cost-to-go grid."""
+"""Losses between an estimated distribution of the cost-to-go and the exact value, cell by cell."""
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from dc2g_jax.errors import InputError
 
-def weighted_l1(
-    estimate: Float[Array, "h w"], target: Float[Array, "h w"], weight: Float[Array, "h w"]
-) -> Float[Array, ""]:
-    """Mean absolute error in cells over the cells of one map, weighted; 0 where all weights are 0.
+#: `(estimate, target, levels) ->` loss of each estimate; all in units of the network's cost scale.
+Loss = Callable[
+    [Float[Array, "h w quantiles"], Float[Array, "h w 1"], Float[Array, "quantiles"]], Float[Array, "h w quantiles"]
+]
 
-    Targets of weight 0 may be infinite.
+#: Errors up to this many cost scales count quadratically in the Huber loss.
+_HUBER_BEND = 0.25
+
+#: Below this many cost scales the logarithmic loss counts absolute errors, above it relative ones.
+_LOG_BEND = 0.25
+
+
+def _quantile(
+    estimate: Float[Array, "h w quantiles"], target: Float[Array, "h w 1"], levels: Float[Array, "quantiles"]
+) -> Float[Array, "h w quantiles"]:
+    """Quantile regression: each estimate is drawn to its own level of the distribution. At level 1/2 it is `l1`."""
+    error = target - estimate
+    return 2 * jnp.maximum(levels * error, (levels - 1) * error)
+
+
+def _l1(
+    estimate: Float[Array, "h w quantiles"], target: Float[Array, "h w 1"], levels: Float[Array, "quantiles"]
+) -> Float[Array, "h w quantiles"]:
+    """Absolute error: every estimate is drawn to the median."""
+    del levels
+    return jnp.abs(target - estimate)
+
+
+def _l2(
+    estimate: Float[Array, "h w quantiles"], target: Float[Array, "h w 1"], levels: Float[Array, "quantiles"]
+) -> Float[Array, "h w quantiles"]:
+    """Squared error: every estimate is drawn to the mean."""
+    del levels
+    return jnp.square(target - estimate)
+
+
+def _huber(
+    estimate: Float[Array, "h w quantiles"], target: Float[Array, "h w 1"], levels: Float[Array, "quantiles"]
+) -> Float[Array, "h w quantiles"]:
+    """Squared for small errors, absolute for large ones."""
+    del levels
+    error = jnp.abs(target - estimate)
+    small = jnp.minimum(error, _HUBER_BEND)
+    return small * (error - 0.5 * small) / _HUBER_BEND
+
+
+def _log(
+    estimate: Float[Array, "h w quantiles"], target: Float[Array, "h w 1"], levels: Float[Array, "quantiles"]
+) -> Float[Array, "h w quantiles"]:
+    """Absolute error of the inverse hyperbolic sine: a relative error, defined at zero and below."""
+    del levels
+    return jnp.abs(jnp.arcsinh(target / _LOG_BEND) - jnp.arcsinh(estimate / _LOG_BEND)) * _LOG_BEND
+
+
+#: Losses by name.
+LOSSES: Mapping[str, Loss] = MappingProxyType(
+    {"quantile": _quantile, "l1": _l1, "l2": _l2, "huber": _huber, "log": _log}
+)
+
+
+def check_loss_names(names: Sequence[str]) -> None:
+    """See that all losses are known.
+
+    Raises:
+      InputError: for one that is not; it lists those that are.
     """
-    error = jnp.where(weight > 0, jnp.abs(estimate - target), 0.0)
-    return jnp.sum(error * weight) / jnp.maximum(jnp.sum(weight), 1e-6)
+    for name in names:
+        if name not in LOSSES:
+            raise InputError(f"loss {name!r} is not known; known losses: {', '.join(LOSSES)}")
+
+
+def map_loss(
+    loss: Loss,
+    estimate: Float[Array, "h w quantiles"],
+    target: Float[Array, "h w"],
+    weight: Float[Array, "h w"],
+    levels: Float[Array, "quantiles"],
+) -> Float[Array, ""]:
+    """Weighted mean of a loss over the cells of one map and the quantiles; 0 where all weights are 0.
+
+    Args:
+      loss: the loss of a cell.
+      estimate: quantiles of the cost-to-go.
+      target: exact cost-to-go in the same unit; may be infinite where the weight is 0.
+      weight: weight of each cell.
+      levels: of the quantiles.
+    """
+    finite = jnp.where(weight > 0, target, 0.0)[..., None]
+    of_cell = jnp.mean(loss(estimate, finite, levels), axis=-1)
+    return jnp.sum(of_cell * weight) / jnp.maximum(jnp.sum(weight), 1e-6)

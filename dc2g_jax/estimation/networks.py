@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, UInt8
 
 from dc2g_jax.grid.terrain import CLASS_NAMES
 
-#: The network halves its input this many times; maps are padded to a multiple of 2 to this power.
+#: The network halves the resolution of its input this many times.
 _HALVINGS = 4
 
 
@@ -21,10 +21,13 @@ class Architecture:
 
     Attributes:
       widths: channels at 1/2, 1/4, 1/8 and 1/16 of the map's resolution.
+      quantiles: levels of the quantiles of the cost-to-go that the network answers with, ascending, each between 0 and
+        1. Evenly spaced ones, (i + 1/2) / n, are equally likely outcomes.
       cost_scale: cells of cost-to-go per unit of the last layer's output.
     """
 
     widths: tuple[int, ...] = (16, 32, 64, 128)
+    quantiles: tuple[float, ...] = (0.1, 0.3, 0.5, 0.7, 0.9)
     cost_scale: float = 32.0
 
 
@@ -35,11 +38,11 @@ def _patches(grid: Float[Array, "b h w c"]) -> Float[Array, "b h2 w2 c4"]:
     return split.transpose(0, 1, 3, 2, 4, 5).reshape(batch, height // 2, width // 2, 4 * channels)
 
 
-def _unpatched(features: Float[Array, "b h2 w2 4"]) -> Float[Array, "b h w"]:
-    """Four features a patch as the patch's 2x2 cells."""
-    batch, height, width, _ = features.shape
-    split = features.reshape(batch, height, width, 2, 2).transpose(0, 1, 3, 2, 4)
-    return split.reshape(batch, 2 * height, 2 * width)
+def _unpatched(features: Float[Array, "b h2 w2 c4"]) -> Float[Array, "b h w c"]:
+    """A patch's features as those of its 2x2 cells."""
+    batch, height, width, channels = features.shape
+    split = features.reshape(batch, height, width, 2, 2, channels // 4).transpose(0, 1, 3, 2, 4, 5)
+    return split.reshape(batch, 2 * height, 2 * width, channels // 4)
 
 
 class _Residual(nnx.Module):
@@ -76,11 +79,12 @@ class _Up(nnx.Module):
     ) -> Float[Array, "b h2 w2 d"]:
         narrow = self.narrow(nnx.relu(features))
         doubled = jnp.repeat(jnp.repeat(narrow, 2, axis=1), 2, axis=2)
-        return self.residual(skipped + doubled)
+        # Half of an odd number of rows or columns was rounded up.
+        return self.residual(skipped + doubled[:, : skipped.shape[1], : skipped.shape[2]])
 
 
 class CompactUNet(nnx.Module):
-    """A small U-Net from classes to cost-to-go, in cells.
+    """A small U-Net from classes to quantiles of the cost-to-go, in cells.
 
     The map is read one-hot, so an unobserved cell (class 0) differs from a cell outside the map (all zeros), and
     through 2x2 patches: all convolutions work at half the map's resolution or less.
@@ -92,6 +96,9 @@ class CompactUNet(nnx.Module):
             raise ValueError(
                 f"widths {widths}: the network has {_HALVINGS} scales; give a width of at least 1 for each"
             )
+        levels = architecture.quantiles
+        if not levels or list(levels) != sorted(set(levels)) or not 0 < levels[0] <= levels[-1] < 1:
+            raise ValueError(f"quantiles {levels}: give ascending levels between 0 and 1, one at least")
         self.architecture = architecture
         self.embed = nnx.Linear(4 * len(CLASS_NAMES), widths[0], rngs=rngs)
         self.local = _Residual(widths[0], rngs=rngs)
@@ -102,14 +109,13 @@ class CompactUNet(nnx.Module):
         self.up3 = _Up(widths[3], widths[2], rngs=rngs)
         self.up2 = _Up(widths[2], widths[1], rngs=rngs)
         self.up1 = _Up(widths[1], widths[0], rngs=rngs)
-        self.head = nnx.Linear(widths[0], 4, rngs=rngs)
+        self.head = nnx.Linear(widths[0], 4 * len(levels), rngs=rngs)
 
-    def __call__(self, terrain: UInt8[Array, "b h w"]) -> Float[Array, "b h w"]:
-        """Estimated cost-to-go of every cell, in cells, from observed class indices (0 = not observed)."""
+    def __call__(self, terrain: UInt8[Array, "b h w"]) -> Float[Array, "b h w quantiles"]:
+        """Quantiles of every cell's cost-to-go, in cells, from observed class indices (0 = not observed)."""
         height, width = terrain.shape[1:]
-        multiple = 2**_HALVINGS
         classes = jax.nn.one_hot(terrain, len(CLASS_NAMES))
-        classes = jnp.pad(classes, ((0, 0), (0, -height % multiple), (0, -width % multiple), (0, 0)))
+        classes = jnp.pad(classes, ((0, 0), (0, height % 2), (0, width % 2), (0, 0)))
         at2 = self.local(self.embed(_patches(classes)))
         at4 = self.down1(at2)
         at8 = self.down2(at4)
@@ -130,8 +136,10 @@ def weight_shapes(architecture: Architecture) -> dict[str, Any]:
     return jax.eval_shape(functools.partial(init_weights, architecture), jax.random.key(0))
 
 
-def apply(architecture: Architecture, weights: dict[str, Any], terrain: UInt8[Array, "b h w"]) -> Float[Array, "b h w"]:
-    """Run the network on a batch of partial maps: cost-to-go in cells."""
+def apply(
+    architecture: Architecture, weights: dict[str, Any], terrain: UInt8[Array, "b h w"]
+) -> Float[Array, "b h w quantiles"]:
+    """Run the network on a batch of partial maps: quantiles of the cost-to-go in cells."""
     graph, state = nnx.split(nnx.eval_shape(lambda: CompactUNet(architecture, rngs=nnx.Rngs(0))))
     nnx.replace_by_pure_dict(state, weights)
     return nnx.merge(graph, state)(terrain)

@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
-from jaxtyping import Array, Float, Int, UInt8
+from jaxtyping import Array, Float, Int, UInt8, UInt32
 
 from dc2g_jax.estimation import networks
-from dc2g_jax.estimation.losses import weighted_l1
+from dc2g_jax.estimation.losses import LOSSES, map_loss
 from dc2g_jax.estimation.networks import Architecture
 
 
@@ -24,6 +24,7 @@ class TrainingConfig:
       architecture: the network.
       steps: optimiser steps in all; the learning rate falls to zero over them.
       batch_size: pairs a step.
+      losses: names of losses, see `dc2g_jax.estimation.losses.LOSSES`, and the weight of each.
       learning_rate: peak, after a short linear warm-up.
       weight_decay: decoupled weight decay.
       average_decay: decay of the running average of the weights, which is what is kept in the end.
@@ -31,12 +32,43 @@ class TrainingConfig:
     """
 
     architecture: Architecture = dataclasses.field(default_factory=Architecture)
-    steps: int = 9000
+    steps: int = 12000
     batch_size: int = 64
-    learning_rate: float = 1.5e-3
+    losses: tuple[tuple[str, float], ...] = (("quantile", 1.0),)
+    learning_rate: float = 2e-3
     weight_decay: float = 1e-3
     average_decay: float = 0.998
     seed: int = 0
+
+    @property
+    def recipe(self) -> "TrainingConfig":
+        """What is compiled into a training step: the same for all runs that differ in numbers only."""
+        names = tuple((name, 1.0) for name, _ in self.losses)
+        return dataclasses.replace(self, losses=names, learning_rate=1.0, seed=0)
+
+    @property
+    def hyperparameters(self) -> "Hyperparameters":
+        """The numbers that a training step is given."""
+        return Hyperparameters(
+            seed=jnp.uint32(self.seed),
+            learning_rate=jnp.float32(self.learning_rate),
+            loss_weights=jnp.asarray([weight for _, weight in self.losses], jnp.float32),
+        )
+
+
+@struct.dataclass
+class Hyperparameters:
+    """Numbers in which runs of one recipe differ.
+
+    Attributes:
+      seed: of weights and batches.
+      learning_rate: peak learning rate.
+      loss_weights: weight of each of the recipe's losses.
+    """
+
+    seed: UInt32[Array, "*runs"]
+    learning_rate: Float[Array, "*runs"]
+    loss_weights: Float[Array, "*runs losses"]
 
 
 @struct.dataclass
@@ -79,33 +111,75 @@ class Batch(Protocol):
 DrawBatch = Callable[[Array, Any], Batch]
 
 
-def optimizer(config: TrainingConfig) -> optax.GradientTransformation:
-    """AdamW with clipped gradients, a linear warm-up and a cosine decay to zero."""
-    warmup = min(200, config.steps // 10)
-    schedule = optax.warmup_cosine_decay_schedule(0.0, config.learning_rate, warmup, config.steps)
-    return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(schedule, weight_decay=config.weight_decay))
+def optimizer(recipe: TrainingConfig) -> optax.GradientTransformation:
+    """AdamW with clipped gradients, a linear warm-up and a cosine decay to zero, for a peak learning rate of 1."""
+    warmup = min(200, recipe.steps // 10)
+    schedule = optax.warmup_cosine_decay_schedule(0.0, 1.0, warmup, recipe.steps)
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(schedule, weight_decay=recipe.weight_decay))
 
 
-def init_state(config: TrainingConfig) -> TrainingState:
+def init_state(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> TrainingState:
     """The state before the first step."""
-    weights = networks.init_weights(config.architecture, jax.random.key(config.seed))
+    weights = networks.init_weights(recipe.architecture, jax.random.key(hyperparameters.seed))
     return TrainingState(
         step=jnp.int32(0),
         weights=weights,
         average=jax.tree.map(jnp.array, weights),
-        optimizer=optimizer(config).init(weights),
+        optimizer=optimizer(recipe).init(weights),
     )
 
 
-def mean_loss(architecture: Architecture, weights: Any, batch: Batch) -> Float[Array, ""]:
-    """Mean over a batch of each map's weighted L1 error, in units of the architecture's cost scale."""
-    estimate = networks.apply(architecture, weights, batch.terrain)
-    return jnp.mean(jax.vmap(weighted_l1)(estimate, batch.target, batch.weight)) / architecture.cost_scale
+def first_state(config: TrainingConfig) -> TrainingState:
+    """The state of a run before its first step."""
+    return init_state(config.recipe, config.hyperparameters)
 
 
-@functools.partial(jax.jit, static_argnames=("config", "draw_batch"), donate_argnames=("state",))
+def mean_loss(
+    recipe: TrainingConfig, loss_weights: Float[Array, "losses"], weights: Any, batch: Batch
+) -> Float[Array, ""]:
+    """Mean over a batch of each map's losses, weighted and added up, in units of the architecture's cost scale."""
+    scale = recipe.architecture.cost_scale
+    levels = jnp.asarray(recipe.architecture.quantiles, jnp.float32)
+    estimate = networks.apply(recipe.architecture, weights, batch.terrain) / scale
+
+    def mean(name: str) -> Float[Array, ""]:
+        of_map = functools.partial(map_loss, LOSSES[name], levels=levels)
+        return jnp.mean(jax.vmap(of_map)(estimate, batch.target / scale, batch.weight))
+
+    return jnp.sum(loss_weights * jnp.stack([mean(name) for name, _ in recipe.losses]))
+
+
+def _step(
+    state: TrainingState,
+    hyperparameters: Hyperparameters,
+    data: Any,
+    *,
+    recipe: TrainingConfig,
+    draw_batch: DrawBatch,
+) -> tuple[TrainingState, Float[Array, ""]]:
+    transform = optimizer(recipe)
+    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(hyperparameters.seed), 1), state.step)
+    batch = draw_batch(key, data)
+    loss, gradient = jax.value_and_grad(
+        lambda weights: mean_loss(recipe, hyperparameters.loss_weights, weights, batch)
+    )(state.weights)
+    updates, optimizer_state = transform.update(gradient, state.optimizer, state.weights)
+    weights = jax.tree.map(lambda w, u: w + hyperparameters.learning_rate * u, state.weights, updates)
+    # Early on the average is of the steps so far, later exponential.
+    decay = jnp.minimum(recipe.average_decay, (1.0 + state.step) / (10.0 + state.step))
+    average = jax.tree.map(lambda a, w: decay * a + (1 - decay) * w, state.average, weights)
+    new = TrainingState(step=state.step + 1, weights=weights, average=average, optimizer=optimizer_state)
+    return new, loss
+
+
+@functools.partial(jax.jit, static_argnames=("recipe", "draw_batch"), donate_argnames=("state",))
 def train_step(
-    state: TrainingState, data: Any, *, config: TrainingConfig, draw_batch: DrawBatch
+    state: TrainingState,
+    hyperparameters: Hyperparameters,
+    data: Any,
+    *,
+    recipe: TrainingConfig,
+    draw_batch: DrawBatch,
 ) -> tuple[TrainingState, Float[Array, ""]]:
     """Take one optimiser step.
 
@@ -114,16 +188,52 @@ def train_step(
     backend runs the gradients of convolutions some twenty times slower.
 
     Returns:
-      The new state and the loss, in cells.
+      The new state and the loss.
     """
-    transform = optimizer(config)
-    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(config.seed), 1), state.step)
-    batch = draw_batch(key, data)
-    loss, gradient = jax.value_and_grad(lambda weights: mean_loss(config.architecture, weights, batch))(state.weights)
-    updates, optimizer_state = transform.update(gradient, state.optimizer, state.weights)
-    weights = optax.apply_updates(state.weights, updates)
-    # Early on the average is of the steps so far, later exponential.
-    decay = jnp.minimum(config.average_decay, (1.0 + state.step) / (10.0 + state.step))
-    average = jax.tree.map(lambda a, w: decay * a + (1 - decay) * w, state.average, weights)
-    new = TrainingState(step=state.step + 1, weights=weights, average=average, optimizer=optimizer_state)
-    return new, loss * config.architecture.cost_scale
+    return _step(state, hyperparameters, data, recipe=recipe, draw_batch=draw_batch)
+
+
+def init_states(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> TrainingState:
+    """The states of several runs before the first step, stacked; each as `init_state` gives it."""
+    return jax.vmap(functools.partial(init_state, recipe))(hyperparameters)
+
+
+@functools.partial(jax.jit, static_argnames=("recipe", "draw_batch"), donate_argnames=("states",))
+def train_steps(
+    states: TrainingState,
+    hyperparameters: Hyperparameters,
+    data: Any,
+    *,
+    recipe: TrainingConfig,
+    draw_batch: DrawBatch,
+) -> tuple[TrainingState, Float[Array, "runs"]]:
+    """Take one optimiser step of several runs in one program, each on batches of its own.
+
+    A run whose loss or weights would not be finite keeps those that it had, and its loss is NaN; the others go on.
+
+    Args:
+      states: states of all runs, stacked.
+      hyperparameters: of all runs, stacked.
+      data: what `draw_batch` draws from; shared.
+      recipe: what all runs have in common.
+      draw_batch: see `train_step`.
+
+    Returns:
+      The new states and the losses.
+    """
+    one_step = functools.partial(_step, recipe=recipe, draw_batch=draw_batch)
+    new, losses = jax.vmap(one_step, in_axes=(0, 0, None))(states, hyperparameters, data)
+    of_leaves = [jnp.isfinite(leaf).reshape(len(losses), -1).all(axis=1) for leaf in jax.tree.leaves(new.weights)]
+    finite = functools.reduce(jnp.logical_and, of_leaves, jnp.isfinite(losses))
+
+    def kept(now: Array, before: Array) -> Array:
+        return jnp.where(finite.reshape(-1, *(1 for _ in now.shape[1:])), now, before)
+
+    return jax.tree.map(kept, new, states).replace(step=new.step), jnp.where(finite, losses, jnp.nan)
+
+
+def mean_error(architecture: Architecture, weights: Any, batch: Batch) -> Float[Array, ""]:
+    """Mean absolute error in cells of the mean outcome, over the weighted cells of each map and over maps."""
+    estimate = jnp.mean(networks.apply(architecture, weights, batch.terrain), axis=-1, keepdims=True)
+    of_map = functools.partial(map_loss, LOSSES["l1"], levels=jnp.array([0.5]))
+    return jnp.mean(jax.vmap(of_map)(estimate, batch.target, batch.weight))

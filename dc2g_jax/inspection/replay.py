@@ -45,7 +45,7 @@ class Frames:
         episode; without meaning in the last frame.
       length: actions from the robot to the subgoal.
       to_goal: actions an oracle needs from here to the nearest goal, -1 where there is no way.
-      cost_to_go: the planner's estimate of the cost-to-go in cells, lower is better; `None` if it makes none.
+      cost_to_go: the planner's estimate of the cost-to-go in cells, mean of its outcomes; `None` if it makes none.
     """
 
     pose: Pose
@@ -135,7 +135,8 @@ def _replay_chunk(
     if estimator is not None:
         # All steps of the chunk in one batch, a second time: a plan does not hand out its estimate.
         estimate = jax.vmap(estimator.estimate, in_axes=(0, None))
-        frames["cost_to_go"] = estimate(frames["terrain"], estimator.init(world)).astype(jnp.float32)
+        outcomes = estimate(frames["terrain"], estimator.init(world)).astype(jnp.float32)
+        frames["cost_to_go"] = jnp.mean(outcomes, axis=1)
     return carry, frames
 
 

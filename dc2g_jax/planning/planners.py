@@ -8,6 +8,7 @@ A planner is a frozen dataclass and a pytree: what it learned (an estimator's we
 
 from typing import Any, ClassVar, NamedTuple, Protocol
 
+import jax
 import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float, Int
@@ -20,6 +21,7 @@ from dc2g_jax.grid.world import World
 from dc2g_jax.gridworld import Belief
 from dc2g_jax.planning import frontiers
 from dc2g_jax.planning.rules import Rules
+from dc2g_jax.planning.selection import ExpectedCost, Selection
 
 #: Plan modes.
 EXPLORE, TO_GOAL, GAVE_UP = 0, 1, 2
@@ -125,7 +127,7 @@ class Frontier:
 
 @struct.dataclass
 class DC2G:
-    """Deep Cost-to-Go (Algorithm 2): to the frontier-expanding pose with the lowest estimated cost-to-go.
+    """Deep Cost-to-Go (Algorithm 2): to the frontier-expanding pose that the estimated cost-to-go speaks for.
 
     Subgoals are the frontier-expanding poses of the rules that reveal something when reached, and where there are none
     of them, all poses that do. So exploration always ends, whatever the rules. (The `complete` rules count no other
@@ -133,18 +135,14 @@ class DC2G:
     that show nothing.)
 
     Attributes:
-      estimator: partial map in, cost-to-go grid out, lower is better.
+      estimator: partial map in, costs-to-go out, lower is better.
       rules: what is seen and what counts as frontier.
-      distance_weight: cost added per action of distance to a subgoal. 0 is the paper's rule; with a positive weight
-        a subgoal far off must promise more than one close by. In units of the estimate per action.
-      patience: actions after which the estimate is no longer trusted and the robot explores what is nearest: an
-        estimator that has not led to a goal by then misleads it here. `None` to trust it for ever, as the paper does.
+      selection: what makes one subgoal better than another; the paper's rule by default.
     """
 
     estimator: Estimator
     rules: Rules = struct.field(pytree_node=False)
-    distance_weight: float = struct.field(pytree_node=False, default=0.0)
-    patience: int | None = struct.field(pytree_node=False, default=None)
+    selection: Selection = struct.field(pytree_node=False, default=ExpectedCost(distance_weight=0.0))
     #: A network answers many maps at once in less time each.
     robots_a_core: ClassVar[int] = 64
     robots_on_large_maps: ClassVar[int] = 16
@@ -152,12 +150,13 @@ class DC2G:
     def init(self, world: World) -> "ExplorationState":
         """Nothing is reachable before the first observation; the estimator sets itself up."""
         nothing = jnp.zeros_like(world.traversable)
-        batch = nothing.shape[2:]
+        estimator_state = self.estimator.init(world)
+        estimate = jax.eval_shape(self.estimator.estimate, world.terrain, estimator_state)
         return ExplorationState(
             reachable=nothing,
-            estimate=jnp.zeros((world.height, world.width, *batch), jnp.float32),
+            estimate=jnp.zeros(estimate.shape, jnp.float32),
             estimated_from=nothing,
-            estimator=self.estimator.init(world),
+            estimator=estimator_state,
         )
 
     def plan(self, belief: Belief, state: "ExplorationState") -> "tuple[Plan, ExplorationState]":
@@ -167,17 +166,15 @@ class DC2G:
         preferred = self.rules.frontier_expanding(belief, reachable) & revealing
         candidates = jnp.where(poses.is_empty(preferred), revealing, preferred)
         undecided = ~poses.is_empty(candidates) & ~bitboard.intersects(reachable, belief.goals)
-        if self.patience is not None:
-            undecided &= belief.steps < self.patience
         # An estimate stands until something new is seen; robots that do not explore ask for none.
         outdated = undecided & ~bitboard.is_empty(belief.seen ^ state.estimated_from)
         estimate = update_estimates(self.estimator, outdated, belief, state.estimator, state.estimate)
         estimated_from = jnp.where(outdated, belief.seen, state.estimated_from)
-        nearest, score = candidates, estimate
-        if self.distance_weight:
+        nearest, lengths = candidates, jnp.int32(0)
+        if self.selection.distance_weight:
             free = jnp.where(undecided, reachable, jnp.uint32(0))
             nearest, lengths = search.nearest_headings(belief.pose, candidates, free, belief.width)
-            score = score + self.distance_weight * lengths
+        score = self.selection(estimate, lengths)
         # Without a current estimate all candidates are equal, and of equal ones the plan goes to the nearest.
         subgoals = jnp.where(undecided, nearest & _lowest(score, poses.occupied(nearest), belief.width), candidates)
         plan = _explore_or_finish(belief, reachable, candidates, subgoals, self.rules)
@@ -189,13 +186,13 @@ class ExplorationState(NamedTuple):
 
     Attributes:
       reachable: reachable cells at the last step.
-      estimate: cost-to-go of every cell as last estimated.
+      estimate: costs-to-go of every cell as last estimated.
       estimated_from: cells that had been observed then.
       estimator: the estimator's own state.
     """
 
     reachable: Board
-    estimate: Float[Array, "h w *batch"]
+    estimate: Float[Array, "outcomes h w *batch"]
     estimated_from: Board
     estimator: Any
 

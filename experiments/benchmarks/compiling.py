@@ -7,18 +7,15 @@ from collections.abc import Callable, Iterator
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from dc2g_jax import gridworld
 from dc2g_jax import rollout as rollout_module
-from dc2g_jax.datasets.pairs import draw_pairs
+from dc2g_jax.datasets.pairs import TrainingSet, draw_pairs
 from dc2g_jax.estimation.training import TrainingConfig, init_state, train_step
-from dc2g_jax.mask_collection import Masks
 from dc2g_jax.rollout import STEP_LIMIT
 from experiments.benchmarks.bench import SENSING_RANGE, Bench, own
 from experiments.benchmarks.programs import Program, compile_program, nothing_kept
 from experiments.benchmarks.rows import Row
-from experiments.train import training_set
 
 
 def _reset_and_step(bench: Bench, batch: int) -> dict[str, Callable[[], Program]]:
@@ -55,14 +52,25 @@ def _rollout(bench: Bench, planner: str, slots: int) -> Callable[[], Program]:
 
 def _train_step(bench: Bench) -> Callable[[], Program]:
     """One optimiser step. Shapes are enough to compile it."""
-    houses, config = list(bench.workload.houses), TrainingConfig(batch_size=_training_batch(bench))
-    board = bench.workload.worlds.goals.shape[:-1]
-    masks = Masks(boards=np.zeros((1024, *board), np.uint32), world=np.zeros(1024, np.int32))
-    data = jax.eval_shape(lambda: training_set(houses, len(houses), masks))
-    state = jax.eval_shape(lambda: init_state(config))
-    draw = functools.partial(draw_pairs, batch_size=config.batch_size, own_share=1.0, edge_weight=4.0)
+    config = TrainingConfig(batch_size=_training_batch(bench))
+    worlds = bench.workload.worlds
+    board, map_size, n_worlds = worlds.goals.shape[:-1], (worlds.height, worlds.width), worlds.goals.shape[-1]
+    data = jax.eval_shape(
+        lambda: TrainingSet(
+            terrain=jnp.zeros((n_worlds, *map_size), jnp.uint8),
+            cost_to_go=jnp.zeros((n_worlds, *map_size)),
+            masks=jnp.zeros((1024, *board), jnp.uint32),
+            mask_world=jnp.zeros(1024, jnp.int32),
+            n_own=jnp.int32(0),
+        )
+    )
+    recipe, hyperparameters = config.recipe, config.hyperparameters
+    state = jax.eval_shape(functools.partial(init_state, recipe), hyperparameters)
+    draw = functools.partial(
+        draw_pairs, batch_size=config.batch_size, own_share=1.0, edge_weight=4.0, jitter=0.15, whole_share=0.1
+    )
 
-    return lambda: compile_program(train_step, state, data, config=config, draw_batch=draw)
+    return lambda: compile_program(train_step, state, hyperparameters, data, recipe=recipe, draw_batch=draw)
 
 
 def _training_batch(bench: Bench) -> int:

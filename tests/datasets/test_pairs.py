@@ -9,7 +9,7 @@ import pytest
 
 from dc2g_jax import gridworld
 from dc2g_jax.datasets.masks import moments_along
-from dc2g_jax.datasets.pairs import SYMMETRIES, TrainingSet, draw_pairs, make_pair
+from dc2g_jax.datasets.pairs import SYMMETRIES, Pair, TrainingSet, draw_pairs, jittered, make_pair
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.poses import make_pose
@@ -136,7 +136,9 @@ def test_a_map_that_is_not_square_keeps_its_shape():
 @pytest.mark.parametrize(("own_share", "low", "high"), [(1.0, 0, N_OWN), (0.0, N_OWN, N_MASKS)])
 def test_batches_are_drawn_from_the_masks_asked_for(own_share, low, high):
     data, _ = training_set((12, 12))
-    draw = jax.jit(functools.partial(draw_pairs, batch_size=200, own_share=own_share, edge_weight=4.0))
+    draw = jax.jit(
+        functools.partial(draw_pairs, batch_size=200, own_share=own_share, edge_weight=4.0, jitter=0.0, whole_share=0.0)
+    )
     batch = draw(jax.random.key(0), data)
     assert batch.terrain.shape == (200, 12, 12)
     every = pair_maker()(data, jnp.repeat(jnp.arange(N_MASKS), 8), jnp.tile(jnp.arange(8), N_MASKS))
@@ -147,6 +149,47 @@ def test_batches_are_drawn_from_the_masks_asked_for(own_share, low, high):
     jax.tree.map(np.testing.assert_array_equal, again, batch)
     other = draw(jax.random.key(1), data)
     assert not np.array_equal(other.terrain, batch.terrain)
+
+
+def test_a_share_of_pairs_shows_the_whole_map():
+    data, _ = training_set((12, 12))
+    draw = functools.partial(draw_pairs, batch_size=400, own_share=0.5, edge_weight=4.0, jitter=0.0, whole_share=0.25)
+    batch = jax.jit(draw)(jax.random.key(0), data)
+    whole = np.asarray((batch.terrain != 0).all(axis=(1, 2)))
+    assert 60 < whole.sum() < 140
+    weight = np.asarray(batch.weight)
+    assert set(np.unique(weight[whole])) == {0.0, 1.0}
+    assert (weight[~whole] == 4).any()
+
+
+def test_jitter_stretches_and_moves_a_map_with_its_labels():
+    shape = (20, 33)
+    terrain = maps.random_terrain(0, shape, 0.7)
+    y, x = np.indices(shape)
+    # The label tells where a cell is from.
+    place = (100.0 * y + x).astype(np.float32)
+    pair = Pair(terrain=jnp.asarray(terrain), target=jnp.asarray(place), weight=jnp.ones(shape))
+    keys = jax.random.split(jax.random.key(0), 60)
+    made = jax.jit(jax.vmap(functools.partial(jittered, jitter=0.2), in_axes=(0, None)))(keys, pair)
+    unchanged = 0
+    for grid, target, weight in zip(
+        *(np.asarray(part) for part in (made.terrain, made.target, made.weight)), strict=True
+    ):
+        there = weight > 0
+        np.testing.assert_array_equal(grid[~there], 0)
+        if there.all() and np.array_equal(target, place):
+            unchanged += 1
+            np.testing.assert_array_equal(grid, terrain)
+            continue
+        # One factor for all labels; with it taken out, each says which cell of the map it belongs to.
+        factors = np.exp(np.linspace(-0.2, 0.2, 4001))
+        rows = target[there][:, None] / factors / 100
+        factor = factors[np.argmin(np.abs(rows * 100 - np.round(rows * 100)).max(axis=0))]
+        source = np.round(target / factor).astype(int)
+        np.testing.assert_array_equal(grid[there], terrain[source // 100, source % 100][there])
+        assert (np.diff(source // 100, axis=0)[there[1:] & there[:-1]] >= 0).all()
+        assert (np.diff(source % 100, axis=1)[there[:, 1:] & there[:, :-1]] >= 0).all()
+    assert 10 < unchanged < 50
 
 
 # --- masks of moving robots -------------------------------------------------------------------------------

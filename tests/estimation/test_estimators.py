@@ -30,7 +30,8 @@ class Counting:
 
     def estimate(self, terrain, state: Any):
         jax.debug.callback(lambda: asked.append(terrain.shape[-1]))
-        return (terrain + 100 * jnp.sum(terrain != 0, axis=(0, 1)) + 10000 * state).astype(jnp.float32)
+        answer = (terrain + 100 * jnp.sum(terrain != 0, axis=(0, 1)) + 10000 * state).astype(jnp.float32)
+        return jnp.stack([answer, -answer])
 
 
 @pytest.fixture(autouse=True)
@@ -49,12 +50,12 @@ def some_beliefs(count: int):
 def test_the_wanted_robots_get_new_estimates_and_the_others_keep_theirs(count, share):
     terrain, belief = some_beliefs(count)
     wanted = np.random.default_rng(count).random(count) < share
-    state, old = jnp.arange(count), jnp.full((*SHAPE, count), -1.0)
+    state, old = jnp.arange(count), jnp.full((2, *SHAPE, count), -1.0)
     update = jax.jit(lambda *arguments: update_estimates(Counting(), *arguments))
     new = jax.block_until_ready(update(jnp.asarray(wanted), belief, state, old))
     jax.effects_barrier()
     whole = terrain + 100 * (terrain != 0).sum(axis=(0, 1)) + 10000 * np.arange(count)
-    np.testing.assert_array_equal(new, np.where(wanted, whole, -1))
+    np.testing.assert_array_equal(new, np.where(wanted, np.stack([whole, -whole]), -1))
     assert wanted.sum() <= sum(asked) <= wanted.sum() + max(3, count // 64)
 
 

@@ -10,13 +10,12 @@ from flax import nnx
 
 from dc2g_jax.estimation import networks
 from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, world_cost_to_go
-from dc2g_jax.estimation.losses import weighted_l1
 from dc2g_jax.estimation.networks import Architecture, CompactUNet, init_weights, weight_shapes
 from dc2g_jax.grid.search import EIGHT_CONNECTED
 from dc2g_jax.grid.world import world_from_terrain
 from tests import maps
 
-SMALL = Architecture(widths=(4, 4, 6, 8)[: len(Architecture().widths)], cost_scale=10.0)
+SMALL = Architecture(widths=(4, 4, 6, 8), quantiles=(0.25, 0.5, 0.75), cost_scale=10.0)
 apply = jax.jit(functools.partial(networks.apply, SMALL))
 
 
@@ -25,11 +24,11 @@ def weights():
     return init_weights(SMALL, jax.random.key(0))
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (7, 33), (32, 32), (50, 50)], ids="{0[0]}x{0[1]}".format)
+@pytest.mark.parametrize("shape", [(1, 1), (2, 1), (7, 33), (32, 32), (49, 50)], ids="{0[0]}x{0[1]}".format)
 def test_maps_of_any_size(weights, shape):
     terrain = np.stack([maps.random_terrain(seed, shape, 0.7) for seed in range(3)])
     estimate = np.asarray(apply(weights, terrain))
-    assert estimate.shape == (3, *shape)
+    assert estimate.shape == (3, *shape, 3)
     assert estimate.dtype == np.float32
     assert np.isfinite(estimate).all()
 
@@ -77,8 +76,27 @@ def test_the_estimator_is_the_network_on_one_map(weights):
     network = NetworkCostToGo(weights=weights, architecture=SMALL)
     state = network.init(world_from_terrain(terrain))
     np.testing.assert_allclose(
-        network.estimate(jnp.asarray(terrain), state), apply(weights, terrain[None])[0], rtol=1e-4, atol=1e-4
+        np.moveaxis(network.estimate(jnp.asarray(terrain), state), 0, -1),
+        apply(weights, terrain[None])[0],
+        rtol=1e-4,
+        atol=1e-4,
     )
+
+
+def test_estimates_of_a_batch_are_those_of_its_maps(weights):
+    terrain = np.stack([maps.random_terrain(seed, (9, 20), 0.7) for seed in range(4)], axis=-1)
+    network = NetworkCostToGo(weights=weights, architecture=SMALL)
+    together = np.asarray(network.estimate(jnp.asarray(terrain), ()))
+    assert together.shape == (3, 9, 20, 4)
+    for index in range(4):
+        alone = network.estimate(jnp.asarray(terrain[..., index]), ())
+        np.testing.assert_allclose(together[..., index], alone, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("levels", [(), (0.5, 0.5), (0.7, 0.3), (0.0, 0.5), (0.5, 1.0)])
+def test_levels_that_are_no_quantiles_are_refused(levels):
+    with pytest.raises(ValueError, match="quantiles"):
+        init_weights(Architecture(quantiles=levels), jax.random.key(0))
 
 
 def test_the_exact_estimator_knows_the_hidden_map(street):
@@ -87,20 +105,9 @@ def test_the_exact_estimator_knows_the_hidden_map(street):
     for moves in (EIGHT_CONNECTED, EIGHT_CONNECTED[:4]):
         exact = ExactCostToGo(moves=moves)
         estimate = exact.estimate(nothing, exact.init(world))
-        np.testing.assert_array_equal(estimate, world_cost_to_go(world, moves=moves))
-    assert np.asarray(estimate)[4, 2] == 4  # up the path from the road
-    assert np.isinf(np.asarray(estimate)[0, 0])
+        np.testing.assert_array_equal(estimate[0], world_cost_to_go(world, moves=moves))
+    assert np.asarray(estimate)[0, 4, 2] == 4  # up the path from the road
+    assert np.isinf(np.asarray(estimate)[0, 0, 0])
     error = np.log(np.linspace(0.5, 2, street.size).reshape(street.shape)).astype(np.float32)
     wrong = ExactCostToGo(log_error=jnp.asarray(error))
     np.testing.assert_allclose(wrong.estimate(nothing, wrong.init(world)), estimate * np.exp(error), rtol=1e-6)
-
-
-def test_the_loss_is_a_weighted_mean_of_what_counts():
-    estimate = jnp.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
-    target = jnp.array([[2.0, 2.0, jnp.inf], [1.0, jnp.inf, 7.0]])
-    weight = jnp.array([[1.0, 1.0, 0.0], [4.0, 0.0, 2.0]])
-    assert float(weighted_l1(estimate, target, weight)) == pytest.approx((1 + 0 + 12 + 2) / 8)
-    assert float(weighted_l1(estimate, target, jnp.zeros_like(weight))) == 0
-    gradient = jax.grad(weighted_l1)(estimate, target, weight)
-    assert np.isfinite(np.asarray(gradient)).all()
-    np.testing.assert_array_equal(np.asarray(gradient)[np.asarray(weight) == 0], 0)

@@ -13,7 +13,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.estimation.networks import Architecture
-from dc2g_jax.estimation.training import TrainingConfig, init_state, train_step
+from dc2g_jax.estimation.training import TrainingConfig, first_state, train_step
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.world import world_from_terrain
 from tests import maps
@@ -25,7 +25,9 @@ CONFIG = TrainingConfig(
     learning_rate=3e-3,
     average_decay=0.9,
 )
-DRAW = functools.partial(draw_pairs, batch_size=CONFIG.batch_size, own_share=1.0, edge_weight=2.0)
+DRAW = functools.partial(
+    draw_pairs, batch_size=CONFIG.batch_size, own_share=1.0, edge_weight=2.0, jitter=0.1, whole_share=0.1
+)
 
 
 @pytest.fixture(scope="module")
@@ -44,10 +46,10 @@ def data() -> TrainingSet:
 
 def train(data, steps: int, state=None, config: TrainingConfig = CONFIG):
     """Train on from a state (the first by default); the state is used up."""
-    state = init_state(config) if state is None else state
+    state = first_state(config) if state is None else state
     losses = []
     for _ in range(steps):
-        state, loss = train_step(state, data, config=config, draw_batch=DRAW)
+        state, loss = train_step(state, config.hyperparameters, data, recipe=config.recipe, draw_batch=DRAW)
         losses.append(float(loss))
     return state, losses
 
@@ -73,9 +75,8 @@ def test_the_same_configuration_gives_the_same_bits(data, trained):
 
 
 def test_another_seed_gives_other_weights(data):
-    # The seed is part of the configuration, and so another program.
-    first = init_state(dataclasses.replace(CONFIG, seed=1))
-    assert not np.array_equal(first.weights["embed"]["kernel"], init_state(CONFIG).weights["embed"]["kernel"])
+    other = first_state(dataclasses.replace(CONFIG, seed=1))
+    assert not np.array_equal(other.weights["embed"]["kernel"], first_state(CONFIG).weights["embed"]["kernel"])
 
 
 def test_an_interrupted_run_ends_like_one_that_was_not(data, trained, tmp_path):
@@ -157,4 +158,5 @@ def test_a_step_is_compiled_once(data):
     train(data, 3)
     other = dataclasses.replace(data, masks=~data.masks & jnp.asarray(bitboard.full(16, 16)))
     train(other, 1)
+    train(data, 1, config=dataclasses.replace(CONFIG, seed=5, learning_rate=1e-4, losses=(("quantile", 0.5),)))
     assert train_step._cache_size() == before

@@ -4,13 +4,16 @@ import csv
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
 from dc2g_jax.datasets.houses import load_dataset, save_dataset
 from dc2g_jax.datasets.procedural import procedural_houses
+from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS
 from dc2g_jax.shipped import shipped
 from experiments.common import SHIPPED_NETWORK
@@ -56,13 +59,13 @@ def test_reproduce_fig7_on_a_folder_of_houses(few_houses, tmp_path):
     facts = json.loads((out / "results.json").read_text())
     assert facts["dataset"] == "few"
     assert facts["published"] == {}
-    assert set(facts["paper"]) == {"oracle", "frontier", "dc2g", "true_cost_to_go"}
+    assert set(facts["paper"]) == {"oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go"}
     assert facts["paper"]["oracle"]["test"] == {
         "mean_extra": 0.0, "median_extra": 0.0, "success": 1.0, "episodes": 4,
     }  # fmt: skip
     with (out / "episodes.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == 16
+    assert len(rows) == 20
     frontier = [float(row["extra"]) for row in rows if row["planner"] == "frontier"]
     assert facts["paper"]["frontier"]["test"]["mean_extra"] == pytest.approx(np.mean(frontier), abs=1e-3)
     assert all(len(row["actions"]) == int(row["steps"]) for row in rows)
@@ -117,6 +120,13 @@ def test_bad_input_is_refused_in_one_line(few_houses, tmp_path):
     assert "published houses" in line
     line = complaint(run("reproduce_fig7", "--dataset", few_houses, "--network", tmp_path))
     assert "network.json" in line
+    line = complaint(run("head_to_head", "--dataset", few_houses))
+    assert "published houses" in line
+    line = complaint(run("train", "--dataset", few_houses, "--out", tmp_path / "c", "--loss", "l9"))
+    assert "known losses: quantile, l1" in line
+    line = complaint(run("sweep_losses", "--dataset", few_houses, "--out", tmp_path / "c", "--losses", "l1=none"))
+    assert "'none'" in line
+    assert not (tmp_path / "c").exists()
     assert not (tmp_path / "a").exists()
 
 
@@ -135,11 +145,49 @@ def test_training_resumes_and_its_network_plans(few_houses, tmp_path):
     assert sorted(path.name for path in (out / "network" / "weights").iterdir()) == weights
     changed = complaint(run(*options, "--seed", 7))
     assert "seed was 0" in changed
+    with np.load(out / "masks.npz") as masks:
+        np.savez(out / "masks.npz", boards=masks["boards"][:, :, 1:], world=masks["world"])
+    other = complaint(run(*options))
+    assert "masks.npz" in other
+    assert "uint32[2, 49]" in other
     result = run(
         "reproduce_fig7", "--dataset", few_houses, "--starts-per-house", 1, "--network", out / "network",
         "--out", tmp_path / "figure",
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.slow
+def test_a_sweep_that_was_killed_ends_like_one_that_was_not(few_houses, tmp_path):
+    def options(out: Path) -> list[object]:
+        return [
+            "sweep_losses", "--dataset", few_houses, "--out", out, "--extra-houses", 0, "--starts-per-house", 1,
+            "--ranges", 6, "--steps", 300, "--batch-size", 4, "--widths", "4,4,4,4", "--losses", "l1", "l2",
+            "--seeds", 0, "--validate-every", 100, "--no-episodes", "--minutes-per-checkpoint", 0.01,
+        ]  # fmt: skip
+
+    whole = run(*options(tmp_path / "whole"))
+    assert whole.returncode == 0, whole.stderr
+    command = [str(argument) for argument in options(tmp_path / "killed")]
+    process = subprocess.Popen(
+        [sys.executable, "-m", f"experiments.{command[0]}", *command[1:]], cwd=ROOT, stderr=subprocess.DEVNULL
+    )
+    states = tmp_path / "killed" / "runs"
+    deadline = time.monotonic() + 200
+    while process.poll() is None and not any(states.glob("*/states/*")):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    process.kill()
+    process.wait()
+    assert not (tmp_path / "killed" / "results.csv").exists()
+    assert run(*options(tmp_path / "killed")).returncode == 0
+    for name in ("results.csv",):
+        assert (tmp_path / "killed" / name).read_text() == (tmp_path / "whole" / name).read_text()
+    for network in (tmp_path / "whole" / "runs").glob("*/network"):
+        one, other = (
+            load_network(tmp_path / which / network.relative_to(tmp_path / "whole")) for which in ("whole", "killed")
+        )
+        jax.tree.map(np.testing.assert_array_equal, one.weights, other.weights)
 
 
 def test_a_translator_is_trained_and_judged(few_houses, tmp_path):
@@ -172,8 +220,10 @@ def test_a_translator_is_trained_and_judged(few_houses, tmp_path):
         "reproduce_fig4",
         "reproduce_fig5",
         "reproduce_fig6",
+        "head_to_head",
         "reproduce_fig7",
         "run_episodes",
+        "sweep_losses",
         "train",
         "train_translator",
     ],

@@ -1,0 +1,76 @@
+"""Which subgoal to head for, given what each may cost: selection rules (Algorithm 2, line 11, and beyond)."""
+
+import dataclasses
+from typing import Protocol
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+
+class Selection(Protocol):
+    """Scores subgoals; the lowest score wins. Hashable, so a static value under `jit`.
+
+    Attributes:
+      distance_weight: cost of an action on the way to a subgoal, in units of the cost-to-go. With 0 the distance does
+        not matter, as in the paper.
+    """
+
+    @property
+    def distance_weight(self) -> float:
+        """See above."""
+        ...
+
+    def __call__(
+        self, costs: Float[Array, "outcomes h w *batch"], distance: Int[Array, "..."]
+    ) -> Float[Array, "h w *batch"]:
+        """Score of heading for each cell.
+
+        Args:
+          costs: equally likely costs-to-go of every cell.
+          distance: actions from the robot to every cell; any where `distance_weight` is 0.
+        """
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class ExpectedCost:
+    """Mean cost-to-go, plus weighted distance: a subgoal far off must promise more than one close by.
+
+    Weight 0 is the paper's rule (Algorithm 2, line 11).
+    """
+
+    distance_weight: float
+
+    def __call__(
+        self, costs: Float[Array, "outcomes h w *batch"], distance: Int[Array, "..."]
+    ) -> Float[Array, "h w *batch"]:
+        """Score of heading for each cell."""
+        return jnp.mean(costs, axis=0) + self.distance_weight * distance
+
+
+@dataclasses.dataclass(frozen=True)
+class ReservationCost:
+    """What is a try worth? The optimal rule for opening boxes of unknown cost one by one (Weitzman 1979).
+
+    Going to a subgoal to find out what it costs is opening a box, at the price of the way there. The reservation cost r
+    of a box with price p and random cost C solves E[max(r - C, 0)] = p: where something of cost r was to be had for
+    certain, opening it would neither gain nor lose. Opening boxes in the order of their reservation costs is optimal.
+    So a subgoal close by that might turn out cheap is tried before one of the same mean that cannot. With one outcome,
+    this is `ExpectedCost`.
+
+    For n outcomes in ascending order, r = min over k of (their k smallest added up + n p) / k.
+    """
+
+    distance_weight: float
+
+    def __call__(
+        self, costs: Float[Array, "outcomes h w *batch"], distance: Int[Array, "..."]
+    ) -> Float[Array, "h w *batch"]:
+        """Score of heading for each cell."""
+        outcomes = len(costs)
+        price = outcomes * self.distance_weight * distance
+        smallest, least = jnp.zeros_like(costs[0]), jnp.full_like(costs[0], jnp.inf)
+        for number, cost in enumerate(costs, start=1):
+            smallest = smallest + cost
+            least = jnp.minimum(least, (smallest + price) / number)
+        return least

@@ -1,0 +1,95 @@
+"""Training runs that differ in numbers only, trained together in one program."""
+
+import dataclasses
+import itertools
+from collections.abc import Mapping, Sequence
+
+import jax
+import jax.numpy as jnp
+
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.losses import check_loss_names
+from dc2g_jax.estimation.training import Hyperparameters, TrainingConfig
+
+Losses = tuple[tuple[str, float], ...]
+
+
+def parse_losses(text: str) -> Losses:
+    """Losses and their weights from text such as `l1` or `quantile=1,log=0.5`.
+
+    Raises:
+      InputError: for a loss that is not known, twice the same, or a weight that is no number above 0.
+    """
+    losses = []
+    for part in text.split(","):
+        name, _, weight = part.strip().partition("=")
+        try:
+            value = float(weight) if weight else 1.0
+        except ValueError:
+            value = -1.0
+        check_loss_names([name])
+        if not 0 < value < float("inf"):
+            raise InputError(f"loss {text!r}: the weight of {name} is {weight!r}; give a number above 0")
+        losses.append((name, value))
+    if len(dict(losses)) < len(losses):
+        raise InputError(f"loss {text!r}: names a loss twice; give each once")
+    return tuple(losses)
+
+
+def runs_of_grid(
+    base: TrainingConfig,
+    *,
+    losses: Sequence[str],
+    learning_rates: Sequence[float],
+    widths: Sequence[Sequence[int]],
+    seeds: Sequence[int],
+) -> dict[str, TrainingConfig]:
+    """Every combination, by a name that says what it is.
+
+    Args:
+      base: everything else.
+      losses: see `parse_losses`.
+      learning_rates: peak learning rates.
+      widths: channels of the network at its scales.
+      seeds: of weights and batches.
+
+    Raises:
+      InputError: where an axis of the grid is empty or a value is not good.
+    """
+    for name, values in (("loss", losses), ("learning rate", learning_rates), ("widths", widths), ("seed", seeds)):
+        if not values:
+            raise InputError(f"{name}: no value to try; give one at least")
+        if len({str(value) for value in values}) < len(values):
+            raise InputError(f"{name}: {', '.join(map(str, values))} has a value twice; give each once")
+    if not all(0 < rate < float("inf") for rate in learning_rates):
+        raise InputError(f"learning rate: {', '.join(map(str, learning_rates))}; give numbers above 0")
+    runs = {}
+    for width, loss, rate, seed in itertools.product(widths, losses, learning_rates, seeds):
+        name = f"{loss}_rate{rate:g}_width{'-'.join(map(str, width))}_seed{seed}".replace(",", "+")
+        runs[name] = dataclasses.replace(
+            base,
+            architecture=dataclasses.replace(base.architecture, widths=tuple(width)),
+            losses=parse_losses(loss),
+            learning_rate=float(rate),
+            seed=seed,
+        )
+    return runs
+
+
+def group_by_shape(runs: Mapping[str, TrainingConfig]) -> list[dict[str, TrainingConfig]]:
+    """Runs whose networks have one shape, which can be trained together, in the order of their first ones.
+
+    All runs of a group are given the same losses, those that a run does not ask for with weight 0.
+    """
+    names = list(dict.fromkeys(name for config in runs.values() for name, _ in config.losses))
+    groups: dict[TrainingConfig, dict[str, TrainingConfig]] = {}
+    for run, config in runs.items():
+        weights = dict(config.losses)
+        whole = dataclasses.replace(config, losses=tuple((name, weights.get(name, 0.0)) for name in names))
+        groups.setdefault(whole.recipe, {})[run] = whole
+    return list(groups.values())
+
+
+def stacked_hyperparameters(configs: Sequence[TrainingConfig]) -> Hyperparameters:
+    """The numbers of all runs of a group, stacked."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *(config.hyperparameters for config in configs))

@@ -1,0 +1,216 @@
+"""From houses to training pairs, and the episodes that a network is validated on (Algorithm 1 and section IV-B)."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dc2g_jax.datasets.houses import House, HouseDataset, stack_worlds
+from dc2g_jax.datasets.pairs import Pair, TrainingSet, draw_pairs
+from dc2g_jax.datasets.procedural import extra_training_houses
+from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.estimators import Estimator, world_cost_to_go
+from dc2g_jax.evaluation import Runner, episodes_from
+from dc2g_jax.grid import bitboard
+from dc2g_jax.grid.sampling import sample_grid
+from dc2g_jax.mask_collection import LEADERS, Masks, collect_masks, concatenate_masks, leading_planners
+from dc2g_jax.planning.rules import SETTINGS, complete_rules
+
+#: Seed of the procedural validation houses; those of training have the run's own, so it must be below this.
+_VALIDATION_SEED = 10_000
+
+#: Worlds whose labels are computed at a time.
+_LABELS_AT_A_TIME = 128
+
+
+@dataclasses.dataclass(frozen=True)
+class DataConfig:
+    """What a network is trained on.
+
+    Attributes:
+      extra_houses: procedural houses beside the dataset's training houses.
+      starts_per_house: episodes in each of the dataset's training houses, for every sensing range and leading planner.
+      starts_per_extra_house: the same for the procedural houses.
+      masks_per_episode: moments of each episode that become observation masks.
+      ranges: sensing ranges, in cells, of the robots whose masks are learned from.
+      data_seed: of houses and masks, 0 to 9999.
+    """
+
+    extra_houses: int = 2000
+    starts_per_house: int = 12
+    starts_per_extra_house: int = 1
+    masks_per_episode: int = 4
+    ranges: tuple[int, ...] = (4, 5, 6, 8, 10, 12)
+    data_seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.data_seed < _VALIDATION_SEED:
+            raise InputError(f"data seed {self.data_seed}: give one from 0 to {_VALIDATION_SEED - 1}")
+        if not self.ranges or min(self.ranges) < 1:
+            raise InputError(f"sensing ranges {self.ranges}: give one at least, of at least one cell")
+        for name in ("starts_per_house", "starts_per_extra_house", "masks_per_episode"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} {getattr(self, name)}: give at least 1")
+        if self.extra_houses < 0:
+            raise InputError(f"extra houses {self.extra_houses}: give 0 or more")
+
+
+def drawn_houses(prefix: str, split: str, count: int, seed: int, cells: int) -> list[House]:
+    """Procedural houses on a grid of `cells` x `cells`."""
+    images = extra_training_houses(count, seed)
+    return [House(f"{prefix}{index:05d}", split, sample_grid(image, cells)) for index, image in enumerate(images)]
+
+
+def usable(dataset: HouseDataset, split: str) -> list[House]:
+    """Houses of a split in which an episode can be run.
+
+    Raises:
+      InputError: if there is none.
+    """
+    houses = [house for house in dataset.split(split) if why_no_episode(house) is None]
+    if not houses:
+        raise InputError(f"{dataset.name}: no episode can be run in any {split} house; training needs one at least")
+    return houses
+
+
+def training_houses(dataset: HouseDataset, config: DataConfig) -> tuple[list[House], int]:
+    """The dataset's own training houses, then procedural ones on a grid of the same size; and how many are its own."""
+    own = usable(dataset, "train")
+    cells = own[0].terrain.shape[0]
+    return own + drawn_houses("e", "train", config.extra_houses, config.data_seed, cells), len(own)
+
+
+def observation_masks(
+    config: DataConfig, houses: Sequence[House], n_own: int, on_progress: Callable[[int, int], None]
+) -> Masks:
+    """Masks of robots of all sensing ranges under way in all houses, ordered by house.
+
+    Args:
+      config: how many, of which robots.
+      houses: the houses; those of the dataset first.
+      n_own: how many are the dataset's.
+      on_progress: called as `on_progress(rollouts done, rollouts in all)`.
+    """
+    index = {house.name: number for number, house in enumerate(houses)}
+    worlds = stack_worlds(houses)
+    height, width = houses[0].terrain.shape
+    collected: list[Masks] = []
+    for place, sensing_range in enumerate(config.ranges):
+        rules = complete_rules(sensing_range)
+        for turn, planner in enumerate(leading_planners(rules, height, width, seed=config.data_seed)):
+            seed = (config.data_seed * len(config.ranges) + place) * LEADERS + turn
+            starts = sample_starts(houses[:n_own], config.starts_per_house, seed=seed)
+            starts += sample_starts(houses[n_own:], config.starts_per_extra_house, seed=seed)
+            collected.append(
+                collect_masks(
+                    planner,
+                    worlds,
+                    episodes_from(starts, index),
+                    sensing=rules.sensing,
+                    per_episode=config.masks_per_episode,
+                    seed=seed,
+                )
+            )
+            on_progress(len(collected), len(config.ranges) * LEADERS)
+    masks = concatenate_masks(collected)
+    order = np.argsort(masks.world, kind="stable")
+    return Masks(boards=masks.boards[order], world=masks.world[order])
+
+
+def check_masks(masks: Masks, houses: Sequence[House], where: str) -> None:
+    """See that masks belong to maps of this size.
+
+    Args:
+      masks: the masks.
+      houses: what they are of.
+      where: where the masks are from, for the message.
+
+    Raises:
+      InputError: if they do not, or name a house that is not there.
+    """
+    height, width = houses[0].terrain.shape
+    wanted = (bitboard.word_count(width), height)
+    if masks.boards.ndim != 3 or masks.boards.shape[1:] != wanted or masks.boards.dtype != np.uint32:
+        raise InputError(
+            f"{where}: masks of shape {masks.boards.dtype.name}{list(masks.boards.shape[1:])}, but maps of "
+            f"{height} x {width} cells need uint32{list(wanted)}; delete the file to collect masks anew"
+        )
+    if len(masks.world) != len(masks.boards) or np.any((masks.world < 0) | (masks.world >= len(houses))):
+        raise InputError(
+            f"{where}: masks of houses other than these {len(houses)}; delete the file to collect them anew"
+        )
+
+
+def training_set(houses: Sequence[House], n_own: int, masks: Masks) -> TrainingSet:
+    """Labels of all houses (Algorithm 1, line 5) beside their masks."""
+    solve = jax.jit(world_cost_to_go)
+    labels = []
+    for first in range(0, len(houses), _LABELS_AT_A_TIME):
+        # The last call repeats the last house, so that all calls have one shape.
+        some = np.minimum(np.arange(first, first + _LABELS_AT_A_TIME), len(houses) - 1)
+        labels.append(np.moveaxis(np.asarray(solve(stack_worlds([houses[number] for number in some]))), -1, 0))
+    return TrainingSet(
+        terrain=jnp.asarray(np.stack([house.terrain for house in houses])),
+        cost_to_go=jnp.asarray(np.concatenate(labels)[: len(houses)]),
+        masks=jnp.asarray(masks.boards),
+        mask_world=jnp.asarray(masks.world, jnp.int32),
+        n_own=jnp.int32(np.sum(masks.world < n_own)),
+    )
+
+
+def validation_pairs(dataset: HouseDataset, *, count: int, edge_weight: float) -> Pair:
+    """The same pairs in every run, half of them of the dataset's validation houses, half of procedural ones.
+
+    Args:
+      dataset: whose validation houses to use.
+      count: number of pairs.
+      edge_weight: see `dc2g_jax.datasets.pairs.make_pair`.
+    """
+    own = usable(dataset, "val")
+    houses = own + drawn_houses("v", "val", 32, _VALIDATION_SEED, own[0].terrain.shape[0])
+    config = DataConfig(ranges=(5, 8), starts_per_house=8)
+    masks = observation_masks(config, houses, len(own), lambda done, total: None)
+    data = training_set(houses, len(own), masks)
+    return draw_pairs(
+        jax.random.key(0), data, batch_size=count, own_share=0.5, edge_weight=edge_weight, jitter=0.0, whole_share=0.0
+    )
+
+
+class Validation:
+    """Episodes in validation houses: the dataset's own, and procedural ones that no training has seen.
+
+    Args:
+      dataset: whose validation houses to use.
+      drawn: how many procedural houses.
+    """
+
+    def __init__(self, dataset: HouseDataset, drawn: int = 64):
+        own = usable(dataset, "val")
+        procedural = drawn_houses("v", "val", drawn, _VALIDATION_SEED, own[0].terrain.shape[0])
+        houses = HouseDataset(name="validation", source="folder", houses=(*own, *procedural))
+        self._runners = {name: Runner(houses, SETTINGS[name]) for name in ("published", "paper")}
+        self._starts: Mapping[str, list[Start]] = {
+            "own": sample_starts(own, 20, seed=0),
+            "procedural": sample_starts(procedural, 3, seed=0),
+        }
+
+    def figures(self, estimator: Estimator, planner: str = "dc2g") -> dict[str, float]:
+        """Mean and median extra steps of a planner in percent, 5-cell (`published`) and 8-cell sensing (`paper`).
+
+        `mean_extra` is the mean of the four means: the one figure to choose by.
+        """
+        figures: dict[str, Any] = {}
+        for settings, runner in self._runners.items():
+            for houses, starts in self._starts.items():
+                results = runner.run(starts, [planner], estimator)
+                extra = np.array([result.extra for result in results])
+                figures[f"{settings}_{houses}_mean_extra"] = float(extra.mean())
+                figures[f"{settings}_{houses}_median_extra"] = float(np.median(extra))
+        figures["mean_extra"] = float(
+            np.mean([value for name, value in figures.items() if name.endswith("mean_extra")])
+        )
+        return {name: round(value, 2) for name, value in figures.items()}

@@ -1,0 +1,274 @@
+"""Train networks with many losses, weights, learning rates, widths and seeds: `python -m experiments.sweep_losses`.
+
+Runs whose networks have one shape are trained together, in one program over one stack of weights. Killed or
+interrupted, it goes on where it was when run again with the same options.
+"""
+
+import contextlib
+import csv
+import dataclasses
+import functools
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from jaxtyping import Array, Float
+
+from dc2g_jax.datasets.houses import HouseDataset, open_dataset
+from dc2g_jax.datasets.pairs import Pair, TrainingSet, draw_pairs
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
+from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation.networks import Architecture
+from dc2g_jax.estimation.training import TrainingConfig, TrainingState, init_states, mean_error, train_steps
+from dc2g_jax.inspection.training_figures import plot_sweep
+from dc2g_jax.sweeps import group_by_shape, runs_of_grid, stacked_hyperparameters
+from dc2g_jax.training_data import DataConfig, Validation, validation_pairs
+from experiments.common import command_line
+from experiments.train import open_training_set
+from experiments.training_loop import run_steps
+
+#: Validation pairs, and how many of them at a time.
+_PAIRS, _PAIRS_AT_A_TIME = 512, 64
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Train every combination of losses, learning rates, widths and seeds, together where shapes allow.
+
+    Attributes:
+      out: folder for runs, log, table and figure; run again with the same options to resume.
+      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
+      data: houses and masks.
+      losses: losses to try: quantile, l1, l2, huber, log, or weighted sums of them such as quantile=1,log=0.5.
+      learning_rates: peak learning rates to try.
+      widths: channels of the network at its four scales to try, such as 16,32,64,128.
+      seeds: seeds to try.
+      own_share: share of a batch drawn from the dataset's own houses rather than procedural ones, 0 to 1.
+      edge_weight: weight in the loss of cells within 2 cells of unobserved ground; others have weight 1.
+      jitter: logarithm of the largest factor by which half of the maps are stretched, and moved by 40 cells times it.
+      whole_share: share of pairs in which all of the map is observed, 0 to 1.
+      steps: optimiser steps of each run.
+      batch_size: pairs a step of each run.
+      validate_every: steps between validations on pairs; the last step is one too. 0 for the last only.
+      episodes: run the planner in validation houses with every network in the end.
+      minutes_per_checkpoint: how often to save, in minutes.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    dataset: str | None = None
+    data: tyro.conf.OmitArgPrefixes[DataConfig] = dataclasses.field(default_factory=DataConfig)
+    losses: tuple[str, ...] = ("quantile", "l1", "l2", "huber", "log")
+    learning_rates: tuple[float, ...] = (TrainingConfig.learning_rate,)
+    widths: tuple[str, ...] = (",".join(map(str, Architecture.widths)),)
+    seeds: tuple[int, ...] = (0, 1, 2)
+    own_share: float = 0.4
+    edge_weight: float = 4.0
+    jitter: float = 0.15
+    whole_share: float = 0.1
+    steps: int = 2000
+    batch_size: int = TrainingConfig.batch_size
+    validate_every: int = 200
+    episodes: bool = True
+    minutes_per_checkpoint: float = 5.0
+
+    @property
+    def runs(self) -> dict[str, TrainingConfig]:
+        """The grid.
+
+        Raises:
+          InputError: for values that are not good.
+        """
+        try:
+            widths = [tuple(int(width) for width in text.split(",")) for text in self.widths]
+        except ValueError:
+            raise InputError(f"widths: {' '.join(self.widths)}; give whole numbers such as 16,32,64,128") from None
+        return runs_of_grid(
+            TrainingConfig(steps=self.steps, batch_size=self.batch_size),
+            losses=self.losses,
+            learning_rates=self.learning_rates,
+            widths=widths,
+            seeds=self.seeds,
+        )
+
+
+@functools.partial(jax.jit, static_argnames=("architecture",))
+def validation_errors(architecture: Architecture, weights: Any, pairs: Pair) -> Float[Array, "runs"]:
+    """Mean error of every run on all pairs, in cells."""
+    chunks = jax.tree.map(lambda leaf: leaf.reshape(-1, _PAIRS_AT_A_TIME, *leaf.shape[1:]), pairs)
+
+    def error(weights: Any) -> Float[Array, ""]:
+        return jnp.mean(jax.lax.map(lambda chunk: mean_error(architecture, weights, chunk), chunks))
+
+    return jax.lax.map(error, weights)
+
+
+class Log:
+    """`log.jsonl`: a line for each run and validation. Steps taken again after an interruption count once."""
+
+    def __init__(self, path: Path):
+        self._path = path
+
+    def write(self, lines: Sequence[Mapping[str, Any]]) -> None:
+        """Add lines."""
+        with self._path.open("a") as file:
+            file.writelines(json.dumps(line) + "\n" for line in lines)
+
+    def errors(self) -> dict[str, dict[int, float]]:
+        """Validation error by run and step."""
+        found: dict[str, dict[int, float]] = {}
+        for line in self._path.read_text().splitlines():
+            entry = json.loads(line)
+            found.setdefault(entry["run"], {})[entry["step"]] = entry["error"]
+        return {run: dict(sorted(by_step.items())) for run, by_step in found.items()}
+
+
+def restore(checkpoints: Sequence[TrainingCheckpoints], first: TrainingState) -> TrainingState:
+    """The newest step that all runs have a state of, stacked; the first states where there is none."""
+    common = set.intersection(*(set(each.steps()) for each in checkpoints))
+    if not common:
+        return first
+    states = [each.restore(max(common)) for each in checkpoints]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+
+
+def train_group(
+    options: Options,
+    runs: Mapping[str, TrainingConfig],
+    data: TrainingSet,
+    pairs: Pair,
+    log: Log,
+    facts: dict[str, Any],
+) -> dict[str, NetworkCostToGo]:
+    """Train runs of one shape to the end; their networks by name."""
+    configs = list(runs.values())
+    recipe, hyperparameters = configs[0].recipe, stacked_hyperparameters(configs)
+    draw = functools.partial(
+        draw_pairs,
+        batch_size=recipe.batch_size,
+        own_share=options.own_share if options.data.extra_houses else 1.0,
+        edge_weight=options.edge_weight,
+        jitter=options.jitter,
+        whole_share=options.whole_share,
+    )
+    latest = np.full(len(runs), np.nan)
+
+    def look(step: int, losses: np.ndarray) -> None:
+        latest[:] = losses
+
+    def validate(states: TrainingState, step: int) -> None:
+        errors = np.asarray(validation_errors(recipe.architecture, states.average, pairs))
+        log.write(
+            [
+                {"run": run, "step": step, "loss": float(loss), "error": float(error)}
+                for run, loss, error in zip(runs, latest, errors, strict=True)
+            ]
+        )
+
+    with contextlib.ExitStack() as stack:
+        folders = []
+        for run, config in runs.items():
+            folders.append(TrainingCheckpoints(options.out / "runs" / run, config, facts))
+            stack.callback(folders[-1].close)
+
+        def save(states: TrainingState) -> None:
+            for index, folder in enumerate(folders):
+                folder.save(jax.tree.map(lambda leaf, index=index: leaf[index], states))
+
+        states = restore(folders, jax.jit(init_states, static_argnums=0)(recipe, hyperparameters))
+        states = run_steps(
+            states,
+            int(states.step[0]),
+            recipe.steps,
+            take_step=lambda states: train_steps(states, hyperparameters, data, recipe=recipe, draw_batch=draw),
+            look=look,
+            validate=validate,
+            validate_every=options.validate_every,
+            save=save,
+            minutes_per_checkpoint=options.minutes_per_checkpoint,
+            description=f"{len(runs)} runs",
+        )
+    networks = {}
+    for index, run in enumerate(runs):
+        weights = jax.tree.map(lambda leaf, index=index: leaf[index], states.average)
+        networks[run] = NetworkCostToGo(weights=weights, architecture=recipe.architecture)
+        card = {"config": dataclasses.asdict(runs[run]), "facts": facts}
+        save_network(options.out / "runs" / run / "network", networks[run], card)
+    return networks
+
+
+def write_results(
+    out: Path, runs: Mapping[str, TrainingConfig], log: Log, episodes: Mapping[str, Mapping[str, float]]
+) -> list[dict[str, Any]]:
+    """Write `results.csv`, a line a run, the best first."""
+    errors = log.errors()
+    rows: list[dict[str, Any]] = []
+    for run, config in runs.items():
+        last = errors[run][max(errors[run])]
+        rows.append(
+            {
+                "run": run,
+                "loss": "+".join(f"{weight:g} {name}" for name, weight in config.losses),
+                "learning_rate": config.learning_rate,
+                "widths": "-".join(map(str, config.architecture.widths)),
+                "seed": config.seed,
+                "steps": max(errors[run]),
+                "error": round(last, 4),
+                **episodes.get(run, {}),
+            }
+        )
+    rows.sort(key=lambda row: row.get("mean_extra", row["error"]))
+    with (out / "results.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    return rows
+
+
+def run_episodes(dataset: HouseDataset, networks: Mapping[str, NetworkCostToGo], path: Path) -> dict[str, Any]:
+    """Extra steps in validation houses with every network; those found before are kept in a file."""
+    validation = Validation(dataset, drawn=16)
+    found: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
+    for number, (run, network) in enumerate(networks.items(), start=1):
+        if run not in found:
+            print(f"episodes in validation houses: {run} ({number} of {len(networks)})", flush=True)
+            found[run] = validation.figures(network)
+            path.write_text(json.dumps(found, indent=2) + "\n")
+    return found
+
+
+def main(options: Options) -> None:
+    """Train all, validate all, tabulate."""
+    runs = options.runs
+    groups = group_by_shape(runs)
+    dataset = open_dataset(options.dataset)
+    options.out.mkdir(parents=True, exist_ok=True)
+    apart = {"out", "dataset", "losses", "learning_rates", "widths", "seeds", "validate_every", "episodes"}
+    facts = {name: value for name, value in dataclasses.asdict(options).items() if name not in apart}
+    facts = {**facts, "minutes_per_checkpoint": None, "dataset": dataset.name}
+    data = open_training_set(options.out, dataset, options.data)
+    pairs = validation_pairs(dataset, count=_PAIRS, edge_weight=options.edge_weight)
+    log = Log(options.out / "log.jsonl")
+    print(f"{len(runs)} runs in {len(groups)} programs")
+    networks: dict[str, NetworkCostToGo] = {}
+    for group in groups:
+        networks |= train_group(options, group, data, pairs, log, facts)
+    episodes = run_episodes(dataset, networks, options.out / "episodes.json") if options.episodes else {}
+    rows = write_results(options.out, runs, log, episodes)
+    by_loss: dict[str, list[dict[int, float]]] = {}
+    for run, errors in log.errors().items():
+        by_loss.setdefault(run.rsplit("_seed", 1)[0], []).append(errors)
+    plot_sweep(options.out / "sweep", by_loss, f"{dataset.name}, {_PAIRS} validation pairs")
+    for row in rows:
+        extra = f"   extra steps {row['mean_extra']:.1f} %" if "mean_extra" in row else ""
+        print(f"{row['run']:60} error {row['error']:.2f} cells{extra}")
+    print(f"Written: {options.out / 'results.csv'}")
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

@@ -1,0 +1,71 @@
+"""The loop that all training commands share: steps, progress, losses looked at late, checkpoints now and then."""
+
+import sys
+import time
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+from jaxtyping import Array, Float
+from tqdm import tqdm
+
+State = TypeVar("State")
+
+#: Steps between two looks at the losses: looking waits for the device.
+_STEPS_PER_LOOK = 50
+
+
+def run_steps(
+    state: State,
+    first_step: int,
+    steps: int,
+    *,
+    take_step: Callable[[State], tuple[State, Array]],
+    look: Callable[[int, Float[np.ndarray, "*runs"]], None],
+    validate: Callable[[State, int], None],
+    validate_every: int,
+    save: Callable[[State], None],
+    minutes_per_checkpoint: float,
+    description: str,
+) -> State:
+    """Train to the end, saving now and then, at the end, and at Ctrl-C.
+
+    Args:
+      state: where to go on.
+      first_step: steps that the state has behind it.
+      steps: steps in all.
+      take_step: `state ->` new state and loss; the old state may be used up.
+      look: called as `look(step, mean losses since the last look)`; raises where training must not go on, and what was
+        saved before stays.
+      validate: called as `validate(state, step)` now and then and after the last step.
+      validate_every: steps between validations; 0 for the last step only.
+      save: keeps a state.
+      minutes_per_checkpoint: how often to save.
+      description: what the progress bar says.
+
+    Returns:
+      The last state.
+    """
+    step, saved = first_step, time.monotonic()
+    with tqdm(total=steps, initial=step, desc=description, unit="step", file=sys.stderr) as bar:
+        try:
+            while step < steps:
+                losses: list[Any] = []
+                for _ in range(min(_STEPS_PER_LOOK - step % _STEPS_PER_LOOK, steps - step)):
+                    state, loss = take_step(state)
+                    losses.append(loss)
+                mean = np.mean([np.asarray(loss) for loss in losses], axis=0)
+                step += len(losses)
+                bar.update(len(losses))
+                bar.set_postfix(loss=f"{np.mean(mean):.4f}")
+                look(step, mean)
+                if step == steps or (validate_every and step % validate_every == 0):
+                    validate(state, step)
+                if time.monotonic() - saved > 60 * minutes_per_checkpoint:
+                    save(state)
+                    saved = time.monotonic()
+        except KeyboardInterrupt:
+            save(state)
+            raise
+    save(state)
+    return state

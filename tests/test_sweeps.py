@@ -1,0 +1,140 @@
+"""Sweeps: the grid, what can be trained together, and that together is like alone."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax.datasets.pairs import TrainingSet, draw_pairs
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.estimators import world_cost_to_go
+from dc2g_jax.estimation.networks import Architecture
+from dc2g_jax.estimation.training import TrainingConfig, first_state, init_states, train_step, train_steps
+from dc2g_jax.grid import bitboard
+from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.sweeps import group_by_shape, parse_losses, runs_of_grid, stacked_hyperparameters
+from tests import maps
+
+BASE = TrainingConfig(architecture=Architecture(widths=(4, 4, 4, 4), quantiles=(0.3, 0.7)), steps=20, batch_size=4)
+DRAW = functools.partial(draw_pairs, batch_size=4, own_share=1.0, edge_weight=2.0, jitter=0.0, whole_share=0.0)
+
+
+@pytest.fixture(scope="module")
+def data() -> TrainingSet:
+    terrain = maps.random_terrain(0, (12, 12), 0.85, doors=2)
+    seen = np.stack([maps.random_cells(seed, (12, 12), 0.8) for seed in range(3)])
+    return TrainingSet(
+        terrain=jnp.asarray(terrain)[None],
+        cost_to_go=world_cost_to_go(world_from_terrain(terrain))[None],
+        masks=jax.vmap(bitboard.pack)(jnp.asarray(seen)),
+        mask_world=jnp.zeros(3, jnp.int32),
+        n_own=jnp.int32(3),
+    )
+
+
+def grid(**axes):
+    whole = {"losses": ["l1"], "learning_rates": [1e-3], "widths": [BASE.architecture.widths], "seeds": [0]}
+    return runs_of_grid(BASE, **{**whole, **axes})
+
+
+def test_losses_from_text():
+    assert parse_losses("l1") == (("l1", 1.0),)
+    assert parse_losses("quantile=2, log=0.5") == (("quantile", 2.0), ("log", 0.5))
+
+
+@pytest.mark.parametrize(
+    ("text", "mention"),
+    [
+        ("l7", "known losses: quantile, l1"),
+        ("", "known losses"),
+        ("l1=zero", "'zero'; give a number above 0"),
+        ("l1=-1", "above 0"),
+        ("l1=nan", "above 0"),
+        ("l1=inf", "above 0"),
+        ("l1,l1=2", "twice"),
+    ],
+)
+def test_losses_that_are_refused(text, mention):
+    with pytest.raises(InputError, match=mention):
+        parse_losses(text)
+
+
+def test_a_grid_is_every_combination():
+    runs = grid(losses=["l1", "l2,log=0.5"], learning_rates=[1e-3, 2e-3], seeds=[0, 1, 2], widths=[(4,) * 4, (8,) * 4])
+    assert len(runs) == 24
+    assert len(set(runs.values())) == 24
+    assert not any(character in name for name in runs for character in "/ ,")
+
+
+@pytest.mark.parametrize("axis", ["losses", "learning_rates", "widths", "seeds"])
+def test_an_axis_without_values_or_with_one_twice_is_refused(axis):
+    with pytest.raises(InputError, match="give one at least"):
+        grid(**{axis: []})
+    value = {"losses": "l1", "learning_rates": 1e-3, "widths": (4,) * 4, "seeds": 3}[axis]
+    with pytest.raises(InputError, match="twice"):
+        grid(**{axis: [value, value]})
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, float("nan")])
+def test_learning_rates_that_are_refused(rate):
+    with pytest.raises(InputError, match="above 0"):
+        grid(learning_rates=[rate])
+
+
+def test_runs_of_one_shape_go_together():
+    runs = grid(losses=["l1", "l2=3"], seeds=[0, 1], widths=[(4,) * 4, (8,) * 4])
+    groups = group_by_shape(runs)
+    assert [len(group) for group in groups] == [4, 4]
+    assert {name for group in groups for name in group} == set(runs)
+    for group in groups:
+        assert len({config.recipe for config in group.values()}) == 1
+        for name, config in group.items():
+            assert {loss: weight for loss, weight in config.losses if weight} == dict(runs[name].losses)
+
+
+def together(data, configs, steps: int, states=None):
+    hyperparameters, recipe = stacked_hyperparameters(configs), configs[0].recipe
+    states = init_states(recipe, hyperparameters) if states is None else states
+    losses = []
+    for _ in range(steps):
+        states, loss = train_steps(states, hyperparameters, data, recipe=recipe, draw_batch=DRAW)
+        losses.append(np.asarray(loss))
+    return states, np.array(losses)
+
+
+def test_together_is_like_alone(data):
+    configs = list(group_by_shape(grid(losses=["l1", "l2=3"], learning_rates=[1e-3, 4e-3]))[0].values())
+    states, losses = together(data, configs, 5)
+    for index, config in enumerate(configs):
+        state = first_state(config)
+        for step in range(5):
+            state, loss = train_step(state, config.hyperparameters, data, recipe=config.recipe, draw_batch=DRAW)
+            assert float(loss) == pytest.approx(float(losses[step, index]), rel=1e-4)
+        alone, ours = jax.tree.leaves(state.weights), jax.tree.leaves(states.weights)
+        for one, stacked in zip(alone, ours, strict=True):
+            np.testing.assert_allclose(stacked[index], one, rtol=1e-3, atol=1e-5)
+
+
+def test_stopped_and_gone_on_is_bit_for_bit_like_not_stopped(data):
+    configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
+    whole, _ = together(data, configs, 6)
+    half, _ = together(data, configs, 2)
+    again, _ = together(data, configs, 4, jax.tree.map(lambda leaf: jnp.asarray(np.array(leaf)), half))
+    jax.tree.map(np.testing.assert_array_equal, whole, again)
+
+
+def test_a_run_that_diverges_keeps_its_weights_and_leaves_the_others_alone(data):
+    configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
+    configs[1] = dataclasses.replace(configs[1], learning_rate=float("nan"))
+    states, losses = together(data, configs, 4)
+    alone, _ = together(data, configs[:1], 4)
+    assert np.isfinite(losses[:, 0]).all()
+    assert np.isnan(losses[:, 1]).all()
+    assert states.step.tolist() == [4, 4]
+    for one, both in zip(jax.tree.leaves(alone.weights), jax.tree.leaves(states.weights), strict=True):
+        np.testing.assert_allclose(both[0], one[0], rtol=1e-3, atol=1e-5)
+    first = init_states(configs[0].recipe, stacked_hyperparameters(configs)).weights
+    jax.tree.map(lambda one, other: np.testing.assert_array_equal(one[1], other[1]), states.weights, first)
