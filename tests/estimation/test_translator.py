@@ -120,11 +120,11 @@ def test_the_estimate_is_read_off_the_picture(weights, street):
     estimate = ask(jnp.asarray(street), network.init(world_from_terrain(street)))
     large = resize_nearest(jnp.asarray(street), 32, 32)
     picture = translate(weights, images.semantic_image(large)[None])[0]
-    np.testing.assert_allclose(estimate, images.read_cost_to_go(picture, *street.shape), atol=1e-5)
-    assert estimate.shape == street.shape
+    np.testing.assert_allclose(estimate[0], images.read_cost_to_go(picture, *street.shape), atol=1e-5)
+    assert estimate.shape == (1, *street.shape)
     assert np.isfinite(estimate).all()
     many = ask(jnp.stack([jnp.asarray(street)] * 3, axis=-1), ())
-    np.testing.assert_allclose(many, np.repeat(np.asarray(estimate)[..., None], 3, axis=2), atol=1e-5)
+    np.testing.assert_allclose(many, np.repeat(np.asarray(estimate)[..., None], 3, axis=3), atol=1e-5)
 
 
 def test_a_planner_uses_it(weights, street):

@@ -15,11 +15,8 @@ from dc2g_jax.datasets.houses import load_dataset, save_dataset
 from dc2g_jax.datasets.procedural import procedural_houses
 from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS
-from dc2g_jax.shipped import shipped
-from experiments.common import SHIPPED_NETWORK
 
 ROOT = Path(__file__).resolve().parents[2]
-SHIPPED = shipped(SHIPPED_NETWORK)
 
 
 def run(*arguments: object) -> subprocess.CompletedProcess:
@@ -190,7 +187,7 @@ def test_a_sweep_that_was_killed_ends_like_one_that_was_not(few_houses, tmp_path
         jax.tree.map(np.testing.assert_array_equal, one.weights, other.weights)
 
 
-def test_a_translator_is_trained_and_judged(few_houses, tmp_path):
+def test_a_translator_is_trained_and_judged(few_houses, compact_network, tmp_path):
     out, network = tmp_path / "run", tmp_path / "run" / "network"
     first = run(
         "train_translator", "--dataset", few_houses, "--size", 32, "--base-filters", 2, "--train-masks", 4,
@@ -200,14 +197,16 @@ def test_a_translator_is_trained_and_judged(few_houses, tmp_path):
     assert "4 pairs of 1 houses" in first.stdout
     card = json.loads((network / "network.json").read_text())
     assert (card["network"], card["loss"], card["steps"]) == ("pix2pix", "l1+gan", 4)
-    fig6 = run("reproduce_fig6", "--dataset", few_houses, "--network", network, SHIPPED, "--out", tmp_path / "fig6")
+    fig6 = run(
+        "reproduce_fig6", "--dataset", few_houses, "--network", network, compact_network, "--out", tmp_path / "fig6"
+    )
     assert fig6.returncode == 0, fig6.stderr
     facts = json.loads((tmp_path / "fig6" / "results.json").read_text())
     assert facts["houses"] == 2
-    assert set(facts["networks"]) == {str(network), str(SHIPPED)}
+    assert set(facts["networks"]) == {str(network), str(compact_network)}
     with (tmp_path / "fig6" / "houses.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert [row["network"] for row in rows] == [str(network)] * 2 + [str(SHIPPED)] * 2
+    assert [row["network"] for row in rows] == [str(network)] * 2 + [str(compact_network)] * 2
     mean = np.mean([float(row["l1"]) for row in rows[:2]])
     assert facts["networks"][str(network)]["l1"]["mean"] == pytest.approx(mean, abs=1e-4)
     for name in ("fig6.png", "fig6.svg"):

@@ -113,12 +113,12 @@ def test_figure_5_goes_on_with_the_runs_that_are_there(dataset, tmp_path, steps,
     assert not (tmp_path / "no").exists()
 
 
-def test_figure_4_shows_as_many_houses_as_asked_for(dataset, tmp_path, monkeypatch):
+def test_figure_4_shows_as_many_houses_as_asked_for(dataset, compact_network, tmp_path, monkeypatch):
     houses = tuple(dataclasses.replace(house, split="test") for house in dataset.houses)
     monkeypatch.setattr(
         reproduce_fig4, "open_dataset", lambda location, *, cells: HouseDataset("drawn", "folder", houses)
     )
-    reproduce_fig4.main(reproduce_fig4.Options(rows=1, out=tmp_path / "fig4"))
+    reproduce_fig4.main(reproduce_fig4.Options(network=compact_network, rows=1, out=tmp_path / "fig4"))
     assert {path.name for path in (tmp_path / "fig4").iterdir()} == {"fig4.png", "fig4.svg"}
     with pytest.raises(InputError, match="rows: 0"):
         reproduce_fig4.main(reproduce_fig4.Options(rows=0, out=tmp_path / "no"))

@@ -1,0 +1,18 @@
+"""What the tests of the commands share."""
+
+from pathlib import Path
+
+import jax
+import pytest
+
+from dc2g_jax.estimation.checkpoints import save_network
+from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation.networks import Architecture, init_weights
+
+
+@pytest.fixture(scope="session")
+def compact_network(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a tiny compact network that has learned nothing."""
+    architecture = Architecture(widths=(4, 4, 4, 4))
+    network = NetworkCostToGo(weights=init_weights(architecture, jax.random.key(0)), architecture=architecture)
+    return save_network(tmp_path_factory.mktemp("compact") / "network", network)
