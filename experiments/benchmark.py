@@ -18,16 +18,18 @@ from experiments.benchmarks.planners import planner_rows
 from experiments.benchmarks.rows import Row
 from experiments.benchmarks.stepping import environment_rows
 from experiments.benchmarks.sweeps import batch_rows, grid_rows, range_rows
+from experiments.benchmarks.training import training_rows
 from experiments.benchmarks.workload import make_workload
 from experiments.common import command_line, open_network, output_folder
 
-Section = Literal["planners", "environment", "kernels", "network", "programs", "batch", "grid", "range"]
+Section = Literal["planners", "environment", "kernels", "network", "training", "programs", "batch", "grid", "range"]
 
 _SECTIONS: dict[Section, Callable[[Bench], Iterator[Row]]] = {
     "planners": planner_rows,
     "environment": environment_rows,
     "kernels": kernel_rows,
     "network": network_rows,
+    "training": training_rows,
     "programs": program_rows,
     "batch": batch_rows,
     "grid": grid_rows,

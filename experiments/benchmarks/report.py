@@ -15,6 +15,7 @@ SECTIONS = {
     "environment": "Environment steps alone",
     "kernels": "Kernels alone",
     "network": "The network alone",
+    "training": "Training: runs of 2,000 steps an hour",
     "programs": "Programs: equations, seconds to compile, memory",
     "batch": "By batch",
     "grid": "By size of the map",
