@@ -11,8 +11,13 @@ from tqdm import tqdm
 
 State = TypeVar("State")
 
-#: Steps between two looks at the losses: looking waits for the device.
-_STEPS_PER_LOOK = 50
+
+def _next_stop(step: int, steps: int, validate_every: int, steps_per_look: int) -> int:
+    """The step after which something is to be done next."""
+    stops = [steps, step + steps_per_look - step % steps_per_look]
+    if validate_every:
+        stops.append(step + validate_every - step % validate_every)
+    return min(stops)
 
 
 def run_steps(
@@ -27,6 +32,7 @@ def run_steps(
     save: Callable[[State], None],
     minutes_per_checkpoint: float,
     description: str,
+    steps_per_look: int = 50,
 ) -> State:
     """Train to the end, saving now and then, at the end, and at Ctrl-C.
 
@@ -42,6 +48,7 @@ def run_steps(
       save: keeps a state.
       minutes_per_checkpoint: how often to save.
       description: what the progress bar says.
+      steps_per_look: steps between two looks at the losses, at most: looking waits for the device.
 
     Returns:
       The last state.
@@ -51,7 +58,7 @@ def run_steps(
         try:
             while step < steps:
                 losses: list[Any] = []
-                for _ in range(min(_STEPS_PER_LOOK - step % _STEPS_PER_LOOK, steps - step)):
+                for _ in range(_next_stop(step, steps, validate_every, steps_per_look) - step):
                     state, loss = take_step(state)
                     losses.append(loss)
                 mean = np.mean([np.asarray(loss) for loss in losses], axis=0)

@@ -3,9 +3,7 @@
 import dataclasses
 import json
 import shlex
-import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -13,7 +11,6 @@ from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from tqdm import tqdm
 
 from dc2g_jax.datasets.drawn_masks import drawn_masks
 from dc2g_jax.datasets.houses import House, HouseDataset, stack_worlds
@@ -23,12 +20,19 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
 from dc2g_jax.estimation.estimators import TranslatorCostToGo
 from dc2g_jax.estimation.translator import TranslatorArchitecture
-from dc2g_jax.estimation.translator_training import TranslatorConfig, init_translator, translator_step
+from dc2g_jax.estimation.translator_training import (
+    TranslatorConfig,
+    TranslatorState,
+    init_translator,
+    translator_step,
+)
 from dc2g_jax.evaluation import episodes_from
 from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.image_evaluation import GRID_CELLS, mean_metrics
 from dc2g_jax.mask_collection import LEADERS, Masks, collect_masks, concatenate_masks, leading_planners
 from dc2g_jax.planning.rules import SETTINGS
+from experiments.common import commit
+from experiments.training_loop import run_steps
 
 MaskKind = Literal["paper", "rollout"]
 
@@ -36,7 +40,8 @@ MaskKind = Literal["paper", "rollout"]
 MASK_SEEDS = {"train": 0, "val": 1, "test": 2}
 
 _MOMENTS = 8
-_STEPS_PER_REPORT = 10
+#: A step takes seconds on a CPU.
+_STEPS_PER_LOOK = 10
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,11 +89,6 @@ class TranslationOptions:
     def facts(self, dataset: HouseDataset, seed: int) -> dict[str, Any]:
         """What must be the same for a run to be resumed, beside the configuration."""
         return {"seed": seed, "dataset": dataset.name, "masks": self.masks, "train_masks": self.train_masks}
-
-    def next_stop(self, step: int) -> int:
-        """The next step after which to report or to validate."""
-        stops = [_STEPS_PER_REPORT, self.validate_every or _STEPS_PER_REPORT]
-        return min(self.steps, *(step - step % every + every for every in stops))
 
 
 class TranslationData(NamedTuple):
@@ -170,13 +170,12 @@ def _card(
     dataset: HouseDataset, config: TranslatorConfig, options: TranslationOptions, seed: int, step: int
 ) -> dict[str, Any]:
     """What to know about a network: where it comes from."""
-    commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
     return {
         "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks})",
         "target": "8-connected cost-to-go as a picture, brightest visible pixel 1",
         "loss": config.loss,
         "command": shlex.join(["python", "-m", f"experiments.{Path(sys.argv[0]).stem}", *sys.argv[1:]]),
-        "commit": commit.stdout.strip() or "unknown",
+        "commit": commit(),
         "seed": seed,
         "steps": step,
     }
@@ -198,36 +197,38 @@ def train_translator(
     first_state = partial(init_translator, seed=seed)
     checkpoints = TrainingCheckpoints(out, config, options.facts(dataset, seed), first_state=first_state)
     draw = partial(draw_image_pairs, batch_size=config.batch_size)
+    latest = float("nan")
+
+    def look(step: int, difference: np.ndarray) -> None:
+        nonlocal latest
+        latest = float(difference)
+        if not np.isfinite(latest):
+            raise InputError(
+                f"{out}: the generated pictures are {latest} at step {step}; lower --learning-rate and give another "
+                "--out (the last checkpoint before it is kept)"
+            )
+
+    def validate(state: TranslatorState, step: int) -> None:
+        network = TranslatorCostToGo(weights=state.generator, architecture=config.architecture)
+        save_network(out / "network", network, _card(dataset, config, options, seed, step))
+        if options.validate_every:
+            log(out, step, latest, mean_metrics(network, data.validation))
+
     try:
         state = checkpoints.restore() or first_state(config)
-        step, saved = int(state.step), time.monotonic()
-        with tqdm(total=config.steps, initial=step, desc=out.name, unit="step", file=sys.stderr) as bar:
-            try:
-                while step < config.steps:
-                    differences = []
-                    for _ in range(options.next_stop(step) - step):
-                        state, difference = translator_step(state, data.train, config=config, draw_batch=draw)
-                        differences.append(difference)
-                    mean = float(np.mean(differences))
-                    step += len(differences)
-                    bar.update(len(differences))
-                    bar.set_postfix(l1=f"{mean:.3f}")
-                    if not np.isfinite(mean):
-                        raise InputError(
-                            f"{out}: the generated pictures are {mean} at step {step}; lower --learning-rate"
-                        )
-                    if step == config.steps or (options.validate_every and step % options.validate_every == 0):
-                        network = TranslatorCostToGo(weights=state.generator, architecture=config.architecture)
-                        save_network(out / "network", network, _card(dataset, config, options, seed, step))
-                        if options.validate_every:
-                            log(out, step, mean, mean_metrics(network, data.validation))
-                    if time.monotonic() - saved > 60 * options.minutes_per_checkpoint:
-                        checkpoints.save(state)
-                        saved = time.monotonic()
-            except KeyboardInterrupt:
-                checkpoints.save(state)
-                raise
-        checkpoints.save(state)
+        run_steps(
+            state,
+            int(state.step),
+            config.steps,
+            take_step=lambda state: translator_step(state, data.train, config=config, draw_batch=draw),
+            look=look,
+            validate=validate,
+            validate_every=options.validate_every,
+            save=checkpoints.save,
+            minutes_per_checkpoint=options.minutes_per_checkpoint,
+            description=out.name,
+            steps_per_look=_STEPS_PER_LOOK,
+        )
     finally:
         checkpoints.close()
 
