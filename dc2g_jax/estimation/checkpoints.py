@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import functools
+import hashlib
 import json
 import logging
 import shutil
@@ -71,6 +72,15 @@ def _quiet() -> Iterator[None]:
             logger.setLevel(level)
 
 
+def _digest(weights: Any) -> str:
+    """SHA-256 of all weights: their names and their bytes, in order."""
+    digest = hashlib.sha256()
+    for path, leaf in jax.tree_util.tree_leaves_with_path(weights):
+        digest.update(jax.tree_util.keystr(path).encode())
+        digest.update(np.asarray(leaf).tobytes())
+    return digest.hexdigest()
+
+
 def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, Any] | None = None) -> Path:
     """Save a network: `network.json` (what it is) and `weights/` (Orbax). Replaces a network already there.
 
@@ -93,6 +103,7 @@ def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, An
         "network": next(name for name, kind in _KINDS.items() if isinstance(network, kind.estimator)),
         "architecture": dataclasses.asdict(network.architecture),
         "classes": list(CLASS_NAMES),
+        "sha256": _digest(network.weights),
         **(card or {}),
     }
     (folder / _CARD).write_text(json.dumps(facts, indent=2) + "\n")
@@ -111,8 +122,8 @@ def _read_json(path: Path, remedy: str) -> dict[str, Any]:
     return facts
 
 
-def _read_card(folder: Path) -> tuple[_Kind, Any]:
-    """The kind and the architecture of a saved network, once it is sure that this package can run it."""
+def _read_card(folder: Path) -> tuple[_Kind, Any, str | None]:
+    """Kind, architecture and digest of a saved network, once it is sure that this package can run it."""
     remedy = "give a folder written by `python -m experiments.train` or `python -m experiments.train_translator`"
     facts = _read_json(folder / _CARD, remedy)
     kind = _KINDS.get(str(facts.get("network")))
@@ -131,7 +142,7 @@ def _read_card(folder: Path) -> tuple[_Kind, Any]:
         raise InputError(
             f"{folder / _CARD}: architecture {architecture!r} is not one of this network's ({error}); {remedy}"
         ) from None
-    return kind, known
+    return kind, known, facts.get("sha256")
 
 
 def _shapes(tree: Any) -> dict[str, tuple[int, ...]]:
@@ -145,7 +156,7 @@ def load_network(folder: str | Path) -> TrainedNetwork:
       InputError: if there is none, it cannot be read, or its weights are those of another architecture.
     """
     folder = Path(folder).absolute()
-    kind, architecture = _read_card(folder)
+    kind, architecture, digest = _read_card(folder)
     wanted = kind.weight_shapes(architecture)
     if not (folder / _WEIGHTS / "_CHECKPOINT_METADATA").is_file():
         raise InputError(f"{folder / _WEIGHTS}: holds no weights; save or copy the network again")
@@ -169,6 +180,11 @@ def load_network(folder: str | Path) -> TrainedNetwork:
     except Exception as error:  # Orbax raises many kinds for a damaged checkpoint
         reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
         raise InputError(f"{folder / _WEIGHTS}: cannot be read ({reason}); save or copy the network again") from None
+    if digest not in (None, _digest(weights)):
+        raise InputError(
+            f"{folder / _WEIGHTS}: the SHA-256 of the weights is not {digest}, as {_CARD} says; "
+            "keep the two files of one training together"
+        )
     return kind.estimator(weights=weights, architecture=architecture)
 
 

@@ -80,6 +80,20 @@ def test_weights_that_are_not_numbers_of_the_usual_kind_come_back_too(tmp_path):
     assert_equal(load_network(save_network(tmp_path / "network", saved)), saved)
 
 
+def test_weights_of_another_training_are_refused(tmp_path):
+    save_network(tmp_path / "one", network())
+    save_network(tmp_path / "other", network(seed=1))
+    shutil.rmtree(tmp_path / "one" / "weights")
+    shutil.copytree(tmp_path / "other" / "weights", tmp_path / "one" / "weights")
+    with pytest.raises(InputError, match=r"one/weights: the SHA-256 of the weights is not [0-9a-f]{64}"):
+        load_network(tmp_path / "one")
+    card = tmp_path / "one" / "network.json"
+    facts = json.loads(card.read_text())
+    del facts["sha256"]  # a card written by hand
+    card.write_text(json.dumps(facts))
+    assert_equal(load_network(tmp_path / "one"), network(seed=1))
+
+
 def test_saving_again_replaces(folder):
     other = network(width=6, seed=3)
     save_network(folder, other)
