@@ -1,6 +1,7 @@
 """From houses to training pairs, and the episodes that a network is validated on (Algorithm 1 and section IV-B)."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -14,6 +15,7 @@ from dc2g_jax.datasets.procedural import extra_training_houses
 from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, world_cost_to_go
+from dc2g_jax.estimation.training import DrawBatch
 from dc2g_jax.evaluation import Runner, episodes_from
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.sampling import sample_grid
@@ -37,6 +39,10 @@ class DataConfig:
       starts_per_extra_house: the same for the procedural houses.
       masks_per_episode: moments of each episode that become observation masks.
       ranges: sensing ranges, in cells, of the robots whose masks are learned from.
+      own_share: share of a batch drawn from the dataset's own houses rather than procedural ones, 0 to 1.
+      edge_weight: weight in the loss of cells within 2 cells of unobserved ground; others have weight 1.
+      jitter: logarithm of the largest factor by which half of the maps are stretched, and moved by 40 cells times it.
+      whole_share: share of pairs in which all of the map is observed, 0 to 1.
       data_seed: of houses and masks, 0 to 9999.
     """
 
@@ -45,6 +51,10 @@ class DataConfig:
     starts_per_extra_house: int = 1
     masks_per_episode: int = 4
     ranges: tuple[int, ...] = (4, 5, 6, 8, 10, 12)
+    own_share: float = 0.4
+    edge_weight: float = 4.0
+    jitter: float = 0.15
+    whole_share: float = 0.1
     data_seed: int = 0
 
     def __post_init__(self) -> None:
@@ -57,6 +67,23 @@ class DataConfig:
                 raise InputError(f"{name} {getattr(self, name)}: give at least 1")
         if self.extra_houses < 0:
             raise InputError(f"extra houses {self.extra_houses}: give 0 or more")
+        for name in ("own_share", "whole_share"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InputError(f"{name} {getattr(self, name)}: give a share from 0 to 1")
+        for name in ("edge_weight", "jitter"):
+            if not 0 <= getattr(self, name) < float("inf"):
+                raise InputError(f"{name} {getattr(self, name)}: give a number from 0 on")
+
+    def draw_batch(self, batch_size: int) -> DrawBatch:
+        """How a training step draws its pairs; see `dc2g_jax.datasets.pairs.draw_pairs`."""
+        return functools.partial(
+            draw_pairs,
+            batch_size=batch_size,
+            own_share=self.own_share if self.extra_houses else 1.0,
+            edge_weight=self.edge_weight,
+            jitter=self.jitter,
+            whole_share=self.whole_share,
+        )
 
 
 def drawn_houses(prefix: str, split: str, count: int, seed: int, cells: int) -> list[House]:

@@ -20,7 +20,7 @@ import tyro
 from jaxtyping import Array, Float
 
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
-from dc2g_jax.datasets.pairs import Pair, TrainingSet, draw_pairs
+from dc2g_jax.datasets.pairs import Pair, TrainingSet
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo
@@ -49,10 +49,6 @@ class Options:
       learning_rates: peak learning rates to try.
       widths: channels of the network at its four scales to try, such as 16,32,64,128.
       seeds: seeds to try.
-      own_share: share of a batch drawn from the dataset's own houses rather than procedural ones, 0 to 1.
-      edge_weight: weight in the loss of cells within 2 cells of unobserved ground; others have weight 1.
-      jitter: logarithm of the largest factor by which half of the maps are stretched, and moved by 40 cells times it.
-      whole_share: share of pairs in which all of the map is observed, 0 to 1.
       steps: optimiser steps of each run.
       batch_size: pairs a step of each run.
       validate_every: steps between validations on pairs; the last step is one too. 0 for the last only.
@@ -67,10 +63,6 @@ class Options:
     learning_rates: tuple[float, ...] = (TrainingConfig.learning_rate,)
     widths: tuple[str, ...] = (",".join(map(str, Architecture.widths)),)
     seeds: tuple[int, ...] = (0, 1, 2)
-    own_share: float = 0.4
-    edge_weight: float = 4.0
-    jitter: float = 0.15
-    whole_share: float = 0.1
     steps: int = 2000
     batch_size: int = TrainingConfig.batch_size
     validate_every: int = 200
@@ -148,14 +140,7 @@ def train_group(
     """Train runs of one shape to the end; their networks by name."""
     configs = list(runs.values())
     recipe, hyperparameters = configs[0].recipe, stacked_hyperparameters(configs)
-    draw = functools.partial(
-        draw_pairs,
-        batch_size=recipe.batch_size,
-        own_share=options.own_share if options.data.extra_houses else 1.0,
-        edge_weight=options.edge_weight,
-        jitter=options.jitter,
-        whole_share=options.whole_share,
-    )
+    draw = options.data.draw_batch(recipe.batch_size)
     latest = np.full(len(runs), np.nan)
 
     def look(step: int, losses: np.ndarray) -> None:
@@ -248,11 +233,9 @@ def main(options: Options) -> None:
     groups = group_by_shape(runs)
     dataset = open_dataset(options.dataset)
     options.out.mkdir(parents=True, exist_ok=True)
-    apart = {"out", "dataset", "losses", "learning_rates", "widths", "seeds", "validate_every", "episodes"}
-    facts = {name: value for name, value in dataclasses.asdict(options).items() if name not in apart}
-    facts = {**facts, "minutes_per_checkpoint": None, "dataset": dataset.name}
+    facts = {"data": dataclasses.asdict(options.data), "dataset": dataset.name}
     data = open_training_set(options.out, dataset, options.data)
-    pairs = validation_pairs(dataset, count=_PAIRS, edge_weight=options.edge_weight)
+    pairs = validation_pairs(dataset, count=_PAIRS, edge_weight=options.data.edge_weight)
     log = Log(options.out / "log.jsonl")
     print(f"{len(runs)} runs in {len(groups)} programs")
     networks: dict[str, NetworkCostToGo] = {}

@@ -4,7 +4,6 @@ Interrupted or killed, it goes on where it was when run again with the same opti
 """
 
 import dataclasses
-import functools
 import json
 import shlex
 import sys
@@ -16,7 +15,7 @@ import tyro
 from tqdm import tqdm
 
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
-from dc2g_jax.datasets.pairs import TrainingSet, draw_pairs
+from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo
@@ -33,7 +32,7 @@ from dc2g_jax.training_data import (
     training_set,
 )
 from experiments.common import command_line, commit
-from experiments.training_loop import run_steps
+from experiments.training_loop import FiniteLoss, run_steps
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,10 +43,6 @@ class Options:
       out: folder for checkpoints, the network and the log; run again with the same options to resume.
       dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
       data: houses and masks.
-      own_share: share of a batch drawn from the dataset's own houses rather than procedural ones, 0 to 1.
-      edge_weight: weight in the loss of cells within 2 cells of unobserved ground; others have weight 1.
-      jitter: logarithm of the largest factor by which half of the maps are stretched, and moved by 40 cells times it.
-      whole_share: share of pairs in which all of the map is observed, 0 to 1.
       loss: name of the loss: quantile, l1, l2, huber or log.
       widths: channels of the network at 1/2, 1/4, 1/8 and 1/16 of the map's resolution.
       quantiles: levels of the quantiles that the network answers with.
@@ -62,10 +57,6 @@ class Options:
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     dataset: str | None = None
     data: tyro.conf.OmitArgPrefixes[DataConfig] = dataclasses.field(default_factory=DataConfig)
-    own_share: float = 0.4
-    edge_weight: float = 4.0
-    jitter: float = 0.15
-    whole_share: float = 0.1
     loss: str = "quantile"
     widths: tuple[int, ...] = Architecture.widths
     quantiles: tuple[float, ...] = Architecture.quantiles
@@ -145,39 +136,23 @@ def train(options: Options, dataset: HouseDataset, checkpoints: TrainingCheckpoi
     """Train to the end, saving now and then, and at Ctrl-C."""
     config = options.training
     data = open_training_set(options.out, dataset, options.data)
-    draw = functools.partial(
-        draw_pairs,
-        batch_size=config.batch_size,
-        own_share=options.own_share if options.data.extra_houses else 1.0,
-        edge_weight=options.edge_weight,
-        jitter=options.jitter,
-        whole_share=options.whole_share,
-    )
+    draw = options.data.draw_batch(config.batch_size)
     validation = Validation(dataset) if options.validate_every else None
     recipe, hyperparameters = config.recipe, config.hyperparameters
     state = checkpoints.restore() or first_state(config)
-    latest = float("nan")
-
-    def look(step: int, loss: np.ndarray) -> None:
-        nonlocal latest
-        latest = float(loss)
-        if not np.isfinite(loss):
-            raise InputError(
-                f"{options.out}: the loss is {latest} at step {step}; lower --learning-rate and give another --out "
-                "(the last checkpoint before it is kept)"
-            )
+    loss = FiniteLoss(options.out)
 
     def validate(state: TrainingState, step: int) -> None:
         network = NetworkCostToGo(weights=state.average, architecture=config.architecture)
         figures = validation.figures(network) if validation else {}
-        report(options, dataset, network, step, latest, figures)
+        report(options, dataset, network, step, loss.latest, figures)
 
     run_steps(
         state,
         int(state.step),
         config.steps,
         take_step=lambda state: train_step(state, hyperparameters, data, recipe=recipe, draw_batch=draw),
-        look=look,
+        look=loss,
         validate=validate,
         validate_every=options.validate_every,
         save=checkpoints.save,

@@ -3,13 +3,41 @@
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
+from dc2g_jax.errors import InputError
+
 State = TypeVar("State")
+
+
+class FiniteLoss:
+    """Remembers the latest loss of a single run, and stops training where it is no number.
+
+    Attributes:
+      latest: mean loss when it was last looked at.
+    """
+
+    def __init__(self, out: Path):
+        self.latest = float("nan")
+        self._out = out
+
+    def __call__(self, step: int, loss: Float[np.ndarray, ""]) -> None:
+        """Look at a loss.
+
+        Raises:
+          InputError: if it is not finite.
+        """
+        self.latest = float(loss)
+        if not np.isfinite(self.latest):
+            raise InputError(
+                f"{self._out}: the loss is {self.latest} at step {step}; lower --learning-rate and give another --out "
+                "(the last checkpoint before it is kept)"
+            )
 
 
 def _next_stop(step: int, steps: int, validate_every: int, steps_per_look: int) -> int:

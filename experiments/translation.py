@@ -32,7 +32,7 @@ from dc2g_jax.image_evaluation import GRID_CELLS, mean_metrics
 from dc2g_jax.mask_collection import LEADERS, Masks, collect_masks, concatenate_masks, leading_planners
 from dc2g_jax.planning.rules import SETTINGS
 from experiments.common import commit
-from experiments.training_loop import run_steps
+from experiments.training_loop import FiniteLoss, run_steps
 
 MaskKind = Literal["paper", "rollout"]
 
@@ -197,22 +197,13 @@ def train_translator(
     first_state = partial(init_translator, seed=seed)
     checkpoints = TrainingCheckpoints(out, config, options.facts(dataset, seed), first_state=first_state)
     draw = partial(draw_image_pairs, batch_size=config.batch_size)
-    latest = float("nan")
-
-    def look(step: int, difference: np.ndarray) -> None:
-        nonlocal latest
-        latest = float(difference)
-        if not np.isfinite(latest):
-            raise InputError(
-                f"{out}: the generated pictures are {latest} at step {step}; lower --learning-rate and give another "
-                "--out (the last checkpoint before it is kept)"
-            )
+    difference = FiniteLoss(out)
 
     def validate(state: TranslatorState, step: int) -> None:
         network = TranslatorCostToGo(weights=state.generator, architecture=config.architecture)
         save_network(out / "network", network, _card(dataset, config, options, seed, step))
         if options.validate_every:
-            log(out, step, latest, mean_metrics(network, data.validation))
+            log(out, step, difference.latest, mean_metrics(network, data.validation))
 
     try:
         state = checkpoints.restore() or first_state(config)
@@ -221,7 +212,7 @@ def train_translator(
             int(state.step),
             config.steps,
             take_step=lambda state: translator_step(state, data.train, config=config, draw_batch=draw),
-            look=look,
+            look=difference,
             validate=validate,
             validate_every=options.validate_every,
             save=checkpoints.save,
