@@ -46,7 +46,7 @@ class Options:
         sampled starts in every test house with 8-cell sensing, `both` runs both.
       starts_per_house: sampled starts in each test house.
       seed: of the sampled starts.
-      network: folder of a trained network for `dc2g`; the shipped one where not given.
+      network: folder of a trained network for `dc2g` and `dc2g_uncertain`; the shipped one where not given.
       record: write rerun recordings (.rrd) and figures of this many episodes of each setting, spread over those run.
       out: folder to write to; a new one below outputs/ where not given.
     """

@@ -8,12 +8,12 @@ import tyro
 
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import read_starts
-from dc2g_jax.evaluation import Runner, summarize
+from dc2g_jax.evaluation import SELECTIONS, Runner, summarize
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollout import STEP_LIMIT
 from experiments.common import EpisodeProgress, command_line, open_network, output_folder, write_episodes
 
-PlannerName = Literal["oracle", "frontier", "dc2g", "true_cost_to_go"]
+PlannerName = Literal["oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Options:
       settings: rules. `published`: as the paper's 400 episodes were run, 5-cell sensing. `reference`: as the authors'
         code at any range. `paper`: as the paper's text says, 8-cell sensing. A range in the file wins.
       dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
-      network: folder of a trained network for `dc2g`; the shipped one where not given.
+      network: folder of a trained network for `dc2g` and `dc2g_uncertain`; the shipped one where not given.
       step_limit: actions after which an episode ends without success.
       out: folder to write to; a new one below outputs/ where not given.
     """
@@ -45,7 +45,7 @@ def main(options: Options) -> None:
     """Run the episodes."""
     dataset = open_dataset(options.dataset)
     starts = read_starts(options.starts, dataset)
-    network = open_network(options.network) if "dc2g" in options.planner else None
+    network = open_network(options.network) if SELECTIONS.keys() & set(options.planner) else None
     out = output_folder(options.out, "run_episodes")
     runner = Runner(dataset, SETTINGS[options.settings], step_limit=options.step_limit, progress=EpisodeProgress())
     results = runner.run(starts, options.planner, network)
