@@ -16,11 +16,12 @@ from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, world_cost_to_go
 from dc2g_jax.estimation.training import DrawBatch
-from dc2g_jax.evaluation import Runner, episodes_from
+from dc2g_jax.evaluation import Runner, episodes_from, make_planner
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.mask_collection import LEADERS, Masks, collect_masks, concatenate_masks, leading_planners
-from dc2g_jax.planning.rules import SETTINGS, complete_rules
+from dc2g_jax.planning.planners import Planner
+from dc2g_jax.planning.rules import SETTINGS, Rules, complete_rules
 
 #: Seed of the procedural validation houses; those of training have the run's own, so it must be below this.
 _VALIDATION_SEED = 10_000
@@ -111,24 +112,20 @@ def training_houses(dataset: HouseDataset, config: DataConfig) -> tuple[list[Hou
     return own + drawn_houses("e", "train", config.extra_houses, config.data_seed, cells), len(own)
 
 
-def observation_masks(
-    config: DataConfig, houses: Sequence[House], n_own: int, on_progress: Callable[[int, int], None]
+def _led_masks(
+    config: DataConfig,
+    houses: Sequence[House],
+    n_own: int,
+    leaders: Callable[[Rules], Sequence[Planner]],
+    on_progress: Callable[[int], None],
 ) -> Masks:
-    """Masks of robots of all sensing ranges under way in all houses, ordered by house.
-
-    Args:
-      config: how many, of which robots.
-      houses: the houses; those of the dataset first.
-      n_own: how many are the dataset's.
-      on_progress: called as `on_progress(rollouts done, rollouts in all)`.
-    """
+    """Masks of robots of all sensing ranges under way in all houses, ordered by house."""
     index = {house.name: number for number, house in enumerate(houses)}
     worlds = stack_worlds(houses)
-    height, width = houses[0].terrain.shape
     collected: list[Masks] = []
     for place, sensing_range in enumerate(config.ranges):
         rules = complete_rules(sensing_range)
-        for turn, planner in enumerate(leading_planners(rules, height, width, seed=config.data_seed)):
+        for turn, planner in enumerate(leaders(rules)):
             seed = (config.data_seed * len(config.ranges) + place) * LEADERS + turn
             starts = sample_starts(houses[:n_own], config.starts_per_house, seed=seed)
             starts += sample_starts(houses[n_own:], config.starts_per_extra_house, seed=seed)
@@ -142,10 +139,59 @@ def observation_masks(
                     seed=seed,
                 )
             )
-            on_progress(len(collected), len(config.ranges) * LEADERS)
-    masks = concatenate_masks(collected)
+            on_progress(len(collected))
+    return by_house(collected)
+
+
+def by_house(parts: Sequence[Masks]) -> Masks:
+    """One collection out of several, ordered by house."""
+    masks = concatenate_masks(parts)
     order = np.argsort(masks.world, kind="stable")
     return Masks(boards=masks.boards[order], world=masks.world[order])
+
+
+def observation_masks(
+    config: DataConfig, houses: Sequence[House], n_own: int, on_progress: Callable[[int, int], None]
+) -> Masks:
+    """Masks of robots that explore blindly or are led by the exact cost-to-go with errors.
+
+    Args:
+      config: how many, of which robots.
+      houses: the houses; those of the dataset first.
+      n_own: how many are the dataset's.
+      on_progress: called as `on_progress(rollouts done, rollouts in all)`.
+    """
+    height, width = houses[0].terrain.shape
+    leaders = functools.partial(leading_planners, height=height, width=width, seed=config.data_seed)
+    return _led_masks(config, houses, n_own, leaders, lambda done: on_progress(done, len(config.ranges) * LEADERS))
+
+
+def masks_of_network(
+    config: DataConfig,
+    houses: Sequence[House],
+    n_own: int,
+    network: Estimator,
+    on_progress: Callable[[int, int], None],
+) -> Masks:
+    """Masks of robots that a trained network leads, where it leads well and where it does not (DAgger).
+
+    Robots of every other sensing range of the configuration, at four times as many moments of each episode.
+
+    Args:
+      config: how many, of which robots.
+      houses: the houses; those of the dataset first.
+      n_own: how many are the dataset's.
+      network: the network, as the `dc2g` planner uses it.
+      on_progress: called as `on_progress(rollouts done, rollouts in all)`.
+    """
+    some = dataclasses.replace(config, ranges=config.ranges[::2], masks_per_episode=4 * config.masks_per_episode)
+    return _led_masks(
+        some,
+        houses,
+        n_own,
+        lambda rules: [make_planner("dc2g", rules, network)],
+        lambda done: on_progress(done, len(some.ranges)),
+    )
 
 
 def check_masks(masks: Masks, houses: Sequence[House], where: str) -> None:

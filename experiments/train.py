@@ -7,9 +7,13 @@ import dataclasses
 import json
 import shlex
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import tyro
 from tqdm import tqdm
@@ -17,7 +21,7 @@ from tqdm import tqdm
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
 from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
+from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, load_network, save_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.estimation.losses import check_loss_names
 from dc2g_jax.estimation.networks import Architecture
@@ -26,7 +30,9 @@ from dc2g_jax.mask_collection import Masks
 from dc2g_jax.training_data import (
     DataConfig,
     Validation,
+    by_house,
     check_masks,
+    masks_of_network,
     observation_masks,
     training_houses,
     training_set,
@@ -43,6 +49,8 @@ class Options:
       out: folder for checkpoints, the network and the log; run again with the same options to resume.
       dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
       data: houses and masks.
+      after: folder of a trained network to go on from: training begins with its weights, and masks of robots that it
+        leads are added to the others (DAgger).
       loss: name of the loss: quantile, l1, l2, huber or log.
       widths: channels of the network at 1/2, 1/4, 1/8 and 1/16 of the map's resolution.
       quantiles: levels of the quantiles that the network answers with.
@@ -57,6 +65,7 @@ class Options:
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     dataset: str | None = None
     data: tyro.conf.OmitArgPrefixes[DataConfig] = dataclasses.field(default_factory=DataConfig)
+    after: Path | None = None
     loss: str = "quantile"
     widths: tuple[int, ...] = Architecture.widths
     quantiles: tuple[float, ...] = Architecture.quantiles
@@ -80,9 +89,14 @@ class Options:
         )
 
 
-def cached_masks(folder: Path, config: DataConfig, houses: list[House], n_own: int) -> Masks:
-    """Masks from a folder, collected and kept there the first time."""
-    path = folder / "masks.npz"
+def kept_masks(path: Path, houses: list[House], collect: Callable[[Callable[[int, int], None]], Masks]) -> Masks:
+    """Masks from a file, collected and kept there the first time.
+
+    Args:
+      path: the file.
+      houses: what the masks are of.
+      collect: makes them; given a function to tell how many rollouts of how many are done.
+    """
     if path.exists():
         try:
             with np.load(path) as file:
@@ -97,23 +111,49 @@ def cached_masks(folder: Path, config: DataConfig, houses: list[House], n_own: i
             bar.total = total
             bar.update(done - bar.n)
 
-        masks = observation_masks(config, houses, n_own, show)
-    partial = path.with_suffix(".partial.npz")
-    np.savez(partial, boards=masks.boards, world=masks.world)
-    partial.rename(path)
+        masks = collect(show)
+    unfinished = path.with_suffix(".partial.npz")
+    np.savez(unfinished, boards=masks.boards, world=masks.world)
+    unfinished.rename(path)
     return masks
 
 
-def open_training_set(folder: Path, dataset: HouseDataset, config: DataConfig) -> TrainingSet:
-    """What to train on; its masks are kept in `folder`."""
+def open_training_set(
+    folder: Path, dataset: HouseDataset, config: DataConfig, network: NetworkCostToGo | None = None
+) -> TrainingSet:
+    """What to train on; its masks are kept in `folder`.
+
+    Args:
+      folder: where masks are kept.
+      dataset: the houses.
+      config: what to train on.
+      network: a network whose robots' masks are added, where one is given.
+    """
     houses, n_own = training_houses(dataset, config)
-    masks = cached_masks(folder, config, houses, n_own)
-    data = training_set(houses, n_own, masks)
+    parts = [kept_masks(folder / "masks.npz", houses, partial(observation_masks, config, houses, n_own))]
+    if network is not None:
+        collect = partial(masks_of_network, config, houses, n_own, network)
+        parts.append(kept_masks(folder / "masks_of_network.npz", houses, collect))
+    data = training_set(houses, n_own, by_house(parts))
     print(
         f"Training on {n_own} houses of {dataset.name} and {config.extra_houses} procedural ones: "
-        f"{len(masks.world)} observation masks, {int(data.n_own)} of the dataset's own houses"
+        f"{len(data.mask_world)} observation masks, {int(data.n_own)} of the dataset's own houses"
     )
     return data
+
+
+def compact_network(folder: Path, architecture: Architecture) -> NetworkCostToGo:
+    """A trained network of this architecture.
+
+    Raises:
+      InputError: if it is of another.
+    """
+    network = load_network(folder)
+    if not isinstance(network, NetworkCostToGo) or network.architecture != architecture:
+        raise InputError(
+            f"{folder}: is a network of another architecture; give --widths and --quantiles as it was trained with"
+        )
+    return network
 
 
 def model_card(options: Options, dataset: HouseDataset, step: int, figures: dict[str, float]) -> dict[str, Any]:
@@ -121,8 +161,10 @@ def model_card(options: Options, dataset: HouseDataset, step: int, figures: dict
     data = options.data
     return {
         "data": f"{dataset.name}, training split, and {data.extra_houses} procedural houses (seed {data.data_seed})",
-        "masks": f"rollouts of exploring robots with sensing ranges {', '.join(map(str, data.ranges))} cells",
+        "masks": f"rollouts of exploring robots with sensing ranges {', '.join(map(str, data.ranges))} cells"
+        + ("" if options.after is None else ", and of robots led by the network below"),
         "target": "4-connected cost-to-go in cells",
+        **({} if options.after is None else {"after": json.loads((options.after / "network.json").read_text())}),
         "loss": options.loss,
         "command": shlex.join(["python", "-m", "experiments.train", *sys.argv[1:]]),
         "commit": commit(),
@@ -135,11 +177,15 @@ def model_card(options: Options, dataset: HouseDataset, step: int, figures: dict
 def train(options: Options, dataset: HouseDataset, checkpoints: TrainingCheckpoints) -> None:
     """Train to the end, saving now and then, and at Ctrl-C."""
     config = options.training
-    data = open_training_set(options.out, dataset, options.data)
+    network = None if options.after is None else compact_network(options.after, config.architecture)
+    data = open_training_set(options.out, dataset, options.data, network)
     draw = options.data.draw_batch(config.batch_size)
     validation = Validation(dataset) if options.validate_every else None
     recipe, hyperparameters = config.recipe, config.hyperparameters
     state = checkpoints.restore() or first_state(config)
+    if network is not None and not state.step:
+        fresh = [jax.tree.map(jnp.array, network.weights) for _ in range(2)]  # a step uses them up
+        state = dataclasses.replace(state, weights=fresh[0], average=fresh[1])
     loss = FiniteLoss(options.out)
 
     def validate(state: TrainingState, step: int) -> None:
@@ -179,6 +225,7 @@ def main(options: Options) -> None:
     dataset = open_dataset(options.dataset)
     apart = {"out", "dataset", "validate_every", "minutes_per_checkpoint"}
     facts = {name: value for name, value in dataclasses.asdict(options).items() if name not in apart}
+    facts["after"] = None if options.after is None else str(options.after)
     checkpoints = TrainingCheckpoints(options.out, options.training, {**facts, "dataset": dataset.name})
     try:
         train(options, dataset, checkpoints)
