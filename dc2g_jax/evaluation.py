@@ -47,7 +47,7 @@ def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) ->
     if name in SELECTIONS and estimator is not None:
         return DC2G(estimator=estimator, rules=rules, selection=SELECTIONS[name])
     raise ValueError(
-        f"no planner {name!r} can be made; known: {', '.join(PLANNERS)} ({', '.join(SELECTIONS)}: with an estimator)"
+        f"no planner {name!r} can be made; known: {', '.join(PLANNERS)} ({' and '.join(SELECTIONS)} need an estimator)"
     )
 
 
