@@ -14,7 +14,7 @@ from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.planning.planners import DC2G, MODE_NAMES, Frontier, Oracle, Planner
 from dc2g_jax.planning.rules import Rules, Settings
-from dc2g_jax.planning.selection import ExpectedCost, ReservationCost, Selection
+from dc2g_jax.planning.selection import ExpectedCost, QuantileCost, Selection
 from dc2g_jax.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
 
 #: Planner names, in the order of the tables.
@@ -23,7 +23,7 @@ PLANNERS = ("oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go")
 #: How the planners that run on a network choose their subgoals, chosen on validation houses (see BENCHMARKS.md).
 SELECTIONS: Mapping[str, Selection] = {
     "dc2g": ExpectedCost(distance_weight=0.5),
-    "dc2g_uncertain": ReservationCost(distance_weight=0.5),
+    "dc2g_uncertain": QuantileCost(level=0.7, distance_weight=0.5),
 }
 
 

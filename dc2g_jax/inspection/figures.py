@@ -24,7 +24,7 @@ _STYLE = {
     "frontier": ("Frontier", "#d55e00", ""),
     "authors_dc2g": ("DC2G, authors' network", "#a9d3ee", "///"),
     "dc2g": ("DC2G, this package", "#0072b2", ""),
-    "dc2g_uncertain": ("DC2G, reservation cost", "#cc79a7", ""),
+    "dc2g_uncertain": ("DC2G, averse to risk", "#cc79a7", ""),
     "true_cost_to_go": ("DC2G with exact cost-to-go", "#009e73", ""),
 }
 _GROUP_LABELS = {

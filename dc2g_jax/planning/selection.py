@@ -49,6 +49,25 @@ class ExpectedCost:
 
 
 @dataclasses.dataclass(frozen=True)
+class QuantileCost:
+    """A quantile of the cost-to-go, plus weighted distance: above 1/2 averse to risk, below 1/2 optimistic.
+
+    Attributes:
+      level: share of the outcomes that cost no more, 0 to 1 (exclusive); rounded down to one of the outcomes.
+      distance_weight: cost of an action on the way.
+    """
+
+    level: float
+    distance_weight: float
+
+    def __call__(
+        self, costs: Float[Array, "outcomes h w *batch"], distance: Int[Array, "..."]
+    ) -> Float[Array, "h w *batch"]:
+        """Score of heading for each cell."""
+        return costs[int(self.level * len(costs))] + self.distance_weight * distance
+
+
+@dataclasses.dataclass(frozen=True)
 class ReservationCost:
     """What is a try worth? The optimal rule for opening boxes of unknown cost one by one (Weitzman 1979).
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.planning.selection import ExpectedCost, ReservationCost
+from dc2g_jax.planning.selection import ExpectedCost, QuantileCost, ReservationCost
 
 
 def some_costs(seed: int, outcomes: int, cells: int) -> np.ndarray:
@@ -41,6 +41,13 @@ def test_weight_zero_is_the_lowest_mean_and_the_best_case():
     costs, nothing = jnp.asarray(some_costs(1, 5, 30)), jnp.int32(0)
     np.testing.assert_allclose(ExpectedCost(0.0)(costs, nothing), np.mean(costs, axis=0), rtol=1e-6)
     np.testing.assert_allclose(ReservationCost(0.0)(costs, nothing), np.min(costs, axis=0), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("level", "index"), [(0.1, 0), (0.5, 2), (0.7, 3), (0.99, 4)])
+def test_the_quantile_rule_takes_one_outcome(level, index):
+    costs, distance = some_costs(2, 5, 30), np.arange(30)[None]
+    scores = QuantileCost(level, 0.25)(jnp.asarray(costs), jnp.asarray(distance))
+    np.testing.assert_allclose(scores, costs[index] + 0.25 * distance, rtol=1e-6)
 
 
 def test_of_two_subgoals_of_one_mean_the_uncertain_one_is_tried_first():
