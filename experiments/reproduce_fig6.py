@@ -98,7 +98,7 @@ def main(options: Options) -> None:
     print_table(networks)
     write_houses(out / "houses.csv", houses, networks)
     caption = (
-        f"{len(houses)} test houses of {dataset.name}, fully observed. "
+        f"{len(houses)} test houses of {dataset.name}, fully observed.\n"
         "A network that gives a cost for every cell takes traversability from the map."
     )
     plot_by_similarity(out / "fig6", networks, caption)
