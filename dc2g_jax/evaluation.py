@@ -9,7 +9,7 @@ import numpy as np
 
 from dc2g_jax.datasets.houses import HouseDataset, stack_worlds
 from dc2g_jax.datasets.starts import Start
-from dc2g_jax.estimation.estimators import Estimator, ExactCostToGo
+from dc2g_jax.estimation.estimators import Estimator, ExactCostToGo, TranslatorCostToGo
 from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.planning.planners import DC2G, MODE_NAMES, Frontier, Oracle, Planner
@@ -45,7 +45,9 @@ def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) ->
     if name == "true_cost_to_go":
         return DC2G(estimator=ExactCostToGo(), rules=rules)
     if name in SELECTIONS and estimator is not None:
-        return DC2G(estimator=estimator, rules=rules, selection=SELECTIONS[name])
+        # The translator's pictures have no scale, so no distance can be added to them: the paper's rule.
+        unscaled = isinstance(estimator, TranslatorCostToGo)
+        return DC2G(estimator, rules, ExpectedCost(distance_weight=0.0) if unscaled else SELECTIONS[name])
     raise ValueError(
         f"no planner {name!r} can be made; known: {', '.join(PLANNERS)} ({' and '.join(SELECTIONS)} need an estimator)"
     )

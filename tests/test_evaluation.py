@@ -6,8 +6,9 @@ import pytest
 
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import Start
-from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo
+from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.networks import Architecture, init_weights
+from dc2g_jax.estimation.translator import TranslatorArchitecture
 from dc2g_jax.evaluation import (
     SELECTIONS,
     Runner,
@@ -93,6 +94,9 @@ def test_make_planner():
     assert make_planner("true_cost_to_go", RULES) == DC2G(ExactCostToGo(), RULES)
     assert make_planner("dc2g", RULES, estimator) == DC2G(estimator, RULES, SELECTIONS["dc2g"])
     assert make_planner("dc2g_uncertain", RULES, estimator).selection == SELECTIONS["dc2g_uncertain"]
+    # Pictures have no scale that a distance could be added to.
+    translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
+    assert make_planner("dc2g", RULES, translator).selection.distance_weight == 0
 
 
 @pytest.mark.parametrize("name", ["", "Oracle", "dc2g", "random"])
