@@ -1,6 +1,7 @@
 """The interface planners see: a partial map in, costs-to-go of every cell out, lower is better."""
 
 import functools
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import jax
@@ -46,7 +47,7 @@ def _call_sizes(n_robots: int) -> list[int]:
 
 
 def update_estimates(
-    estimator: Estimator,
+    estimate: Callable[[UInt8[Array, "h w some"], Any], Float[Array, "outcomes h w some"]],
     wanted: Bool[Array, "*batch"],
     belief: Belief,
     state: Any,
@@ -55,7 +56,7 @@ def update_estimates(
     """Ask the estimator for the wanted robots alone, a few at a time, and keep the other robots' old estimates.
 
     Args:
-      estimator: what to ask.
+      estimate: what to ask: an estimator's `estimate`, or something made of it.
       wanted: which robots need a new estimate.
       belief: what the robots know.
       state: the estimator's state.
@@ -79,7 +80,7 @@ def update_estimates(
         # Where the queue has run out the map is unknown throughout.
         own_classes = classes.at[..., robots].get(mode="fill", fill_value=0)
         own_state = jax.tree.map(lambda leaf: leaf.at[..., robots].get(mode="clip"), state)
-        answer = estimator.estimate(unpack_classes(own_classes, belief.width), own_state)
+        answer = estimate(unpack_classes(own_classes, belief.width), own_state)
         answer = jnp.moveaxis(answer, -1, 0).astype(answers.dtype)
         return asked + at_a_time, answers.at[robots].set(answer, mode="drop")
 

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, UInt8
 
 from dc2g_jax.estimation.estimators import Estimator, update_estimates
 from dc2g_jax.grid import bitboard, poses, search
@@ -151,13 +151,17 @@ class DC2G:
         """Nothing is reachable before the first observation; the estimator sets itself up."""
         nothing = jnp.zeros_like(world.traversable)
         estimator_state = self.estimator.init(world)
-        estimate = jax.eval_shape(self.estimator.estimate, world.terrain, estimator_state)
+        estimate = jax.eval_shape(self._estimate, world.terrain, estimator_state)
         return ExplorationState(
             reachable=nothing,
             estimate=jnp.zeros(estimate.shape, jnp.float32),
             estimated_from=nothing,
             estimator=estimator_state,
         )
+
+    def _estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "kept h w *batch"]:
+        """What the selection rule needs of an estimate."""
+        return self.selection.summary(self.estimator.estimate(terrain, state))
 
     def plan(self, belief: Belief, state: "ExplorationState") -> "tuple[Plan, ExplorationState]":
         """Head for the most promising frontier-expanding pose, or for the goal once it is reachable."""
@@ -168,7 +172,7 @@ class DC2G:
         undecided = ~poses.is_empty(candidates) & ~bitboard.intersects(reachable, belief.goals)
         # An estimate stands until something new is seen; robots that do not explore ask for none.
         outdated = undecided & ~bitboard.is_empty(belief.seen ^ state.estimated_from)
-        estimate = update_estimates(self.estimator, outdated, belief, state.estimator, state.estimate)
+        estimate = update_estimates(self._estimate, outdated, belief, state.estimator, state.estimate)
         estimated_from = jnp.where(outdated, belief.seen, state.estimated_from)
         nearest, lengths = candidates, jnp.int32(0)
         if self.selection.distance_weight:
@@ -186,13 +190,13 @@ class ExplorationState(NamedTuple):
 
     Attributes:
       reachable: reachable cells at the last step.
-      estimate: costs-to-go of every cell as last estimated.
+      estimate: what the selection rule needs of the costs-to-go last estimated.
       estimated_from: cells that had been observed then.
       estimator: the estimator's own state.
     """
 
     reachable: Board
-    estimate: Float[Array, "outcomes h w *batch"]
+    estimate: Float[Array, "kept h w *batch"]
     estimated_from: Board
     estimator: Any
 

@@ -20,13 +20,21 @@ class Selection(Protocol):
         """See above."""
         ...
 
+    def summary(self, costs: Float[Array, "outcomes h w *batch"]) -> Float[Array, "kept h w *batch"]:
+        """What of an estimate is needed for the score, wherever the robot is: what a planner keeps.
+
+        Args:
+          costs: equally likely costs-to-go of every cell, ascending.
+        """
+        ...
+
     def __call__(
-        self, costs: Float[Array, "outcomes h w *batch"], distance: Int[Array, "..."]
+        self, summary: Float[Array, "kept h w *batch"], distance: Int[Array, "..."]
     ) -> Float[Array, "h w *batch"]:
         """Score of heading for each cell.
 
         Args:
-          costs: equally likely costs-to-go of every cell.
+          summary: of the estimate.
           distance: actions from the robot to every cell; any where `distance_weight` is 0.
         """
         ...
@@ -41,11 +49,15 @@ class ExpectedCost:
 
     distance_weight: float
 
+    def summary(self, costs: Float[Array, "outcomes h w *batch"]) -> Float[Array, "kept h w *batch"]:
+        """The mean."""
+        return jnp.mean(costs, axis=0, keepdims=True)
+
     def __call__(
-        self, costs: Float[Array, "outcomes h w *batch"], distance: Int[Array, "..."]
+        self, summary: Float[Array, "kept h w *batch"], distance: Int[Array, "..."]
     ) -> Float[Array, "h w *batch"]:
         """Score of heading for each cell."""
-        return jnp.mean(costs, axis=0) + self.distance_weight * distance
+        return summary[0] + self.distance_weight * distance
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,11 +72,15 @@ class QuantileCost:
     level: float
     distance_weight: float
 
+    def summary(self, costs: Float[Array, "outcomes h w *batch"]) -> Float[Array, "kept h w *batch"]:
+        """The quantile."""
+        return costs[int(self.level * len(costs))][None]
+
     def __call__(
-        self, costs: Float[Array, "outcomes h w *batch"], distance: Int[Array, "..."]
+        self, summary: Float[Array, "kept h w *batch"], distance: Int[Array, "..."]
     ) -> Float[Array, "h w *batch"]:
         """Score of heading for each cell."""
-        return costs[int(self.level * len(costs))] + self.distance_weight * distance
+        return summary[0] + self.distance_weight * distance
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,14 +98,18 @@ class ReservationCost:
 
     distance_weight: float
 
+    def summary(self, costs: Float[Array, "outcomes h w *batch"]) -> Float[Array, "kept h w *batch"]:
+        """All outcomes."""
+        return costs
+
     def __call__(
-        self, costs: Float[Array, "outcomes h w *batch"], distance: Int[Array, "..."]
+        self, summary: Float[Array, "kept h w *batch"], distance: Int[Array, "..."]
     ) -> Float[Array, "h w *batch"]:
         """Score of heading for each cell."""
-        outcomes = len(costs)
+        outcomes = len(summary)
         price = outcomes * self.distance_weight * distance
-        smallest, least = jnp.zeros_like(costs[0]), jnp.full_like(costs[0], jnp.inf)
-        for number, cost in enumerate(costs, start=1):
+        smallest, least = jnp.zeros_like(summary[0]), jnp.full_like(summary[0], jnp.inf)
+        for number, cost in enumerate(summary, start=1):
             smallest = smallest + cost
             least = jnp.minimum(least, (smallest + price) / number)
         return least

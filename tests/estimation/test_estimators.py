@@ -51,7 +51,7 @@ def test_the_wanted_robots_get_new_estimates_and_the_others_keep_theirs(count, s
     terrain, belief = some_beliefs(count)
     wanted = np.random.default_rng(count).random(count) < share
     state, old = jnp.arange(count), jnp.full((2, *SHAPE, count), -1.0)
-    update = jax.jit(lambda *arguments: update_estimates(Counting(), *arguments))
+    update = jax.jit(lambda *arguments: update_estimates(Counting().estimate, *arguments))
     new = jax.block_until_ready(update(jnp.asarray(wanted), belief, state, old))
     jax.effects_barrier()
     whole = terrain + 100 * (terrain != 0).sum(axis=(0, 1)) + 10000 * np.arange(count)
