@@ -180,6 +180,14 @@ def _draw_robot(axes: Axes, frames: Frames, frame: int) -> None:
     axes.plot(x[-1:], y[-1:], marker, color="#f0e442", markeredgecolor="black", markersize=9)
 
 
+def plain_axes(axes: Axes) -> None:
+    """A grid behind the data, and no frame above and to the right."""
+    axes.grid(True, color="#dddddd", linewidth=0.6)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
 def bare_axes(axes: Axes, title: str) -> None:
     """A title, and no ticks."""
     axes.set_title(title, fontsize=9)

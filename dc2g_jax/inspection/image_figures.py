@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from dc2g_jax.inspection.figures import bare_axes, save_figure
+from dc2g_jax.inspection.figures import bare_axes, plain_axes, save_figure
+from dc2g_jax.inspection.training_figures import draw_band
 
 #: Colours (Okabe and Ito), markers and line styles of networks and losses, in the order they are given.
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
@@ -63,10 +64,7 @@ def _plain(axes: Axes, metric: str) -> None:
         axes.set_ylim(bottom=0)
     else:
         axes.set_ylim(-0.03, 1.03)
-    axes.grid(True, color="#dddddd", linewidth=0.6)
-    axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    plain_axes(axes)
 
 
 def plot_translations(
@@ -138,9 +136,7 @@ def plot_training(
             curves = np.stack(
                 [_moving_average(np.array([log[step][metric] for step in steps]), window) for log in logs]
             )
-            mean, deviation = curves.mean(axis=0), curves.std(axis=0)
-            axes.plot(steps, mean, color=colour, linestyle=line, linewidth=1.8, label=loss)
-            axes.fill_between(steps, mean - deviation, mean + deviation, color=colour, alpha=0.18, linewidth=0)
+            draw_band(axes, steps, curves, color=colour, linestyle=line, label=loss)
         axes.set_xlabel("training steps")
         axes.set_title(METRIC_LABELS[metric].replace("\n", " "), fontsize=10)
         _plain(axes, metric)

@@ -2,14 +2,31 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from jaxtyping import Float, Int
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dc2g_jax.inspection.figures import save_figure
+from dc2g_jax.inspection.figures import plain_axes, save_figure
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 _LINES = ("-", "--", "-.", ":")
+
+
+def draw_band(axes: Axes, steps: Int[np.ndarray, "n"], curves: Float[np.ndarray, "runs n"], **style: Any) -> None:
+    """The mean of several runs as a curve, one standard deviation as a band.
+
+    Args:
+      axes: where to draw.
+      steps: training steps.
+      curves: a row a run.
+      style: of the curve, as matplotlib has it.
+    """
+    mean, deviation = curves.mean(axis=0), curves.std(axis=0)
+    (line,) = axes.plot(steps, mean, linewidth=1.7, **style)
+    axes.fill_between(steps, mean - deviation, mean + deviation, color=line.get_color(), alpha=0.17, linewidth=0)
 
 
 def plot_sweep(path: str | Path, runs: Mapping[str, Sequence[Mapping[int, float]]], caption: str) -> list[Path]:
@@ -31,15 +48,10 @@ def plot_sweep(path: str | Path, runs: Mapping[str, Sequence[Mapping[int, float]
         colour, line = _COLOURS[number % len(_COLOURS)], _LINES[number // len(_COLOURS) % len(_LINES)]
         steps = np.array(sorted(logs[0]))
         curves = np.array([[log[step] for step in steps] for log in logs])
-        mean, deviation = curves.mean(axis=0), curves.std(axis=0)
-        axes.plot(steps, mean, color=colour, linestyle=line, marker="o", markersize=3, linewidth=1.6, label=kind)
-        axes.fill_between(steps, mean - deviation, mean + deviation, color=colour, alpha=0.15, linewidth=0)
+        draw_band(axes, steps, curves, color=colour, linestyle=line, marker="o", markersize=3, label=kind)
     axes.set_xlabel("training steps")
     axes.set_ylabel("validation error (cells)")
-    axes.grid(True, color="#dddddd", linewidth=0.6)
-    axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    plain_axes(axes)
     axes.legend(frameon=False, fontsize=8)
     figure.supxlabel(caption, fontsize=8, color="#555555")
     return save_figure(figure, path)

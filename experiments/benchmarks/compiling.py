@@ -10,9 +10,10 @@ import jax.numpy as jnp
 
 from dc2g_jax import gridworld
 from dc2g_jax import rollout as rollout_module
-from dc2g_jax.datasets.pairs import TrainingSet, draw_pairs
+from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.estimation.training import TrainingConfig, init_state, train_step
 from dc2g_jax.rollout import STEP_LIMIT
+from dc2g_jax.training_data import DataConfig
 from experiments.benchmarks.bench import SENSING_RANGE, Bench, own
 from experiments.benchmarks.programs import Program, compile_program, nothing_kept
 from experiments.benchmarks.rows import Row
@@ -66,9 +67,7 @@ def _train_step(bench: Bench) -> Callable[[], Program]:
     )
     recipe, hyperparameters = config.recipe, config.hyperparameters
     state = jax.eval_shape(functools.partial(init_state, recipe), hyperparameters)
-    draw = functools.partial(
-        draw_pairs, batch_size=config.batch_size, own_share=1.0, edge_weight=4.0, jitter=0.15, whole_share=0.1
-    )
+    draw = DataConfig(extra_houses=0).draw_batch(config.batch_size)
 
     return lambda: compile_program(train_step, state, hyperparameters, data, recipe=recipe, draw_batch=draw)
 

@@ -1,6 +1,5 @@
 """Training: runs of a sweep together in one program, and the same runs one after another."""
 
-import functools
 from collections.abc import Iterator
 from typing import Any
 
@@ -8,11 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax.datasets.pairs import TrainingSet, draw_pairs
+from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.estimation.training import TrainingConfig, first_state, init_states, train_step, train_steps
 from dc2g_jax.grid import bitboard
 from dc2g_jax.sweeps import stacked_hyperparameters
+from dc2g_jax.training_data import DataConfig
 from experiments.benchmarks.bench import Bench, own
 from experiments.benchmarks.rows import Row
 
@@ -44,7 +44,7 @@ def training_rows(bench: Bench) -> Iterator[Row]:
         for number in range(n_runs)
     ]
     recipe, hyperparameters = configs[0].recipe, stacked_hyperparameters(configs)
-    draw = functools.partial(draw_pairs, batch_size=batch, own_share=1.0, edge_weight=4.0, jitter=0.15, whole_share=0.1)
+    draw = DataConfig(extra_houses=0).draw_batch(batch)
     # Each call goes on where the last one stopped: states are used up.
     together: list[Any] = [init_states(recipe, hyperparameters)]
     alone = [first_state(config) for config in configs]
