@@ -30,7 +30,7 @@ from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, Planner
 #: Step limit of an episode in the published results.
 STEP_LIMIT = 500
 
-#: Planner steps taken on the device by the first call, and seconds that each later one should take: between two calls
+#: Planner steps taken on the device by the first call that takes any, and seconds that each later one should take: between two calls
 #: progress is reported, and an interrupt heard.
 _FIRST_STEPS, _SECONDS_PER_CALL = 16, 0.3
 
@@ -334,15 +334,17 @@ def rollout(
         queue, state = first_state(
             own_planner, own_worlds, some, jnp.int32(len(own)), sensing=sensing, n_slots=slots, kept_steps=kept_steps
         )
+        go_on = functools.partial(run, queue=queue, planner=own_planner, sensing=sensing, step_limit=step_limit)
+        # Takes no step: this is where the program is compiled.
+        state = go_on(state, n_steps=jnp.int32(0))
+        compiled.set()
         under_way, n_steps = 1, _FIRST_STEPS
         while under_way and not stop.is_set():
             began = time.perf_counter()
-            state = run(state, queue, own_planner, jnp.int32(n_steps), sensing=sensing, step_limit=step_limit)
+            state = go_on(state, n_steps=jnp.int32(n_steps))
             under_way = int(jnp.sum(state.slots.active))
-            if compiled.is_set():
-                pace = n_steps / (time.perf_counter() - began)
-                n_steps = max(1, min(int(pace * _SECONDS_PER_CALL), 2 * n_steps))
-            compiled.set()
+            pace = n_steps / (time.perf_counter() - began)
+            n_steps = max(1, min(int(pace * _SECONDS_PER_CALL), 2 * n_steps))
             with reporting:
                 finished[worker] = int(state.seated) - under_way
                 if on_progress is not None:

@@ -35,15 +35,12 @@ class Estimator(Protocol):
 
 
 def _call_sizes(n_robots: int) -> list[int]:
-    """Numbers of maps that an estimator is given at a time, largest first: the three largest powers of four up to half
-    the robots.
+    """Numbers of maps that an estimator is given at a time: the four largest powers of two up to half the robots.
 
     Never fewer than four: the last bits of a convolution may depend on the size of a tiny batch.
     """
-    sizes = [4]
-    while 8 * sizes[-1] <= n_robots:
-        sizes.append(4 * sizes[-1])
-    return sizes[:-4:-1]
+    largest = max(4, 1 << n_robots.bit_length() >> 2)
+    return [largest >> halvings for halvings in range(4) if largest >> halvings >= 4]
 
 
 def update_estimates(
@@ -73,14 +70,16 @@ def update_estimates(
     # Indices of the wanted robots first; the rest lie beyond the batch, where nothing is written.
     queue = jnp.nonzero(wanted, size=n_robots + sizes[-1], fill_value=n_robots)[0]
     n_wanted = jnp.sum(wanted, dtype=jnp.int32)
+    # Unpacked before the loop: inside it XLA would unpack every cell again for each of a network's one-hot inputs.
+    terrain = jnp.moveaxis(unpack_classes(classes, belief.width), -1, 0)
 
     def ask(at_a_time: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         asked, answers = carry
         robots = jax.lax.dynamic_slice_in_dim(queue, asked, at_a_time)
         # Where the queue has run out the map is unknown throughout.
-        own_classes = classes.at[..., robots].get(mode="fill", fill_value=0)
+        own_terrain = terrain.at[robots].get(mode="fill", fill_value=0)
         own_state = jax.tree.map(lambda leaf: leaf.at[..., robots].get(mode="clip"), state)
-        answer = estimate(unpack_classes(own_classes, belief.width), own_state)
+        answer = estimate(jnp.moveaxis(own_terrain, 0, -1), own_state)
         answer = jnp.moveaxis(answer, -1, 0).astype(answers.dtype)
         return asked + at_a_time, answers.at[robots].set(answer, mode="drop")
 

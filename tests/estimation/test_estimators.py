@@ -56,7 +56,7 @@ def test_the_wanted_robots_get_new_estimates_and_the_others_keep_theirs(count, s
     jax.effects_barrier()
     whole = terrain + 100 * (terrain != 0).sum(axis=(0, 1)) + 10000 * np.arange(count)
     np.testing.assert_array_equal(new, np.where(wanted, np.stack([whole, -whole]), -1))
-    assert wanted.sum() <= sum(asked) <= wanted.sum() + max(3, count // 64)
+    assert wanted.sum() <= sum(asked) <= wanted.sum() + max(3, count // 16)
 
 
 def test_an_estimate_stands_until_something_new_is_seen(street):
