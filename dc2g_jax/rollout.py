@@ -30,8 +30,8 @@ from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, Planner
 #: Step limit of an episode in the published results.
 STEP_LIMIT = 500
 
-#: Planner steps taken on the device by the first call that takes any, and seconds that each later one should take: between two calls
-#: progress is reported, and an interrupt heard.
+#: Planner steps taken on the device by the first call that takes any, and seconds that each later one should take:
+#: between two calls progress is reported, and an interrupt heard.
 _FIRST_STEPS, _SECONDS_PER_CALL = 16, 0.3
 
 #: The action recorded after the end of an episode.
