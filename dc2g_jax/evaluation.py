@@ -1,6 +1,7 @@
 """Episodes by house name, planners by name, and what the results mean (paper, section IV-B)."""
 
 import collections
+import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -14,16 +15,18 @@ from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.planning.planners import DC2G, MODE_NAMES, Frontier, Oracle, Planner
 from dc2g_jax.planning.rules import Rules, Settings
-from dc2g_jax.planning.selection import ExpectedCost, QuantileCost, Selection
+from dc2g_jax.planning.selection import ExpectedCost, QuantileCost
 from dc2g_jax.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
 
 #: Planner names, in the order of the tables.
 PLANNERS = ("oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go")
 
-#: How the planners that run on a network choose their subgoals, chosen on validation houses (see BENCHMARKS.md).
-SELECTIONS: Mapping[str, Selection] = {
-    "dc2g": ExpectedCost(distance_weight=0.5),
-    "dc2g_uncertain": QuantileCost(level=0.7, distance_weight=0.5),
+#: The planners that run on a network, given it and the rules; chosen on validation houses (see BENCHMARKS.md).
+NETWORK_PLANNERS: Mapping[str, Callable[[Estimator, Rules], DC2G]] = {
+    "dc2g": functools.partial(DC2G, selection=ExpectedCost(distance_weight=0.5), depth=1, commitment=2.0),
+    "dc2g_uncertain": functools.partial(
+        DC2G, selection=QuantileCost(level=0.7, distance_weight=0.5), depth=1, commitment=2.0
+    ),
 }
 
 
@@ -44,13 +47,12 @@ def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) ->
         return Frontier(rules=rules)
     if name == "true_cost_to_go":
         return DC2G(estimator=ExactCostToGo(), rules=rules)
-    if name in SELECTIONS and estimator is not None:
-        # The translator's pictures have no scale, so no distance can be added to them: the paper's rule.
+    if name in NETWORK_PLANNERS and estimator is not None:
+        # The translator's pictures have no scale, so neither distance nor commitment can be added: the paper's rule.
         unscaled = isinstance(estimator, TranslatorCostToGo)
-        return DC2G(estimator, rules, ExpectedCost(distance_weight=0.0) if unscaled else SELECTIONS[name])
-    raise ValueError(
-        f"no planner {name!r} can be made; known: {', '.join(PLANNERS)} ({' and '.join(SELECTIONS)} need an estimator)"
-    )
+        return DC2G(estimator, rules) if unscaled else NETWORK_PLANNERS[name](estimator, rules)
+    needing = " and ".join(NETWORK_PLANNERS)
+    raise ValueError(f"no planner {name!r} can be made; known: {', '.join(PLANNERS)} ({needing} need an estimator)")
 
 
 class EpisodeResult(NamedTuple):

@@ -8,7 +8,7 @@ import tyro
 
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import read_starts
-from dc2g_jax.evaluation import SELECTIONS, Runner, summarize
+from dc2g_jax.evaluation import NETWORK_PLANNERS, Runner, summarize
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollout import STEP_LIMIT
 from experiments.common import EpisodeProgress, command_line, open_network, output_folder, write_episodes
@@ -45,7 +45,7 @@ def main(options: Options) -> None:
     """Run the episodes."""
     dataset = open_dataset(options.dataset)
     starts = read_starts(options.starts, dataset)
-    network = open_network(options.network) if SELECTIONS.keys() & set(options.planner) else None
+    network = open_network(options.network) if NETWORK_PLANNERS.keys() & set(options.planner) else None
     out = output_folder(options.out, "run_episodes")
     runner = Runner(dataset, SETTINGS[options.settings], step_limit=options.step_limit, progress=EpisodeProgress())
     results = runner.run(starts, options.planner, network)

@@ -10,7 +10,7 @@ from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, Trans
 from dc2g_jax.estimation.networks import Architecture, init_weights
 from dc2g_jax.estimation.translator import TranslatorArchitecture
 from dc2g_jax.evaluation import (
-    SELECTIONS,
+    NETWORK_PLANNERS,
     Runner,
     episodes_from,
     extra_steps,
@@ -92,11 +92,11 @@ def test_make_planner():
     assert make_planner("oracle", RULES) == Oracle()
     assert make_planner("frontier", RULES) == Frontier(RULES)
     assert make_planner("true_cost_to_go", RULES) == DC2G(ExactCostToGo(), RULES)
-    assert make_planner("dc2g", RULES, estimator) == DC2G(estimator, RULES, SELECTIONS["dc2g"])
-    assert make_planner("dc2g_uncertain", RULES, estimator).selection == SELECTIONS["dc2g_uncertain"]
-    # Pictures have no scale that a distance could be added to.
+    for name, make in NETWORK_PLANNERS.items():
+        assert make_planner(name, RULES, estimator) == make(estimator, RULES)
+    # Pictures have no scale that a distance or a commitment could be added to.
     translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
-    assert make_planner("dc2g", RULES, translator).selection.distance_weight == 0
+    assert make_planner("dc2g", RULES, translator) == DC2G(translator, RULES)
 
 
 @pytest.mark.parametrize("name", ["", "Oracle", "dc2g", "random"])

@@ -53,3 +53,21 @@ def reference(belief: Belief, reachable: Board, expanding: Kernel) -> PoseSet:
     """
     frontier = belief.seen & bitboard.neighbours(_unseen(belief))
     return _reachable_but_here(poses_that_see(frontier, expanding), belief, reachable)
+
+
+def opening(belief: Belief, candidates: PoseSet, sensing: Kernel, depth: int) -> PoseSet:
+    """Those of the poses that see an unobserved cell more than `depth` moves beyond everything observed.
+
+    The others fill a corner or complete a wall: where everything unobserved within sight lies along the rim of what is
+    known, little can come to light.
+
+    Args:
+      belief: what the robot knows.
+      candidates: poses to choose from.
+      sensing: the robot's field of view.
+      depth: width of the rim, in cells; 0 for no rim.
+    """
+    rim = belief.seen
+    for _ in range(depth):
+        rim = rim | bitboard.neighbours(rim)
+    return candidates & poses_that_see(bitboard.complement(rim, belief.width), sensing)

@@ -293,6 +293,17 @@ def revealing_poses(
     return poses & revealing if (poses & revealing).any() else revealing
 
 
+def opening_poses(poses: Array, seen: Array, depth: int, sensing_radius: int) -> Array:
+    """Those of `poses` (bool [4 h w]) that see a cell farther than `depth` moves from all that has been seen."""
+    kept = np.zeros_like(poses)
+    seen_cells = np.argwhere(seen)
+    for heading, y, x in np.argwhere(poses):
+        view = np.argwhere(visible((int(x), int(y), int(heading)), sensing_radius, seen.shape))
+        moves = np.abs(view[:, None] - seen_cells).sum(axis=-1).min(axis=1)
+        kept[heading, y, x] = (moves > depth).any()
+    return kept
+
+
 def run_episode(
     terrain: Array,
     pose: Pose,
@@ -304,11 +315,14 @@ def run_episode(
     max_steps: int,
     cost_to_go: CostToGo | None = None,
     goals: Array | None = None,
+    depth: int = 0,
+    commitment: float = 0.0,
 ) -> tuple[bool, str, Mode]:
     """Run one episode on terrain classes [h w]; return success, actions as letters, mode of the last plan.
 
     `goals` (bool [h w]) are all front doors unless given. `dc2g` takes a cost-to-go grid or a function of
-    (seen, observed terrain), unseen terrain being 0, and goes where something is revealed.
+    (seen, observed terrain), unseen terrain being 0, and goes where something is revealed, beyond a rim of `depth`
+    cells if it can, and thinks the cells of its last choice and those beside them cheaper by `commitment`.
     A start on a goal cell is a success without an action.
     """
     traversable = np.isin(terrain, TRAVERSABLE_CLASSES)
@@ -317,6 +331,7 @@ def run_episode(
     seen = visible(pose, sensing_radius, terrain.shape)
     letters: list[str] = []
     mode: Mode = "explore"
+    last = np.zeros(terrain.shape, bool)
     while not goals[pose[1], pose[0]]:
         if len(letters) == max_steps:
             return False, "".join(letters), mode
@@ -332,9 +347,12 @@ def run_episode(
             poses = explore_poses(seen, reached, pose, rules=rules, **radii)
             if planner == "dc2g":
                 poses = revealing_poses(poses, seen, reached, pose, **radii)
+                opening = opening_poses(poses, seen, depth, sensing_radius)
+                poses = opening if opening.any() else poses
                 observed = np.where(seen, terrain, 0)
                 costs = cost_to_go(seen, observed) if callable(cost_to_go) else cost_to_go
-                poses = lowest_cost_poses(poses, costs)
+                poses = lowest_cost_poses(poses, costs - commitment * (last | _neighbour_of(last)))
+                last = poses.any(axis=0)
             mode, actions = "explore", shortest_actions(free, pose, poses)
         if actions is None:
             return False, "".join(letters), "gave_up"

@@ -50,7 +50,7 @@ def run(planner, terrains, starts, sensing=None, step_limit=STEP_LIMIT):
     return rollout(planner, worlds, episodes, sensing=sensing or field_of_view(SENSING), step_limit=step_limit, slots=4)
 
 
-def check_against_oracle(done, terrains, starts, planner: str, rules: str, cost_to_go=lambda index: None):
+def check_against_oracle(done, terrains, starts, planner: str, rules: str, cost_to_go=lambda index: None, **more):
     for index, (terrain, pose) in enumerate(zip(terrains, starts, strict=True)):
         success, actions, mode = oracle.run_episode(
             terrain,
@@ -61,6 +61,7 @@ def check_against_oracle(done, terrains, starts, planner: str, rules: str, cost_
             expanding_radius=EXPANDING,
             max_steps=STEP_LIMIT,
             cost_to_go=cost_to_go(index),
+            **more,
         )
         assert action_letters(done, index) == actions, (index, pose)
         assert (bool(done.success[index]), MODE_NAMES[done.mode[index]]) == (success, mode)
@@ -117,6 +118,17 @@ def test_dc2g_episodes_with_an_estimator_of_what_was_observed(rules):
     terrains, starts = random_worlds((11, 33), 400)
     done = run(DC2G(Scattered(), RULES[rules]), terrains, starts)
     check_against_oracle(done, terrains, starts, "dc2g", rules, cost_to_go=lambda index: scattered)
+
+
+@both_rules
+@pytest.mark.parametrize("more", [{"depth": 1}, {"depth": 2}, {"commitment": 3.0}, {"depth": 1, "commitment": 2.0}])
+def test_dc2g_prefers_what_opens_ground_and_stays_with_its_choice(rules, more):
+    terrains, starts = random_worlds((11, 33), 700)
+    cost_to_go = {"cost_to_go": lambda index: scattered}
+    done = run(DC2G(Scattered(), RULES[rules], **more), terrains, starts)
+    check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, **more)
+    with pytest.raises(AssertionError):
+        check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go)
 
 
 @functools.cache
