@@ -23,10 +23,8 @@ PLANNERS = ("oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go")
 
 #: The planners that run on a network, given it and the rules; chosen on validation houses (see BENCHMARKS.md).
 NETWORK_PLANNERS: Mapping[str, Callable[[Estimator, Rules], DC2G]] = {
-    "dc2g": functools.partial(DC2G, selection=ExpectedCost(distance_weight=0.5), depth=1, commitment=2.0),
-    "dc2g_uncertain": functools.partial(
-        DC2G, selection=QuantileCost(level=0.7, distance_weight=0.5), depth=1, commitment=2.0
-    ),
+    "dc2g": functools.partial(DC2G, selection=ExpectedCost(distance_weight=0.5), depth=1),
+    "dc2g_uncertain": functools.partial(DC2G, selection=QuantileCost(level=0.7, distance_weight=0.5), depth=1),
 }
 
 
@@ -48,7 +46,7 @@ def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) ->
     if name == "true_cost_to_go":
         return DC2G(estimator=ExactCostToGo(), rules=rules)
     if name in NETWORK_PLANNERS and estimator is not None:
-        # The translator's pictures have no scale, so neither distance nor commitment can be added: the paper's rule.
+        # The translator's pictures have no scale, so no distance can be added to them: the paper's rule.
         unscaled = isinstance(estimator, TranslatorCostToGo)
         return DC2G(estimator, rules) if unscaled else NETWORK_PLANNERS[name](estimator, rules)
     needing = " and ".join(NETWORK_PLANNERS)

@@ -94,7 +94,7 @@ def test_make_planner():
     assert make_planner("true_cost_to_go", RULES) == DC2G(ExactCostToGo(), RULES)
     for name, make in NETWORK_PLANNERS.items():
         assert make_planner(name, RULES, estimator) == make(estimator, RULES)
-    # Pictures have no scale that a distance or a commitment could be added to.
+    # Pictures have no scale that a distance could be added to.
     translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
     assert make_planner("dc2g", RULES, translator) == DC2G(translator, RULES)
 

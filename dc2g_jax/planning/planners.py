@@ -134,22 +134,19 @@ class DC2G:
     poses in the first place; under the `reference` rules alone a robot can go back and forth for ever between two poses
     that show nothing.)
 
-    By default, selection, depth and commitment are the paper's.
+    By default, selection and depth are the paper's.
 
     Attributes:
       estimator: partial map in, costs-to-go out, lower is better.
       rules: what is seen and what counts as frontier.
       selection: what makes one subgoal better than another.
       depth: subgoals that see something more than so many cells beyond everything observed go before all others.
-      commitment: by how much another subgoal's score must be lower before the robot turns from its last one, or from
-        one beside it.
     """
 
     estimator: Estimator
     rules: Rules = struct.field(pytree_node=False)
     selection: Selection = struct.field(pytree_node=False, default=ExpectedCost(distance_weight=0.0))
     depth: int = struct.field(pytree_node=False, default=0)
-    commitment: float = struct.field(pytree_node=False, default=0.0)
     #: A network answers many maps at once in less time each.
     robots_a_core: ClassVar[int] = 64
     robots_on_large_maps: ClassVar[int] = 16
@@ -163,7 +160,6 @@ class DC2G:
             reachable=nothing,
             estimate=jnp.zeros(estimate.shape, jnp.float32),
             estimated_from=nothing,
-            last=nothing,
             estimator=estimator_state,
         )
 
@@ -190,14 +186,10 @@ class DC2G:
             free = jnp.where(undecided, reachable, jnp.uint32(0))
             nearest, lengths = search.nearest_headings(belief.pose, candidates, free, belief.width)
         score = self.selection(estimate, lengths)
-        if self.commitment:
-            score = score - self.commitment * bitboard.unpack(state.last, belief.width)
-        chosen = _lowest(score, poses.occupied(nearest), belief.width)
         # Without a current estimate all candidates are equal, and of equal ones the plan goes to the nearest.
-        subgoals = jnp.where(undecided, nearest & chosen, candidates)
+        subgoals = jnp.where(undecided, nearest & _lowest(score, poses.occupied(nearest), belief.width), candidates)
         plan = _explore_or_finish(belief, reachable, candidates, subgoals, self.rules)
-        last = jnp.where(undecided, chosen | bitboard.neighbours(chosen), jnp.uint32(0))
-        return plan, ExplorationState(reachable, estimate, estimated_from, last, state.estimator)
+        return plan, ExplorationState(reachable, estimate, estimated_from, state.estimator)
 
 
 class ExplorationState(NamedTuple):
@@ -207,14 +199,12 @@ class ExplorationState(NamedTuple):
       reachable: reachable cells at the last step.
       estimate: what the selection rule needs of the costs-to-go last estimated.
       estimated_from: cells that had been observed then.
-      last: cells of the last subgoals, and those beside them.
       estimator: the estimator's own state.
     """
 
     reachable: Board
     estimate: Float[Array, "kept h w *batch"]
     estimated_from: Board
-    last: Board
     estimator: Any
 
 

@@ -316,13 +316,12 @@ def run_episode(
     cost_to_go: CostToGo | None = None,
     goals: Array | None = None,
     depth: int = 0,
-    commitment: float = 0.0,
 ) -> tuple[bool, str, Mode]:
     """Run one episode on terrain classes [h w]; return success, actions as letters, mode of the last plan.
 
     `goals` (bool [h w]) are all front doors unless given. `dc2g` takes a cost-to-go grid or a function of
     (seen, observed terrain), unseen terrain being 0, and goes where something is revealed, beyond a rim of `depth`
-    cells if it can, and thinks the cells of its last choice and those beside them cheaper by `commitment`.
+    cells if it can.
     A start on a goal cell is a success without an action.
     """
     traversable = np.isin(terrain, TRAVERSABLE_CLASSES)
@@ -331,7 +330,6 @@ def run_episode(
     seen = visible(pose, sensing_radius, terrain.shape)
     letters: list[str] = []
     mode: Mode = "explore"
-    last = np.zeros(terrain.shape, bool)
     while not goals[pose[1], pose[0]]:
         if len(letters) == max_steps:
             return False, "".join(letters), mode
@@ -351,8 +349,7 @@ def run_episode(
                 poses = opening if opening.any() else poses
                 observed = np.where(seen, terrain, 0)
                 costs = cost_to_go(seen, observed) if callable(cost_to_go) else cost_to_go
-                poses = lowest_cost_poses(poses, costs - commitment * (last | _neighbour_of(last)))
-                last = poses.any(axis=0)
+                poses = lowest_cost_poses(poses, costs)
             mode, actions = "explore", shortest_actions(free, pose, poses)
         if actions is None:
             return False, "".join(letters), "gave_up"
