@@ -8,17 +8,24 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from dc2g_jax.datasets.png import Pixels, read_png
 from dc2g_jax.datasets.tables import read_table
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, UNKNOWN
 
+#: The palette of a dataset, in its folder.
+PALETTE_FILE = "labels_colors.csv"
+
 #: Names in published palettes that stand for "unknown or not observed".
 ALIASES = {"_boundary_": UNKNOWN, "_background_": UNKNOWN}
 
 _NO_ENTRY = 255
 _FOREIGN_CLASS = 254
+
+#: Colours that a message lists before it counts the others.
+_LISTED_COLORS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +62,7 @@ class Palette:
         """Return name and RGB of the entry closest to a colour, by Euclidean distance in RGB."""
         difference = self.colors.astype(int) - np.asarray(color, int)
         index = int(np.argmin((difference**2).sum(axis=1)))
-        red, green, blue = (int(value) for value in self.colors[index])
-        return self.names[index], (red, green, blue)
+        return self.names[index], _rgb(self.colors[index])
 
 
 def read_palette(csv_path: Path) -> Palette:
@@ -106,6 +112,27 @@ def read_class_image(png_path: Path, palette: Palette) -> np.ndarray:
     return classes
 
 
+def check_classes(where: str, classes: npt.ArrayLike) -> np.ndarray:
+    """Return an array as terrain classes, uint8 [H W].
+
+    Raises:
+        InputError: the array is not two-dimensional, is empty, or holds a value that is no class; `where`
+            begins the message.
+    """
+    array = np.asarray(classes)
+    if array.ndim != 2 or array.size == 0:
+        raise InputError(f"{where}: a class image has shape [H W], not {list(array.shape)}; pass one image")
+    if not np.issubdtype(array.dtype, np.integer):
+        raise InputError(f"{where}: holds {array.dtype}; pass class indices, whole numbers")
+    foreign = (array < 0) | (array >= len(CLASS_NAMES))
+    if np.any(foreign):
+        y, x = (int(value) for value in np.argwhere(foreign)[0])
+        raise InputError(
+            f"{where}: holds {array[y, x]} at column {x}, row {y}; pass class indices from 0 to {len(CLASS_NAMES) - 1}"
+        )
+    return array.astype(np.uint8)
+
+
 def write_class_image(png_path: Path, classes: np.ndarray) -> None:
     """Write terrain classes, uint8 [H W], as an RGB PNG in the published colours.
 
@@ -113,14 +140,7 @@ def write_class_image(png_path: Path, classes: np.ndarray) -> None:
         InputError: the array is not two-dimensional or holds a value that is no class.
         OSError: the file cannot be written.
     """
-    classes = np.asarray(classes)
-    if classes.ndim != 2 or 0 in classes.shape:
-        raise InputError(f"{png_path}: a class image has shape [H W], not {list(classes.shape)}; pass one image")
-    if not np.issubdtype(classes.dtype, np.integer) or classes.min() < 0 or classes.max() >= len(CLASS_NAMES):
-        raise InputError(
-            f"{png_path}: a class image holds whole numbers from 0 to {len(CLASS_NAMES) - 1}, "
-            f"not {classes.dtype} up to {classes.max()}; pass class indices"
-        )
+    classes = check_classes(str(png_path), classes)
     encoded, data = cv2.imencode(".png", np.ascontiguousarray(CLASS_COLORS[classes][..., ::-1]))
     if not encoded:
         raise InputError(f"{png_path}: an image of {classes.shape[1]} x {classes.shape[0]} cannot be encoded")
@@ -133,21 +153,32 @@ def _color_codes(colors: np.ndarray) -> np.ndarray:
 
 
 def _explain_color(png_path: Path, palette: Palette, image: Pixels, classes: np.ndarray) -> str:
-    """One line about the raster-first pixel that has no class."""
+    """One line about the pixels that have no class."""
+    colors = image.samples if image.colors is None else image.colors[image.samples]
     y, x = (int(value) for value in np.argwhere(classes >= _FOREIGN_CLASS)[0])
-    pixel = image.samples[y, x]
-    red, green, blue = (int(value) for value in (pixel if image.colors is None else image.colors[pixel]))
-    color = (red, green, blue)
-    count = int((classes == classes[y, x]).sum())
-    where = f"{png_path}: pixel x={x}, y={y} has the colour {color}"
     if classes[y, x] == _FOREIGN_CLASS:
+        color = _rgb(colors[y, x])
         return (
-            f"{where} of class {palette.name_of(color)!r} in {palette.path}, which is not a known class; "
-            f"rename it to one of: {', '.join(CLASS_NAMES)}"
+            f"{png_path}: pixel x={x}, y={y} has the colour {color} of class {palette.name_of(color)!r} in "
+            f"{palette.path}, which is not a known class; rename it to one of: {', '.join(CLASS_NAMES)}"
         )
-    name, nearest = palette.nearest(color)
-    more = f", as {count - 1} more have colours" if count > 1 else ""
+    rows, columns = np.nonzero(classes == _NO_ENTRY)
+    _, first, counts = np.unique(_color_codes(colors[rows, columns]), return_index=True, return_counts=True)
+    listed = []
+    for index in np.argsort(-counts, kind="stable")[:_LISTED_COLORS]:
+        x, y, others = int(columns[first[index]]), int(rows[first[index]]), int(counts[index]) - 1
+        color = _rgb(colors[y, x])
+        name, nearest = palette.nearest(color)
+        more = f" and {others} more" if others else ""
+        listed.append(f"{color} at pixel x={x}, y={y}{more} (nearest: {name} {nearest})")
+    if len(counts) > len(listed):
+        listed.append(f"and {len(counts) - len(listed)} other colours")
     return (
-        f"{where}{more} outside the palette {palette.path} (nearest: {name} {nearest}); "
-        "repaint it in exact colours, without smoothing, or add the colour to the palette"
+        f"{png_path}: has colours outside the palette {palette.path}: {', '.join(listed)}; "
+        "repaint them in exact colours, without smoothing, or add them to the palette"
     )
+
+
+def _rgb(color: np.ndarray) -> tuple[int, int, int]:
+    red, green, blue = (int(value) for value in color)
+    return red, green, blue

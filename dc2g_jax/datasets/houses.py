@@ -1,4 +1,4 @@
-"""Houses as class grids: the published dataset, folders in its format, and the embedded procedural ones."""
+"""Houses as class grids: the published dataset, folders in its format or of maps, and the procedural ones."""
 
 import difflib
 import os
@@ -10,17 +10,22 @@ from pathlib import Path
 
 import numpy as np
 
-from dc2g_jax.datasets.class_images import Palette, read_class_image, read_palette, write_class_image
+from dc2g_jax.datasets.class_images import (
+    PALETTE_FILE,
+    Palette,
+    read_class_image,
+    read_palette,
+    write_class_image,
+)
 from dc2g_jax.datasets.download import NetworkUnavailable, fetch_dataset, matches_published
+from dc2g_jax.datasets.maps import CELLS_FILE, MAP_ENDINGS, SPLITS, map_files, read_map_folder, sampled
 from dc2g_jax.datasets.procedural import procedural_houses
 from dc2g_jax.datasets.tables import read_table
 from dc2g_jax.errors import InputError
-from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES
 from dc2g_jax.grid.world import World, world_from_terrain
 
-SPLIT_FILES = {"train": "training_houses.csv", "val": "validation_houses.csv", "test": "testing_houses.csv"}
-PALETTE_FILE = "labels_colors.csv"
+SPLIT_FILES = dict(zip(SPLITS, ("training_houses.csv", "validation_houses.csv", "testing_houses.csv"), strict=True))
 IMAGE_FOLDER = "full_semantic"
 PUBLISHED_NAME = "driveways_bing_iros19"
 
@@ -37,7 +42,7 @@ class House:
     Attributes:
         name: `nNNNmMMMhHHH` in the published dataset (neighbourhood, map, house).
         split: 'train', 'val' or 'test'.
-        terrain: class indices, read-only: uint8 [cells cells], or [H W] where the images were left as they are.
+        terrain: class indices, read-only: uint8 [H W].
     """
 
     name: str
@@ -81,7 +86,20 @@ class HouseDataset:
 
 
 def stack_worlds(houses: Iterable[House]) -> World:
-    """The worlds of houses of one grid size, stacked in their order along the last axis."""
+    """The worlds of houses of one grid size, stacked in their order along the last axis.
+
+    Raises:
+        InputError: the sizes of two houses differ.
+    """
+    houses = tuple(houses)
+    for house in houses:
+        if house.terrain.shape != houses[0].terrain.shape:
+            sizes = [f"{one.name} has {one.terrain.shape[1]} x {one.terrain.shape[0]}" for one in (houses[0], house)]
+            rows, columns = np.min([one.terrain.shape for one in houses], axis=0)
+            raise InputError(
+                f"{' cells, '.join(sizes)}: houses that are run together need one size; sample all to one, such as "
+                f"{columns} x {rows}, by the lines 'columns,rows' and '{columns},{rows}' in {CELLS_FILE} of the dataset"
+            )
     return world_from_terrain(np.stack([house.terrain for house in houses], axis=-1))
 
 
@@ -144,10 +162,26 @@ def procedural_dataset(seed: int = 0, *, cells: int | None = 50) -> HouseDataset
         name,
         PROCEDURAL,
         tuple(
-            House(house, split, _sample(f"procedural house {house}", classes, cells))
+            House(house, split, sampled(f"procedural house {house}", classes, cells))
             for house, split, classes in procedural_houses(seed)
         ),
     )
+
+
+def map_dataset(folder: str | os.PathLike[str]) -> HouseDataset:
+    """Read a folder of maps of any size, see `dc2g_jax.datasets.maps.read_map_folder`.
+
+    Raises:
+        InputError: the folder holds no maps, or anything in it is missing, damaged or of no use.
+    """
+    folder = Path(folder)
+    try:
+        houses = tuple(House(name, split, terrain) for name, split, terrain in read_map_folder(folder))
+    except OSError as error:
+        raise InputError(f"{error.filename or folder}: cannot be read ({error.strerror})") from None
+    for house in houses:
+        _check_name(folder, house.name)
+    return HouseDataset(folder.resolve().name, "folder", houses)
 
 
 def save_dataset(dataset_images: Iterable[tuple[str, str, np.ndarray]], folder: str | os.PathLike[str]) -> Path:
@@ -208,8 +242,9 @@ def open_dataset(
     one line through `log`.
 
     Args:
-        location: a folder in the published layout, or the word 'procedural'.
-        cells: cells a side of the grids; `None` to leave the images as they are.
+        location: a folder in the published layout, a folder of maps, or the word 'procedural'.
+        cells: cells a side of the grids; `None` to leave the images as they are. A folder of maps says itself
+            what its cells are.
         log: takes the line about the fallback.
 
     Raises:
@@ -241,7 +276,16 @@ def _open_location(location: str, setting: str, cells: int | None) -> HouseDatas
         found = False
     if not found:
         raise InputError(f"{location!r}: {setting} is not an existing folder; give a dataset's folder or 'procedural'")
-    return load_dataset(folder, cells=cells)
+    return map_dataset(folder) if _is_map_folder(folder) else load_dataset(folder, cells=cells)
+
+
+def _is_map_folder(folder: Path) -> bool:
+    """Does a folder hold maps, and nothing of the published layout? What cannot be listed is left to that."""
+    published = [folder / name for name in (IMAGE_FOLDER, *SPLIT_FILES.values())]
+    try:
+        return not any(path.exists() for path in published) and any(map_files(folder).values())
+    except OSError:
+        return False
 
 
 def _check_folder(folder: Path) -> None:
@@ -254,7 +298,10 @@ def _check_folder(folder: Path) -> None:
         raise InputError(f"{folder}: the folder is empty; it needs {needed}")
     if not any((folder / name).exists() for name in SPLIT_FILES.values()):
         lists = ", ".join(SPLIT_FILES.values())
-        raise InputError(f"{folder}: has no house list; add at least one of {lists} with the column house_id")
+        raise InputError(
+            f"{folder}: has no house list; add at least one of {lists} with the column house_id, or maps that end in "
+            f"{', '.join(MAP_ENDINGS)}"
+        )
 
 
 def _read_house_lists(folder: Path) -> dict[str, dict[str, int]]:
@@ -301,16 +348,4 @@ def _read_house(folder: Path, split: str, name: str, line: int, palette: Palette
             f"{path}: no such file, but line {line} of {SPLIT_FILES[split]} lists house {name!r}; "
             "add the image or delete the line"
         )
-    return House(name, split, _sample(str(path), read_class_image(path, palette), cells))
-
-
-def _sample(where: str, classes: np.ndarray, cells: int | None) -> np.ndarray:
-    height, width = classes.shape
-    if cells is not None and (cells < 1 or min(height, width) < cells):
-        raise InputError(
-            f"{where}: wrong grid size: {width} x {height} pixels cannot fill {cells} x {cells} cells; "
-            f"use a larger image or 1 to {min(height, width)} cells"
-        )
-    terrain = np.array(classes if cells is None else sample_grid(classes, cells), dtype=np.uint8)
-    terrain.setflags(write=False)
-    return terrain
+    return House(name, split, sampled(str(path), read_class_image(path, palette), cells))

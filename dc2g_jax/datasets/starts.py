@@ -8,14 +8,14 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, UInt8
 
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.errors import InputError
+from dc2g_jax.grid.ground import connected_to_goal, why_no_way
 from dc2g_jax.grid.poses import HEADINGS
-from dc2g_jax.grid.terrain import FRONT_DOOR, ROAD, TRAVERSABLE
+from dc2g_jax.grid.terrain import FRONT_DOOR, ROAD
 from dc2g_jax.shipped import shipped
 
 
@@ -74,23 +74,23 @@ def published_episodes() -> tuple[PublishedEpisode, ...]:
         )
 
 
-def connected_to_goal(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Traversable cells from which a front door can be reached, 4-connected."""
-    _, labels = cv2.connectedComponents(TRAVERSABLE[terrain].astype(np.uint8), connectivity=4)
-    return TRAVERSABLE[terrain] & np.isin(labels, labels[terrain == FRONT_DOOR])
+def start_cells(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Road from which a front door can be reached; in a map without any road, all such ground but the doors."""
+    ground = terrain == ROAD if np.any(terrain == ROAD) else terrain != FRONT_DOOR
+    return np.asarray(connected_to_goal(terrain) & ground)
 
 
 def why_no_episode(house: House) -> str | None:
     """Why no episode can be run in a house, or `None` where one can."""
-    if not np.any(house.terrain == FRONT_DOOR):
-        return "it has no front door"
-    if not np.any(connected_to_goal(house.terrain) & (house.terrain == ROAD)):
+    if reason := why_no_way(house.terrain):
+        return reason
+    if not np.any(start_cells(house.terrain)):
         return "no front door can be reached from any of its road cells"
     return None
 
 
 def sample_starts(houses: Iterable[House], per_house: int, *, seed: int) -> list[Start]:
-    """Random starts on road cells from which a front door can be reached, in random headings.
+    """Random starts on `start_cells`, in random headings.
 
     The starts of a house depend on the seed and the house's name alone. Houses in which no episode can be run have
     none; see `why_no_episode`.
@@ -100,7 +100,7 @@ def sample_starts(houses: Iterable[House], per_house: int, *, seed: int) -> list
         if why_no_episode(house) is not None:
             continue
         rng = np.random.default_rng([seed, zlib.crc32(house.name.encode())])
-        rows, columns = np.nonzero(connected_to_goal(house.terrain) & (house.terrain == ROAD))
+        rows, columns = np.nonzero(start_cells(house.terrain))
         for cell, heading in zip(
             rng.integers(len(rows), size=per_house), rng.integers(HEADINGS, size=per_house), strict=True
         ):

@@ -1,4 +1,4 @@
-"""Sampling a semantic picture of any size onto a square grid of cells."""
+"""Sampling a semantic picture of any size onto a grid of cells."""
 
 from typing import TypeVar
 
@@ -26,26 +26,27 @@ def resize_nearest(grid: Grid, height: int, width: int) -> Grid:
     return grid[nearest_pixels(grid.shape[0], height)][:, nearest_pixels(grid.shape[1], width)]
 
 
-def sample_grid(classes: ClassImage, cells: int = 50) -> ClassImage:
-    """Squeeze a class image into a square grid, whatever its aspect ratio.
+def sample_grid(classes: ClassImage, cells: int | tuple[int, int] = 50) -> ClassImage:
+    """Squeeze a class image into a grid, whatever its aspect ratio.
 
     Nearest neighbour (see `nearest_pixels`). Then `path` cells are dilated by a 3x3 square over everything, so that a
     thin path stays connected, and `front_door` cells are put back on top.
 
     Args:
         classes: class indices, uint8 [H W].
-        cells: side of the grid.
+        cells: side of a square grid, or columns and rows.
 
     Returns:
-        Class indices, uint8 [cells cells].
+        Class indices, uint8 [rows columns].
 
     Raises:
         ValueError: if `classes` is not a non-empty two-dimensional array, or `cells` is not positive.
     """
     if classes.ndim != 2 or classes.size == 0:
         raise ValueError(f"classes must be a non-empty [H W] array, got shape {classes.shape}")
-    if cells < 1:
+    columns, rows = (cells, cells) if isinstance(cells, int) else cells
+    if min(columns, rows) < 1:
         raise ValueError(f"cells must be positive, got {cells}")
-    sampled = resize_nearest(classes, cells, cells)
+    sampled = resize_nearest(classes, rows, columns)
     path = cv2.dilate((sampled == PATH).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     return np.where(path & (sampled != FRONT_DOOR), np.uint8(PATH), sampled).astype(np.uint8)

@@ -6,16 +6,15 @@ import pytest
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import (
     Start,
-    connected_to_goal,
     published_episodes,
     read_starts,
     sample_starts,
+    start_cells,
     why_no_episode,
 )
 from dc2g_jax.errors import InputError
-from dc2g_jax.grid.terrain import FRONT_DOOR, ROAD
-from tests import maps
-from tests.oracles import gridworld_oracle as oracle
+from dc2g_jax.grid.ground import connected_to_goal
+from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, ROAD, TRAVERSABLE
 
 
 @pytest.fixture(scope="module")
@@ -26,14 +25,6 @@ def dataset(street, island) -> HouseDataset:
 
 
 # --- sampled -----------------------------------------------------------------------------------------------
-
-
-def test_connected_to_goal(street, island):
-    for terrain in (street, island, *(maps.random_terrain(seed, (9, 31), 0.6, doors=2) for seed in range(10))):
-        free, wanted = np.isin(terrain, oracle.TRAVERSABLE_CLASSES), np.zeros(terrain.shape, bool)
-        for y, x in np.argwhere(terrain == FRONT_DOOR):
-            wanted |= oracle.reachable(free, int(x), int(y))
-        np.testing.assert_array_equal(connected_to_goal(terrain), wanted)
 
 
 def test_sampled_starts_are_on_road_connected_to_a_door(dataset):
@@ -62,6 +53,13 @@ def test_sampled_starts_depend_on_seed_and_name_alone(street):
     assert alone != sample_starts(others[1:2], 5, seed=4)
     by_house = [[start[1:] for start in sample_starts([house], 5, seed=3)] for house in others]
     assert by_house[0] != by_house[1] != by_house[2]
+
+
+def test_a_map_without_road_has_starts_on_all_ground_but_the_doors(street):
+    terrain = np.where(street == ROAD, CLASS_NAMES.index("traversable"), street).astype(np.uint8)
+    np.testing.assert_array_equal(start_cells(terrain), TRAVERSABLE[terrain] & (terrain != FRONT_DOOR))
+    assert why_no_episode(House("roadless", "test", terrain)) is None
+    assert len(sample_starts([House("roadless", "test", terrain)], 4, seed=0)) == 4
 
 
 def test_why_no_episode(dataset):

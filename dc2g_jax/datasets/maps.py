@@ -1,0 +1,299 @@
+"""Your own maps as terrain: class pictures, class arrays and ROS occupancy maps of any size, and folders of them."""
+
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from jaxtyping import UInt8
+
+from dc2g_jax.datasets.class_images import PALETTE_FILE, Palette, check_classes, read_class_image, read_palette
+from dc2g_jax.datasets.occupancy import YAML_ENDINGS, OccupancyMap, read_occupancy_map
+from dc2g_jax.datasets.tables import read_table
+from dc2g_jax.errors import InputError
+from dc2g_jax.grid.ground import why_no_way
+from dc2g_jax.grid.sampling import ClassImage, sample_grid
+from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
+
+#: Splits of a dataset, in order; also the folders of their maps.
+SPLITS = ("train", "val", "test")
+
+#: Files of a folder of maps, beside the palette.
+GOALS_FILE, CELLS_FILE = "goals.csv", "cells.csv"
+
+#: What the files of maps end in.
+MAP_ENDINGS = (".png", ".npy", *YAML_ENDINGS)
+
+_GOAL_REMEDY = "draw front doors, or give goals, beside " + ", ".join(
+    name for name, drivable in zip(CLASS_NAMES, TRAVERSABLE, strict=True) if drivable and name != "front_door"
+)
+
+
+class Goal(NamedTuple):
+    """Where a goal lies.
+
+    Attributes:
+      x: column of the grid, or metres in the map frame.
+      y: row of the grid, growing downward, or metres in the map frame.
+      unit: `metres` can be given where the map is a ROS map.
+    """
+
+    x: float
+    y: float
+    unit: Literal["cells", "metres"] = "cells"
+
+
+def read_map(
+    path: str | Path,
+    *,
+    palette: Palette | None = None,
+    goals: Sequence[Goal] = (),
+    cells: tuple[int, int] | None = None,
+) -> UInt8[np.ndarray, "h w"]:
+    """Read a map on which a planner can be run: some ground of it leads to a goal.
+
+    Args:
+      path: a class picture (`.png`), an array of class indices (`.npy`), or the YAML file of a ROS occupancy map.
+      palette: what the colours of a picture mean.
+      goals: goals besides the front doors that are drawn; they become front doors.
+      cells: columns and rows of the grid that the map is sampled to, see `dc2g_jax.grid.sampling.sample_grid` and
+        `OccupancyMap.terrain`; `None` for a pixel a cell.
+
+    Returns:
+      Class indices, read-only.
+
+    Raises:
+      InputError: the map cannot be read, a goal is not on its traversable ground, or none can be reached.
+    """
+    terrain = draw_map(path, palette=palette, goals=goals, cells=cells)
+    require_way_to_goal(str(path), terrain)
+    return terrain
+
+
+def map_from_classes(
+    classes: npt.ArrayLike,
+    *,
+    goals: Sequence[Goal] = (),
+    cells: tuple[int, int] | None = None,
+    name: str = "the array",
+) -> UInt8[np.ndarray, "h w"]:
+    """A map from an array of class indices in memory: as `read_map` gives it, `name` stands for it in messages."""
+    terrain = _with_goals(name, _sampled_with_doors(name, check_classes(name, classes), cells, goals), goals)
+    require_way_to_goal(name, terrain)
+    return terrain
+
+
+def draw_map(
+    path: str | Path,
+    *,
+    palette: Palette | None = None,
+    goals: Sequence[Goal] = (),
+    cells: tuple[int, int] | None = None,
+) -> UInt8[np.ndarray, "h w"]:
+    """Read a map like `read_map`, but whether or not its goals can be reached."""
+    path = Path(path)
+    where, ending, occupancy = str(path), path.suffix.lower(), None
+    if ending == ".png":
+        if palette is None:
+            raise InputError(f"{path}: a picture needs a palette; give a CSV file with the columns class,r,g,b")
+        terrain = _sampled_with_doors(where, read_class_image(path, palette), cells, goals)
+    elif ending == ".npy":
+        terrain = _sampled_with_doors(where, _read_array(path), cells, goals)
+    elif ending in YAML_ENDINGS:
+        occupancy = read_occupancy_map(path)
+        terrain = occupancy.terrain(*_grid_size(where, occupancy.free.shape, cells))
+    else:
+        raise InputError(f"{path}: is no map; give a file that ends in {', '.join(MAP_ENDINGS)}")
+    return _with_goals(where, terrain, goals, occupancy)
+
+
+def sampled(where: str, classes: ClassImage, cells: int | tuple[int, int] | None) -> ClassImage:
+    """Class indices on a grid of cells; `cells` is the side of a square grid, its columns and rows, or `None`.
+
+    Returns:
+      Class indices, read-only.
+
+    Raises:
+      InputError: the grid is empty, or finer than the picture; `where` begins the message.
+    """
+    columns, rows = _grid_size(where, classes.shape, cells)
+    terrain = np.array(classes if cells is None else sample_grid(classes, (columns, rows)), np.uint8)
+    terrain.setflags(write=False)
+    return terrain
+
+
+def _sampled_with_doors(
+    where: str, classes: ClassImage, cells: tuple[int, int] | None, goals: Sequence[Goal]
+) -> ClassImage:
+    """Class indices on a grid of cells that does not lose the only goals there are."""
+    terrain = sampled(where, classes, cells)
+    if not goals and np.any(classes == FRONT_DOOR) and not np.any(terrain == FRONT_DOOR):
+        raise InputError(
+            f"{where}: every front door is too small to be left on {terrain.shape[1]} x {terrain.shape[0]} cells; "
+            "use more cells, or give goals"
+        )
+    return terrain
+
+
+def _grid_size(where: str, shape: tuple[int, ...], cells: int | tuple[int, int] | None) -> tuple[int, int]:
+    """Columns and rows of the grid over a picture of this shape."""
+    height, width = shape
+    columns, rows = (width, height) if cells is None else (cells, cells) if isinstance(cells, int) else cells
+    if not (1 <= columns <= width and 1 <= rows <= height):
+        raise InputError(
+            f"{where}: wrong grid size: {width} x {height} pixels cannot fill {columns} x {rows} cells; use a larger "
+            f"image, or at least 1 x 1 and at most {width} x {height} cells"
+        )
+    return columns, rows
+
+
+def _read_array(path: Path) -> ClassImage:
+    try:
+        array = np.load(path, allow_pickle=False)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give a file that numpy.save wrote") from None
+    except (ValueError, EOFError) as error:
+        problem = " ".join(str(error).split())
+        raise InputError(f"{path}: holds no plain array ({problem}); write it with numpy.save") from None
+    return check_classes(str(path), array)
+
+
+def _with_goals(
+    where: str, terrain: UInt8[np.ndarray, "h w"], goals: Sequence[Goal], occupancy: OccupancyMap | None = None
+) -> UInt8[np.ndarray, "h w"]:
+    """The map with front doors on the goals, which must lie on traversable ground; read-only."""
+    drawn = terrain.copy()
+    rows, columns = terrain.shape
+    ground = TRAVERSABLE[terrain]
+    for goal in goals:
+        name = f"goal ({goal.x:g}, {goal.y:g})"
+        if goal.unit == "metres":
+            if occupancy is None:
+                raise InputError(f"{where}: {name} is in metres, which only a ROS map knows; give its column and row")
+            column, row = occupancy.cell(goal.x, goal.y, columns, rows)
+            name += " in metres"
+        else:
+            column, row = math.floor(goal.x), math.floor(goal.y)
+            if (column, row) != (goal.x, goal.y):
+                raise InputError(f"{where}: {name} is between cells; give its column and row as whole numbers")
+        if not (0 <= column < columns and 0 <= row < rows):
+            raise InputError(
+                f"{where}: {name} lies at column {column}, row {row}, off the map of {columns} x {rows} cells; "
+                "give a goal on the map"
+            )
+        if not ground[row, column]:
+            raise InputError(
+                f"{where}: {name} lies at column {column}, row {row} on {CLASS_NAMES[terrain[row, column]]!r}, which "
+                f"is not traversable; {_nearest_ground(ground, column, row)}"
+            )
+        drawn[row, column] = FRONT_DOOR
+    drawn.setflags(write=False)
+    return drawn
+
+
+def _nearest_ground(ground: np.ndarray, column: int, row: int) -> str:
+    """What to do about a goal that is not on the ground."""
+    rows, columns = np.nonzero(ground)
+    if not len(rows):
+        return "the map has no traversable ground at all"
+    nearest = int(np.argmin((rows - row) ** 2 + (columns - column) ** 2))
+    return f"the nearest cell that is lies at column {columns[nearest]}, row {rows[nearest]}"
+
+
+def require_way_to_goal(where: str, terrain: UInt8[np.ndarray, "h w"]) -> None:
+    """Refuse a map on which no planner can be run, with `InputError`; `where` begins the message."""
+    if reason := why_no_way(terrain):
+        raise InputError(f"{where}: {reason}; {_GOAL_REMEDY}")
+
+
+def map_files(folder: Path) -> dict[str, list[Path]]:
+    """The maps of a folder by split: those in `train`, `val` and `test`, or else all that lie in the folder, as `test`.
+
+    Raises:
+      InputError: there are maps both in the folder itself and in the folders of the splits.
+    """
+    by_split = {split: _maps_in(folder / split) for split in SPLITS}
+    loose = _maps_in(folder)
+    if loose and any(by_split.values()):
+        raise InputError(
+            f"{loose[0]}: lies beside the folders of the splits, so it is in none of them; move it into one of "
+            f"{', '.join(SPLITS)}"
+        )
+    return {**by_split, "test": loose} if loose else by_split
+
+
+def _maps_in(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in MAP_ENDINGS)
+
+
+def read_map_folder(folder: Path) -> list[tuple[str, str, UInt8[np.ndarray, "h w"]]]:
+    """Read a folder of maps: name, split and terrain of each, split by split in the order of their names.
+
+    Beside the maps may lie: `labels_colors.csv`, the colours of pictures (`class,r,g,b`); `goals.csv`, the goals of
+    maps by name (`map,x,y,unit`, see `Goal`); and `cells.csv`, the size of the grid that every map is sampled to
+    (`columns,rows` and one line), where a pixel is not to be a cell.
+
+    Raises:
+      InputError: a map is refused by `read_map`, two have one name, or one of the tables is wrong.
+    """
+    files = map_files(folder)
+    paths: dict[str, Path] = {}
+    for path in (path for split in SPLITS for path in files[split]):
+        if path.stem in paths:
+            raise InputError(f"{path}: {paths[path.stem]} has the same name; rename one, names must be unique")
+        paths[path.stem] = path
+    if not paths:
+        raise InputError(f"{folder}: holds no maps; add files that end in {', '.join(MAP_ENDINGS)}")
+    pictures = [path for path in paths.values() if path.suffix.lower() == ".png"]
+    palette = read_palette(folder / PALETTE_FILE) if pictures else None
+    goals = _read_goals(folder / GOALS_FILE, list(paths))
+    cells = _read_cells(folder / CELLS_FILE)
+    return [
+        (path.stem, split, read_map(path, palette=palette, goals=goals.get(path.stem, ()), cells=cells))
+        for split in SPLITS
+        for path in files[split]
+    ]
+
+
+def _read_goals(path: Path, names: Sequence[str]) -> Mapping[str, list[Goal]]:
+    """The goals by name of their map; none where there is no such file."""
+    goals: dict[str, list[Goal]] = {}
+    if not path.exists():
+        return goals
+    for line, row in read_table(path, ("map", "x", "y", "unit"), remedy="give the goals of maps there"):
+        name, unit = row["map"], row["unit"]
+        if name not in names:
+            close = difflib.get_close_matches(name, names, n=3, cutoff=0.5) or sorted(names)[:3]
+            raise InputError(f"{path}: line {line} has a goal of {name!r}, which is no map; write {' or '.join(close)}")
+        if unit not in ("cells", "metres"):
+            raise InputError(f"{path}: line {line} has the unit {unit!r}; write cells or metres")
+        x, y = (_number(path, line, column, row[column]) for column in "xy")
+        goals.setdefault(name, []).append(Goal(x, y, "cells" if unit == "cells" else "metres"))
+    return goals
+
+
+def _number(path: Path, line: int, column: str, text: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(f"{path}: line {line} has {text!r} in column {column!r}; write a number")
+    return number
+
+
+def _read_cells(path: Path) -> tuple[int, int] | None:
+    """The size of the grid; `None` where there is no such file."""
+    if not path.exists():
+        return None
+    rows = read_table(path, ("columns", "rows"), remedy="give the size of the grid there")
+    (line, row) = rows[-1]
+    texts = (row["columns"], row["rows"])
+    if len(rows) > 1 or not all(text.isdecimal() and int(text) > 0 for text in texts):
+        raise InputError(f"{path}: line {line} has {','.join(texts)!r}; write one line with two whole numbers of cells")
+    return int(texts[0]), int(texts[1])

@@ -1,0 +1,179 @@
+"""Occupancy maps as ROS saves them: a YAML file with the facts beside a PGM picture, read as map_server reads them."""
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from jaxtyping import Bool, UInt8
+
+from dc2g_jax.errors import InputError
+from dc2g_jax.grid.terrain import HOUSE, ROAD, UNKNOWN
+
+#: What the files of occupancy maps end in.
+YAML_ENDINGS = (".yaml", ".yml")
+
+_REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
+
+#: The grey that map savers write where nothing is known, and the threshold below which it is not read as free.
+_UNKNOWN_GREY, _USUAL_FREE_THRESHOLD = 205, 0.196
+
+_GAP = rb"(?:\s|#[^\r\n]*[\r\n])+"
+_PGM_HEADER = re.compile(rb"P5" + _GAP + rb"(\d{1,6})" + _GAP + rb"(\d{1,6})" + _GAP + rb"(\d{1,5})\s")
+
+
+@dataclass(frozen=True, eq=False)
+class OccupancyMap:
+    """An occupancy map.
+
+    Attributes:
+      path: the YAML file it was read from.
+      free: pixels known to be free.
+      occupied: pixels known to be occupied; where neither, nothing is known.
+      resolution: metres a pixel.
+      origin: where the lower left corner of the picture lies in the map frame: x and y in metres, and the angle in
+        radians by which the picture is turned counterclockwise about it.
+      doubt: one line on what was read as the file says but is probably not meant so, or `None`.
+    """
+
+    path: Path
+    free: Bool[np.ndarray, "h w"]
+    occupied: Bool[np.ndarray, "h w"]
+    resolution: float
+    origin: tuple[float, float, float]
+    doubt: str | None
+
+    def terrain(self, columns: int, rows: int) -> UInt8[np.ndarray, "{rows} {columns}"]:
+        """The map as terrain: road where free, house where occupied, unknown elsewhere.
+
+        What the shipped network has been trained on has these classes. A cell is free only if all it covers is free,
+        and occupied if anything in it is, so that no wall is lost on a coarser grid.
+        """
+        free = _covered(~self.free, columns, rows) == 0
+        occupied = _covered(self.occupied, columns, rows) > 0
+        return np.asarray(np.where(free, ROAD, np.where(occupied, HOUSE, UNKNOWN)), np.uint8)
+
+    def cell(self, x: float, y: float, columns: int, rows: int) -> tuple[int, int]:
+        """Column and row, on a grid of this size, of a point in the map frame; beyond the grid for one off the map.
+
+        Args:
+          x: metres.
+          y: metres.
+          columns: of the grid that is laid over the map.
+          rows: of the grid.
+        """
+        height, width = self.free.shape
+        east, north, yaw = x - self.origin[0], y - self.origin[1], self.origin[2]
+        right = (east * math.cos(yaw) + north * math.sin(yaw)) / self.resolution
+        up = (north * math.cos(yaw) - east * math.sin(yaw)) / self.resolution
+        return math.floor(right * columns / width), rows - 1 - math.floor(up * rows / height)
+
+
+def _covered(pixels: Bool[np.ndarray, "h w"], columns: int, rows: int) -> np.ndarray:
+    """How many of these pixels each cell of a grid over them touches, [rows columns]."""
+    height, width = pixels.shape
+    sums = np.pad(np.cumsum(np.cumsum(pixels, axis=0, dtype=np.int64), axis=1), ((1, 0), (1, 0)))
+    row, column = np.arange(rows + 1), np.arange(columns + 1)
+    top, bottom = row[:-1] * height // rows, -(-row[1:] * height // rows)
+    left, right = column[:-1] * width // columns, -(-column[1:] * width // columns)
+    rows_of_sums = sums[bottom] - sums[top]
+    return np.asarray(rows_of_sums[:, right] - rows_of_sums[:, left])
+
+
+def read_occupancy_map(path: Path) -> OccupancyMap:
+    """Read a ROS map: `image`, `resolution`, `origin`, `negate`, `occupied_thresh`, `free_thresh`; mode `trinary`.
+
+    Raises:
+      InputError: the YAML file or its picture is missing, unreadable or damaged, a key is missing, a value makes no
+        sense, or the mode is another.
+    """
+    facts = _read_facts(path)
+    image = path.parent / str(facts["image"])
+    resolution = _number(path, "resolution", facts["resolution"])
+    if resolution <= 0:
+        raise InputError(f"{path}: resolution is {resolution}; give the metres of a pixel, such as 0.05")
+    origin = facts["origin"]
+    if not isinstance(origin, list) or len(origin) != 3:
+        raise InputError(f"{path}: origin is {origin!r}; give [x, y, yaw] in metres and radians")
+    x, y, yaw = (_number(path, "origin", value) for value in origin)
+    free_threshold, occupied_threshold = (_number(path, key, facts[key]) for key in ("free_thresh", "occupied_thresh"))
+    if not 0 <= free_threshold <= occupied_threshold <= 1:
+        raise InputError(
+            f"{path}: free_thresh is {free_threshold} and occupied_thresh {occupied_threshold}; give numbers from 0 to "
+            "1, the first no larger, such as 0.196 and 0.65"
+        )
+    if facts["negate"] not in (0, 1):
+        raise InputError(f"{path}: negate is {facts['negate']!r}; give 0 where white is free, 1 where black is")
+    if facts.get("mode", "trinary") != "trinary":
+        raise InputError(f"{path}: mode is {facts['mode']!r}; save the map in the mode trinary, no other is read")
+    greys = _read_pgm(image, path)
+    shades = np.arange(256) / 255
+    occupancy = shades if facts["negate"] else 1 - shades
+    free = occupancy < free_threshold
+    doubt = None
+    unknown_greys = int(np.sum(greys == _UNKNOWN_GREY))
+    if unknown_greys and free[_UNKNOWN_GREY] and not facts["negate"]:
+        doubt = (
+            f"{unknown_greys} pixels are grey {_UNKNOWN_GREY}, which map savers write where nothing is known, but "
+            f"free_thresh {free_threshold} makes them free; if that is not meant, write {_USUAL_FREE_THRESHOLD}"
+        )
+    return OccupancyMap(path, free[greys], (occupancy > occupied_threshold)[greys], resolution, (x, y, yaw), doubt)
+
+
+def _read_facts(path: Path) -> dict[str, Any]:
+    """The keys and values of the YAML file; none of the required is missing."""
+    try:
+        facts = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give the YAML file of a ROS map") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: byte at offset {error.start} is not UTF-8; give the YAML file of a map") from None
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f" line {mark.line + 1}" if mark else ""
+        problem = " ".join(str(getattr(error, "problem", None) or "no YAML").split())
+        raise InputError(f"{path}:{where} is not YAML ({problem}); repair the file") from None
+    if not isinstance(facts, dict):
+        raise InputError(f"{path}: holds no keys and values; a ROS map needs {', '.join(_REQUIRED)}")
+    missing = [key for key in _REQUIRED if facts.get(key) is None]
+    if missing:
+        raise InputError(f"{path}: lacks {', '.join(missing)}; a ROS map needs {', '.join(_REQUIRED)}")
+    return facts
+
+
+def _number(path: Path, key: str, value: object) -> float:
+    """A finite number; YAML takes `5e-2` for text."""
+    try:
+        number = math.nan if isinstance(value, bool) else float(str(value))
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(f"{path}: {key} has {value!r}, which is no number; write one such as 0.05")
+    return number
+
+
+def _read_pgm(path: Path, named_in: Path) -> UInt8[np.ndarray, "h w"]:
+    """Grey values of a binary 8-bit PGM file, checked to the last byte."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}), but {named_in} names it as its image") from None
+    header = _PGM_HEADER.match(data)
+    if header is None:
+        raise InputError(
+            f"{path}: starts with {data[:8].hex(' ') or 'nothing'}, so it is not a binary PGM file (P5); save the map "
+            "as PGM"
+        )
+    width, height, highest = (int(number) for number in header.groups())
+    if highest != 255 or not (width and height):
+        raise InputError(f"{path}: is {width} x {height} pixels of 0 to {highest}; save it as PGM of 0 to 255")
+    found = len(data) - header.end()
+    if found != width * height:
+        raise InputError(
+            f"{path}: wrong size: {width} x {height} pixels need {width * height} bytes, but {found} follow the "
+            "header; save the map again"
+        )
+    return np.frombuffer(data, np.uint8, offset=header.end()).reshape(height, width)

@@ -1,0 +1,97 @@
+"""Your own maps from the command line: looked at, and driven on."""
+
+import csv
+import re
+
+import cv2
+import numpy as np
+import pytest
+
+from dc2g_jax.datasets.class_images import write_class_image
+from dc2g_jax.errors import InputError
+from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS
+from experiments.check_map import Options, main
+from tests.datasets.test_occupancy import save
+from tests.experiments.test_commands import run
+from tests.maps import drawn
+
+PALETTE = "class,r,g,b\n" + "".join(
+    f"{name},{r},{g},{b}\n" for name, (r, g, b) in zip(CLASS_NAMES, CLASS_COLORS, strict=True)
+)
+CAMPUS = drawn("""
+    ....##D##......R.
+    ....##P##..##D##.
+    RRRRRRRRR..#####.
+    RRRRRRRRR......tt
+    ..P..............
+    ..d........RRR...
+""")
+
+
+def test_check_map_reports_and_draws(tmp_path):
+    (tmp_path / "palette.csv").write_text(PALETTE)
+    write_class_image(tmp_path / "campus.png", CAMPUS)
+    result = run(
+        "check_map", tmp_path / "campus.png", "--palette", tmp_path / "palette.csv", "--goals", 2, 5,
+        "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    lines = result.stdout.splitlines()
+    assert lines[0] == "campus.png: 17 x 6 cells"
+    assert "        22 road (traversable)" in lines
+    assert "         2 tree" in lines
+    assert "goal cells: 1 at (6, 0), 1 at (13, 1), 1 at (2, 5)" in lines
+    assert "traversable cells: 27, of which 85.2 % lead to a goal, 5 cells away at most" in lines
+    assert "warning: traversable cells that lead to no goal: 3 at (12, 5), 1 at (15, 0)" in lines
+    assert "warning: goal cells that touch no other traversable ground: 1 at (13, 1)" in lines
+    # The panels of so wide a map lie below each other.
+    height, width, _ = cv2.imread(str(tmp_path / "out" / "campus.png")).shape
+    assert height > width
+    assert (tmp_path / "out" / "campus.svg").read_text().count("<image") >= 3
+
+
+def test_a_map_of_no_use_is_drawn_and_then_refused(tmp_path, capsys):
+    np.save(tmp_path / "campus.npy", np.where(CAMPUS == FRONT_DOOR, GRASS, CAMPUS))
+    with pytest.raises(InputError, match=r"campus\.npy: it has no front door; .* give goals"):
+        main(Options(tmp_path / "campus.npy", out=tmp_path / "out"))
+    assert "goal cells: none" in capsys.readouterr().out
+    assert (tmp_path / "out" / "campus.png").stat().st_size > 0
+
+
+def test_what_cannot_be_read_is_not_drawn(tmp_path):
+    (tmp_path / "palette.csv").write_text(PALETTE.replace("tree,64,128,0", "tree,64,128,9"))
+    write_class_image(tmp_path / "campus.png", CAMPUS)
+    options = Options(tmp_path / "campus.png", tmp_path / "palette.csv", out=tmp_path / "out")
+    with pytest.raises(InputError, match=re.escape("(64, 128, 0) at pixel x=15, y=3 and 1 more (nearest: tree")):
+        main(options)
+    assert not (tmp_path / "out").exists()
+
+
+def test_unknown_ground_that_counts_as_free_is_warned_of(tmp_path, capsys):
+    greys = np.full((30, 20), 205, np.uint8)
+    greys[10:20] = 254
+    path = save(tmp_path, greys, free_thresh=0.25)
+    main(Options(path, goals=((0.21, 0.74),), goal_unit="metres", out=tmp_path / "out"))
+    printed = capsys.readouterr().out
+    assert "goal cells: 1 at (4, 15)" in printed
+    assert "warning: 400 pixels are grey 205" in printed
+
+
+def test_episodes_are_run_on_a_folder_of_maps(tmp_path):
+    maps = tmp_path / "maps"
+    maps.mkdir()
+    np.save(maps / "campus.npy", CAMPUS)
+    save(maps, np.full((6, 17), 254, np.uint8))
+    (maps / "goals.csv").write_text("map,x,y,unit\nlab,16,0,cells\n")
+    (tmp_path / "starts.csv").write_text("house,x,y,heading\ncampus,0,3,0\nlab,0,5,3\n")
+    result = run(
+        "run_episodes", "--starts", tmp_path / "starts.csv", "--planner", "frontier", "--dataset", maps,
+        "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    with (tmp_path / "out" / "episodes.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    # Five rows up, a turn, and sixteen columns to the right.
+    assert [(row["house"], row["success"], row["oracle_steps"]) for row in rows] == [
+        ("campus", "1", "10"), ("lab", "1", "22"),
+    ]  # fmt: skip

@@ -1,0 +1,48 @@
+"""What hangs together: against plain floods, and on maps drawn by hand."""
+
+import numpy as np
+import pytest
+
+from dc2g_jax.grid.ground import Piece, connected_to_goal, goals_without_ground, pieces, why_no_way
+from dc2g_jax.grid.terrain import FRONT_DOOR
+from tests import maps
+from tests.oracles import gridworld_oracle as oracle
+
+
+def test_connected_to_goal(street, island):
+    for terrain in (street, island, *(maps.random_terrain(seed, (9, 31), 0.6, doors=2) for seed in range(10))):
+        free, wanted = np.isin(terrain, oracle.TRAVERSABLE_CLASSES), np.zeros(terrain.shape, bool)
+        for y, x in np.argwhere(terrain == FRONT_DOOR):
+            wanted |= oracle.reachable(free, int(x), int(y))
+        np.testing.assert_array_equal(connected_to_goal(terrain), wanted)
+
+
+def test_pieces_touch_by_their_sides_and_come_in_order_of_size():
+    cells = np.array([[1, 0, 0, 1], [0, 1, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], bool)
+    assert pieces(cells) == [Piece(1, 1, 3), Piece(0, 0, 1), Piece(3, 0, 1), Piece(3, 3, 1)]
+    assert pieces(np.zeros((3, 2), bool)) == []
+    assert pieces(np.ones((3, 2), bool)) == [Piece(0, 1, 6)]
+
+
+def test_goals_without_ground():
+    terrain = maps.drawn("""
+        DD..
+        ....
+        RD.D
+        ..RR
+    """)
+    assert np.argwhere(goals_without_ground(terrain)).tolist() == [[0, 0], [0, 1]]
+
+
+@pytest.mark.parametrize(
+    ("picture", "reason"),
+    [
+        ("RD", None),
+        ("D. .R", "no front door can be reached, none touches other traversable ground"),
+        ("RR", "it has no front door"),
+        ("..", "it has no traversable ground"),
+        ("DD", "it has no traversable ground"),
+    ],
+)
+def test_why_no_way(picture, reason):
+    assert why_no_way(maps.drawn(picture)) == reason
