@@ -1,0 +1,216 @@
+"""What a robot should do, made out of distances, candidates and scores: plain NumPy and Python, one robot."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from dc2g_jax.errors import InputError
+from dc2g_jax.grid.poses import ACTION_LETTERS, FORWARD, HEADINGS
+from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL
+
+#: Heading -> its name; y grows to the south.
+HEADING_NAMES = ("east", "south", "west", "north")
+
+#: Farther than any pose.
+FAR = 2**30
+
+
+class RobotPose(NamedTuple):
+    """A pose in plain numbers.
+
+    Attributes:
+      x: column.
+      y: row, growing downward.
+      heading: 0 = +x (east), 1 = +y (south), 2 = -x (west), 3 = -y (north).
+    """
+
+    x: int
+    y: int
+    heading: int
+
+
+class Candidate(NamedTuple):
+    """A cell that the robot might explore from.
+
+    Attributes:
+      x: column.
+      y: row.
+      heading: of those in which something new can be seen from there, the one that is reached soonest.
+      cost_to_go: predicted cost from there to the door in cells: the mean, or what the planner's selection rule takes
+        in its place; `None` for frontier exploration, which predicts nothing.
+      distance: actions from the robot to this pose.
+      score: what the planner compares, the lowest wins: the cost-to-go plus the weighted distance; for frontier
+        exploration, the distance.
+    """
+
+    x: int
+    y: int
+    heading: int
+    cost_to_go: float | None
+    distance: int
+    score: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Decision:
+    """What the robot should do next, and why.
+
+    Attributes:
+      action: the next action, "F" (one cell forward), "L" or "R" (turn on the spot); `None` when there is nothing left
+        to do: the robot stands on a door, or the planner gave up.
+      mode: "explore", "to_goal" (a door is reachable) or "gave_up".
+      subgoal: where the plan leads; `None` when the planner gave up.
+      path: poses from the robot's own to the subgoal, both included, along the shortest plan over observed ground.
+      actions: the plan as letters, one fewer than poses; its first is `action`.
+      candidates: what there was to choose from while exploring, one a cell, in ascending order of score; the first is
+        the subgoal. Empty in the other modes.
+      why: the reason, one sentence.
+    """
+
+    action: str | None
+    mode: str
+    subgoal: RobotPose | None
+    path: tuple[RobotPose, ...]
+    actions: str
+    candidates: tuple[Candidate, ...]
+    why: str
+
+
+class View(NamedTuple):
+    """All that a decision is made from.
+
+    Attributes:
+      distance: actions from the robot to every pose, -1 where there is no way.
+      doors: door cells.
+      candidates: poses to explore from.
+      cost_to_go: predicted for every cell, `None` if nothing is; without meaning, like `score`, when there is nothing
+        to choose.
+      score: of every cell with a candidate.
+    """
+
+    distance: Int[np.ndarray, "heading h w"]
+    doors: Bool[np.ndarray, "h w"]
+    candidates: Bool[np.ndarray, "heading h w"]
+    cost_to_go: Float[np.ndarray, "h w"] | None
+    score: Float[np.ndarray, "h w"]
+
+
+def decide(view: View, left: int, top: int) -> Decision:
+    """Go to a door if one is reachable, else explore from the candidate of lowest score, else give up.
+
+    Args:
+      view: what to decide from.
+      left: column of the view's first cell, in the coordinates of the decision.
+      top: row of it.
+
+    Raises:
+      InputError: if a score is not a number.
+    """
+    mode, targets = _targets(view)
+    if mode == GAVE_UP:
+        why = "gave up: no door is reachable, and nothing unobserved can be seen from anywhere reachable"
+        return Decision(None, MODE_NAMES[mode], None, (), "", (), why)
+    plan, actions = _shortest_plan(view.distance, targets)
+    path = tuple(RobotPose(left + x, top + y, heading) for x, y, heading in plan)
+    ranked = _ranked(view, plan[-1], left, top) if mode == EXPLORE else ()
+    return Decision(
+        action=actions[0] if actions else None,
+        mode=MODE_NAMES[mode],
+        subgoal=path[-1],
+        path=path,
+        actions=actions,
+        candidates=ranked,
+        why=_why_explore(ranked) if ranked else _why_to_goal(path[-1], len(actions)),
+    )
+
+
+def _targets(view: View) -> tuple[int, Bool[np.ndarray, "heading h w"]]:
+    """Plan mode, and poses to head for: any on a reachable door, else the candidates of lowest score."""
+    doors = view.doors & (view.distance >= 0)
+    if doors.any():
+        return TO_GOAL, doors
+    if not view.candidates.any():
+        return GAVE_UP, view.candidates
+    scores = view.score[view.candidates.any(axis=0)]
+    if np.isnan(scores).any():
+        raise InputError("the estimated cost-to-go is not a number (NaN) in some cell; check the estimator's weights")
+    return EXPLORE, view.candidates & (view.score == scores.min())
+
+
+def _shortest_plan(
+    distance: Int[np.ndarray, "heading h w"], targets: Bool[np.ndarray, "heading h w"]
+) -> tuple[list[tuple[int, int, int]], str]:
+    """The lexicographically smallest shortest plan into the targets: its poses (x, y, heading) and its letters.
+
+    Args:
+      distance: actions from the robot to every pose, -1 where there is no way.
+      targets: poses to reach, all of which can be reached.
+    """
+    length = int(distance[targets].min())
+    framed = np.pad(distance, ((0, 0), (1, 1), (1, 1)), constant_values=-1)
+    # Poses on shortest plans, by the actions done, from all of them back to none.
+    layers = [{(int(x), int(y), int(heading)) for heading, y, x in np.argwhere(targets & (distance == length))}]
+    for done in reversed(range(length)):
+        before = {pose for later in layers[-1] for pose in _next_to(later, -1)}
+        layers.append({(x, y, heading) for x, y, heading in before if framed[heading, y + 1, x + 1] == done})
+    (pose,) = layers.pop()
+    path, letters = [pose], ""
+    for layer in reversed(layers):
+        steps = zip(ACTION_LETTERS, _next_to(pose, 1), strict=True)
+        letter, pose = next(step for step in steps if step[1] in layer)
+        path.append(pose)
+        letters += letter
+    return path, letters
+
+
+def _next_to(pose: tuple[int, int, int], forward: int) -> tuple[tuple[int, int, int], ...]:
+    """The poses one action later, in the order of the actions, or one action earlier where `forward` is -1."""
+    x, y, heading = pose
+    dx, dy = FORWARD[heading]
+    ahead = (x + forward * dx, y + forward * dy, heading)
+    return ahead, (x, y, (heading - forward) % HEADINGS), (x, y, (heading + forward) % HEADINGS)
+
+
+def _ranked(view: View, subgoal: tuple[int, int, int], left: int, top: int) -> tuple[Candidate, ...]:
+    """The candidates, one a cell, in ascending order of score; of equal ones the subgoal, then the nearest."""
+    y, x = np.nonzero(view.candidates.any(axis=0))
+    distances = np.where(view.candidates[:, y, x], view.distance[:, y, x], FAR)
+    is_subgoal = (x == subgoal[0]) & (y == subgoal[1])
+    heading = np.where(is_subgoal, subgoal[2], distances.argmin(axis=0))
+    distance, score = distances.min(axis=0), view.score[y, x]
+    order = np.lexsort((x, y, distance, ~is_subgoal, score))
+    columns = (column[order].tolist() for column in (x + left, y + top, heading, distance, score))
+    costs = [None] * len(order) if view.cost_to_go is None else view.cost_to_go[y, x][order].tolist()
+    return tuple(
+        Candidate(x, y, heading, cost_to_go, distance, score)
+        for (x, y, heading, distance, score), cost_to_go in zip(zip(*columns, strict=True), costs, strict=True)
+    )
+
+
+def _actions(number: int) -> str:
+    return "1 action" if number == 1 else f"{number} actions"
+
+
+def _why_explore(ranked: Sequence[Candidate]) -> str:
+    """The reason to explore from the first of the candidates."""
+    best, *others = ranked
+    place = f"explore: ({best.x}, {best.y}) facing {HEADING_NAMES[best.heading]}"
+    what, details, digits = "is the nearest", f"{_actions(best.distance)} away", 0
+    if best.cost_to_go is not None:
+        what, digits = "has the lowest score", 1
+        details = f"{best.score:.1f}: predicted cost-to-go {best.cost_to_go:.1f}, {details}"
+    if not others:
+        return f"{place} is the only candidate, {details}"
+    second = others[0]
+    next_best = f"next best {second.score:.{digits}f} at ({second.x}, {second.y})"
+    return f"{place} {what} of {len(ranked)} candidates, {details}; {next_best}"
+
+
+def _why_to_goal(door: RobotPose, length: int) -> str:
+    """The reason to head for a door."""
+    if length == 0:
+        return f"to goal: the robot stands on the door at ({door.x}, {door.y})"
+    return f"to goal: the door at ({door.x}, {door.y}) is reachable in {_actions(length)}"

@@ -1,0 +1,49 @@
+"""The network on a grid larger than the map answers as it does to the map alone."""
+
+import jax
+import numpy as np
+import pytest
+
+from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation.networks import Architecture, weight_shapes
+from dc2g_jax.estimation.padding import OUTSIDE, PaddedNetwork
+from tests import maps
+
+SMALL = Architecture(widths=(4, 4, 6, 8), quantiles=(0.25, 0.5, 0.75), cost_scale=10.0)
+
+alone = jax.jit(lambda network, terrain: network.estimate(terrain, ()))
+padded = jax.jit(lambda network, grid: PaddedNetwork(network).estimate(grid, ()))
+
+
+def random_network(architecture: Architecture) -> NetworkCostToGo:
+    """A network of random weights, none of them zero as some are before training."""
+    rng = np.random.default_rng(0)
+    weights = jax.tree.map(lambda leaf: rng.normal(0, 0.2, leaf.shape).astype(leaf.dtype), weight_shapes(architecture))
+    return NetworkCostToGo(weights=weights, architecture=architecture)
+
+
+@pytest.fixture(scope="module")
+def network() -> NetworkCostToGo:
+    return random_network(SMALL)
+
+
+# Odd and even numbers of cells after none to four halvings; one that fills the grid.
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (17, 32), (25, 26), (40, 51)], ids="{0[0]}x{0[1]}".format)
+def test_the_answer_is_that_to_the_map_alone(network, shape):
+    terrain = maps.random_terrain(sum(shape), shape, 0.6)
+    terrain[maps.random_cells(sum(shape), shape, 0.5)] = 0
+    wanted = np.asarray(alone(network, terrain))
+    for grid_shape in ((40, 51), (64, 64)):
+        grid = np.full(grid_shape, OUTSIDE, np.uint8)
+        grid[: shape[0], : shape[1]] = terrain
+        answer = np.asarray(padded(network, grid))[:, : shape[0], : shape[1]]
+        np.testing.assert_allclose(answer, wanted, rtol=1e-4, atol=1e-4)
+    assert padded._cache_size() <= 2
+
+
+def test_where_the_map_ends_makes_a_difference(network):
+    grid = np.full((32, 32), OUTSIDE, np.uint8)
+    grid[:20, :20] = 3
+    beyond = np.where(grid == OUTSIDE, 0, grid).astype(np.uint8)
+    answer, other = (np.asarray(padded(network, each))[:, :20, :20] for each in (grid, beyond))
+    assert np.abs(answer - other).max() > 1e-2
