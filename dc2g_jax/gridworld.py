@@ -27,7 +27,9 @@ class Belief:
       seen: board of observed cells.
       traversable: board of observed traversable cells.
       goals: board of observed goal cells.
-      width: columns of the map.
+      width: columns of the grid.
+      outside: board of cells that are no part of the map, where it fills only a part of the grid; they are neither
+        observed nor to be observed.
     """
 
     pose: Pose
@@ -37,10 +39,11 @@ class Belief:
     traversable: UInt32[Array, "n_words h *batch"]
     goals: UInt32[Array, "n_words h *batch"]
     width: int = struct.field(pytree_node=False)
+    outside: UInt32[Array, "n_words h *batch"] | None = None
 
     @property
     def height(self) -> int:
-        """Rows of the map."""
+        """Rows of the grid."""
         return self.seen.shape[1]
 
     @property

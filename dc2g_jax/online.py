@@ -23,13 +23,10 @@ from dc2g_jax.estimation.estimators import Estimator, NetworkCostToGo
 from dc2g_jax.estimation.padding import OUTSIDE, PaddedNetwork
 from dc2g_jax.evaluation import NETWORK_PLANNERS, make_planner
 from dc2g_jax.grid import bitboard, poses, search
-from dc2g_jax.grid.bitboard import Board
-from dc2g_jax.grid.poses import HEADINGS, Pose, PoseSet
-from dc2g_jax.grid.sensing import poses_that_see
+from dc2g_jax.grid.poses import HEADINGS, Pose
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE, UNKNOWN
 from dc2g_jax.grid.world import World, world_from_terrain
-from dc2g_jax.gridworld import Belief, belief_from_map
-from dc2g_jax.planning import frontiers
+from dc2g_jax.gridworld import belief_from_map
 from dc2g_jax.planning.planners import DC2G
 from dc2g_jax.planning.rules import Rules, complete_rules
 from dc2g_jax.planning.selection import ExpectedCost
@@ -60,20 +57,6 @@ class _NoEstimate:
         return jnp.zeros((1, *terrain.shape))
 
 
-def _candidates(planner: DC2G, belief: Belief, reachable: Board, inside: Board) -> PoseSet:
-    """Poses to explore from, as `DC2G.plan` finds them by the `complete` rules, in a map that is a part of the grid."""
-    sensing = planner.rules.sensing
-    # What is beyond the map need not be looked at.
-    revealing = frontiers.complete(dataclasses.replace(belief, seen=belief.seen | ~inside), reachable, sensing)
-    if not planner.depth:
-        return revealing
-    rim = belief.seen
-    for _ in range(planner.depth):
-        rim = rim | bitboard.neighbours(rim)
-    opening = revealing & poses_that_see(inside & ~rim, sensing)
-    return jnp.where(poses.is_empty(opening), revealing, opening)
-
-
 @jax.jit
 def _look(
     planner: DC2G, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]
@@ -87,10 +70,10 @@ def _look(
     """
     width = terrain.shape[1]
     observed = jnp.where(terrain == OUTSIDE, jnp.uint8(UNKNOWN), terrain)
-    belief = belief_from_map(observed, Pose(*pose))
+    belief = dataclasses.replace(belief_from_map(observed, Pose(*pose)), outside=bitboard.pack(terrain == OUTSIDE))
     distance = search.distances(belief.pose, belief.traversable, width)
     reachable = bitboard.pack(distance[0] >= 0)
-    candidate_poses = _candidates(planner, belief, reachable, bitboard.pack(terrain != OUTSIDE))
+    candidate_poses = planner.candidates(belief, reachable)
     candidates = poses.unpack(candidate_poses, width)
 
     def estimate() -> tuple[Array, Array]:

@@ -136,10 +136,15 @@ def weight_shapes(architecture: Architecture) -> dict[str, Any]:
     return jax.eval_shape(functools.partial(init_weights, architecture), jax.random.key(0))
 
 
+def build(architecture: Architecture, weights: dict[str, Any]) -> CompactUNet:
+    """The network with these weights."""
+    graph, state = nnx.split(nnx.eval_shape(lambda: CompactUNet(architecture, rngs=nnx.Rngs(0))))
+    nnx.replace_by_pure_dict(state, weights)
+    return nnx.merge(graph, state)
+
+
 def apply(
     architecture: Architecture, weights: dict[str, Any], terrain: UInt8[Array, "b h w"]
 ) -> Float[Array, "b h w quantiles"]:
     """Run the network on a batch of partial maps: quantiles of the cost-to-go in cells."""
-    graph, state = nnx.split(nnx.eval_shape(lambda: CompactUNet(architecture, rngs=nnx.Rngs(0))))
-    nnx.replace_by_pure_dict(state, weights)
-    return nnx.merge(graph, state)(terrain)
+    return build(architecture, weights)(terrain)

@@ -11,9 +11,15 @@ from dc2g_jax.grid.sensing import Kernel, poses_that_see
 from dc2g_jax.gridworld import Belief
 
 
+def _beyond(belief: Belief, known: Board) -> Board:
+    """In-bounds cells that are not in a set."""
+    beyond = bitboard.complement(known, belief.width)
+    return beyond if belief.outside is None else beyond & ~belief.outside
+
+
 def _unseen(belief: Belief) -> Board:
     """In-bounds cells that have not been observed."""
-    return bitboard.complement(belief.seen, belief.width)
+    return _beyond(belief, belief.seen)
 
 
 def _reachable_but_here(poses: PoseSet, belief: Belief, reachable: Board) -> PoseSet:
@@ -70,4 +76,4 @@ def opening(belief: Belief, candidates: PoseSet, sensing: Kernel, depth: int) ->
     rim = belief.seen
     for _ in range(depth):
         rim = rim | bitboard.neighbours(rim)
-    return candidates & poses_that_see(bitboard.complement(rim, belief.width), sensing)
+    return candidates & poses_that_see(_beyond(belief, rim), sensing)

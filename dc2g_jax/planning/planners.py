@@ -167,15 +167,20 @@ class DC2G:
         """What the selection rule needs of an estimate."""
         return self.selection.summary(self.estimator.estimate(terrain, state))
 
-    def plan(self, belief: Belief, state: "ExplorationState") -> "tuple[Plan, ExplorationState]":
-        """Head for the most promising frontier-expanding pose, or for the goal once it is reachable."""
-        reachable = reachable_cells(belief, state.reachable)
+    def candidates(self, belief: Belief, reachable: Board) -> PoseSet:
+        """Poses to choose a subgoal from (Algorithm 2, lines 6 to 8)."""
         revealing = frontiers.complete(belief, reachable, self.rules.sensing)
         preferred = self.rules.frontier_expanding(belief, reachable) & revealing
         candidates = jnp.where(poses.is_empty(preferred), revealing, preferred)
         if self.depth:
             opening = frontiers.opening(belief, candidates, self.rules.sensing, self.depth)
             candidates = jnp.where(poses.is_empty(opening), candidates, opening)
+        return candidates
+
+    def plan(self, belief: Belief, state: "ExplorationState") -> "tuple[Plan, ExplorationState]":
+        """Head for the most promising frontier-expanding pose, or for the goal once it is reachable."""
+        reachable = reachable_cells(belief, state.reachable)
+        candidates = self.candidates(belief, reachable)
         undecided = ~poses.is_empty(candidates) & ~bitboard.intersects(reachable, belief.goals)
         # An estimate stands until something new is seen; robots that do not explore ask for none.
         outdated = undecided & ~bitboard.is_empty(belief.seen ^ state.estimated_from)

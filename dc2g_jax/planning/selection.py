@@ -40,8 +40,20 @@ class Selection(Protocol):
         ...
 
 
+class _OneCost:
+    """One cost for every cell, plus weighted distance."""
+
+    distance_weight: float
+
+    def __call__(
+        self, summary: Float[Array, "kept h w *batch"], distance: Int[Array, "..."]
+    ) -> Float[Array, "h w *batch"]:
+        """Score of heading for each cell."""
+        return summary[0] + self.distance_weight * distance
+
+
 @dataclasses.dataclass(frozen=True)
-class ExpectedCost:
+class ExpectedCost(_OneCost):
     """Mean cost-to-go, plus weighted distance: a subgoal far off must promise more than one close by.
 
     Weight 0 is the paper's rule (Algorithm 2, line 11).
@@ -53,15 +65,9 @@ class ExpectedCost:
         """The mean."""
         return jnp.mean(costs, axis=0, keepdims=True)
 
-    def __call__(
-        self, summary: Float[Array, "kept h w *batch"], distance: Int[Array, "..."]
-    ) -> Float[Array, "h w *batch"]:
-        """Score of heading for each cell."""
-        return summary[0] + self.distance_weight * distance
-
 
 @dataclasses.dataclass(frozen=True)
-class QuantileCost:
+class QuantileCost(_OneCost):
     """A quantile of the cost-to-go, plus weighted distance: above 1/2 averse to risk, below 1/2 optimistic.
 
     Attributes:
@@ -75,12 +81,6 @@ class QuantileCost:
     def summary(self, costs: Float[Array, "outcomes h w *batch"]) -> Float[Array, "kept h w *batch"]:
         """The quantile."""
         return costs[int(self.level * len(costs))][None]
-
-    def __call__(
-        self, summary: Float[Array, "kept h w *batch"], distance: Int[Array, "..."]
-    ) -> Float[Array, "h w *batch"]:
-        """Score of heading for each cell."""
-        return summary[0] + self.distance_weight * distance
 
 
 @dataclasses.dataclass(frozen=True)

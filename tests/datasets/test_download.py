@@ -27,6 +27,7 @@ from dc2g_jax.datasets.download import (
     read_manifest,
 )
 from dc2g_jax.errors import InputError
+from tests.refusals import refusal_of
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
 PUBLISHED = SHARED / "datasets" / "driveways_bing_iros19"
@@ -140,16 +141,6 @@ def no_half_dataset(cache: Path) -> bool:
     return not (cache / FOLDER_NAME).exists()
 
 
-def refusal(kind: type[Exception], call, *mentions: object) -> str:
-    with pytest.raises(kind) as caught:
-        call()
-    message = str(caught.value)
-    assert "\n" not in message
-    for mention in mentions:
-        assert str(mention) in message
-    return message
-
-
 # --- success --------------------------------------------------------------------------------------------
 
 
@@ -240,7 +231,7 @@ def test_a_server_that_dies_midway_leaves_no_half_dataset_and_the_rest_is_fetche
 ):
     monkeypatch.setattr(download, "THREADS", 1)
     server.open_after = 6
-    refusal(NetworkUnavailable, fetch, "127.0.0.1")
+    refusal_of(NetworkUnavailable, fetch, "127.0.0.1")
     assert no_half_dataset(tmp_path / "cache")
     assert len(list((tmp_path / "cache").glob("*.partial-*"))) == 1
     server.open_after = 10**9
@@ -327,14 +318,14 @@ def test_a_file_other_than_the_published_one(fetch, server, source, tmp_path, na
     server.script = {name: ["changed"]}
     data = (source / name).read_bytes()
     right, wrong = (hashlib.sha256(d).hexdigest() for d in (data, data[:-1] + bytes([data[-1] ^ 1])))
-    refusal(InputError, fetch, server.url + name.replace(" ", "%20"), right, wrong, "--dataset", "try again")
+    refusal_of(InputError, fetch, server.url + name.replace(" ", "%20"), right, wrong, "--dataset", "try again")
     assert no_half_dataset(tmp_path / "cache")
 
 
 @pytest.mark.parametrize("name", ["full/test/a 10.png", "list.csv"])
 def test_a_file_that_is_gone_from_the_server(fetch, server, source, tmp_path, name):
     (source / name).unlink()
-    refusal(InputError, fetch, server.url + name.replace(" ", "%20"), "404", "--dataset", "DC2G_DATA")
+    refusal_of(InputError, fetch, server.url + name.replace(" ", "%20"), "404", "--dataset", "DC2G_DATA")
     assert no_half_dataset(tmp_path / "cache")
 
 
@@ -344,7 +335,7 @@ def test_a_file_that_is_gone_from_the_server(fetch, server, source, tmp_path, na
 )
 def test_trouble_that_stays_is_a_missing_network(fetch, server, source, tmp_path, name, step, words):
     server.script = {name: [step] * 9}
-    refusal(NetworkUnavailable, fetch, "127.0.0.1", words)
+    refusal_of(NetworkUnavailable, fetch, "127.0.0.1", words)
     assert server.requests[name] == (1 if step == 403 else 3)
     assert no_half_dataset(tmp_path / "cache")
 
@@ -354,8 +345,8 @@ def test_no_network_is_found_out_fast_and_nothing_is_written(fetch, tmp_path):
         unused.bind(("127.0.0.1", 0))
         url = f"http://127.0.0.1:{unused.getsockname()[1]}/"
         started = time.monotonic()
-        refusal(NetworkUnavailable, lambda: fetch(base_url=url), "127.0.0.1", "refused")
-    refusal(NetworkUnavailable, lambda: fetch(base_url="http://no-such-host.invalid/"), "no-such-host.invalid")
+        refusal_of(NetworkUnavailable, lambda: fetch(base_url=url), "127.0.0.1", "refused")
+    refusal_of(NetworkUnavailable, lambda: fetch(base_url="http://no-such-host.invalid/"), "no-such-host.invalid")
     assert time.monotonic() - started < 5
     assert not (tmp_path / "cache").exists()
 
@@ -364,7 +355,7 @@ def test_a_network_that_swallows_everything_is_found_out_in_time(fetch, server, 
     monkeypatch.setattr(download, "PROBE_SECONDS", 0.3)
     server.script = {"full/test/a 10.png": ["stall"], "list.csv": ["stall"]}
     started = time.monotonic()
-    refusal(NetworkUnavailable, fetch, "no answer from 127.0.0.1", "0.3 s")
+    refusal_of(NetworkUnavailable, fetch, "no answer from 127.0.0.1", "0.3 s")
     assert time.monotonic() - started < 2
     assert not (tmp_path / "cache").exists()
 
@@ -382,16 +373,16 @@ def test_a_changed_file_in_the_cache(fetch, server, source):
     right = hashlib.sha256(path.read_bytes()).hexdigest()
     path.write_bytes(b"other")
     wrong = hashlib.sha256(b"other").hexdigest()
-    refusal(InputError, fetch, path, right, wrong, f"delete the folder {folder}")
+    refusal_of(InputError, fetch, path, right, wrong, f"delete the folder {folder}")
     assert path.read_bytes() == b"other"
 
 
 def test_a_cache_that_cannot_be_written(fetch, server, source, tmp_path):
     (tmp_path / "file").write_text("x")
-    refusal(InputError, lambda: fetch(tmp_path / "file"), tmp_path / "file", "DC2G_CACHE")
+    refusal_of(InputError, lambda: fetch(tmp_path / "file"), tmp_path / "file", "DC2G_CACHE")
     (tmp_path / "cache").mkdir()
     (tmp_path / "cache" / FOLDER_NAME).write_text("x")
-    refusal(InputError, fetch, tmp_path / "cache" / FOLDER_NAME, "DC2G_CACHE")
+    refusal_of(InputError, fetch, tmp_path / "cache" / FOLDER_NAME, "DC2G_CACHE")
 
 
 def test_a_cache_folder_that_may_not_be_created(fetch, tmp_path, monkeypatch):
@@ -399,7 +390,7 @@ def test_a_cache_folder_that_may_not_be_created(fetch, tmp_path, monkeypatch):
         raise PermissionError(13, "Permission denied", str(path))
 
     monkeypatch.setattr(Path, "mkdir", deny)
-    refusal(InputError, fetch, tmp_path / "cache", "Permission denied", "DC2G_CACHE")
+    refusal_of(InputError, fetch, tmp_path / "cache", "Permission denied", "DC2G_CACHE")
 
 
 @pytest.mark.parametrize(
@@ -415,4 +406,4 @@ def test_bad_manifests(tmp_path, text, mentions):
     path = tmp_path / "m.sha256"
     if text is not None:
         path.write_text(text)
-    refusal(InputError, lambda: read_manifest(path), path, *mentions)
+    refusal_of(InputError, lambda: read_manifest(path), path, *mentions)

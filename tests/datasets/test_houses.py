@@ -24,6 +24,7 @@ from dc2g_jax.datasets.houses import (
 )
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, PATH, ROAD
+from tests.refusals import refusal
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
 PUBLISHED = SHARED / "datasets" / "driveways_bing_iros19"
@@ -75,17 +76,6 @@ def palette(tmp_path: Path):
 
 def first_image(folder: Path) -> Path:
     return folder / "full_semantic" / "train" / "worldn000m000h000.png"
-
-
-def refusal(call, *mentions: object) -> str:
-    """The message of the refusal: one line that mentions everything it should."""
-    with pytest.raises(InputError) as caught:
-        call()
-    message = str(caught.value)
-    assert "\n" not in message
-    for mention in mentions:
-        assert str(mention) in message
-    return message
 
 
 # --- what is read ---------------------------------------------------------------------------------------

@@ -8,8 +8,8 @@ import pytest
 
 from dc2g_jax.datasets.maps import Goal, draw_map, read_map
 from dc2g_jax.datasets.occupancy import read_occupancy_map
-from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import FRONT_DOOR, HOUSE, ROAD, UNKNOWN
+from tests.refusals import refusal
 
 FACTS = {
     "image": "lab.pgm", "resolution": 0.05, "origin": [0.0, 0.0, 0.0], "negate": 0, "occupied_thresh": 0.65,
@@ -28,15 +28,6 @@ def save(folder: Path, greys: np.ndarray, **facts: object) -> Path:
 
 def random_greys(seed: int, height: int = 17, width: int = 23) -> np.ndarray:
     return np.random.default_rng(seed).choice([0, 89, 90, 205, 206, 254, 255], (height, width)).astype(np.uint8)
-
-
-def refusal(call, *mentions: object) -> None:
-    with pytest.raises(InputError) as caught:
-        call()
-    message = str(caught.value)
-    assert "\n" not in message
-    for mention in mentions:
-        assert str(mention) in message
 
 
 @pytest.mark.parametrize("negate", [0, 1])
