@@ -42,6 +42,7 @@ class DataConfig:
       ranges: sensing ranges, in cells, of the robots whose masks are learned from.
       own_share: share of a batch drawn from the dataset's own houses rather than procedural ones, 0 to 1.
       edge_weight: weight in the loss of cells within 2 cells of unobserved ground; others have weight 1.
+      half_weight_cost: cost-to-go, in cells, at which a cell weighs half as much as at a goal; `inf` for all alike.
       jitter: logarithm of the largest factor by which half of the maps are stretched, and moved by 40 cells times it.
       whole_share: share of pairs in which all of the map is observed, 0 to 1.
       data_seed: of houses and masks, 0 to 9999.
@@ -54,8 +55,9 @@ class DataConfig:
     ranges: tuple[int, ...] = (4, 5, 6, 8, 10, 12)
     own_share: float = 0.4
     edge_weight: float = 4.0
+    half_weight_cost: float = 16.0
     jitter: float = 0.15
-    whole_share: float = 0.1
+    whole_share: float = 0.2
     data_seed: int = 0
 
     def __post_init__(self) -> None:
@@ -74,6 +76,8 @@ class DataConfig:
         for name in ("edge_weight", "jitter"):
             if not 0 <= getattr(self, name) < float("inf"):
                 raise InputError(f"{name} {getattr(self, name)}: give a number from 0 on")
+        if not self.half_weight_cost > 0:
+            raise InputError(f"half_weight_cost {self.half_weight_cost}: give a number above 0, or inf")
 
     def draw_batch(self, batch_size: int) -> DrawBatch:
         """How a training step draws its pairs; see `dc2g_jax.datasets.pairs.draw_pairs`."""
@@ -82,6 +86,7 @@ class DataConfig:
             batch_size=batch_size,
             own_share=self.own_share if self.extra_houses else 1.0,
             edge_weight=self.edge_weight,
+            half_weight_cost=self.half_weight_cost,
             jitter=self.jitter,
             whole_share=self.whole_share,
         )

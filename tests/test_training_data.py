@@ -29,6 +29,7 @@ def houses(street) -> list[House]:
         ({"ranges": (0, 5)}, "sensing ranges"),
         ({"masks_per_episode": 0}, "masks_per_episode 0"),
         ({"extra_houses": -1}, "extra houses -1"),
+        ({"half_weight_cost": 0.0}, "half_weight_cost 0.0"),
     ],
 )
 def test_data_that_cannot_be_made_is_refused(options, mention):

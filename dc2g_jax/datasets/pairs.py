@@ -1,6 +1,7 @@
 """Training pairs: masked maps and the exact cost-to-go beneath them (Algorithm 1)."""
 
 import functools
+import math
 
 import jax
 import jax.numpy as jnp
@@ -70,11 +71,13 @@ def make_pair(
     *,
     edge_weight: float,
     edge_width: int = 2,
+    half_weight_cost: float = math.inf,
 ) -> Pair:
     """The training pair of one mask, turned or mirrored (Algorithm 1, lines 7 and 8).
 
     Only observed cells with a cost-to-go count. Those within `edge_width` cells of unobserved ground, which is where a
-    planner's choices lie, count `edge_weight` times.
+    planner's choices lie, count `edge_weight` times. All count the less the further from a goal they lie, so that what
+    is learned is nearer to a relative error than to an absolute one.
 
     Args:
       data: labels and masks.
@@ -83,12 +86,15 @@ def make_pair(
       whole: lift the mask, so that all of the map is observed.
       edge_weight: weight of cells near unobserved ground; other cells have weight 1.
       edge_width: how near is near, in cells.
+      half_weight_cost: cost-to-go in cells at which a cell counts half as much as at a goal; infinite for all alike.
     """
     world = data.mask_world[index]
     width = data.terrain.shape[-1]
     seen = bitboard.unpack(data.masks[index], width) | whole
     target = data.cost_to_go[world]
-    weight = jnp.where(_near(~seen, edge_width), edge_weight, 1.0) * (seen & jnp.isfinite(target))
+    counts = seen & jnp.isfinite(target)
+    of_cost = 1 / (1 + jnp.where(counts, target, 0.0) / half_weight_cost)
+    weight = jnp.where(_near(~seen, edge_width), edge_weight, 1.0) * of_cost * counts
     pair = Pair(terrain=jnp.where(seen, data.terrain[world], jnp.uint8(0)), target=target, weight=weight)
     return jax.tree.map(lambda grid: _turned(grid, symmetry), pair)
 
@@ -139,6 +145,7 @@ def draw_pairs(
     edge_weight: float,
     jitter: float,
     whole_share: float,
+    half_weight_cost: float = math.inf,
 ) -> Pair:
     """A random batch of training pairs, each in a random symmetry (Algorithm 1, line 9).
 
@@ -151,6 +158,7 @@ def draw_pairs(
       edge_weight: see `make_pair`.
       jitter: see `jittered`; 0 for none.
       whole_share: probability that all of a map is observed.
+      half_weight_cost: see `make_pair`.
     """
     which, place, turn, change, lift = jax.random.split(key, 5)
     own = jax.random.uniform(which, (batch_size,)) < own_share
@@ -159,7 +167,8 @@ def draw_pairs(
     index = jnp.minimum(low + (position * (high - low)).astype(jnp.int32), high - 1)
     symmetry = jax.random.randint(turn, (batch_size,), 0, SYMMETRIES)
     whole = jax.random.bernoulli(lift, whole_share, (batch_size,))
-    pairs = jax.vmap(functools.partial(make_pair, data, edge_weight=edge_weight))(index, symmetry, whole)
+    make = functools.partial(make_pair, data, edge_weight=edge_weight, half_weight_cost=half_weight_cost)
+    pairs = jax.vmap(make)(index, symmetry, whole)
     if not jitter:
         return pairs
     return jax.vmap(functools.partial(jittered, jitter=jitter))(jax.random.split(change, batch_size), pairs)

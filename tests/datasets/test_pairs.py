@@ -41,8 +41,10 @@ def training_set(shape: tuple[int, int]) -> tuple[TrainingSet, np.ndarray]:
 
 
 @functools.cache
-def pair_maker(edge_weight: float = 4.0, edge_width: int = 2):
-    make = functools.partial(make_pair, edge_weight=edge_weight, edge_width=edge_width)
+def pair_maker(edge_weight: float = 4.0, edge_width: int = 2, half_weight_cost: float = np.inf):
+    make = functools.partial(
+        make_pair, edge_weight=edge_weight, edge_width=edge_width, half_weight_cost=half_weight_cost
+    )
     return jax.jit(jax.vmap(make, in_axes=(None, 0, 0)))
 
 
@@ -69,6 +71,17 @@ def test_pairs(shape, edge_width):
         np.testing.assert_array_equal(np.asarray(pairs.target[index])[counts], cost[counts])
         weight = np.where(near(~seen[index], edge_width), 4.0, 1.0) * counts
         np.testing.assert_array_equal(pairs.weight[index], weight)
+
+
+def test_cells_far_from_a_goal_count_less():
+    data, _ = training_set((12, 12))
+    numbers, straight = jnp.arange(N_MASKS), jnp.zeros(N_MASKS, jnp.int32)
+    alike = pair_maker()(data, numbers, straight)
+    fading = pair_maker(half_weight_cost=5.0)(data, numbers, straight)
+    weight, target = np.asarray(alike.weight), np.asarray(alike.target)
+    expected = np.where(weight > 0, weight * 5 / (5 + np.where(weight > 0, target, 0)), 0)
+    np.testing.assert_allclose(fading.weight, expected, rtol=1e-6)
+    assert len(np.unique(expected)) > 5
 
 
 def test_labels_do_not_depend_on_what_is_hidden(street):
