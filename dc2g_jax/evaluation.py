@@ -21,10 +21,12 @@ from dc2g_jax.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
 #: Planner names, in the order of the tables.
 PLANNERS = ("oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go")
 
-#: The planners that run on a network, given it and the rules; chosen on validation houses (see BENCHMARKS.md).
+#: The planners that run on a network, given it and the rules; chosen on validation houses (see BENCHMARKS.md). Both ask
+#: about the map and its mirror image in turn.
+_ON_NETWORK = functools.partial(DC2G, depth=1, views=((), (1,)))
 NETWORK_PLANNERS: Mapping[str, Callable[[Estimator, Rules], DC2G]] = {
-    "dc2g": functools.partial(DC2G, selection=ExpectedCost(distance_weight=0.5), depth=1),
-    "dc2g_uncertain": functools.partial(DC2G, selection=QuantileCost(level=0.7, distance_weight=0.5), depth=1),
+    "dc2g": functools.partial(_ON_NETWORK, selection=ExpectedCost(distance_weight=0.5)),
+    "dc2g_uncertain": functools.partial(_ON_NETWORK, selection=QuantileCost(level=0.7, distance_weight=0.5)),
 }
 
 
@@ -135,6 +137,7 @@ class Runner:
         self._settings = settings
         self._step_limit = step_limit
         self._progress = progress
+        self._oracles: dict[tuple[Rules, tuple[Start, ...]], Trajectories] = {}
 
     def trajectories(self, planner: Planner, rules: Rules, starts: Sequence[Start], name: str = "") -> Trajectories:
         """Run one planner from every start, whatever ranges the starts ask for."""
@@ -151,6 +154,13 @@ class Runner:
             step_limit=self._step_limit,
             on_progress=report,
         )
+
+    def _oracle(self, rules: Rules, starts: Sequence[Start]) -> Trajectories:
+        """The oracle's trajectories, run once for each set of starts."""
+        key = rules, tuple(starts)
+        if key not in self._oracles:
+            self._oracles[key] = self.trajectories(Oracle(), rules, starts, "oracle")
+        return self._oracles[key]
 
     def run(
         self, starts: Sequence[Start], planners: Iterable[str], estimator: Estimator | None = None
@@ -179,7 +189,7 @@ class Runner:
         for ranges, numbers in by_ranges.items():
             rules = self._settings.rules(*ranges)
             chosen = [starts[number] for number in numbers]
-            oracle = self.trajectories(Oracle(), rules, chosen, "oracle")
+            oracle = self._oracle(rules, chosen)
             for name in names:
                 done = oracle
                 if name != "oracle":

@@ -8,7 +8,9 @@ from pathlib import Path
 from dc2g_jax.errors import InputError
 
 
-def read_table(path: Path, columns: Sequence[str], *, remedy: str) -> list[tuple[int, dict[str, str]]]:
+def read_table(
+    path: Path, columns: Sequence[str], *, optional: Sequence[str] = (), remedy: str
+) -> list[tuple[int, dict[str, str]]]:
     """Read the named columns of a CSV file with a header row.
 
     A byte-order mark, CRLF line ends, blank lines, further columns and a missing last line end are fine.
@@ -16,6 +18,7 @@ def read_table(path: Path, columns: Sequence[str], *, remedy: str) -> list[tuple
     Args:
         path: the CSV file, UTF-8.
         columns: names that the header must have; cells come back stripped of surrounding blanks.
+        optional: further columns, which may be absent or empty; their values are then empty.
         remedy: what to do where the file is missing, the end of the message.
 
     Returns:
@@ -38,7 +41,9 @@ def read_table(path: Path, columns: Sequence[str], *, remedy: str) -> list[tuple
                 header = cells
                 _check_header(path, header, columns)
             else:
-                rows.append((reader.line_num, _pick(path, reader.line_num, header, cells, columns)))
+                values = _pick(path, reader.line_num, header, cells, columns)
+                given = dict(zip(header, cells, strict=False))
+                rows.append((reader.line_num, values | {column: given.get(column, "") for column in optional}))
     except csv.Error as error:
         raise InputError(f"{path}: line {reader.line_num} is not CSV ({error}); repair the file") from None
     if not rows:

@@ -148,3 +148,10 @@ def apply(
 ) -> Float[Array, "b h w quantiles"]:
     """Run the network on a batch of partial maps: quantiles of the cost-to-go in cells."""
     return build(architecture, weights)(terrain)
+
+
+def multiply_accumulates(architecture: Architecture, height: int, width: int) -> int:
+    """Multiplications with an addition that one map takes: half of the floating-point operations XLA counts."""
+    maps = jax.ShapeDtypeStruct((1, height, width), jnp.uint8)
+    lowered = jax.jit(functools.partial(apply, architecture)).lower(weight_shapes(architecture), maps)
+    return round((lowered.cost_analysis() or {})["flops"] / 2)

@@ -141,12 +141,17 @@ class DC2G:
       rules: what is seen and what counts as frontier.
       selection: what makes one subgoal better than another.
       depth: subgoals that see something more than so many cells beyond everything observed go before all others.
+      views: axes that the map is mirrored along before the estimator is asked, a tuple a view. New estimates are of
+        one view after the other, and the mean of each view's latest is gone by: errors that a network makes in one of
+        them alone are halved, at no more questions. Views other than the map as it is are for estimators that read
+        nothing but the map.
     """
 
     estimator: Estimator
     rules: Rules = struct.field(pytree_node=False)
     selection: Selection = struct.field(pytree_node=False, default=ExpectedCost(distance_weight=0.0))
     depth: int = struct.field(pytree_node=False, default=0)
+    views: tuple[tuple[int, ...], ...] = struct.field(pytree_node=False, default=((),))
     #: A network answers many maps at once in less time each.
     robots_a_core: ClassVar[int] = 64
     robots_on_large_maps: ClassVar[int] = 16
@@ -155,17 +160,35 @@ class DC2G:
         """Nothing is reachable before the first observation; the estimator sets itself up."""
         nothing = jnp.zeros_like(world.traversable)
         estimator_state = self.estimator.init(world)
-        estimate = jax.eval_shape(self._estimate, world.terrain, estimator_state)
+        view = jnp.zeros(nothing.shape[2:], jnp.int32)
+        estimate = jax.eval_shape(self.estimate, world.terrain, (view, estimator_state))
         return ExplorationState(
             reachable=nothing,
-            estimate=jnp.zeros(estimate.shape, jnp.float32),
+            estimates=jnp.zeros((len(self.views), *estimate.shape), jnp.float32),
             estimated_from=nothing,
+            view=view,
             estimator=estimator_state,
         )
 
-    def _estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "kept h w *batch"]:
-        """What the selection rule needs of an estimate."""
-        return self.selection.summary(self.estimator.estimate(terrain, state))
+    def estimate(
+        self, terrain: UInt8[Array, "h w *batch"], state: tuple[Int[Array, "*batch"], Any]
+    ) -> Float[Array, "kept h w *batch"]:
+        """What the selection rule needs of an estimate.
+
+        Args:
+          terrain: observed class indices.
+          state: which of the views to ask about, and the estimator's state.
+        """
+        view, estimator_state = state
+        seen_as = terrain
+        for number, axes in enumerate(self.views):
+            seen_as = jnp.where(view == number, jnp.flip(terrain, axes), seen_as) if axes else seen_as
+        answer = self.selection.summary(self.estimator.estimate(seen_as, estimator_state))
+        summary = answer
+        for number, axes in enumerate(self.views):
+            back = jnp.flip(answer, [1 + axis for axis in axes])
+            summary = jnp.where(view == number, back, summary) if axes else summary
+        return summary
 
     def candidates(self, belief: Belief, reachable: Board) -> PoseSet:
         """Poses to choose a subgoal from (Algorithm 2, lines 6 to 8)."""
@@ -184,17 +207,23 @@ class DC2G:
         undecided = ~poses.is_empty(candidates) & ~bitboard.intersects(reachable, belief.goals)
         # An estimate stands until something new is seen; robots that do not explore ask for none.
         outdated = undecided & ~bitboard.is_empty(belief.seen ^ state.estimated_from)
-        estimate = update_estimates(self._estimate, outdated, belief, state.estimator, state.estimate)
+        asked_about = state.view, state.estimator
+        latest = update_estimates(self.estimate, outdated, belief, asked_about, state.estimates[0])[None]
+        first = bitboard.is_empty(state.estimated_from)
+        estimates = jnp.where(outdated, jnp.concatenate([latest, state.estimates[:-1]]), state.estimates)
+        # The first answer stands for all views.
+        estimates = jnp.where(first, latest, estimates)
         estimated_from = jnp.where(outdated, belief.seen, state.estimated_from)
+        view = jnp.where(outdated, (state.view + 1) % len(self.views), state.view)
         nearest, lengths = candidates, jnp.int32(0)
         if self.selection.distance_weight:
             free = jnp.where(undecided, reachable, jnp.uint32(0))
             nearest, lengths = search.nearest_headings(belief.pose, candidates, free, belief.width)
-        score = self.selection(estimate, lengths)
+        score = self.selection(jnp.mean(estimates, axis=0), lengths)
         # Without a current estimate all candidates are equal, and of equal ones the plan goes to the nearest.
         subgoals = jnp.where(undecided, nearest & _lowest(score, poses.occupied(nearest), belief.width), candidates)
         plan = _explore_or_finish(belief, reachable, candidates, subgoals, self.rules)
-        return plan, ExplorationState(reachable, estimate, estimated_from, state.estimator)
+        return plan, ExplorationState(reachable, estimates, estimated_from, view, state.estimator)
 
 
 class ExplorationState(NamedTuple):
@@ -202,14 +231,16 @@ class ExplorationState(NamedTuple):
 
     Attributes:
       reachable: reachable cells at the last step.
-      estimate: what the selection rule needs of the costs-to-go last estimated.
-      estimated_from: cells that had been observed then.
+      estimates: what the selection rule needs of the costs-to-go last estimated, of each view, the newest first.
+      estimated_from: cells that had been observed when the newest was made.
+      view: which one is to be asked about next.
       estimator: the estimator's own state.
     """
 
     reachable: Board
-    estimate: Float[Array, "kept h w *batch"]
+    estimates: Float[Array, "views kept h w *batch"]
     estimated_from: Board
+    view: Int[Array, "*batch"]
     estimator: Any
 
 

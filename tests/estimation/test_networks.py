@@ -12,6 +12,7 @@ from dc2g_jax.estimation import networks
 from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, world_cost_to_go
 from dc2g_jax.estimation.networks import Architecture, CompactUNet, init_weights, weight_shapes
 from dc2g_jax.grid.search import EIGHT_CONNECTED
+from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.grid.world import world_from_terrain
 from tests import maps
 
@@ -111,3 +112,20 @@ def test_the_exact_estimator_knows_the_hidden_map(street):
     error = np.log(np.linspace(0.5, 2, street.size).reshape(street.shape)).astype(np.float32)
     wrong = ExactCostToGo(log_error=jnp.asarray(error))
     np.testing.assert_allclose(wrong.estimate(nothing, wrong.init(world)), estimate * np.exp(error), rtol=1e-6)
+
+
+@pytest.mark.parametrize("widths", [(4, 8, 16, 32), (16, 32, 64, 128)])
+def test_multiply_accumulates(widths):
+    """Counted layer by layer, for maps whose sides halve four times without rest."""
+    a, b, c, d = widths
+    cells = {halvings: (48 // 2**halvings) ** 2 for halvings in (1, 2, 3, 4)}
+    residual = {width: 2 * 9 * width * width for width in widths}
+    by_hand = (
+        cells[1] * (4 * len(CLASS_NAMES) * a + 2 * residual[a] + a * 4 * 5)
+        + cells[2] * (9 * a * b + 2 * residual[b] + b * a)
+        + cells[3] * (9 * b * c + 2 * residual[c] + c * b)
+        + cells[4] * (9 * c * d + 2 * residual[d] + d * c)
+    )
+    # Where a kernel hangs over the map's edge nothing is multiplied.
+    counted = networks.multiply_accumulates(Architecture(widths=widths), 48, 48)
+    assert 0.75 * by_hand < counted < by_hand

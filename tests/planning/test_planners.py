@@ -131,6 +131,30 @@ def test_dc2g_prefers_what_opens_ground(rules, depth):
         check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go)
 
 
+class InTurn:
+    """Asks about what has been observed as it is and mirrored, in turn, and gives the mean of the last two answers."""
+
+    def __init__(self) -> None:
+        self.seen, self.answers = None, []
+
+    def __call__(self, seen, terrain):
+        if self.seen is None or (seen != self.seen).any():
+            mirrored = len(self.answers) % 2
+            answer = scattered(None, terrain[:, ::-1] if mirrored else terrain)
+            self.answers.append(answer[:, ::-1] if mirrored else answer)
+            self.seen = seen.copy()
+        return np.mean(self.answers[-2:], axis=0)
+
+
+@both_rules
+def test_dc2g_goes_by_the_mean_of_views_asked_about_in_turn(rules):
+    terrains, starts = random_worlds((11, 33), 1100)
+    done = run(DC2G(Scattered(), RULES[rules], views=((), (1,))), terrains, starts)
+    check_against_oracle(done, terrains, starts, "dc2g", rules, cost_to_go=lambda index: InTurn())
+    with pytest.raises(AssertionError):
+        check_against_oracle(done, terrains, starts, "dc2g", rules, cost_to_go=lambda index: scattered)
+
+
 @functools.cache
 def deciding(planner, width: int):
     def decide(terrain, seen, pose):
