@@ -4,7 +4,6 @@ import dataclasses
 import sys
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Literal
 
 from dc2g_jax.datasets.houses import open_dataset
@@ -15,14 +14,18 @@ from experiments.benchmarks.bench import Bench
 from experiments.benchmarks.compiling import program_rows
 from experiments.benchmarks.kernels import kernel_rows, network_rows
 from experiments.benchmarks.planners import planner_rows
+from experiments.benchmarks.recording import recording_rows
 from experiments.benchmarks.rows import Row
 from experiments.benchmarks.stepping import environment_rows
 from experiments.benchmarks.sweeps import batch_rows, grid_rows, range_rows
 from experiments.benchmarks.training import training_rows
 from experiments.benchmarks.workload import make_workload
-from experiments.common import command_line, open_network, output_folder
+from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from experiments.outputs import output_folder
 
-Section = Literal["planners", "environment", "kernels", "network", "training", "programs", "batch", "grid", "range"]
+Section = Literal[
+    "planners", "environment", "kernels", "network", "training", "programs", "recording", "batch", "grid", "range"
+]
 
 _SECTIONS: dict[Section, Callable[[Bench], Iterator[Row]]] = {
     "planners": planner_rows,
@@ -31,6 +34,7 @@ _SECTIONS: dict[Section, Callable[[Bench], Iterator[Row]]] = {
     "network": network_rows,
     "training": training_rows,
     "programs": program_rows,
+    "recording": recording_rows,
     "batch": batch_rows,
     "grid": grid_rows,
     "range": range_rows,
@@ -67,9 +71,9 @@ class Options:
     quick: bool = False
     repeats: int | None = None
     starts_per_house: int = 12
-    dataset: str | None = None
-    network: Path | None = None
-    out: Path | None = None
+    dataset: DatasetOption = None
+    network: NetworkOption = None
+    out: OutOption = None
 
 
 def measured(bench: Bench, sections: tuple[Section, ...]) -> list[Row]:
@@ -100,7 +104,7 @@ def main(options: Options) -> None:
     network = open_network(options.network)
     if not isinstance(network, NetworkCostToGo):
         raise InputError(f"{options.network}: is no compact network; the benchmark measures that kind alone")
-    out = output_folder(options.out, "benchmark")
+    out = output_folder(options, "benchmark")
 
     description = machine.describe()
     print(", ".join(f"{name} {value}" for name, value in description.items()))

@@ -1,45 +1,32 @@
 """Look at a map of your own before planning on it: `python -m experiments.check_map my.png --palette palette.csv`."""
 
 import dataclasses
-from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
-import tyro
 
-from dc2g_jax.datasets.class_images import read_palette
-from dc2g_jax.datasets.maps import Goal, draw_map, require_way_to_goal
-from dc2g_jax.datasets.occupancy import YAML_ENDINGS, read_occupancy_map
+from dc2g_jax.datasets.maps import require_way_to_goal
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.grid.ground import Piece, connected_to_goal, goals_without_ground, pieces
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE, UNKNOWN
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.inspection.map_figures import plot_map
-from experiments.common import command_line, output_folder
+from experiments.common import OutOption, command_line
+from experiments.map_options import MapOptions, doubts_about, terrain_of
+from experiments.outputs import output_folder
 
 #: Pieces of a map whose places a line names.
 _NAMED_PIECES = 5
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(MapOptions):
     """Show what a planner would see of a map: classes, ground, goals and cost-to-go, as text and as a figure.
 
     Attributes:
-      map: a class picture (.png), an array of class indices (.npy), or the YAML file of a ROS occupancy map.
-      palette: CSV file with the columns class,r,g,b: what the colours of a picture mean.
-      goals: goals besides the front doors that are drawn, x and y of one after the other.
-      goal_unit: `cells` are columns and rows of the grid, `metres` lie in the map frame of a ROS map.
-      cells: columns and rows of the grid that the map is sampled to; a pixel a cell where not given.
       out: folder to write to; a new one below outputs/ where not given.
     """
 
-    map: tyro.conf.Positional[Path]
-    palette: Annotated[Path | None, tyro.conf.arg(metavar="CSV")] = None
-    goals: tuple[tuple[float, float], ...] = ()
-    goal_unit: Literal["cells", "metres"] = "cells"
-    cells: tuple[int, int] | None = None
-    out: Path | None = None
+    out: OutOption = None
 
 
 def places(found: list[Piece]) -> str:
@@ -79,14 +66,11 @@ def warnings(terrain: np.ndarray) -> list[str]:
 
 def main(options: Options) -> None:
     """Read, report, draw; a map of no use is drawn as well, and then refused."""
-    palette = None if options.palette is None else read_palette(options.palette)
-    goals = [Goal(x, y, options.goal_unit) for x, y in options.goals]
-    terrain = draw_map(options.map, palette=palette, goals=goals, cells=options.cells)
-    out = output_folder(options.out, "check_map")
+    terrain = terrain_of(options)
+    out = output_folder(options, "check_map")
     cost_to_go = np.asarray(world_cost_to_go(world_from_terrain(terrain)))
-    lines = report(terrain, cost_to_go) + [f"warning: {line}" for line in warnings(terrain)]
-    if options.map.suffix.lower() in YAML_ENDINGS and (doubt := read_occupancy_map(options.map).doubt):
-        lines.append(f"warning: {doubt}")
+    lines = report(terrain, cost_to_go)
+    lines += [f"warning: {line}" for line in warnings(terrain) + doubts_about(options)]
     title = f"{options.map.name}: {terrain.shape[1]} x {terrain.shape[0]} cells"
     print("\n".join([title, *lines]))
     files = plot_map(out / options.map.stem, title, terrain, cost_to_go)

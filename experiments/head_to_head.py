@@ -7,7 +7,6 @@ import csv
 import dataclasses
 import json
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +19,9 @@ from dc2g_jax.evaluation import EpisodeResult, Runner, extra_steps, house_bootst
 from dc2g_jax.inspection.figures import plot_head_to_head
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollout import STEP_LIMIT
-from experiments.common import EpisodeProgress, command_line, open_network, output_folder, versions, write_episodes
+from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from experiments.episodes import EpisodeProgress, EpisodeTable
+from experiments.outputs import output_folder
 
 #: Groups of the tables, in order; the last holds all episodes.
 GROUPS = ("train", "same_neighborhood", "new_neighborhood", "urban", "all")
@@ -36,13 +37,15 @@ class Options:
       resamples: draws of houses for the bootstrap intervals.
       seed: of the draws.
       out: folder to write to; a new one below outputs/ where not given.
+      resume: go on with the run in `out`, begun with the same options, where it stopped.
     """
 
-    dataset: str | None = None
-    network: Path | None = None
+    dataset: DatasetOption = None
+    network: NetworkOption = None
     resamples: int = 10_000
     seed: int = 0
-    out: Path | None = None
+    out: OutOption = None
+    resume: bool = False
 
 
 class Pair(NamedTuple):
@@ -103,10 +106,10 @@ def pair_up(
     ]
 
 
-def run_published(dataset: HouseDataset, network: TrainedNetwork) -> list[EpisodeResult]:
+def run_published(dataset: HouseDataset, network: TrainedNetwork, table: EpisodeTable) -> list[EpisodeResult]:
     """Frontier exploration, then DC2G, from the published starts."""
     runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())
-    return runner.run([episode.start for episode in published_episodes()], ("frontier", "dc2g"), network)
+    return table.run(runner, [episode.start for episode in published_episodes()], ("frontier", "dc2g"), network)
 
 
 def compare(pairs: Sequence[Pair], *, resamples: int, seed: int) -> dict[str, Any]:
@@ -176,9 +179,9 @@ def main(options: Options) -> None:
             f"{dataset.name}: the authors' episodes are in the published houses; give --dataset with a copy of them"
         )
     network = open_network(options.network)
-    out = output_folder(options.out, "head_to_head")
+    out = output_folder(options, "head_to_head")
     published = published_episodes()
-    results = run_published(dataset, network)
+    results = run_published(dataset, network, EpisodeTable(out / "episodes.csv"))
     pairs = pair_up(published, results[: len(published)], results[len(published) :])
     groups = {group: [pair for pair in pairs if group in (pair.group, "all")] for group in GROUPS}
     tables = {group: compare(own, resamples=options.resamples, seed=options.seed) for group, own in groups.items()}
@@ -194,10 +197,8 @@ def main(options: Options) -> None:
         writer.writerows(
             pair._replace(extra=round(pair.extra, 4), authors_extra=round(pair.authors_extra, 4)) for pair in pairs
         )
-    write_episodes(out / "episodes.csv", results)
     facts = {
         "dataset": dataset.name,
-        "versions": versions(),
         "resamples": options.resamples,
         "seed": options.seed,
         "groups": tables,

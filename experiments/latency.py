@@ -11,7 +11,6 @@ import itertools
 import json
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Literal, NamedTuple
 
 import jax
@@ -28,7 +27,8 @@ from dc2g_jax.online import OnlinePlanner
 from dc2g_jax.rollout import STEP_LIMIT
 from experiments.benchmarks.machine import describe
 from experiments.benchmarks.workload import Workload, make_workload, resized
-from experiments.common import command_line, open_network, output_folder
+from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from experiments.outputs import output_folder
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,9 +51,9 @@ class Options:
     repeats: int = 3
     planner: Literal["frontier", "dc2g", "dc2g_uncertain"] = "dc2g"
     sensing_range: int = 8
-    dataset: str | None = None
-    network: Path | None = None
-    out: Path | None = None
+    dataset: DatasetOption = None
+    network: NetworkOption = None
+    out: OutOption = None
 
 
 class Row(NamedTuple):
@@ -101,7 +101,7 @@ def main(options: Options) -> None:
         raise InputError("cells, calls and repeats must be at least 1 each; give larger numbers")
     houses = make_workload(open_dataset(options.dataset), per_house=1)
     network = None if options.planner == "frontier" else open_network(options.network)
-    out = output_folder(options.out, "latency")
+    out = output_folder(options, "latency")
     machine = describe()
     print(f"{options.planner} on {machine['cpu']}, {machine['cores']} cores, load {machine['load']}, times in ms")
     print("   cells   calls   first     p50     p99   worst")

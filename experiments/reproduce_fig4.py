@@ -4,7 +4,6 @@
 """
 
 import dataclasses
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +15,8 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.image_evaluation import compare, map_for
 from dc2g_jax.inspection.image_figures import Example, plot_translations
-from experiments.common import command_line, open_network, output_folder
+from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from experiments.outputs import output_folder
 from experiments.translation import MASK_SEEDS
 
 
@@ -32,11 +32,11 @@ class Options:
       out: folder to write to; a new one below outputs/ where not given.
     """
 
-    dataset: str | None = None
-    network: Path | None = None
+    dataset: DatasetOption = None
+    network: NetworkOption = None
     rows: int = 5
     seed: int = MASK_SEEDS["test"]
-    out: Path | None = None
+    out: OutOption = None
 
 
 def example(network: Estimator, house: House, seen: np.ndarray) -> Example:
@@ -53,7 +53,7 @@ def main(options: Options) -> None:
     dataset = open_dataset(options.dataset, cells=None)
     houses = houses_with_door(dataset, "test")
     network = open_network(options.network)
-    out = output_folder(options.out, "reproduce_fig4")
+    out = output_folder(options, "reproduce_fig4")
     chosen = [houses[place] for place in np.linspace(0, len(houses) - 1, 2 * options.rows).round().astype(int)]
     everything = np.ones((256, 256), bool)
     # Every 17th mask: each of another drawing, and in another variant.

@@ -1,6 +1,6 @@
 """The paper's Fig. 5: three losses compared on validation pairs throughout training.
 
-`python -m experiments.reproduce_fig5 --out outputs/fig5`. Interrupted, it goes on where it was when run again.
+`python -m experiments.reproduce_fig5 --out outputs/fig5`. Interrupted, it goes on where it was with --resume.
 """
 
 import dataclasses
@@ -14,7 +14,8 @@ from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.translator_training import LOSSES
 from dc2g_jax.inspection.image_figures import plot_training
-from experiments.common import command_line, versions
+from experiments.common import DatasetOption, command_line
+from experiments.outputs import output_folder
 from experiments.translation import TranslationOptions, read_log, train_translator, translation_data
 
 
@@ -23,22 +24,24 @@ class Options:
     """Reproduce Fig. 5: train with each loss several times, and plot validation metrics over the training steps.
 
     Attributes:
-      out: folder for the runs and the figure; run again with the same options to resume.
+      out: folder for the runs and the figure.
       dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
       losses: which losses.
       seeds: a run of every loss for each.
       window: validations in the moving average that smooths each run.
       training: how each run is trained.
+      resume: go on with the run in `out`, begun with the same options, where it stopped.
     """
 
-    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    dataset: str | None = None
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    dataset: DatasetOption = None
     losses: tuple[str, ...] = tuple(LOSSES)
     seeds: tuple[int, ...] = (0, 1, 2)
     window: int = 5
     training: Annotated[TranslationOptions, tyro.conf.arg(name="")] = dataclasses.field(
         default_factory=TranslationOptions
     )
+    resume: bool = False
 
 
 def main(options: Options) -> None:
@@ -47,6 +50,7 @@ def main(options: Options) -> None:
         raise InputError("losses, seeds, window and validate-every: Fig. 5 needs at least one of each")
     configs = {loss: options.training.config(loss) for loss in options.losses}
     dataset = open_dataset(options.dataset, cells=None)
+    output_folder(options, "reproduce_fig5", free=("minutes_per_checkpoint",))
     data = translation_data(dataset, options.training)
     runs: dict[str, list[dict[int, dict[str, float]]]] = {loss: [] for loss in options.losses}
     for loss, config in configs.items():
@@ -65,7 +69,6 @@ def main(options: Options) -> None:
     facts = {
         "dataset": dataset.name,
         "training": dataclasses.asdict(training),
-        "versions": versions(),
         "runs": {loss: [list(log.values()) for log in logs] for loss, logs in runs.items()},
     }
     (options.out / "results.json").write_text(json.dumps(facts, indent=2) + "\n")

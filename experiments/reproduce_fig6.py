@@ -17,7 +17,8 @@ from dc2g_jax.datasets.similarity import distance_to_training, similarity_scale
 from dc2g_jax.grid.sampling import resize_nearest
 from dc2g_jax.image_evaluation import full_map_metrics
 from dc2g_jax.inspection.image_figures import METRIC_LABELS, Points, plot_by_similarity
-from experiments.common import command_line, open_network, output_folder, versions
+from experiments.common import DatasetOption, OutOption, command_line, open_network
+from experiments.outputs import output_folder
 
 #: Pixels a side of the maps that are compared with the training maps.
 _SIZE = 256
@@ -33,9 +34,9 @@ class Options:
       out: folder to write to; a new one below outputs/ where not given.
     """
 
-    dataset: str | None = None
+    dataset: DatasetOption = None
     network: tuple[Path, ...] = ()
-    out: Path | None = None
+    out: OutOption = None
 
 
 def distances(dataset: HouseDataset, houses: Sequence[House]) -> list[float]:
@@ -91,7 +92,7 @@ def main(options: Options) -> None:
     dataset = open_dataset(options.dataset, cells=None)
     houses = houses_with_door(dataset, "test")
     chosen = {str(folder): open_network(folder) for folder in options.network} or {"shipped": open_network(None)}
-    out = output_folder(options.out, "reproduce_fig6")
+    out = output_folder(options, "reproduce_fig6")
     distance = distances(dataset, houses)
     images = [house.terrain for house in houses]
     networks = {name: points_of(distance, full_map_metrics(network, images)) for name, network in chosen.items()}
@@ -105,7 +106,6 @@ def main(options: Options) -> None:
     facts = {
         "dataset": dataset.name,
         "houses": len(houses),
-        "versions": versions(),
         "networks": {
             name: {
                 metric: {

@@ -21,19 +21,15 @@ from dc2g_jax.datasets.starts import published_episodes, sample_starts, why_no_e
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.evaluation import PLANNERS, EpisodeResult, Runner, Summary, extra_steps, summarize
-from dc2g_jax.inspection.figures import plot_episode, plot_extra_steps
-from dc2g_jax.inspection.recording import record_episode
+from dc2g_jax.inspection import recording
+from dc2g_jax.inspection.episode_figures import plot_episode
+from dc2g_jax.inspection.figures import plot_extra_steps
 from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollout import STEP_LIMIT
-from experiments.common import (
-    EpisodeProgress,
-    command_line,
-    open_network,
-    output_folder,
-    versions,
-    write_episodes,
-)
+from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from experiments.episodes import EpisodeProgress, EpisodeTable
+from experiments.outputs import output_folder
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,18 +42,22 @@ class Options:
         sampled starts in every test house with 8-cell sensing, `both` runs both.
       starts_per_house: sampled starts in each test house.
       seed: of the sampled starts.
+      step_limit: actions after which an episode from a sampled start ends without success.
       network: folder of a trained network for `dc2g` and `dc2g_uncertain`; the shipped one where not given.
       record: write rerun recordings (.rrd) and figures of this many episodes of each setting, spread over those run.
       out: folder to write to; a new one below outputs/ where not given.
+      resume: go on with the run in `out`, begun with the same options, where it stopped.
     """
 
-    dataset: str | None = None
+    dataset: DatasetOption = None
     settings: Literal["both", "published", "paper"] = "both"
     starts_per_house: int = 10
     seed: int = 0
-    network: Path | None = None
+    step_limit: int = STEP_LIMIT
+    network: NetworkOption = None
     record: int = 0
-    out: Path | None = None
+    out: OutOption = None
+    resume: bool = False
 
 
 class Episode(NamedTuple):
@@ -97,11 +97,13 @@ def _episode(result: EpisodeResult, group: str) -> Episode:
     return Episode(result.planner, group, result.house, result.extra, result.success)
 
 
-def run_published(dataset: HouseDataset, network: TrainedNetwork) -> tuple[list[EpisodeResult], list[Episode]]:
+def run_published(
+    dataset: HouseDataset, network: TrainedNetwork, table: EpisodeTable
+) -> tuple[list[EpisodeResult], list[Episode]]:
     """The 400 published episodes: our results, and table entries with the authors' own beside ours."""
     published = published_episodes()
     runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())
-    results = runner.run([episode.start for episode in published], PLANNERS, network)
+    results = table.run(runner, [episode.start for episode in published], PLANNERS, network)
     entries = [_episode(result, published[n % len(published)].group) for n, result in enumerate(results)]
     for episode in published:
         for planner, steps in (("authors_frontier", episode.frontier), ("authors_dc2g", episode.dc2g)):
@@ -136,7 +138,7 @@ def frontier_over_dc2g(results: list[EpisodeResult]) -> dict[str, dict[str, floa
 
 
 def run_sampled(
-    dataset: HouseDataset, network: TrainedNetwork, options: Options
+    dataset: HouseDataset, network: TrainedNetwork, options: Options, table: EpisodeTable
 ) -> tuple[list[EpisodeResult], list[Episode]]:
     """Sampled starts in every test house in which an episode can be run; as many in each, so houses weigh equally."""
     houses: tuple[House, ...] = dataset.split("test")
@@ -148,8 +150,8 @@ def run_sampled(
     starts = sample_starts(houses, options.starts_per_house, seed=options.seed)
     if not starts:
         raise InputError(f"{dataset.name}: no episode can be run in any of its test houses; add a front door and roads")
-    runner = Runner(dataset, SETTINGS["paper"], progress=EpisodeProgress())
-    results = runner.run(starts, PLANNERS, network)
+    runner = Runner(dataset, SETTINGS["paper"], step_limit=options.step_limit, progress=EpisodeProgress())
+    results = table.run(runner, starts, PLANNERS, network)
     return results, [_episode(result, group_of(dataset.house(result.house)) or "test") for result in results]
 
 
@@ -165,17 +167,13 @@ def record(
         start = by_planner["dc2g"]
         name = f"{settings}-{start.house}-x{start.x}-y{start.y}-h{start.heading}"
         house = dataset.house(start.house)
-        record_episode(
-            out / "recordings" / f"{name}.rrd",
-            house=house,
-            result_by_planner=by_planner,
-            rules=rules,
-            estimator=network,
-        )
-        replayed = {
-            planner: replay_result(by_planner[planner], house, rules, network) for planner in ("dc2g", "frontier")
+        episodes = {
+            planner: recording.Episode(result, replay_result(result, house, rules, network))
+            for planner, result in by_planner.items()
         }
-        plot_episode(out / "recordings" / name, house, replayed)
+        recording.record_frames(out / "recordings" / f"{name}.rrd", house=house, episodes=episodes)
+        drawn = {planner: episodes[planner].frames for planner in ("dc2g", "frontier")}
+        plot_episode(out / "recordings" / name, house, drawn)
 
 
 def print_table(title: str, table: Table, groups: tuple[str, ...]) -> None:
@@ -230,14 +228,15 @@ def main(options: Options) -> None:
             "them, or --settings paper for sampled starts"
         )
     network = open_network(options.network)
-    out = output_folder(options.out, "reproduce_fig7")
+    out = output_folder(options, "reproduce_fig7")
+    table = EpisodeTable(out / "episodes.csv")
     label = "procedural houses" if dataset.source == "procedural" else dataset.name
     tables: dict[str, Table] = {}
     entries: dict[str, list[Episode]] = {}
     results: dict[str, list[EpisodeResult]] = {}
     ratio: dict[str, dict[str, float]] = {}
     if options.settings != "paper" and dataset.source == "published":
-        results["published"], entries["published"] = run_published(dataset, network)
+        results["published"], entries["published"] = run_published(dataset, network, table)
         tables["published"] = tabulate(entries["published"], PUBLISHED_GROUPS)
         ratio = frontier_over_dc2g(results["published"])
         print_table(f"The 400 published episodes, 5-cell sensing ({label})", tables["published"], PUBLISHED_GROUPS)
@@ -245,7 +244,7 @@ def main(options: Options) -> None:
         for whose, row in ratio.items():
             print(f"{whose:18}" + "".join(f"{row[group]:>11.1f}{'':9}" for group in PUBLISHED_GROUPS))
     if options.settings != "published":
-        results["paper"], entries["paper"] = run_sampled(dataset, network, options)
+        results["paper"], entries["paper"] = run_sampled(dataset, network, options, table)
         tables["paper"] = tabulate(entries["paper"], PAPER_GROUPS)
         houses = len({episode.house for episode in entries["paper"]})
         print_table(
@@ -253,7 +252,6 @@ def main(options: Options) -> None:
             tables["paper"],
             PAPER_GROUPS,
         )
-    write_episodes(out / "episodes.csv", [result for part in results.values() for result in part])
     write_tables(out, tables, entries)
     plot_extra_steps(out / "fig7", tables, label)
     for settings, part in results.items():
@@ -263,7 +261,6 @@ def main(options: Options) -> None:
         "dataset": dataset.name,
         "source": dataset.source,
         "seed": options.seed,
-        "versions": versions(),
         "seconds": round(time.perf_counter() - began, 1),
         "published": as_json(tables.get("published", {})),
         "paper": as_json(tables.get("paper", {})),

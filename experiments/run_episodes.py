@@ -11,7 +11,9 @@ from dc2g_jax.datasets.starts import read_starts
 from dc2g_jax.evaluation import NETWORK_PLANNERS, Runner, summarize
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollout import STEP_LIMIT
-from experiments.common import EpisodeProgress, command_line, open_network, output_folder, write_episodes
+from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from experiments.episodes import EpisodeProgress, EpisodeTable
+from experiments.outputs import output_folder
 
 PlannerName = Literal["oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go"]
 
@@ -30,15 +32,17 @@ class Options:
       network: folder of a trained network for `dc2g` and `dc2g_uncertain`; the shipped one where not given.
       step_limit: actions after which an episode ends without success.
       out: folder to write to; a new one below outputs/ where not given.
+      resume: go on with the run in `out`, begun with the same options, where it stopped.
     """
 
     starts: Annotated[Path, tyro.conf.arg(metavar="CSV")]
     planner: tuple[PlannerName, ...] = ("oracle", "frontier", "dc2g")
     settings: Literal["published", "reference", "paper"] = "paper"
-    dataset: str | None = None
-    network: Path | None = None
+    dataset: DatasetOption = None
+    network: NetworkOption = None
     step_limit: int = STEP_LIMIT
-    out: Path | None = None
+    out: OutOption = None
+    resume: bool = False
 
 
 def main(options: Options) -> None:
@@ -46,10 +50,9 @@ def main(options: Options) -> None:
     dataset = open_dataset(options.dataset)
     starts = read_starts(options.starts, dataset)
     network = open_network(options.network) if NETWORK_PLANNERS.keys() & set(options.planner) else None
-    out = output_folder(options.out, "run_episodes")
+    out = output_folder(options, "run_episodes")
     runner = Runner(dataset, SETTINGS[options.settings], step_limit=options.step_limit, progress=EpisodeProgress())
-    results = runner.run(starts, options.planner, network)
-    write_episodes(out / "episodes.csv", results)
+    results = EpisodeTable(out / "episodes.csv").run(runner, starts, options.planner, network)
     print(f"{len(starts)} episodes in houses of {dataset.name}, settings {options.settings}")
     for planner in options.planner:
         own = [result for result in results if result.planner == planner]

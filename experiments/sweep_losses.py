@@ -1,7 +1,7 @@
 """Train networks with many losses, weights, learning rates, widths and seeds: `python -m experiments.sweep_losses`.
 
 Runs whose networks have one shape are trained together, in one program over one stack of weights. Killed or
-interrupted, it goes on where it was when run again with the same options.
+interrupted, it goes on where it was when run again with --resume.
 """
 
 import contextlib
@@ -24,12 +24,13 @@ from dc2g_jax.datasets.pairs import Pair, TrainingSet
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.networks import Architecture
+from dc2g_jax.estimation.networks import Architecture, multiply_accumulates
 from dc2g_jax.estimation.training import TrainingConfig, TrainingState, init_states, mean_error, train_steps
 from dc2g_jax.inspection.training_figures import plot_sweep
 from dc2g_jax.sweeps import group_by_shape, runs_of_grid, stacked_hyperparameters
 from dc2g_jax.training_data import DataConfig, Validation, validation_pairs
-from experiments.common import command_line
+from experiments.common import DatasetOption, command_line
+from experiments.outputs import output_folder
 from experiments.train import open_training_set
 from experiments.training_loop import run_steps
 
@@ -42,7 +43,7 @@ class Options:
     """Train every combination of losses, learning rates, widths and seeds, together where shapes allow.
 
     Attributes:
-      out: folder for runs, log, table and figure; run again with the same options to resume.
+      out: folder for runs, log, table and figure.
       dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
       data: houses and masks.
       losses: losses to try: quantile, l1, l2, huber, log, or weighted sums of them such as quantile=1,log=0.5.
@@ -54,10 +55,11 @@ class Options:
       validate_every: steps between validations on pairs; the last step is one too. 0 for the last only.
       episodes: run the planner in validation houses with every network in the end.
       minutes_per_checkpoint: how often to save, in minutes.
+      resume: go on with the run in `out`, begun with the same options, where it stopped.
     """
 
-    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    dataset: str | None = None
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    dataset: DatasetOption = None
     data: tyro.conf.OmitArgPrefixes[DataConfig] = dataclasses.field(default_factory=DataConfig)
     losses: tuple[str, ...] = ("quantile", "l1", "l2", "huber", "log")
     learning_rates: tuple[float, ...] = (TrainingConfig.learning_rate,)
@@ -68,6 +70,7 @@ class Options:
     validate_every: int = 200
     episodes: bool = True
     minutes_per_checkpoint: float = 5.0
+    resume: bool = False
 
     @property
     def runs(self) -> dict[str, TrainingConfig]:
@@ -188,10 +191,16 @@ def train_group(
 
 
 def write_results(
-    out: Path, runs: Mapping[str, TrainingConfig], log: Log, episodes: Mapping[str, Mapping[str, float]]
+    out: Path,
+    runs: Mapping[str, TrainingConfig],
+    log: Log,
+    episodes: Mapping[str, Mapping[str, float]],
+    shape: tuple[int, int],
 ) -> list[dict[str, Any]]:
-    """Write `results.csv`, a line a run, the best first."""
+    """Write `results.csv`, a line a run, the best first; multiply-accumulates are those of one map of `shape`."""
     errors = log.errors()
+    architectures = {config.architecture for config in runs.values()}
+    macs = {architecture: multiply_accumulates(architecture, *shape) for architecture in architectures}
     rows: list[dict[str, Any]] = []
     for run, config in runs.items():
         last = errors[run][max(errors[run])]
@@ -201,6 +210,7 @@ def write_results(
                 "loss": "+".join(f"{weight:g} {name}" for name, weight in config.losses),
                 "learning_rate": config.learning_rate,
                 "widths": "-".join(map(str, config.architecture.widths)),
+                "million_multiply_accumulates": round(1e-6 * macs[config.architecture], 2),
                 "seed": config.seed,
                 "steps": max(errors[run]),
                 "error": round(last, 4),
@@ -232,7 +242,7 @@ def main(options: Options) -> None:
     runs = options.runs
     groups = group_by_shape(runs)
     dataset = open_dataset(options.dataset)
-    options.out.mkdir(parents=True, exist_ok=True)
+    output_folder(options, "sweep_losses", free=("minutes_per_checkpoint",))
     facts = {"data": dataclasses.asdict(options.data), "dataset": dataset.name}
     data = open_training_set(options.out, dataset, options.data)
     pairs = validation_pairs(dataset, count=_PAIRS, edge_weight=options.data.edge_weight)
@@ -242,7 +252,8 @@ def main(options: Options) -> None:
     for group in groups:
         networks |= train_group(options, group, data, pairs, log, facts)
     episodes = run_episodes(dataset, networks, options.out / "episodes.json") if options.episodes else {}
-    rows = write_results(options.out, runs, log, episodes)
+    height, width = data.terrain.shape[1:]
+    rows = write_results(options.out, runs, log, episodes, (height, width))
     by_loss: dict[str, list[dict[int, float]]] = {}
     for run, errors in log.errors().items():
         by_loss.setdefault(run.rsplit("_seed", 1)[0], []).append(errors)

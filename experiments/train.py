@@ -1,11 +1,10 @@
 """Train the cost-to-go network: `python -m experiments.train --out checkpoints/mine`.
 
-Interrupted or killed, it goes on where it was when run again with the same options.
+Interrupted or killed, it goes on where it was when run again with --resume.
 """
 
 import dataclasses
 import json
-import shlex
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -16,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
+from jaxtyping import Float
 from tqdm import tqdm
 
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
@@ -26,6 +26,8 @@ from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.estimation.losses import check_loss_names
 from dc2g_jax.estimation.networks import Architecture
 from dc2g_jax.estimation.training import TrainingConfig, TrainingState, first_state, train_step
+from dc2g_jax.inspection.columns import viewer_sink
+from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_watch, next_file
 from dc2g_jax.mask_collection import Masks
 from dc2g_jax.training_data import (
     DataConfig,
@@ -37,8 +39,12 @@ from dc2g_jax.training_data import (
     training_houses,
     training_set,
 )
-from experiments.common import command_line, commit
+from experiments.common import command_line
+from experiments.outputs import command_written, commit, output_folder
 from experiments.training_loop import FiniteLoss, run_steps
+
+#: Maps that a recording shows predictions on.
+_MAPS_RECORDED = 6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +52,7 @@ class Options:
     """Train the cost-to-go network on pairs of partial maps and exact cost-to-go (Algorithm 1), training houses only.
 
     Attributes:
-      out: folder for checkpoints, the network and the log; run again with the same options to resume.
+      out: folder for checkpoints, the network and the log.
       dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
       data: houses and masks.
       after: folder of a trained network to go on from: training begins with its weights, and masks of robots that it
@@ -60,6 +66,10 @@ class Options:
       seed: of weights and batches.
       validate_every: steps between validations; the last step is one too. 0 for none.
       minutes_per_checkpoint: how often to save, in minutes.
+      record: write a recording of the training for the rerun viewer, `training-001.rrd`, and one more each time that it
+        is resumed; `rerun DIR/training-*.rrd` shows them as one, also while training goes on.
+      connect: address of a running rerun viewer to show training in, such as rerun+http://127.0.0.1:9876/proxy.
+      resume: go on with the run in `out`, begun with the same options, where it stopped.
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
@@ -75,6 +85,9 @@ class Options:
     seed: int = 0
     validate_every: int = 4000
     minutes_per_checkpoint: float = 2.0
+    record: bool = False
+    connect: Annotated[str | None, tyro.conf.arg(metavar="URL")] = None
+    resume: bool = False
 
     @property
     def training(self) -> TrainingConfig:
@@ -166,7 +179,7 @@ def model_card(options: Options, dataset: HouseDataset, step: int, figures: dict
         "target": "4-connected cost-to-go in cells",
         **({} if options.after is None else {"after": json.loads((options.after / "network.json").read_text())}),
         "loss": options.loss,
-        "command": shlex.join(["python", "-m", "experiments.train", *sys.argv[1:]]),
+        "command": command_written(),
         "commit": commit(),
         "seed": options.seed,
         "steps": step,
@@ -174,37 +187,63 @@ def model_card(options: Options, dataset: HouseDataset, step: int, figures: dict
     }
 
 
+def open_recording(options: Options, dataset: HouseDataset) -> TrainingRecording | None:
+    """The recording that is asked for, if one is. It shows maps of validation houses, the same for every run."""
+    if not options.record and options.connect is None:
+        return None
+    maps = maps_to_watch(dataset, _MAPS_RECORDED)
+    file = next_file(options.out) if options.record else None
+    return TrainingRecording(options.out, options.training, maps, file=file, viewer=options.connect)
+
+
 def train(options: Options, dataset: HouseDataset, checkpoints: TrainingCheckpoints) -> None:
     """Train to the end, saving now and then, and at Ctrl-C."""
     config = options.training
     network = None if options.after is None else compact_network(options.after, config.architecture)
+    state = checkpoints.restore() or first_state(config)
+    first_step = int(state.step)
+    recording = open_recording(options, dataset) if first_step < config.steps else None
     data = open_training_set(options.out, dataset, options.data, network)
     draw = options.data.draw_batch(config.batch_size)
     validation = Validation(dataset) if options.validate_every else None
     recipe, hyperparameters = config.recipe, config.hyperparameters
-    state = checkpoints.restore() or first_state(config)
-    if network is not None and not state.step:
+    if network is not None and not first_step:
         fresh = [jax.tree.map(jnp.array, network.weights) for _ in range(2)]  # a step uses them up
         state = dataclasses.replace(state, weights=fresh[0], average=fresh[1])
     loss = FiniteLoss(options.out)
 
-    def validate(state: TrainingState, step: int) -> None:
-        network = NetworkCostToGo(weights=state.average, architecture=config.architecture)
-        figures = validation.figures(network) if validation else {}
-        report(options, dataset, network, step, loss.latest, figures)
+    def network_of(state: TrainingState) -> NetworkCostToGo:
+        return NetworkCostToGo(weights=state.average, architecture=config.architecture)
 
-    run_steps(
-        state,
-        int(state.step),
-        config.steps,
-        take_step=lambda state: train_step(state, hyperparameters, data, recipe=recipe, draw_batch=draw),
-        look=loss,
-        validate=validate,
-        validate_every=options.validate_every,
-        save=checkpoints.save,
-        minutes_per_checkpoint=options.minutes_per_checkpoint,
-        description="train",
-    )
+    def watch(state: TrainingState, step: int, mean: Float[np.ndarray, ""]) -> None:
+        if recording is not None:
+            recording.look(step, float(mean), network_of(state))
+
+    def validate(state: TrainingState, step: int) -> None:
+        figures = validation.figures(network_of(state)) if validation else {}
+        report(options, dataset, network_of(state), step, loss.latest, figures)
+        if recording is not None:
+            recording.validate(step, figures, network_of(state))
+
+    try:
+        if recording is not None:
+            recording.predict(first_step, network_of(state))
+        run_steps(
+            state,
+            first_step,
+            config.steps,
+            take_step=lambda state: train_step(state, hyperparameters, data, recipe=recipe, draw_batch=draw),
+            look=loss,
+            watch=watch,
+            validate=validate,
+            validate_every=options.validate_every,
+            save=checkpoints.save,
+            minutes_per_checkpoint=options.minutes_per_checkpoint,
+            description="train",
+        )
+    finally:
+        if recording is not None:
+            recording.close()
 
 
 def report(
@@ -221,9 +260,12 @@ def report(
 def main(options: Options) -> None:
     """Train, save and validate."""
     check_loss_names([options.loss])
-    commit()  # that of the code now loaded, whatever is committed later
+    if options.connect is not None:
+        viewer_sink(options.connect)  # an address that is none is refused before anything is written
     dataset = open_dataset(options.dataset)
-    apart = {"out", "dataset", "validate_every", "minutes_per_checkpoint"}
+    free = {"validate_every", "minutes_per_checkpoint", "record", "connect"}
+    output_folder(options, "train", free=free)
+    apart = {"out", "resume", "dataset", *free}
     facts = {name: value for name, value in dataclasses.asdict(options).items() if name not in apart}
     facts["after"] = None if options.after is None else str(options.after)
     checkpoints = TrainingCheckpoints(options.out, options.training, {**facts, "dataset": dataset.name})

@@ -1,6 +1,6 @@
 """Train the paper's image-to-image translator: `python -m experiments.train_translator --out checkpoints/translator`.
 
-Interrupted or killed, it goes on where it was when run again with the same options.
+Interrupted or killed, it goes on where it was when run again with --resume.
 """
 
 import dataclasses
@@ -10,7 +10,8 @@ from typing import Annotated, Literal
 import tyro
 
 from dc2g_jax.datasets.houses import open_dataset
-from experiments.common import command_line
+from experiments.common import DatasetOption, command_line
+from experiments.outputs import output_folder
 from experiments.translation import TranslationOptions, train_translator, translation_data
 
 
@@ -19,26 +20,29 @@ class Options:
     """Train the image-to-image translator on pairs of pictures (Algorithm 1, section III-B), training houses only.
 
     Attributes:
-      out: folder for checkpoints, the network and the log; run again with the same options to resume.
+      out: folder for checkpoints, the network and the log.
       dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
       loss: mean absolute difference, a discriminator's doubt, or their sum weighted 100 to 1.
       seed: of weights, the order of the pairs and dropout.
       training: how it is trained.
+      resume: go on with the run in `out`, begun with the same options, where it stopped.
     """
 
-    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    dataset: str | None = None
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    dataset: DatasetOption = None
     loss: Literal["l1", "gan", "l1+gan"] = "l1+gan"
     seed: int = 0
     training: Annotated[TranslationOptions, tyro.conf.arg(name="")] = dataclasses.field(
         default_factory=TranslationOptions
     )
+    resume: bool = False
 
 
 def main(options: Options) -> None:
     """Make the pairs, train."""
     config = options.training.config(options.loss)
     dataset = open_dataset(options.dataset, cells=None)
+    output_folder(options, "train_translator", free=("minutes_per_checkpoint",))
     data = translation_data(dataset, options.training)
     print(
         f"Training on {len(data.train.pair_house)} pairs of {len(data.train.terrain)} houses of {dataset.name}, "

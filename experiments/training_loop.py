@@ -61,6 +61,7 @@ def run_steps(
     minutes_per_checkpoint: float,
     description: str,
     steps_per_look: int = 50,
+    watch: Callable[[State, int, Float[np.ndarray, "*runs"]], None] = lambda state, step, loss: None,
 ) -> State:
     """Train to the end, saving now and then, at the end, and at Ctrl-C.
 
@@ -77,6 +78,7 @@ def run_steps(
       minutes_per_checkpoint: how often to save.
       description: what the progress bar says.
       steps_per_look: steps between two looks at the losses, at most: looking waits for the device.
+      watch: called as `watch(state, step, mean losses)` after each look; must leave the state as it is.
 
     Returns:
       The last state.
@@ -94,6 +96,7 @@ def run_steps(
                 bar.update(len(losses))
                 bar.set_postfix(loss=f"{np.mean(mean):.4f}")
                 look(step, mean)
+                watch(state, step, mean)
                 if step == steps or (validate_every and step % validate_every == 0):
                     validate(state, step)
                 if time.monotonic() - saved > 60 * minutes_per_checkpoint:

@@ -2,8 +2,6 @@
 
 import dataclasses
 import json
-import shlex
-import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -31,7 +29,7 @@ from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.image_evaluation import GRID_CELLS, mean_metrics
 from dc2g_jax.mask_collection import LEADERS, Masks, collect_masks, concatenate_masks, leading_planners
 from dc2g_jax.planning.rules import SETTINGS
-from experiments.common import commit
+from experiments.outputs import command_written, commit
 from experiments.training_loop import FiniteLoss, run_steps
 
 MaskKind = Literal["paper", "rollout"]
@@ -174,7 +172,7 @@ def _card(
         "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks})",
         "target": "8-connected cost-to-go as a picture, brightest visible pixel 1",
         "loss": config.loss,
-        "command": shlex.join(["python", "-m", f"experiments.{Path(sys.argv[0]).stem}", *sys.argv[1:]]),
+        "command": command_written(),
         "commit": commit(),
         "seed": seed,
         "steps": step,

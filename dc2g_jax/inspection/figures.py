@@ -1,34 +1,80 @@
 """Figures to put in a paper: drawn off screen, readable in grey and by the colour-blind, as PNG and SVG."""
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from dc2g_jax.datasets.houses import House
-from dc2g_jax.evaluation import Summary
-from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, TRAVERSABLE
-from dc2g_jax.inspection.replay import Frames
+from dc2g_jax.evaluation import EpisodeResult, Summary
+from dc2g_jax.grid.terrain import CLASS_NAMES
 
 Table = Mapping[str, Mapping[str, Summary]]
 
-#: Planner -> label, colour (Okabe and Ito), hatch. The order is that of the bars.
-_STYLE = {
-    "authors_frontier": ("Frontier, authors' code", "#f5c99b", "///"),
-    "frontier": ("Frontier", "#d55e00", ""),
-    "authors_dc2g": ("DC2G, authors' network", "#a9d3ee", "///"),
-    "dc2g": ("DC2G, this package", "#0072b2", ""),
-    "dc2g_uncertain": ("DC2G, averse to risk", "#cc79a7", ""),
-    "true_cost_to_go": ("DC2G with exact cost-to-go", "#009e73", ""),
+
+class PlannerStyle(NamedTuple):
+    """How a planner looks, in every figure.
+
+    Attributes:
+      label: what to call it.
+      colour: of Okabe and Ito.
+      hatch: of its bars.
+      marker: of its points.
+    """
+
+    label: str
+    colour: str
+    hatch: str = ""
+    marker: str = "o"
+
+
+#: The styles of planners by name, in the order in which figures show them.
+PLANNER_STYLES = {
+    "oracle": PlannerStyle("Oracle", "#333333", marker="*"),
+    "authors_frontier": PlannerStyle("Frontier, authors' code", "#f5c99b", hatch="///"),
+    "frontier": PlannerStyle("Frontier", "#d55e00", marker="s"),
+    "authors_dc2g": PlannerStyle("DC2G, authors' network", "#a9d3ee", hatch="///"),
+    "dc2g": PlannerStyle("DC2G", "#0072b2"),
+    "dc2g_uncertain": PlannerStyle("DC2G, averse to risk", "#cc79a7", marker="D"),
+    "true_cost_to_go": PlannerStyle("DC2G, exact cost-to-go", "#009e73", marker="^"),
 }
+
+#: Class -> colour on maps. Ground is pale and the rest is dark, so that they differ in grey as well; unknown lies
+#: between.
+CLASS_COLOURS = {
+    "__ignore__": "#a79bb5",
+    "front_door": "#d55e00",
+    "grass": "#4f9d69",
+    "road": "#d5d8dc",
+    "driveway": "#9ecae9",
+    "car": "#b5446e",
+    "path": "#f0d589",
+    "house": "#2f3144",
+    "sidewalk": "#f4ece1",
+    "fence": "#7b5ea7",
+    "tree": "#1b5e3c",
+    "mailbox": "#b8860b",
+    "bush": "#a3bb55",
+    "garage door": "#a6611a",
+    "nothing": "#111111",
+    "traversable": "#fffdf5",
+}
+
+#: Ground that has not been observed is drawn in the class colours mixed with this much white.
+_HIDDEN_WHITE = 0.85
+
 _GROUP_LABELS = {
     "train": "training\nhouses",
+    "val": "validation\nhouses",
     "same_neighborhood": "same\nneighborhood",
     "new_neighborhood": "new\nneighborhood",
     "urban": "urban",
@@ -41,12 +87,18 @@ _TITLES = {
 }
 
 
+def _compared(planners: Iterable[str]) -> list[str]:
+    """The planners that are compared with the oracle, in the order of their styles."""
+    present = set(planners) - {"oracle"}
+    return [planner for planner in PLANNER_STYLES if planner in present]
+
+
 def _bars(axes: Axes, table: Table, groups: Sequence[str]) -> None:
     """Grouped bars of the mean, with a tick at the median."""
-    planners = [planner for planner in _STYLE if planner in table]
+    planners = _compared(table)
     width = 0.84 / len(planners)
     for place, planner in enumerate(planners):
-        label, colour, hatch = _STYLE[planner]
+        label, colour, hatch, _ = PLANNER_STYLES[planner]
         x = np.arange(len(groups)) + (place - (len(planners) - 1) / 2) * width
         mean = [table[planner][group].mean_extra for group in groups]
         median = [table[planner][group].median_extra for group in groups]
@@ -69,12 +121,12 @@ def _bars(axes: Axes, table: Table, groups: Sequence[str]) -> None:
         axes.spines[side].set_visible(False)
 
 
-def save_figure(figure: Figure, path: str | Path) -> list[Path]:
-    """Write a figure as PNG and SVG."""
+def save_figure(figure: Figure, path: str | Path, dpi: int = 160) -> list[Path]:
+    """Write a figure as PNG, of `dpi` pixels by the inch, and as SVG; `path` is their name without an ending."""
     FigureCanvasAgg(figure)
-    written = [Path(path).with_suffix(ending) for ending in (".png", ".svg")]
+    written = [Path(f"{path}{ending}") for ending in (".png", ".svg")]
     for target in written:
-        figure.savefig(target, dpi=160)
+        figure.savefig(target, dpi=dpi)
     return written
 
 
@@ -91,10 +143,9 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], dataset: str
     """
     panels = {settings: table for settings, table in tables.items() if table}
     groups = {settings: list(table["frontier"]) for settings, table in panels.items()}
-    order = list(_GROUP_LABELS)
     for names in groups.values():
-        names.sort(key=lambda name: order.index(name) if name in order else len(order))
-    bars = [len(groups[s]) * sum(planner in _STYLE for planner in panels[s]) for s in panels]
+        names.sort(key=_group_place)
+    bars = [len(groups[s]) * len(_compared(panels[s])) for s in panels]
     figure = Figure(figsize=(1.2 + 0.36 * sum(bars), 4.4), layout="constrained")
     all_axes = figure.subplots(1, len(panels), squeeze=False, sharey=True, width_ratios=bars)[0]
     for axes, (settings, table) in zip(all_axes, panels.items(), strict=True):
@@ -105,7 +156,7 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], dataset: str
     for axes in all_axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
-    labels = [style[0] for style in _STYLE.values() if style[0] in handles]
+    labels = [style.label for style in PLANNER_STYLES.values() if style.label in handles]
     figure.legend(
         [handles[label] for label in labels],
         labels,
@@ -116,6 +167,16 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], dataset: str
     )
     figure.supxlabel(f"Bars: mean; black lines: median. Houses: {dataset}.", fontsize=8, color="#555555")
     return save_figure(figure, path)
+
+
+def _scale_extra_steps(axes: Axes, direction: str, ends: tuple[float, float]) -> None:
+    """Linear up to 10 % and logarithmic beyond, so that episodes without extra steps can be shown."""
+    ticks = [tick for tick in (0, 10, 30, 100, 300, 1000, 3000) if tick < ends[1]]
+    getattr(axes, f"set_{direction}scale")("symlog", linthresh=10, linscale=0.6)
+    getattr(axes, f"set_{direction}lim")(*ends)
+    getattr(axes, f"set_{direction}ticks")(ticks, [str(tick) for tick in ticks])
+    axes.minorticks_off()
+    axes.minorticks_off()
 
 
 def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float, float]]]) -> list[Path]:
@@ -139,14 +200,8 @@ def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float
         axes.plot(ends, ends, color="#555555", linewidth=0.8)
         axes.plot(authors, ours, "o", color="#0072b2", markeredgecolor="white", markeredgewidth=0.4, markersize=5)
         axes.plot(authors.mean(), ours.mean(), "X", color="#d55e00", markeredgecolor="black", markersize=10)
-        # The scale is linear up to 10 % and logarithmic beyond, so that episodes without extra steps can be shown.
-        for scale, limits in ((axes.set_xscale, axes.set_xlim), (axes.set_yscale, axes.set_ylim)):
-            scale("symlog", linthresh=10, linscale=0.6)
-            limits(*ends)
-        ticks = [tick for tick in (0, 10, 30, 100, 300, 1000, 3000) if tick < ends[1]]
-        axes.set_xticks(ticks, [str(tick) for tick in ticks])
-        axes.set_yticks(ticks, [str(tick) for tick in ticks])
-        axes.minorticks_off()
+        for direction in "xy":
+            _scale_extra_steps(axes, direction, ends)
         axes.grid(True, color="#dddddd", linewidth=0.5)
         axes.set_axisbelow(True)
         axes.set_aspect("equal")
@@ -159,25 +214,30 @@ def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float
     return save_figure(figure, path)
 
 
-#: Hidden ground of a map is drawn in the class colours mixed with this much white.
-_HIDDEN_WHITE = 0.82
+#: Pixels from which on it shows if not all cells have the same.
+_EVEN_PIXELS = 4
 
 
-def _map_image(terrain: UInt8[np.ndarray, "h w"], seen: np.ndarray) -> Float[np.ndarray, "h w 3"]:
-    """Class colours where observed, a pale version of them elsewhere."""
-    colours = CLASS_COLORS[terrain] / 255.0
-    pale = colours * (1 - _HIDDEN_WHITE) + _HIDDEN_WHITE
-    return np.where(seen[..., None], colours, pale)
+def planner_style(name: str) -> PlannerStyle:
+    """How a planner looks; a plain style for one of another name."""
+    return PLANNER_STYLES.get(name, PlannerStyle(name, "#777777"))
 
 
-def _draw_robot(axes: Axes, frames: Frames, frame: int) -> None:
-    """The path so far and the robot on its end."""
-    x, y = frames.pose.x[: frame + 1], frames.pose.y[: frame + 1]
-    axes.plot(x, y, color="white", linewidth=2.4, solid_joinstyle="round")
-    axes.plot(x, y, color="black", linewidth=1.2, solid_joinstyle="round")
-    axes.plot(x[:1], y[:1], "o", color="white", markeredgecolor="black", markersize=5)
-    marker = ">v<^"[frames.pose.heading[frame]]
-    axes.plot(x[-1:], y[-1:], marker, color="#f0e442", markeredgecolor="black", markersize=9)
+def map_image(terrain: UInt8[np.ndarray, "h w"], seen: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 3"]:
+    """Class colours where observed, a pale version of them elsewhere; RGB from 0 to 1."""
+    colours = np.array([to_rgb(colour) for colour in CLASS_COLOURS.values()])[terrain]
+    return np.where(seen[..., None], colours, colours * (1 - _HIDDEN_WHITE) + _HIDDEN_WHITE)
+
+
+def whole_pixels(inches: float, dpi: int) -> float:
+    """A cell's side, in inches, cut to whole pixels, so that all cells look alike; a very small one as it is."""
+    return math.floor(inches * dpi) / dpi if inches * dpi >= _EVEN_PIXELS else inches
+
+
+def class_patch(index: int) -> Patch:
+    """What a legend says of a class."""
+    label = CLASS_NAMES[index].replace("_", " ") if index else "unknown"
+    return Patch(facecolor=CLASS_COLOURS[CLASS_NAMES[index]], edgecolor="#777777", linewidth=0.4, label=label)
 
 
 def plain_axes(axes: Axes) -> None:
@@ -195,58 +255,108 @@ def bare_axes(axes: Axes, title: str) -> None:
     axes.set_yticks([])
 
 
-def plot_episode(
-    path: str | Path, house: House, frames_by_planner: Mapping[str, Frames], columns: int = 4
-) -> list[Path]:
-    """Draw planners side by side from one start, as in Fig. 8: what each knew, and what it expected.
+#: Inches of the strips: a planner's lane, the space between houses, and a group's headline.
+_LANE, _BETWEEN, _HEADLINE = 0.075, 0.06, 0.2
 
-    One row a planner with the observed map over the pale hidden one, and a second row with the estimated cost-to-go for
-    planners that make an estimate.
+#: Houses up to which strips stand in one column.
+_ONE_COLUMN = 20
+
+
+def plot_house_strips(
+    path: str | Path, results: Iterable[EpisodeResult], group_by_house: Mapping[str, str]
+) -> list[Path]:
+    """Draw a strip a house: every episode's extra steps as a point, each planner in a lane of its own with its mean.
 
     Args:
       path: where to write, without an ending.
-      house: the house.
-      frames_by_planner: planner name -> its replayed episode, all from one start.
-      columns: moments shown of each episode, from the first to the last.
+      results: episodes of any number of planners; the oracle's are left out.
+      group_by_house: house -> its group; houses are in the order of groups and names.
 
     Returns:
       The files written: PNG and SVG.
     """
-    rows = sum(1 + (frames.cost_to_go is not None) for frames in frames_by_planner.values())
-    figure = Figure(figsize=(2.5 * columns + 0.9, 2.65 * rows + 0.5), layout="constrained")
-    grid = figure.subplots(rows, columns, squeeze=False)
-    row = 0
-    for planner, frames in frames_by_planner.items():
-        last = len(frames) - 1
-        moments = np.linspace(0, last, columns).round().astype(int)
-        for axes, frame in zip(grid[row], moments, strict=True):
-            axes.imshow(_map_image(house.terrain, frames.seen[frame]), interpolation="nearest")
-            _draw_robot(axes, frames, frame)
-            bare_axes(axes, f"step {frame}" + (" (end)" if frame == last else ""))
-        label = _STYLE[planner][0] if planner in _STYLE else planner
-        grid[row][0].set_ylabel(f"{label}: {last} steps", fontsize=9)
-        row += 1
-        if frames.cost_to_go is None:
-            continue
-        road = TRAVERSABLE[house.terrain] & frames.seen[last]
-        high = float(np.percentile(frames.cost_to_go[moments][:, road], 98))
-        for axes, frame in zip(grid[row], moments, strict=True):
-            known = frames.seen[frame] & TRAVERSABLE[house.terrain]
-            image = axes.imshow(
-                np.where(known, frames.cost_to_go[frame], np.nan),
-                cmap="viridis_r",
-                vmin=0,
-                vmax=high,
-                interpolation="nearest",
-            )
-            axes.set_facecolor("#eeeeee")
-            bare_axes(axes, "")
-        grid[row][0].set_ylabel("estimated cost-to-go", fontsize=9)
-        figure.colorbar(image, ax=list(grid[row]), label="cells", shrink=0.9, pad=0.01)
-        row += 1
-    present = [index for index in np.unique(house.terrain) if index]
-    patches = [
-        Patch(facecolor=CLASS_COLORS[index] / 255.0, label=CLASS_NAMES[index].replace("_", " ")) for index in present
+    extra: dict[str, dict[str, list[float]]] = {}
+    for result in results:
+        if result.planner != "oracle":
+            extra.setdefault(result.house, {}).setdefault(result.planner, []).append(result.extra)
+    planners = _compared(planner for by_planner in extra.values() for planner in by_planner)
+    groups = sorted({group_by_house[house] for house in extra}, key=_group_place)
+    sections = [(group, sorted(house for house in extra if group_by_house[house] == group)) for group in groups]
+    pages = _columns_of_houses(sections, 1 if len(extra) <= _ONE_COLUMN else 2)
+    house_height = _LANE * len(planners) + _BETWEEN
+    heights = [sum(_HEADLINE + house_height * len(houses) for _, houses in page) for page in pages]
+    figure = Figure(figsize=(3.58 * len(pages), max(heights) + 0.85), layout="constrained")
+    most = max(value for by_planner in extra.values() for values in by_planner.values() for value in values)
+    columns = figure.subplots(1, len(pages), squeeze=False)[0]
+    for axes, page in zip(columns, pages, strict=True):
+        _draw_strips(axes, page, extra, planners)
+        axes.set_ylim(max(heights), 0)
+        _scale_extra_steps(axes, "x", (-3.0, max(1.3 * most, 12.0)))
+        axes.tick_params(axis="x", labelsize=7.5)
+        axes.xaxis.grid(True, color="#cccccc", linewidth=0.5)
+        axes.set_axisbelow(True)
+        for side in ("top", "right", "left"):
+            axes.spines[side].set_visible(False)
+    figure.supxlabel("extra steps beyond the oracle (%); bars: means", fontsize=8.5)
+    handles = [
+        Line2D([], [], linestyle="none", marker=style.marker, color=style.colour, markersize=5, label=style.label)
+        for style in map(planner_style, planners)
     ]
-    figure.legend(handles=patches, loc="outside lower center", ncols=len(patches), frameon=False, fontsize=8)
-    return save_figure(figure, path)
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(planners), frameon=False, fontsize=8.5)
+    return save_figure(figure, path, dpi=300)
+
+
+def _group_place(group: str) -> tuple[int, str]:
+    """Where a group stands among others."""
+    order = list(_GROUP_LABELS)
+    return (order.index(group) if group in order else len(order)), group
+
+
+Sections = list[tuple[str, list[str]]]
+
+
+def _columns_of_houses(sections: Sections, count: int) -> list[Sections]:
+    """Groups of houses in columns of about equal length, groups cut where need be."""
+    room = -(-sum(len(houses) for _, houses in sections) // count)
+    columns: list[Sections] = [[]]
+    for group, houses in sections:
+        while houses:
+            left = room - sum(len(own) for _, own in columns[-1])
+            if not left:
+                columns.append([])
+                left = room
+            columns[-1].append((group, houses[:left]))
+            houses = houses[left:]
+    return columns
+
+
+def _draw_strips(
+    axes: Axes, page: Sections, extra: Mapping[str, Mapping[str, Sequence[float]]], planners: Sequence[str]
+) -> None:
+    """One column of strips, from the top down in inches."""
+    names: list[tuple[float, str]] = []
+    y, lanes = 0.0, _LANE * len(planners)
+    for group, houses in page:
+        label = _GROUP_LABELS.get(group, group).replace("\n", " ")
+        axes.annotate(
+            label, (0, y + 0.75 * _HEADLINE), xycoords=("axes fraction", "data"), fontsize=8, fontweight="bold"
+        )
+        y += _HEADLINE
+        for number, house in enumerate(houses):
+            if number % 2 == 0:
+                axes.axhspan(y, y + lanes + _BETWEEN, color="#f1f1f1", linewidth=0)
+            names.append((y + (lanes + _BETWEEN) / 2, house))
+            for lane, planner in enumerate(planners):
+                values = extra[house].get(planner, [])
+                style, middle = planner_style(planner), y + _BETWEEN / 2 + _LANE * (lane + 0.5)
+                axes.plot(
+                    values, [middle] * len(values), style.marker, color=style.colour, markersize=3, alpha=0.55,
+                    markeredgewidth=0, clip_on=False,
+                )  # fmt: skip
+                if values:
+                    ends = (middle - 0.55 * _LANE, middle + 0.55 * _LANE)
+                    axes.vlines(float(np.mean(values)), *ends, color="black", linewidth=2.0)
+                    axes.vlines(float(np.mean(values)), *ends, color=style.colour, linewidth=1.0)
+            y += lanes + _BETWEEN
+    axes.set_yticks([place for place, _ in names], [name for _, name in names], fontsize=6.5)
+    axes.tick_params(axis="y", length=0)

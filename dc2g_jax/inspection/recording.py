@@ -5,366 +5,253 @@ A recording is for looking at: the viewer reads files of its own version and the
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
-from jaxtyping import Bool, Float, UInt8
-from matplotlib import colormaps
+from jaxtyping import Float
 
 from dc2g_jax.datasets.houses import House
-from dc2g_jax.errors import InputError
+from dc2g_jax.decisions import HEADING_NAMES
 from dc2g_jax.estimation.estimators import Estimator, world_cost_to_go
 from dc2g_jax.evaluation import EpisodeResult
-from dc2g_jax.grid.poses import FORWARD, Pose
-from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
+from dc2g_jax.grid.poses import FORWARD
+from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
 from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.inspection import legend
+from dc2g_jax.inspection.columns import (
+    centers,
+    curve_style,
+    image_style,
+    open_recording,
+    send,
+    send_cells,
+    send_curve,
+    send_images,
+    send_lines,
+)
+from dc2g_jax.inspection.episode_layout import episode_layout
+from dc2g_jax.inspection.legend import CostScale
 from dc2g_jax.inspection.replay import Frames, actions_from_letters, replay_result, running_extra_steps
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL
 from dc2g_jax.planning.rules import Rules
 
-#: Name of the timeline: actions taken since the start.
-TIMELINE = "step"
-
 _exact_cost_to_go = jax.jit(world_cost_to_go)
 
 
-# ---------------------------------------------------------------------------------------------- colours and words
-
-#: Overlay -> colour, RGBA. The legend below names them.
-_REACHABLE_COLOR = (0, 255, 255, 45)
-_FIELD_OF_VIEW_COLOR = (255, 255, 255, 80)
-_CANDIDATE_COLOR = (255, 150, 0)
-_SUBGOAL_COLOR = (255, 0, 255)
-_TRAJECTORY_COLOR = (255, 255, 255)
-_ROBOT_COLOR = (255, 60, 60)
-_GOAL_COLOR = (255, 0, 0)
-
-#: Colours of the planners' curves, in turn.
-_CURVE_COLORS = ((255, 150, 0), (0, 200, 255), (120, 220, 90), (220, 120, 255), (255, 235, 59), (255, 90, 90))
-
-#: Class index -> its colour in words.
-_COLOR_WORDS = (
-    "black", "dark red", "green", "olive", "dark blue", "purple", "teal", "grey", "dark brown", "red", "leaf green",
-    "ochre", "indigo", "pink", "grey-green", "white",
-)  # fmt: skip
-
-#: Cost-to-go is drawn in classes, so that the viewer names the value under the pointer: not shown, no way, then costs.
-_NOT_SHOWN, _NO_WAY, _FIRST_COST, _LAST_COST = 0, 1, 2, 255
-_NO_WAY_COLOR = (70, 70, 70)
-
-_LEGEND = """\
-**On the maps**
-
-- black: not yet observed
-- white veil: field of view
-- cyan veil: reachable
-- orange dots: cells to explore from (frontier-expanding), while exploring
-- magenta dots: subgoal of the plan
-- white line: the way so far
-- red dot and arrow: robot and heading
-- below them: the step, the plan with its length in actions, extra steps so far
-- red squares on the hidden map: goal
-
-**Cost-to-go**
-
-- from bright yellow at the goal over green and blue to dark purple, {farthest} cells away
-- grey: no way to the goal; black: not observed
-- an estimate is shown where the robot has seen traversable ground
-
-**Terrain**
-
-{classes}
-
-Point at a cell to read its class or cost.
-"""
-
-
-def _terrain_context() -> rr.AnnotationContext:
-    """Names and colours of the terrain classes."""
-    colors = [tuple(int(value) for value in color) for color in CLASS_COLORS]
-    names = ("not observed", *CLASS_NAMES[1:])
-    return rr.AnnotationContext(list(zip(range(len(names)), names, colors, strict=True)))
-
-
-def _veil_context(name: str, color: tuple[int, ...]) -> rr.AnnotationContext:
-    """Class 1 in a see-through colour, class 0 not drawn at all."""
-    return rr.AnnotationContext([(0, "", (0, 0, 0, 0)), (1, name, color)])
-
-
-class _CostScale(NamedTuple):
-    """How costs-to-go become classes of an image.
+class Episode(NamedTuple):
+    """An episode to record.
 
     Attributes:
-      farthest: largest exact cost of the house, in cells; where the colours end.
-      cells: cells of cost in one class.
+      result: what came out.
+      frames: its replay.
     """
 
-    farthest: float
-    cells: int
-
-    @classmethod
-    def of(cls, exact: Float[np.ndarray, "h w"]) -> "_CostScale":
-        """The scale of a house, with a quarter of the classes left for estimates beyond the exact values."""
-        farthest = float(np.max(exact, where=np.isfinite(exact), initial=1.0))
-        return cls(farthest, int(np.ceil(farthest / (0.75 * (_LAST_COST - _FIRST_COST)))))
-
-    def classes(
-        self, cost: Float[np.ndarray, "*t h w"], shown: Bool[np.ndarray, "*t h w"]
-    ) -> UInt8[np.ndarray, "*t h w"]:
-        """Class indices of an image of costs."""
-        finite = np.isfinite(cost)
-        level = np.rint(np.where(finite, cost, 0) / self.cells) + _FIRST_COST
-        level = np.where(finite, np.clip(level, _FIRST_COST, _LAST_COST), _NO_WAY)
-        return np.where(shown, level, _NOT_SHOWN).astype(np.uint8)
-
-    def context(self) -> rr.AnnotationContext:
-        """Names and colours of the classes."""
-        costs = self.cells * np.arange(_LAST_COST - _FIRST_COST + 1)
-        colors = (255 * colormaps["viridis_r"](np.clip(costs / self.farthest, 0, 1))[:, :3]).astype(int)
-        known = [
-            (_FIRST_COST + index, f"{cost} cells to go", tuple(color))
-            for index, (cost, color) in enumerate(zip(costs.tolist(), colors.tolist(), strict=True))
-        ]
-        return rr.AnnotationContext(
-            [(_NOT_SHOWN, "not observed", (0, 0, 0)), (_NO_WAY, "no way", _NO_WAY_COLOR), *known]
-        )
+    result: EpisodeResult
+    frames: Frames
 
 
-def _legend(house: House, scale: _CostScale) -> str:
-    """The words that go with the colours, for the classes that occur in the house."""
-    classes = "\n".join(
-        f"- {_COLOR_WORDS[index]}: {CLASS_NAMES[index]}{' (the goal)' if index == FRONT_DOOR else ''}"
-        for index in np.unique(house.terrain).tolist()
-        if index
+def _send_maps(stream: rr.RecordingStream, entity: str, frames: Frames, scale: CostScale) -> None:
+    """Images: what is known, what lies over it, and the estimate."""
+    steps = np.arange(len(frames))
+    image_style(stream, f"{entity}/map", legend.terrain_context(), 0)
+    send_images(stream, f"{entity}/map", steps, frames.terrain)
+    layers = (
+        ("reachable", legend.REACHABLE, frames.reachable),
+        ("field_of_view", legend.FIELD_OF_VIEW, frames.field_of_view),
+        ("frontier", legend.FRONTIER, frames.frontier),
     )
-    return f"## {house.name}\n\n" + _LEGEND.format(farthest=round(scale.farthest), classes=classes)
+    for order, (layer, (name, color), cells) in enumerate(layers, start=1):
+        image_style(stream, f"{entity}/map/{layer}", legend.layer_context(name, color), order)
+        send_images(stream, f"{entity}/map/{layer}", steps, cells.astype(np.uint8))
+    if frames.cost_to_go is not None:
+        known = frames.seen & TRAVERSABLE[frames.terrain]
+        image_style(stream, f"{entity}/cost_to_go", scale.context(), 0)
+        send_images(stream, f"{entity}/cost_to_go", steps, scale.classes(frames.cost_to_go, known))
 
 
-# ------------------------------------------------------------------------------------------------- what is logged
+def _send_candidates(stream: rr.RecordingStream, entity: str, score: Float[np.ndarray, "t h w"]) -> None:
+    """Cells that the planner chooses from, with their scores, coloured from the lowest of a step to the highest."""
+    frame, row, column = np.nonzero(~np.isnan(score))
+    finite = np.where(np.isfinite(score), score, np.nan)
+    lowest, highest = (of_all.reduce(finite, axis=(1, 2)) for of_all in (np.fmin, np.fmax))
+    scores = score[frame, row, column]
+    rank = (scores - lowest[frame]) / np.maximum(highest - lowest, 1e-6)[frame]
+    counts = np.bincount(frame, minlength=len(score))
+    stream.log(entity, rr.Points2D.from_fields(radii=0.3, draw_order=20), static=True)
+    dots = rr.Points2D.columns(positions=centers(column, row), colors=legend.score_colors(rank)).partition(counts)
+    values = rr.AnyValues.columns(score=scores).partition(counts)
+    send(stream, entity, np.arange(len(score)), [*dots, *values])
 
 
-def _send(stream: rr.RecordingStream, entity: str, steps: np.ndarray, columns: Any) -> None:
-    """One column of values for the given steps."""
-    stream.send_columns(entity, indexes=[rr.TimeColumn(TIMELINE, sequence=steps)], columns=columns)
+def _send_plan(stream: rr.RecordingStream, entity: str, frames: Frames) -> None:
+    """Where exploration could go on, what the planner chooses from, and the way to what it has chosen."""
+    exploring = (frames.mode == EXPLORE)[:, None, None]
+    expanding = rr.Points2D.from_fields(radii=0.18, colors=legend.EXPANDING_COLOR, draw_order=20)
+    send_cells(stream, f"{entity}/frontier_expanding", frames.candidates.any(axis=1) & exploring, expanding)
+    _send_candidates(stream, f"{entity}/candidates", frames.score)
+    line = rr.LineStrips2D.from_fields(radii=0.16, colors=legend.SUBGOAL_COLOR, draw_order=40)
+    send_lines(stream, f"{entity}/path", [_cells_of(path) for path in frames.path], line)
+    subgoals = frames.subgoals.any(axis=1) & (frames.mode != GAVE_UP)[:, None, None]
+    disc = rr.Points2D.from_fields(radii=0.55, colors=legend.SUBGOAL_COLOR, draw_order=50)
+    send_cells(stream, f"{entity}/subgoals", subgoals, disc)
 
 
-def _send_images(
-    stream: rr.RecordingStream,
-    entity: str,
-    classes: np.ndarray,
-    context: rr.AnnotationContext,
-    draw_order: float,
-) -> None:
-    """Class images `[t h w]`, one a step. Class images are drawn cell by cell, without smoothing."""
-    frames, height, width = classes.shape
-    form = rr.components.ImageFormat(width=width, height=height, channel_datatype=rr.ChannelDatatype.U8)
-    style = rr.SegmentationImage.from_fields(format=form, opacity=1.0, draw_order=draw_order)
-    stream.log(entity, context, style, static=True)
-    pixels = np.ascontiguousarray(classes, np.uint8).reshape(frames, height * width)
-    _send(stream, entity, np.arange(frames), rr.SegmentationImage.columns(buffer=pixels))
+def _cells_of(path: np.ndarray) -> Float[np.ndarray, "cells 2"]:
+    """Middles of the cells of a plan, each once however the robot turns on it."""
+    moves = np.any(np.diff(path[:, :2], axis=0), axis=1)
+    cells = path[np.concatenate([np.ones(min(len(path), 1), bool), moves])]
+    return centers(cells[:, 0], cells[:, 1])
 
 
-def _send_cells(
-    stream: rr.RecordingStream, entity: str, cells: Bool[np.ndarray, "t h w"], style: dict[str, Any]
-) -> None:
-    """Dots in the middle of cells, any number a step."""
-    frame, row, column = np.nonzero(cells)
-    counts = np.bincount(frame, minlength=len(cells))
-    centers = np.stack([column, row], axis=-1).astype(np.float32) + 0.5
-    stream.log(entity, rr.Points2D.from_fields(**style), static=True)
-    _send(
-        stream,
-        entity,
-        np.arange(len(cells)),
-        rr.Points2D.columns(positions=centers).partition(lengths=counts),
-    )
-
-
-def _send_robot(stream: rr.RecordingStream, entity: str, pose: Pose) -> None:
-    """Where the robot is, where it looks, and the way it came."""
-    steps = np.arange(len(pose.x))
-    centers = np.stack([pose.x, pose.y], axis=-1).astype(np.float32) + 0.5
+def _send_robot(stream: rr.RecordingStream, entity: str, frames: Frames) -> None:
+    """Where the robot is, where it looks, and the way it came: a piece a step, which the viewer adds up."""
+    pose, steps = frames.pose, np.arange(len(frames))
+    here = centers(np.asarray(pose.x), np.asarray(pose.y))
     ahead = 2.5 * np.asarray(FORWARD, np.float32)[pose.heading]
-    robot = rr.Points2D.from_fields(radii=0.8, colors=_ROBOT_COLOR, draw_order=60)
-    arrow = rr.Arrows2D.from_fields(radii=0.3, colors=_ROBOT_COLOR, draw_order=61)
-    line = rr.LineStrips2D.from_fields(radii=0.16, colors=_TRAJECTORY_COLOR, draw_order=30)
-    stream.log(entity, robot, static=True)
+    stream.log(entity, rr.Points2D.from_fields(radii=0.8, colors=legend.ROBOT_COLOR, draw_order=60), static=True)
+    arrow = rr.Arrows2D.from_fields(radii=0.3, colors=legend.ROBOT_COLOR, draw_order=61)
     stream.log(f"{entity}/heading", arrow, static=True)
+    send(stream, entity, steps, rr.Points2D.columns(positions=here))
+    send(stream, f"{entity}/heading", steps, rr.Arrows2D.columns(origins=here, vectors=ahead))
+    line = rr.LineStrips2D.from_fields(radii=0.16, colors=legend.TRAJECTORY_COLOR, draw_order=30)
     stream.log(f"{entity}/trajectory", line, static=True)
-    _send(stream, entity, steps, rr.Points2D.columns(positions=centers))
-    _send(stream, f"{entity}/heading", steps, rr.Arrows2D.columns(origins=centers, vectors=ahead))
-    # A line needs two points, so the first one stands twice.
-    ways = [np.concatenate([centers[:1], centers[: step + 1]]) for step in steps]
-    _send(stream, f"{entity}/trajectory", steps, rr.LineStrips2D.columns(strips=ways))
+    moves = 1 + np.flatnonzero(np.any(np.diff(here, axis=0), axis=1))
+    if len(moves):
+        pieces = np.stack([here[moves - 1], here[moves]], axis=1)
+        send(stream, f"{entity}/trajectory", moves, rr.LineStrips2D.columns(strips=pieces))
 
 
-def _status(frames: Frames, result: EpisodeResult) -> list[str]:
+def _outcome(result: EpisodeResult) -> str:
+    """How an episode ended."""
+    if result.success:
+        return "goal reached"
+    return "gave up" if result.mode == MODE_NAMES[GAVE_UP] else "step limit"
+
+
+def _status(episode: Episode) -> list[str]:
     """One line a step: how far, what the plan is, what it has cost."""
+    result, frames = episode
     extra = running_extra_steps(frames)
     last = len(frames) - 1
+    counts = np.sum(~np.isnan(frames.score), axis=(1, 2)).tolist()
+    least = np.fmin.reduce(frames.score, axis=(1, 2)).tolist()
     lines = []
     for step, (mode, length) in enumerate(zip(frames.mode.tolist(), frames.length.tolist(), strict=True)):
-        if step == last:
-            plan = "goal reached" if result.success else MODE_NAMES[mode] if mode == GAVE_UP else "step limit"
-        else:
-            what = {EXPLORE: "exploring, subgoal", TO_GOAL: "to the goal", GAVE_UP: "gave up"}[mode]
-            plan = what if mode == GAVE_UP else f"{what} in {length}"
+        plan = {
+            EXPLORE: f"explore: subgoal in {length}, score {least[step]:.1f}, best of {counts[step]}",
+            TO_GOAL: f"to goal: door in {length}",
+            GAVE_UP: "gave up",
+        }[mode]
         cost = f" · {extra[step]:+.0f} % extra" if np.isfinite(extra[step]) else ""
-        lines.append(f"**step {step}** of {last} · {plan}{cost}")
+        what = _outcome(result) if step == last else plan
+        lines.append(f"**step {step}** of {last}{cost} · {what}")
     return lines
 
 
-def _send_mode(
-    stream: rr.RecordingStream, entity: str, label: str, frames: Frames, result: EpisodeResult, outcome: str
-) -> None:
+def _send_mode(stream: rr.RecordingStream, entity: str, label: str, episode: Episode) -> None:
     """A line of text whenever the plan mode changes, and what came of it at the end."""
+    result, frames = episode
     changes = np.flatnonzero(np.diff(frames.mode, prepend=-1)).tolist()
     lines = [(step, MODE_NAMES[frames.mode[step]]) for step in changes]
     others = int(np.sum(frames.action[:-1] != actions_from_letters(result.actions)))
     if others:
         # Another network than the episode's, or another device, whose rounding settles a near tie otherwise.
         lines.append((0, f"plans shown are made anew, and {others} of their actions are not those taken"))
-    lines.append((len(frames) - 1, outcome))
+    lines.append((len(frames) - 1, _outcome(result)))
     steps = np.array([step for step, _ in lines])
-    _send(stream, entity, steps, rr.TextLog.columns(text=[f"{label}: {words}" for _, words in lines]))
-
-
-def _send_curve(stream: rr.RecordingStream, entity: str, values: np.ndarray, name: str, color: tuple) -> None:
-    """A number a step, where it is known."""
-    known = np.flatnonzero(np.isfinite(values))
-    stream.log(entity, rr.SeriesLines(names=name, colors=color, widths=2.0), static=True)
-    if known.size:
-        _send(stream, entity, known, rr.Scalars.columns(scalars=values[known].astype(np.float64)))
+    send(stream, entity, steps, rr.TextLog.columns(text=[f"{label}: {words}" for _, words in lines]))
 
 
 def _send_episode(
-    stream: rr.RecordingStream,
-    label: str,
-    frames: Frames,
-    result: EpisodeResult,
-    scale: _CostScale,
-    color: tuple,
+    stream: rr.RecordingStream, label: str, episode: Episode, scale: CostScale, color: tuple[int, ...]
 ) -> None:
     """Everything of one planner, below the entity of its label."""
+    frames = episode.frames
     entity = rr.new_entity_path([label])
-    _send_images(stream, f"{entity}/map", frames.terrain, _terrain_context(), 0)
-    reachable = _veil_context("reachable", _REACHABLE_COLOR)
-    _send_images(stream, f"{entity}/map/reachable", frames.reachable, reachable, 1)
-    in_view = _veil_context("field of view", _FIELD_OF_VIEW_COLOR)
-    _send_images(stream, f"{entity}/map/field_of_view", frames.field_of_view, in_view, 2)
-    if frames.cost_to_go is not None:
-        known = frames.seen & TRAVERSABLE[frames.terrain]
-        _send_images(stream, f"{entity}/cost_to_go", scale.classes(frames.cost_to_go, known), scale.context(), 0)
-    exploring = (frames.mode == EXPLORE)[:, None, None]
-    candidates = frames.candidates.any(axis=1) & exploring
-    subgoals = frames.subgoals.any(axis=1) & (frames.mode != GAVE_UP)[:, None, None]
-    dots = {"radii": 0.18, "colors": _CANDIDATE_COLOR, "draw_order": 20}
-    _send_cells(stream, f"{entity}/plan/frontier_expanding", candidates, dots)
-    discs = {"radii": 0.6, "colors": _SUBGOAL_COLOR, "draw_order": 50}
-    _send_cells(stream, f"{entity}/plan/subgoals", subgoals, discs)
-    _send_robot(stream, f"{entity}/robot", frames.pose)
-    status = _status(frames, result)
-    _send(
-        stream,
-        f"{entity}/status",
-        np.arange(len(frames)),
-        rr.TextDocument.columns(text=status, media_type=["text/markdown"] * len(status)),
-    )
-    _send_mode(stream, f"{entity}/mode", label, frames, result, status[-1].split(" · ")[1])
-    _send_curve(stream, f"{entity}/extra_steps", running_extra_steps(frames), label, color)
-    to_goal = np.where(frames.to_goal >= 0, frames.to_goal, np.nan)
-    _send_curve(stream, f"{entity}/steps_to_goal", to_goal, label, color)
+    _send_maps(stream, entity, frames, scale)
+    _send_plan(stream, f"{entity}/plan", frames)
+    _send_robot(stream, f"{entity}/robot", frames)
+    status = _status(episode)
+    texts = rr.TextDocument.columns(text=status, media_type=["text/markdown"] * len(status))
+    send(stream, f"{entity}/status", np.arange(len(frames)), texts)
+    _send_mode(stream, f"{entity}/mode", label, episode)
+    left = np.where(frames.to_goal >= 0, frames.to_goal, np.nan)
+    for name, values in (("extra_steps", running_extra_steps(frames)), ("steps_to_goal", left)):
+        curve_style(stream, f"{entity}/{name}", label, color)
+        send_curve(stream, f"{entity}/{name}", values)
 
 
-def _send_house(stream: rr.RecordingStream, house: House, exact: np.ndarray, scale: _CostScale) -> None:
-    """What no robot knows beforehand, and the legend."""
+def _send_house(stream: rr.RecordingStream, house: House, exact: np.ndarray, scale: CostScale, about: str) -> None:
+    """What no robot knows beforehand, the legend, and a line about the episodes."""
 
     def image(classes: np.ndarray) -> rr.SegmentationImage:
         return rr.SegmentationImage(classes, opacity=1.0)
 
-    stream.log("hidden/map", _terrain_context(), image(house.terrain), static=True)
+    stream.log("hidden/map", legend.terrain_context(), image(house.terrain), static=True)
     everywhere = np.ones(house.terrain.shape, bool)
     stream.log("hidden/cost_to_go", scale.context(), image(scale.classes(exact, everywhere)), static=True)
     rows, columns = np.nonzero(house.terrain == FRONT_DOOR)
-    centers = np.stack([columns, rows], axis=-1) + 0.5
-    goals = rr.Points2D(centers, radii=0.5, colors=_GOAL_COLOR, labels=["goal"] * len(rows), show_labels=False)
+    labels = ["goal"] * len(rows)
+    goals = rr.Points2D(centers(columns, rows), radii=0.35, colors=legend.GOAL_COLOR, labels=labels, show_labels=False)
     stream.log("hidden/goals", goals, static=True)
-    legend = rr.TextDocument(_legend(house, scale), media_type="text/markdown")
-    stream.log("legend", legend, static=True)
+    texts = {"legend": legend.episode_legend(house.terrain, scale), "hidden/about": about}
+    for entity, words in texts.items():
+        stream.log(entity, rr.TextDocument(words, media_type="text/markdown"), static=True)
 
 
-def _blueprint(house: House, labels: Mapping[str, bool]) -> rrb.Blueprint:
-    """The first view: what is hidden on the left, then one column a planner, curves and legend around them.
-
-    Args:
-      house: the house.
-      labels: planner -> does it estimate the cost-to-go?
-    """
-    height, width = house.terrain.shape
-    bounds = rrb.VisualBounds2D(x_range=[-0.5, width + 0.5], y_range=[-0.5, height + 0.5])
-
-    def grid_view(name: str, contents: list[str]) -> rrb.Spatial2DView:
-        return rrb.Spatial2DView(origin="/", contents=contents, name=name, visual_bounds=bounds)
-
-    hidden = rrb.Vertical(
-        grid_view("hidden map", ["/hidden/map", "/hidden/goals"]),
-        grid_view("exact cost-to-go", ["/hidden/cost_to_go", "/hidden/goals"]),
-    )
-    columns: list[rrb.Container] = [hidden]
-    entities = [f"/{rr.new_entity_path([label])}" for label in labels]
-    for entity, (label, estimates) in zip(entities, labels.items(), strict=True):
-        cost, whose = (f"{entity}/cost_to_go", "estimated") if estimates else ("/hidden/cost_to_go", "exact")
-        on_map = [f"{entity}/map/**", f"{entity}/plan/**", f"{entity}/robot/**"]
-        on_cost = [cost, f"{entity}/plan/subgoals", f"{entity}/robot/**"]
-        columns.append(
-            rrb.Vertical(
-                grid_view(f"{label}: observed map", on_map),
-                grid_view(f"{label}: {whose} cost-to-go", on_cost),
-                rrb.TextDocumentView(origin=f"{entity}/status", name=label),
-                row_shares=[5, 5, 1],
-            )
-        )
-
-    def of_all(name: str) -> list[str]:
-        return [f"{entity}/{name}" for entity in entities]
-
-    curves = rrb.Horizontal(
-        rrb.TimeSeriesView(origin="/", contents=of_all("extra_steps"), name="extra steps so far (%)"),
-        rrb.TimeSeriesView(origin="/", contents=of_all("steps_to_goal"), name="steps left to the goal (the oracle's)"),
-        rrb.TextLogView(origin="/", contents=of_all("mode"), name="plan mode"),
-    )
-    legend = rrb.TextDocumentView(origin="/legend", name="legend")
-    grids = rrb.Horizontal(*columns, legend, column_shares=[4.0] * len(columns) + [2.5])
-    return rrb.Blueprint(
-        rrb.Vertical(grids, curves, row_shares=[7, 2]),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, fps=10.0),
-        auto_views=False,
-    )
-
-
-def _check(house: House, result_by_planner: Mapping[str, EpisodeResult], rules: Rules) -> EpisodeResult:
-    """The first result, once all are known to be of one start in this house under these rules.
+def _check(house: House, results: Mapping[str, EpisodeResult]) -> EpisodeResult:
+    """The first result, once all are known to be of one start in this house.
 
     Raises:
       ValueError: where they are not.
     """
-    if not result_by_planner:
+    if not results:
         raise ValueError("no episode to record; give the result of at least one planner")
-    first = next(iter(result_by_planner.values()))
+    first = next(iter(results.values()))
     start = (first.house, first.x, first.y, first.heading)
-    for label, result in result_by_planner.items():
+    for label, result in results.items():
         if result.house != house.name:
             raise ValueError(f"{label}: an episode in {result.house}, not in {house.name}")
         if (result.house, result.x, result.y, result.heading) != start:
             raise ValueError(f"{label}: another start than the first planner's; a recording is of one start")
-        if (result.range, result.expanding_range) != (rules.sensing.radius, rules.expanding_range):
-            raise ValueError(f"{label}: sensing range {result.range} is not that of the rules, {rules.sensing.radius}")
     return first
+
+
+def record_frames(path: str | Path, *, house: House, episodes: Mapping[str, Episode]) -> Path:
+    """Write one rerun file (`.rrd`) of one start from episodes that have been replayed.
+
+    Args:
+      path: file to write; its folder is made.
+      house: where the episodes took place.
+      episodes: what to call each planner -> its episode and replay. All are of one start.
+
+    Returns:
+      The path.
+
+    Raises:
+      InputError: if the file cannot be written.
+      ValueError: if the episodes do not belong together or to the house.
+    """
+    first = _check(house, {label: episode.result for label, episode in episodes.items()})
+    exact = np.asarray(_exact_cost_to_go(world_from_terrain(house.terrain)))
+    scale = CostScale.of(exact)
+    path, place = Path(path), f"({first.x}, {first.y}) facing {HEADING_NAMES[first.heading]}"
+    estimates = {label: episode.frames.cost_to_go is not None for label, episode in episodes.items()}
+    stream = open_recording(
+        path,
+        name=f"{house.name} from {place}",
+        blueprint=episode_layout(house.terrain.shape, estimates),
+    )
+    about = f"**{house.name}** from {place}; the oracle takes {first.oracle_steps} steps"
+    _send_house(stream, house, exact, scale, about)
+    for number, (label, episode) in enumerate(episodes.items()):
+        color = legend.CURVE_COLORS[number % len(legend.CURVE_COLORS)]
+        _send_episode(stream, label, episode, scale, color)
+    stream.flush()
+    stream.disconnect()
+    return path
 
 
 def record_episode(
@@ -375,7 +262,7 @@ def record_episode(
     rules: Rules,
     estimator: Estimator | None = None,
 ) -> Path:
-    """Write one rerun file (`.rrd`) of one start, with one or more planners side by side.
+    """Write one rerun file (`.rrd`) of one start, with one or more planners side by side (as in the paper's Fig. 8).
 
     Open it with `rerun FILE`. Needs no viewer, window or network, and touches no other recording of the process.
 
@@ -394,23 +281,12 @@ def record_episode(
       ValueError: if the episodes do not belong together, to the house or to the rules, or a `dc2g` episode comes
         without an estimator.
     """
-    first = _check(house, result_by_planner, rules)
-    episodes = {label: replay_result(result, house, rules, estimator) for label, result in result_by_planner.items()}
-    exact = np.asarray(_exact_cost_to_go(world_from_terrain(house.terrain)))
-    scale = _CostScale.of(exact)
-    path = Path(path)
-    stream = rr.RecordingStream("dc2g_jax")
-    blueprint = _blueprint(house, {label: frames.cost_to_go is not None for label, frames in episodes.items()})
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        stream.save(path, default_blueprint=blueprint)
-    except (OSError, RuntimeError, ValueError) as error:
-        raise InputError(f"{path}: cannot be written ({error}); name a file in a folder of yours") from None
-    stream.send_recording_name(f"{house.name} from ({first.x}, {first.y}), heading {first.heading}")
-    _send_house(stream, house, exact, scale)
-    for number, (label, frames) in enumerate(episodes.items()):
-        color = _CURVE_COLORS[number % len(_CURVE_COLORS)]
-        _send_episode(stream, label, frames, result_by_planner[label], scale, color)
-    stream.flush()
-    stream.disconnect()
-    return path
+    _check(house, result_by_planner)
+    for label, result in result_by_planner.items():
+        if (result.range, result.expanding_range) != (rules.sensing.radius, rules.expanding_range):
+            raise ValueError(f"{label}: sensing range {result.range} is not that of the rules, {rules.sensing.radius}")
+    episodes = {
+        label: Episode(result, replay_result(result, house, rules, estimator))
+        for label, result in result_by_planner.items()
+    }
+    return record_frames(path, house=house, episodes=episodes)

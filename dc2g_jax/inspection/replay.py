@@ -11,15 +11,16 @@ from jaxtyping import Array, Bool, Float, Float32, Int, Int8, UInt8, UInt32
 
 from dc2g_jax import gridworld
 from dc2g_jax.datasets.houses import House
+from dc2g_jax.decisions import FAR, View, decide
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.evaluation import EpisodeResult, make_planner
 from dc2g_jax.grid import bitboard, poses, search
-from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.poses import ACTION_LETTERS, Pose, every_heading, make_pose
 from dc2g_jax.grid.sensing import visible
 from dc2g_jax.grid.world import World, world_from_terrain
 from dc2g_jax.gridworld import Belief
-from dc2g_jax.planning.planners import Planner, reachable_cells
+from dc2g_jax.planning.frontiers import frontier_cells
+from dc2g_jax.planning.planners import DC2G, EXPLORE, Oracle, Planner, reachable_cells
 from dc2g_jax.planning.rules import Rules
 from dc2g_jax.rollout import NO_ACTION
 
@@ -38,14 +39,20 @@ class Frames:
       field_of_view: cells in view from the pose.
       reachable: observed traversable cells connected to the robot.
       candidates: frontier-expanding poses by the rules, whether or not the planner asks for them.
-      subgoals: poses the plan leads into: of `Plan.subgoals` those nearest to the robot, all where none of them is
-        reachable on observed ground (the oracle knows more).
+      subgoals: poses the plan leads into: of `Plan.subgoals` those nearest to the robot; all where there is no way.
       mode: plan mode, see `dc2g_jax.planning.planners`.
       action: what the planner decides here. Equal to the action taken where planner and rules are those of the
         episode; without meaning in the last frame.
       length: actions from the robot to the subgoal.
       to_goal: actions an oracle needs from here to the nearest goal, -1 where there is no way.
-      cost_to_go: the planner's estimate of the cost-to-go in cells, mean of its outcomes; `None` if it makes none.
+      cost_to_go: the planner's estimate of the cost-to-go in cells, as its selection rule takes it: most often the mean
+        of its outcomes. Where it does not explore and asks for none, what it would be told. `None` if it makes none.
+      frontier: frontier cells, whatever the rules count: reachable, with an unobserved 4-neighbour (paper, section
+        III-D).
+      score: while exploring, what the planner compares on the cells it chooses from, the lowest wins: cost-to-go plus
+        weighted distance, or the distance alone for one that makes no estimate. NaN on all other cells.
+      path: the plan as poses from the robot's own to the subgoal, both included: columns, rows, headings; none where
+        there is no way.
     """
 
     pose: Pose
@@ -60,6 +67,9 @@ class Frames:
     length: Int[np.ndarray, "t"]
     to_goal: Int[np.ndarray, "t"]
     cost_to_go: Float32[np.ndarray, "t h w"] | None
+    frontier: Bool[np.ndarray, "t h w"]
+    score: Float32[np.ndarray, "t h w"]
+    path: tuple[Int[np.ndarray, "poses 3"], ...]
 
     def __len__(self) -> int:
         """Number of frames, one more than actions."""
@@ -74,14 +84,6 @@ class _Carry(NamedTuple):
     planner_state: Any
 
 
-def _nearest(
-    subgoals: UInt32[Array, "heading n_words h"], length: Array, pose: Pose, reachable: Board, width: int
-) -> Array:
-    """The subgoals `length` actions away over reachable ground; all of them where there is none."""
-    at_length = poses.pack(search.distances(pose, reachable, width) == length) & subgoals
-    return jnp.where(poses.is_empty(at_length), subgoals, at_length)
-
-
 def _frame(carry: _Carry, world: World, planner: Planner, rules: Rules) -> tuple[_Carry, dict[str, Any]]:
     """One frame, and the carry with the planner's new state."""
     belief = carry.belief
@@ -90,14 +92,20 @@ def _frame(carry: _Carry, world: World, planner: Planner, rules: Rules) -> tuple
     reachable = reachable_cells(belief, carry.reachable)
     plan, planner_state = planner.plan(belief, carry.planner_state)
     way_home = search.first_action(pose, every_heading(world.goals), world.traversable)
+    known = world.traversable if isinstance(planner, Oracle) else reachable
+    distance = search.distances(pose, known, width)
+    nearest = poses.pack(distance == plan.length) & plan.subgoals
+    candidates = rules.frontier_expanding(belief, reachable)
+    chosen_from = planner.candidates(belief, reachable) if isinstance(planner, DC2G) else candidates
     boards = {
         "seen": belief.seen,
         "field_of_view": visible(rules.sensing, pose, height, width),
         "reachable": reachable,
+        "frontier": frontier_cells(belief, reachable),
     }
     pose_sets = {
-        "candidates": rules.frontier_expanding(belief, reachable),
-        "subgoals": _nearest(plan.subgoals, plan.length, pose, reachable, width),
+        "candidates": candidates,
+        "subgoals": jnp.where(poses.is_empty(nearest), plan.subgoals, nearest),
     }
     frame = {
         "pose": pose,
@@ -108,6 +116,9 @@ def _frame(carry: _Carry, world: World, planner: Planner, rules: Rules) -> tuple
         "action": plan.action,
         "length": plan.length,
         "to_goal": jnp.where(way_home.found, way_home.length, -1),
+        "summary": jnp.mean(planner_state.estimates, axis=0) if isinstance(planner, DC2G) else None,
+        "distance": distance,
+        "to_candidate": jnp.min(distance, axis=0, where=poses.unpack(chosen_from, width), initial=FAR),
     }
     return carry._replace(reachable=reachable, planner_state=planner_state), frame
 
@@ -130,14 +141,29 @@ def _replay_chunk(
         return carry._replace(belief=belief), frame
 
     carry, frames = jax.lax.scan(cycle, carry, actions)
-    estimator = getattr(planner, "estimator", None)
-    frames["cost_to_go"] = None
-    if estimator is not None:
-        # All steps of the chunk in one batch, a second time: a plan does not hand out its estimate.
-        estimate = jax.vmap(estimator.estimate, in_axes=(0, None))
-        outcomes = estimate(frames["terrain"], estimator.init(world)).astype(jnp.float32)
-        frames["cost_to_go"] = jnp.mean(outcomes, axis=1)
+    exploring = (frames["mode"] == EXPLORE)[:, None, None]
+    summary, distance = frames.pop("summary"), frames.pop("to_candidate")
+    frames["cost_to_go"], score = None, distance.astype(jnp.float32)
+    if isinstance(planner, DC2G):
+        score = jax.vmap(planner.selection)(summary, distance)
+        # All steps of the chunk in one batch.
+        outcomes = jax.vmap(planner.estimator.estimate, in_axes=(0, None))(
+            frames["terrain"], planner.estimator.init(world)
+        )
+        unasked = jax.vmap(planner.selection.summary)(outcomes.astype(jnp.float32))
+        frames["cost_to_go"] = jnp.where(exploring, jnp.mean(summary, axis=1), jnp.mean(unasked, axis=1))
+    frames["score"] = jnp.where(exploring & (distance < FAR), score, jnp.nan)
     return carry, frames
+
+
+def _path(
+    distance: Int[np.ndarray, "heading h w"], subgoals: Bool[np.ndarray, "heading h w"]
+) -> Int[np.ndarray, "poses 3"]:
+    """The plan into the nearest of the subgoals, as a decision has it: among them alone, none better than another."""
+    subgoals = subgoals & (distance >= 0)
+    no_doors = np.zeros(subgoals.shape[1:], bool)
+    decision = decide(View(distance, no_doors, subgoals, None, np.zeros(no_doors.shape)), 0, 0)
+    return np.array(decision.path, int).reshape(-1, 3)
 
 
 def replay(
@@ -166,8 +192,9 @@ def replay(
         chunk = jnp.asarray(padded[first : first + _CHUNK])
         carry, frames = _replay_chunk(carry, chunk, world, planner, rules=rules)
         chunks.append(frames)
-    fetched = jax.device_get(chunks)
-    return Frames(**jax.tree.map(lambda *parts: np.concatenate(parts)[:n_frames], *fetched))
+    fetched = jax.tree.map(lambda *parts: np.concatenate(parts)[:n_frames], *jax.device_get(chunks))
+    path = map(_path, fetched.pop("distance"), fetched["subgoals"])
+    return Frames(**fetched, path=tuple(path))
 
 
 def actions_from_letters(letters: str) -> Int8[np.ndarray, "actions"]:

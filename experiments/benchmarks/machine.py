@@ -13,7 +13,7 @@ import numpy as np
 
 from dc2g_jax.rollout import cores
 from experiments.benchmarks.timing import measure
-from experiments.common import versions
+from experiments.outputs import versions
 
 #: Resources, as `shares` of rows name them.
 BANDWIDTH, WORD_ARITHMETIC, FLOAT_ARITHMETIC = "memory bandwidth", "32-bit word arithmetic", "float32 arithmetic"

@@ -17,6 +17,7 @@ SECTIONS = {
     "network": "The network alone",
     "training": "Training: runs of 2,000 steps an hour",
     "programs": "Programs: equations, seconds to compile, memory",
+    "recording": "Recordings: class images written for the viewer",
     "batch": "By batch",
     "grid": "By size of the map",
     "range": "By sensing range",

@@ -1,7 +1,11 @@
 """The real commands, run as users run them."""
 
 import csv
+import dataclasses
+import importlib
 import json
+import re
+import signal
 import subprocess
 import sys
 import time
@@ -14,9 +18,14 @@ import pytest
 from dc2g_jax.datasets.houses import load_dataset, save_dataset
 from dc2g_jax.datasets.procedural import procedural_houses
 from dc2g_jax.estimation.checkpoints import load_network
-from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS
+from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD
 
 ROOT = Path(__file__).resolve().parents[2]
+
+#: Every module of `experiments` that is a command.
+COMMANDS = sorted(
+    path.stem for path in (ROOT / "experiments").glob("*.py") if "command_line(Options" in path.read_text()
+)
 
 
 def run(*arguments: object) -> subprocess.CompletedProcess:
@@ -63,6 +72,10 @@ def test_reproduce_fig7_on_a_folder_of_houses(few_houses, tmp_path):
     with (out / "episodes.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 20
+    made = json.loads((out / "run.json").read_text())
+    assert made["options"]["starts_per_house"] == 2
+    assert made["runs"][0]["command"].startswith("python -m experiments.reproduce_fig7 --dataset ")
+    assert made["runs"][0]["versions"]["jax"] == jax.__version__
     frontier = [float(row["extra"]) for row in rows if row["planner"] == "frontier"]
     assert facts["paper"]["frontier"]["test"]["mean_extra"] == pytest.approx(np.mean(frontier), abs=1e-3)
     assert all(len(row["actions"]) == int(row["steps"]) for row in rows)
@@ -74,6 +87,7 @@ def test_reproduce_fig7_on_a_folder_of_houses(few_houses, tmp_path):
     before = (out / "results.json").read_text()
     again = run("reproduce_fig7", "--dataset", few_houses, "--out", out)
     assert str(out) in complaint(again)
+    assert "add --resume" in complaint(again)
     assert (out / "results.json").read_text() == before
 
 
@@ -99,6 +113,32 @@ def test_run_episodes_replays_what_was_asked_for(few_houses, tmp_path):
         "extra", "mode", "actions",
     ]  # fmt: skip
     assert again == rows
+
+
+def test_ctrl_c_keeps_what_is_done_and_resume_goes_on(few_houses, tmp_path):
+    starts, out = tmp_path / "starts.csv", tmp_path / "out"
+    house = load_dataset(few_houses).split("test")[0]
+    row, column = np.argwhere(house.terrain == ROAD)[0].tolist()
+    starts.write_text(f"house,x,y,heading\n{house.name},{column},{row},0\n")
+    options = ["run_episodes", "--starts", starts, "--dataset", few_houses, "--out", out, "--planner"]
+    options += ["frontier", "oracle", "true_cost_to_go", "dc2g", "dc2g_uncertain"]
+    command = [sys.executable, "-m", f"experiments.{options[0]}", *(str(option) for option in options[1:])]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 200
+    while not (out / "episodes.csv").exists():
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    _, words = process.communicate(timeout=200)
+    assert process.returncode == 130
+    assert words.splitlines()[-1] == "interrupted; what is done is kept: the same command with --resume goes on"
+    kept = (out / "episodes.csv").read_text()
+    assert kept.count("\n") < 6
+    assert run(*options, "--resume").returncode == 0
+    assert (out / "episodes.csv").read_text().startswith(kept)
+    assert (out / "episodes.csv").read_text().count("\n") == 6
+    assert len(json.loads((out / "run.json").read_text())["runs"]) == 2
 
 
 def test_bad_input_is_refused_in_one_line(few_houses, tmp_path):
@@ -131,20 +171,22 @@ def test_training_resumes_and_its_network_plans(few_houses, tmp_path):
     out = tmp_path / "run"
     options = [
         "train", "--dataset", few_houses, "--out", out, "--extra-houses", 2, "--starts-per-house", 1,
-        "--masks-per-episode", 2, "--steps", 4, "--batch-size", 4, "--ranges", 6, "--validate-every", 0,
+        "--masks-per-episode", 2, "--steps", 4, "--batch-size", 4, "--ranges", 6, "--validate-every", 0, "--record",
     ]  # fmt: skip
     first = run(*options)
     assert first.returncode == 0, first.stderr
+    assert [path.name for path in out.glob("*.rrd")] == ["training-001.rrd"]
     card = json.loads((out / "network" / "network.json").read_text())
     assert card["steps"] == 4
     weights = sorted(path.name for path in (out / "network" / "weights").iterdir())
-    assert run(*options).returncode == 0  # finished already: nothing is trained again
+    assert "add --resume" in complaint(run(*options))
+    assert run(*options, "--resume").returncode == 0  # finished already: nothing is trained again
     assert sorted(path.name for path in (out / "network" / "weights").iterdir()) == weights
-    changed = complaint(run(*options, "--seed", 7))
-    assert "seed was 0" in changed
+    changed = complaint(run(*options, "--seed", 7, "--resume"))
+    assert "begun with seed 0, now it is 7" in changed
     with np.load(out / "masks.npz") as masks:
         np.savez(out / "masks.npz", boards=masks["boards"][:, :, 1:], world=masks["world"])
-    other = complaint(run(*options))
+    other = complaint(run(*options, "--resume"))
     assert "masks.npz" in other
     assert "uint32[2, 49]" in other
     result = run(
@@ -177,7 +219,7 @@ def test_a_sweep_that_was_killed_ends_like_one_that_was_not(few_houses, tmp_path
     process.kill()
     process.wait()
     assert not (tmp_path / "killed" / "results.csv").exists()
-    assert run(*options(tmp_path / "killed")).returncode == 0
+    assert run(*options(tmp_path / "killed"), "--resume").returncode == 0
     for name in ("results.csv",):
         assert (tmp_path / "killed" / name).read_text() == (tmp_path / "whole" / name).read_text()
     for network in (tmp_path / "whole" / "runs").glob("*/network"):
@@ -213,22 +255,12 @@ def test_a_translator_is_trained_and_judged(few_houses, compact_network, tmp_pat
         assert (tmp_path / "fig6" / name).stat().st_size > 0
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        "reproduce_fig4",
-        "reproduce_fig5",
-        "reproduce_fig6",
-        "head_to_head",
-        "reproduce_fig7",
-        "run_episodes",
-        "sweep_losses",
-        "train",
-        "train_translator",
-    ],
-)
+@pytest.mark.parametrize("command", COMMANDS)
 def test_help_names_every_option(command):
     result = run(command, "--help")
     assert result.returncode == 0
-    assert "--dataset" in result.stdout
+    options = importlib.import_module(f"experiments.{command}").Options
+    words = "\n".join(each.__doc__ or "" for each in options.__mro__)
+    for option in dataclasses.fields(options):
+        assert re.search(rf"^\s+{option.name}: \S", words, re.MULTILINE), option.name
     assert "--out" in result.stdout

@@ -99,14 +99,14 @@ def test_a_run_that_diverges_stops_and_says_so(dataset, tmp_path, steps):
 
 def test_figure_5_goes_on_with_the_runs_that_are_there(dataset, tmp_path, steps, monkeypatch):
     monkeypatch.setattr(reproduce_fig5, "open_dataset", lambda location, *, cells: dataset)
-    options = reproduce_fig5.Options(out=tmp_path, losses=("l1", "l1+gan"), seeds=(0, 3), training=OPTIONS)
-    for _ in range(2):
-        reproduce_fig5.main(options)
+    options = reproduce_fig5.Options(out=tmp_path / "fig5", losses=("l1", "l1+gan"), seeds=(0, 3), training=OPTIONS)
+    reproduce_fig5.main(options)
+    reproduce_fig5.main(dataclasses.replace(options, resume=True))
     assert steps[0] == 4 * list(range(30))
-    facts = json.loads((tmp_path / "results.json").read_text())
+    facts = json.loads((tmp_path / "fig5" / "results.json").read_text())
     assert {loss: len(runs) for loss, runs in facts["runs"].items()} == {"l1": 2, "l1+gan": 2}
     assert [figures["step"] for figures in facts["runs"]["l1"][1]] == [10, 20, 30]
-    assert (tmp_path / "fig5.png").stat().st_size > 0
+    assert (tmp_path / "fig5" / "fig5.png").stat().st_size > 0
     for wrong in ({"losses": ("l2",)}, {"losses": ()}, {"seeds": ()}, {"window": 0}):
         with pytest.raises(InputError, match=r"l2|at least one"):
             reproduce_fig5.main(dataclasses.replace(options, out=tmp_path / "no", **wrong))
@@ -119,7 +119,7 @@ def test_figure_4_shows_as_many_houses_as_asked_for(dataset, compact_network, tm
         reproduce_fig4, "open_dataset", lambda location, *, cells: HouseDataset("drawn", "folder", houses)
     )
     reproduce_fig4.main(reproduce_fig4.Options(network=compact_network, rows=1, out=tmp_path / "fig4"))
-    assert {path.name for path in (tmp_path / "fig4").iterdir()} == {"fig4.png", "fig4.svg"}
+    assert {path.name for path in (tmp_path / "fig4").iterdir()} == {"fig4.png", "fig4.svg", "run.json"}
     with pytest.raises(InputError, match="rows: 0"):
         reproduce_fig4.main(reproduce_fig4.Options(rows=0, out=tmp_path / "no"))
 

@@ -1,8 +1,10 @@
 """Recordings hold what the replay says, and the replay says what the rollout did."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import rerun as rr
+from flax import struct
 
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.starts import Start
@@ -10,14 +12,17 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import ExactCostToGo, world_cost_to_go
 from dc2g_jax.evaluation import EpisodeResult, extra_steps, make_planner
 from dc2g_jax.grid.poses import FORWARD, make_pose
-from dc2g_jax.grid.terrain import CLASS_NAMES, TRAVERSABLE
+from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.inspection import recording
+from dc2g_jax.inspection import legend
 from dc2g_jax.inspection import replay as replaying
 from dc2g_jax.inspection.recording import record_episode
-from dc2g_jax.inspection.replay import actions_from_letters, replay, running_extra_steps
-from dc2g_jax.planning.planners import EXPLORE, MODE_NAMES
+from dc2g_jax.inspection.replay import actions_from_letters, replay, replay_result, running_extra_steps
+from dc2g_jax.planning.planners import DC2G, EXPLORE, MODE_NAMES
 from dc2g_jax.planning.rules import SETTINGS
+from dc2g_jax.planning.selection import ExpectedCost
+from tests.inspection.recordings import read
+from tests.oracles import gridworld_oracle as oracle
 
 _LETTERS = {"r": "road", "g": "grass", "d": "driveway", "F": "front_door", "h": "house"}
 _MAP = """
@@ -41,7 +46,7 @@ _ESTIMATOR = ExactCostToGo()
 _ORACLE_STEPS = 28
 _ACTIONS = {
     "frontier": "LLFFFFFFFFFFFFFFFFRFFFFLLLLFRFFF",
-    "dc2g": "LLFFFFFFFFFFFFFFFFRFFFFFRFFF",
+    "true_cost_to_go": "LLFFFFFFFFFFFFFFFFRFFFFFRFFF",
 }
 
 
@@ -85,23 +90,9 @@ def file(results, tmp_path_factory):
     return record_episode(path, house=_HOUSE, result_by_planner=results, rules=_RULES, estimator=_ESTIMATOR)
 
 
-def _read(path):
-    """`(entity, component) -> {step, or None for static: values}`."""
-    chunks = pytest.importorskip("rerun.chunk", reason="this rerun cannot read recordings chunk by chunk")
-    table = {}
-    for chunk in chunks.RrdReader(path).stream():
-        batch = chunk.to_record_batch()
-        steps = batch["step"].to_pylist() if "step" in batch.schema.names else [None] * batch.num_rows
-        for name in batch.schema.names:
-            if ":" in name:
-                values = zip(steps, batch[name].to_pylist(), strict=True)
-                table.setdefault((chunk.entity_path, name), {}).update(values)
-    return table
-
-
 @pytest.fixture(scope="module")
 def logged(file):
-    return _read(file)
+    return read(file)
 
 
 def _images(logged, entity, shape):
@@ -158,8 +149,121 @@ def test_frames_fit_together(frames):
 def test_estimates_are_those_of_the_planner(frames):
     assert frames["frontier"].cost_to_go is None
     exact = np.asarray(world_cost_to_go(world_from_terrain(_TERRAIN)))
-    estimated = frames["dc2g"].cost_to_go
+    estimated = frames["true_cost_to_go"].cost_to_go
     np.testing.assert_array_equal(estimated, np.broadcast_to(exact, estimated.shape))
+
+
+def test_frontier_candidates_and_plans_are_those_of_the_plain_oracle(frames):
+    exact = np.asarray(world_cost_to_go(world_from_terrain(_TERRAIN)))
+    for name, found in frames.items():
+        for step in range(len(found)):
+            pose = tuple(int(part[step]) for part in (found.pose.x, found.pose.y, found.pose.heading))
+            free = found.seen[step] & TRAVERSABLE[_TERRAIN]
+            reached = oracle.reachable(free, *pose[:2])
+            np.testing.assert_array_equal(found.frontier[step], oracle.frontier_complete(found.seen[step], reached))
+
+            path = [tuple(part) for part in found.path[step].tolist()]
+            plan = oracle.shortest_actions(free, pose, found.subgoals[step])
+            passed = [pose]
+            for action in plan:
+                passed.append(oracle.moved(passed[-1], action, _TERRAIN.shape))
+            assert path == passed
+            assert len(plan) == found.length[step]
+
+            if found.mode[step] != EXPLORE:
+                assert np.all(np.isnan(found.score[step]))
+                continue
+            poses = found.candidates[step]
+            cells = poses.any(axis=0)
+            nearest = np.where(poses, oracle.distances_from(free, pose), 10**6).min(axis=0)
+            score = exact if name == "true_cost_to_go" else nearest
+            np.testing.assert_array_equal(found.score[step], np.where(cells, score, np.nan))
+            assert np.all(found.score[step][found.subgoals[step].any(axis=0)] == score[cells].min())
+
+
+@struct.dataclass
+class _Slope:
+    """Two outcomes, `x + seen cells` and `x + 3`: something that mirroring the map changes."""
+
+    def init(self, world):
+        return ()
+
+    def estimate(self, terrain, state):
+        x = jnp.arange(terrain.shape[1], dtype=jnp.float32).reshape(1, -1, *(1 for _ in terrain.shape[2:]))
+        nothing = jnp.zeros(terrain.shape, jnp.float32)
+        return jnp.stack([x + nothing + jnp.sum(terrain > 0, axis=(0, 1)), x + nothing + 3])
+
+
+def test_scores_are_those_the_planner_goes_by():
+    """Views in turn, each asked again only when something new has been seen; distance and depth count."""
+    planner = DC2G(_Slope(), _RULES, ExpectedCost(distance_weight=0.5), depth=1, views=((), (1,)))
+    actions = actions_from_letters("LLFFFFFLRFFFFFFFFFFFFF")
+    world = world_from_terrain(_TERRAIN)
+    found = replay(world, make_pose(*_START[1:4]), actions, planner=planner, rules=_RULES)
+    height, width = _TERRAIN.shape
+    from_left = np.broadcast_to(np.arange(width, dtype=np.float32), (height, width))
+    latest, asked_about, turn = [], None, 0
+    for step in range(len(found)):
+        assert found.mode[step] == EXPLORE
+        seen = found.seen[step]
+        if asked_about is None or np.any(seen != asked_about):
+            answer = (from_left if turn == 0 else from_left[:, ::-1]) + (seen.sum() + 3) / 2
+            latest, asked_about, turn = [answer, *(latest or [answer])][:2], seen, 1 - turn
+        cost = np.mean(latest, axis=0)
+        np.testing.assert_allclose(found.cost_to_go[step], cost, atol=1e-4)
+        pose = tuple(int(part[step]) for part in (found.pose.x, found.pose.y, found.pose.heading))
+        opening = oracle.opening_poses(found.candidates[step], seen, 1, 3)
+        poses = opening if opening.any() else found.candidates[step]
+        distance = oracle.distances_from(seen & TRAVERSABLE[_TERRAIN], pose)
+        nearest = np.where(poses, distance, 10**6).min(axis=0)
+        score = np.where(poses.any(axis=0), cost + 0.5 * nearest, np.nan)
+        np.testing.assert_allclose(found.score[step], score, atol=1e-4)
+        chosen = found.subgoals[step].any(axis=0)
+        np.testing.assert_allclose(found.score[step][chosen], np.nanmin(score), atol=1e-4)
+    assert np.any(found.seen[1:] != found.seen[:-1], axis=(1, 2)).sum() > 5
+
+
+def test_plans_of_the_oracle_lead_over_ground_that_nobody_has_seen(results):
+    start = make_pose(*_START[1:4])
+    found = replay(
+        world_from_terrain(_TERRAIN), start, np.zeros(0, np.int8), planner=make_planner("oracle", _RULES), rules=_RULES
+    )
+    goals = np.stack([_TERRAIN == FRONT_DOOR] * 4)
+    plan = oracle.shortest_actions(TRAVERSABLE[_TERRAIN], tuple(_START[1:4]), goals)
+    assert len(found.path[0]) == len(plan) + 1 == _ORACLE_STEPS + 1
+    assert tuple(found.path[0][-1][:2]) == (14, 6)
+    assert found.subgoals[0].sum() == 1
+    assert np.all(np.isnan(found.score))
+
+
+def test_a_planner_that_gives_up_has_no_path(tmp_path):
+    terrain = np.full_like(_TERRAIN, GRASS)
+    terrain[1, 1], terrain[6, 14] = ROAD, FRONT_DOOR  # one cell to stand on, and a look around it
+    result = EpisodeResult("closed", 1, 1, 2, 3, None, "frontier", False, 3, 28, -1.0, "gave_up", "LLL")
+    house = House("closed", "test", terrain)
+    found = replay_result(result, house, _RULES)
+    assert [MODE_NAMES[mode] for mode in found.mode] == ["explore"] * 3 + ["gave_up"]
+    assert [len(path) for path in found.path] == [2, 2, 2, 0]
+    assert np.all(np.isnan(found.score[3]))
+    logged = read(record_episode(tmp_path / "x.rrd", house=house, result_by_planner={"a": result}, rules=_RULES))
+    assert logged["/a/status", "TextDocument:text"][3] == ["**step 3** of 3 · gave up"]
+    assert logged["/a/mode", "TextLog:text"][3] == ["a: gave up"]
+    assert not any(logged["/a/plan/subgoals", "Points2D:positions"][3])
+    assert ("/a/extra_steps", "Scalars:scalars") not in logged
+
+
+def test_an_episode_without_exploration_is_recorded(tmp_path):
+    start, letters = (17, 6, 2), "FFF"
+    result = EpisodeResult("toy", *start, 3, None, "frontier", True, 3, 3, 0.0, "to_goal", letters)
+    logged = read(record_episode(tmp_path / "x.rrd", house=_HOUSE, result_by_planner={"a": result}, rules=_RULES))
+    assert not any(logged["/a/plan/candidates", "Points2D:positions"].values())
+    assert logged["/a/plan/path", "LineStrips2D:strips"][0] == [[[x + 0.5, 6.5] for x in (17, 16, 15, 14)]]
+    assert [status[0] for status in logged["/a/status", "TextDocument:text"].values()] == [
+        "**step 0** of 3 · +0 % extra · to goal: door in 3",
+        "**step 1** of 3 · +0 % extra · to goal: door in 2",
+        "**step 2** of 3 · +0 % extra · to goal: door in 1",
+        "**step 3** of 3 · +0 % extra · goal reached",
+    ]
 
 
 def test_extra_steps_never_fall_and_end_at_the_result(results, frames):
@@ -168,7 +272,7 @@ def test_extra_steps_never_fall_and_end_at_the_result(results, frames):
         assert extra[0] == 0
         assert np.all(np.diff(extra) >= 0)
         assert extra[-1] == pytest.approx(result.extra)
-    assert results["frontier"].extra > results["dc2g"].extra
+    assert results["frontier"].extra > results["true_cost_to_go"].extra
 
 
 def test_length_of_an_episode_changes_nothing_before_its_end():
@@ -197,16 +301,17 @@ def test_recorded_images_are_the_replay(logged, frames):
         np.testing.assert_array_equal(_images(logged, f"/{name}/map", shape), found.terrain)
         np.testing.assert_array_equal(_images(logged, f"/{name}/map/reachable", shape), found.reachable)
         np.testing.assert_array_equal(_images(logged, f"/{name}/map/field_of_view", shape), found.field_of_view)
+        np.testing.assert_array_equal(_images(logged, f"/{name}/map/frontier", shape), found.frontier)
 
 
 def test_recorded_estimate_is_in_cells_on_seen_traversable_ground(logged, frames):
-    found = frames["dc2g"]
-    classes = _images(logged, "/dc2g/cost_to_go", found.terrain.shape)
+    found = frames["true_cost_to_go"]
+    classes = _images(logged, "/true_cost_to_go/cost_to_go", found.terrain.shape)
     known = found.seen & TRAVERSABLE[_TERRAIN]
     ways = known & np.isfinite(found.cost_to_go)
-    np.testing.assert_array_equal(classes[ways] - recording._FIRST_COST, np.rint(found.cost_to_go[ways]))
-    assert np.all(classes[known & ~ways] == recording._NO_WAY)
-    assert np.all(classes[~known] == recording._NOT_SHOWN)
+    np.testing.assert_array_equal(classes[ways] - legend.FIRST_COST, np.rint(found.cost_to_go[ways]))
+    assert np.all(classes[known & ~ways] == legend.NO_WAY)
+    assert np.all(classes[~known] == legend.NOT_SHOWN)
     assert ("/frontier/cost_to_go", "SegmentationImage:buffer") not in logged
 
 
@@ -217,10 +322,30 @@ def test_recorded_plans_are_the_replay(logged, frames):
         np.testing.assert_array_equal(subgoals, found.subgoals.any(axis=1))
         candidates = found.candidates.any(axis=1) & (found.mode == EXPLORE)[:, None, None]
         np.testing.assert_array_equal(_cells(logged, f"/{name}/plan/frontier_expanding", shape), candidates)
+        lines = logged[f"/{name}/plan/path", "LineStrips2D:strips"]
+        for step, path in enumerate(found.path):
+            cells = [tuple(cell) for cell in path[:, :2].tolist()]
+            cells = [cell for cell, before in zip(cells, [None, *cells], strict=False) if cell != before]
+            drawn = [[(x - 0.5, y - 0.5) for x, y in line] for line in lines[step]]
+            assert drawn == ([cells] if len(cells) > 1 else [])
         words = [line[0] for line in logged[f"/{name}/mode", "TextLog:text"].values()]
         assert words[0] == f"{name}: {MODE_NAMES[EXPLORE]}"
         assert words[-1] == f"{name}: goal reached"
         assert len(words) == 3
+
+
+def test_recorded_candidates_have_the_scores_of_the_replay(logged, frames):
+    for name, found in frames.items():
+        entity = f"/{name}/plan/candidates"
+        scores, places = logged[entity, "score"], logged[entity, "Points2D:positions"]
+        colors = logged[entity, "Points2D:colors"]
+        for step in range(len(found)):
+            drawn = np.full(_TERRAIN.shape, np.nan, np.float32)
+            for score, (x, y) in zip(scores[step], places[step], strict=True):
+                drawn[int(y - 0.5), int(x - 0.5)] = score
+            np.testing.assert_array_equal(drawn, found.score[step])
+            brightest = [score for score, color in zip(scores[step], colors[step], strict=True) if color == 2**32 - 1]
+            assert set(brightest) == {min(scores[step])} if scores[step] else not brightest
 
 
 def test_recorded_robot_is_the_replay(logged, frames):
@@ -233,9 +358,12 @@ def test_recorded_robot_is_the_replay(logged, frames):
         np.testing.assert_array_equal(
             np.sign([arrows[step][0] for step in steps]), np.asarray(FORWARD)[found.pose.heading]
         )
-        ways = logged[f"/{name}/robot/trajectory", "LineStrips2D:strips"]
-        for step in steps:
-            np.testing.assert_array_equal(ways[step][0][1:], centers[: step + 1])
+        # A piece of the way at each step that moves the robot: together they are the way, and none is sent twice.
+        pieces = logged[f"/{name}/robot/trajectory", "LineStrips2D:strips"]
+        moving = [step for step in steps if step and np.any(centers[step] != centers[step - 1])]
+        assert sorted(pieces) == moving
+        for step, strips in pieces.items():
+            np.testing.assert_array_equal(strips, [centers[step - 1 : step + 1]])
 
 
 def test_recorded_numbers_are_the_replay(logged, results, frames):
@@ -246,7 +374,12 @@ def test_recorded_numbers_are_the_replay(logged, results, frames):
         left = logged[f"/{name}/steps_to_goal", "Scalars:scalars"]
         np.testing.assert_array_equal([left[step][0] for step in range(len(found))], found.to_goal)
         status = logged[f"/{name}/status", "TextDocument:text"]
-        assert status[len(found) - 1][0].startswith(f"**step {results[name].steps}** of {results[name].steps} · goal")
+        last = f"**step {results[name].steps}** of {results[name].steps}"
+        assert status[len(found) - 1][0] == f"{last} · {results[name].extra:+.0f} % extra · goal reached"
+        least = np.nanmin(found.score[0])
+        count = np.sum(~np.isnan(found.score[0]))
+        first = f"explore: subgoal in {found.length[0]}, score {least:.1f}, best of {count}"
+        assert status[0][0] == f"**step 0** of {results[name].steps} · +0 % extra · {first}"
 
 
 def test_what_is_hidden_and_the_legend_are_static(logged):
@@ -254,14 +387,15 @@ def test_what_is_hidden_and_the_legend_are_static(logged):
     np.testing.assert_array_equal(np.asarray(pixels[None][0], np.uint8).reshape(_TERRAIN.shape), _TERRAIN)
     assert list(logged["/hidden/cost_to_go", "SegmentationImage:buffer"]) == [None]
     legend = logged["/legend", "TextDocument:text"][None][0]
-    assert "dark red: front_door (the goal)" in legend
+    assert "orange-red: front door" in legend
+    assert logged["/hidden/about", "TextDocument:text"][None][0].startswith("**toy** from (1, 1) facing west")
     assert "mailbox" not in legend
 
 
 def test_plans_of_another_planner_than_the_recorded_are_told(results, tmp_path):
-    result = results["dc2g"]._replace(planner="frontier")
+    result = results["true_cost_to_go"]._replace(planner="frontier")
     path = record_episode(tmp_path / "x.rrd", house=_HOUSE, result_by_planner={"a / b": result}, rules=_RULES)
-    words = [line for (_, name), lines in _read(path).items() if name == "TextLog:text" for line in lines.values()]
+    words = [line for (_, name), lines in read(path).items() if name == "TextLog:text" for line in lines.values()]
     assert ["a / b: plans shown are made anew, and 2 of their actions are not those taken"] in words
 
 
@@ -274,11 +408,11 @@ def test_file_has_a_layout_and_nothing_global_is_left(file):
 
 def test_costs_beyond_the_classes_share_them():
     exact = np.array([[0.0, 500.0, np.inf]])
-    scale = recording._CostScale.of(exact)
+    scale = legend.CostScale.of(exact)
     classes = scale.classes(np.array([[0.0, 1e6, np.inf, 3.0]]), np.array([[True, True, True, False]]))
     assert scale.cells == 3
-    assert classes.tolist() == [[recording._FIRST_COST, 255, recording._NO_WAY, recording._NOT_SHOWN]]
-    assert recording._CostScale.of(np.full((2, 2), np.inf)).cells == 1
+    assert classes.tolist() == [[legend.FIRST_COST, 255, legend.NO_WAY, legend.NOT_SHOWN]]
+    assert legend.CostScale.of(np.full((2, 2), np.inf)).cells == 1
 
 
 def test_episodes_that_do_not_belong_together_are_refused(results, tmp_path):
@@ -297,7 +431,7 @@ def test_episodes_that_do_not_belong_together_are_refused(results, tmp_path):
     with pytest.raises(ValueError, match="sensing range 3 is not that of the rules, 8"):
         record(rules=SETTINGS["paper"].rules())
     with pytest.raises(ValueError, match="dc2g_uncertain need an estimator"):
-        record(result_by_planner={"dc2g": results["dc2g"]})
+        record(result_by_planner={"dc2g": frontier._replace(planner="dc2g")})
     with pytest.raises(ValueError, match="do not end as the result says"):
         record(result_by_planner={"frontier": frontier._replace(actions=frontier.actions[:-1])})
     assert not (tmp_path / "never.rrd").exists()

@@ -1,0 +1,399 @@
+"""Episodes as moving pictures: planners side by side, step by step, as GIF or MP4."""
+
+import collections
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import matplotlib
+import numpy as np
+from jaxtyping import Bool, Int, UInt8
+from matplotlib import colormaps
+from matplotlib.colors import to_rgb
+from PIL import Image, ImageDraw, ImageFont
+
+from dc2g_jax.datasets.houses import House
+from dc2g_jax.errors import InputError
+from dc2g_jax.grid.ground import pieces
+from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
+from dc2g_jax.inspection.episode_figures import BLOCKED_COLOUR, COST_COLOURS, UNSEEN_COLOUR, outcome
+from dc2g_jax.inspection.figures import map_image, planner_style
+from dc2g_jax.inspection.replay import Frames, running_extra_steps
+from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
+
+Picture = UInt8[np.ndarray, "height width 3"]
+
+#: Pixels: the most that all panels may take, wide and high, and the same where cells would have fewer than three; the
+#: least width of a panel's column, and what lies between and above.
+_ROOM, _LARGE_ROOM, _LEAST_WIDE = (790, 600), (960, 640), 220
+_GAP, _CAPTION, _FONT = 14, 38, 13
+
+#: Pictures of an episode at most; of a longer one only every second, third ... step is shown.
+_MOST_PICTURES = 250
+
+#: Pictures from which the colours of a GIF are chosen.
+_SAMPLE = 12
+
+#: Seconds that the last picture stays.
+_LAST_SECONDS = 2.5
+
+#: Colours of the predicted cost-to-go; few, so that pictures stay small.
+_COST_LEVELS = 40
+
+_MARK, _ROBOT, _SUBGOAL = "#ffffff", "#f0e442", "#ff6ec7"
+_INK, _PALE_INK, _FRAME = "#222222", "#666666", "#bbbbbb"
+
+#: Rims of what has been seen, and of what is in view.
+_SEEN_RIM, _VIEW_RIM = to_rgb("#4d4d4d"), to_rgb("#e69f00")
+
+#: Codecs of an MP4 file, the first that OpenCV has is taken: VP9 is sharper and smaller, MPEG-4 is everywhere.
+_CODECS = ("vp09", "mp4v")
+
+# Marks as outlines around the origin, in units of half a mark.
+_TRIANGLES = [[(1, 0), (-0.8, -0.85), (-0.8, 0.85)]]
+for _ in range(3):  # one a heading: a right turn takes (x, y) to (-y, x)
+    _TRIANGLES.append([(-y, x) for x, y in _TRIANGLES[-1]])
+_CIRCLE = [(math.cos(angle), math.sin(angle)) for angle in np.linspace(0, 2 * np.pi, 24, endpoint=False)]
+_STAR = [
+    (radius * math.sin(np.pi * corner / 5), -radius * math.cos(np.pi * corner / 5))
+    for corner, radius in enumerate((1, 0.42) * 5)
+]
+_CROSS = [(0, 0.4), (0.6, 1), (1, 0.6), (0.4, 0), (1, -0.6), (0.6, -1)]
+_CROSS += [(-x, -y) for x, y in _CROSS]
+
+
+class _Panel(NamedTuple):
+    """What one panel shows.
+
+    Attributes:
+      planner: whose.
+      frames: its episode.
+      cost: does it show the predicted cost-to-go, or else the map?
+    """
+
+    planner: str
+    frames: Frames
+    cost: bool
+
+
+class _Layout(NamedTuple):
+    """Where panels lie, in pixels.
+
+    Attributes:
+      columns: panels in a row.
+      scale: side of a cell.
+      width: of the map in a panel.
+      height: of the map in a panel.
+      n_panels: how many there are.
+    """
+
+    columns: int
+    scale: int
+    width: int
+    height: int
+    n_panels: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of a picture; even, as video codecs want it."""
+        rows = -(-self.n_panels // self.columns)
+        width = self.columns * (self._column + _GAP) + _GAP
+        height = rows * (_CAPTION + self.height + _GAP) + _GAP
+        return width + width % 2, height + height % 2
+
+    @property
+    def _column(self) -> int:
+        return max(self.width, _LEAST_WIDE)
+
+    def corner(self, number: int) -> tuple[int, int]:
+        """Upper left corner of a panel's map."""
+        row, column = divmod(number, self.columns)
+        x = _GAP + column * (self._column + _GAP)
+        return x, _GAP + row * (_CAPTION + self.height + _GAP) + _CAPTION
+
+
+def _layout(n_panels: int, height: int, width: int) -> _Layout:
+    """The columns for which panels fill most of the room."""
+    for room in (_ROOM, _LARGE_ROOM):
+        best = (0.0, 0, 1)
+        for columns in range(1, n_panels + 1):
+            rows = -(-n_panels // columns)
+            scale = max(1, min(room[0] // columns // width, room[1] // rows // height))
+            best = max(best, (scale * n_panels / (rows * columns), columns, scale))
+        _, columns, scale = best
+        if scale >= 3:
+            break
+    return _Layout(columns, scale, scale * width, scale * height, n_panels)
+
+
+def _font(name: str) -> ImageFont.FreeTypeFont:
+    """One of the fonts that come with matplotlib."""
+    return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / f"{name}.ttf", _FONT)
+
+
+def _mark(outline: Sequence[tuple[float, float]], colour: str, side: int) -> Image.Image:
+    """A mark with a black edge and soft corners, on a clear ground."""
+    fine = 8 * side
+    image = Image.new("RGBA", (fine, fine), (0, 0, 0, 0))
+    points = [(fine * (0.5 + 0.43 * x), fine * (0.5 + 0.43 * y)) for x, y in outline]
+    draw = ImageDraw.Draw(image)
+    draw.polygon(points, fill=colour)
+    draw.line([*points, *points[:2]], fill="black", width=max(8, fine // 9), joint="curve")
+    return image.resize((side, side), Image.Resampling.LANCZOS)
+
+
+def _enlarged(cells: np.ndarray, scale: int) -> np.ndarray:
+    """Every cell as a square of pixels."""
+    return cells.repeat(scale, 0).repeat(scale, 1)
+
+
+def _rim(pixels: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
+    """Those pixels of a set that have a neighbour outside it, on the picture."""
+    framed = np.pad(pixels, 1, mode="edge")
+    inner = framed[:-2, 1:-1] & framed[2:, 1:-1] & framed[1:-1, :-2] & framed[1:-1, 2:]
+    return pixels & ~inner
+
+
+class _Painter:
+    """Paints the pictures of one start.
+
+    Args:
+      house: where the episodes took place.
+      panels: what to show.
+      layout: where.
+    """
+
+    def __init__(self, house: House, panels: Sequence[_Panel], layout: _Layout):
+        self._terrain = house.terrain
+        self._panels = panels
+        self._layout = layout
+        self._extra = [running_extra_steps(panel.frames) for panel in panels]
+        self._font, self._bold = _font("DejaVuSans"), _font("DejaVuSans-Bold")
+        side = int(np.clip(2.6 * layout.scale, 11, 24))
+        self._robots = [_mark(triangle, _ROBOT, side + 3) for triangle in _TRIANGLES]
+        self._start, self._goal = _mark(_CIRCLE, _MARK, side * 2 // 3), _mark(_STAR, _MARK, side + 1)
+        self._subgoal = _mark(_CROSS, _SUBGOAL, side - 1)
+        doors = pieces(house.terrain == FRONT_DOOR)
+        self._doors = [door.x for door in doors], [door.y for door in doors]
+        self._high = self._highest_cost()
+
+    def _highest_cost(self) -> float:
+        """The cost at the end of the colours."""
+        costs = [np.ones(1)]
+        for frames in (panel.frames for panel in self._panels):
+            if frames.cost_to_go is not None:
+                costs.append(frames.cost_to_go[-1][frames.seen[-1] & TRAVERSABLE[self._terrain]])
+        return float(np.percentile(np.concatenate(costs), 98))
+
+    def paint(self, step: int) -> Picture:
+        """The picture of a step; robots that have arrived stay where they are."""
+        picture = Image.new("RGB", self._layout.size, "white")
+        draw = ImageDraw.Draw(picture)
+        for number, panel in enumerate(self._panels):
+            corner = self._layout.corner(number)
+            frame = min(step, len(panel.frames) - 1)
+            picture.paste(self._ground(panel, frame), corner)
+            end = (corner[0] + self._layout.width, corner[1] + self._layout.height)
+            draw.rectangle((corner[0] - 1, corner[1] - 1, *end), outline=_FRAME)
+            self._draw_robot(picture, draw, corner, panel, frame)
+            self._write(draw, corner, number, frame)
+        return np.asarray(picture)
+
+    def _costs(self, frames: Frames, frame: int) -> np.ndarray:
+        """Predicted costs-to-go of seen ground: RGB from 0 to 1, `[h w 3]`."""
+        assert frames.cost_to_go is not None
+        level = np.rint(_COST_LEVELS * np.clip(frames.cost_to_go[frame] / self._high, 0, 1)) / _COST_LEVELS
+        ground, seen = TRAVERSABLE[self._terrain][..., None], frames.seen[frame][..., None]
+        known = np.where(ground, colormaps[COST_COLOURS](level)[..., :3], np.array(to_rgb(BLOCKED_COLOUR)))
+        return np.where(seen, known, np.array(to_rgb(UNSEEN_COLOUR)))
+
+    def _ground(self, panel: _Panel, frame: int) -> Image.Image:
+        """The map or the costs, cells as squares of pixels, with rims around what has been seen and what is in view."""
+        frames, scale = panel.frames, self._layout.scale
+        seen = frames.seen[frame]
+        cells = self._costs(frames, frame) if panel.cost else map_image(self._terrain, seen)
+        pixels = _enlarged(cells, scale)
+        if scale > 2:
+            pixels[_rim(_enlarged(seen, scale))] = _SEEN_RIM
+            if not panel.cost:
+                pixels[_rim(_enlarged(frames.field_of_view[frame], scale))] = _VIEW_RIM
+        return Image.fromarray((255 * pixels + 0.5).astype(np.uint8))
+
+    def _draw_robot(
+        self, picture: Image.Image, draw: ImageDraw.ImageDraw, corner: tuple[int, int], panel: _Panel, frame: int
+    ) -> None:
+        """Goals, the way so far, the subgoal of the plan, and the robot."""
+        frames, scale = panel.frames, self._layout.scale
+
+        def put(mark: Image.Image, places: list[tuple[int, int]]) -> None:
+            for x, y in places:
+                picture.paste(mark, (x - mark.width // 2, y - mark.height // 2), mark)
+
+        if not panel.cost:
+            put(self._goal, self._middles(corner, *self._doors))
+        way = self._middles(corner, frames.pose.x[: frame + 1], frames.pose.y[: frame + 1])
+        if len(way) > 1:
+            for colour, width in (("white", 4), ("black", 2)) if scale > 2 else (("white", 3), ("black", 1)):
+                draw.line(way, fill=colour, width=width)
+        put(self._start, way[:1])
+        if frames.mode[frame] == EXPLORE and frame < len(frames) - 1:
+            rows, columns = np.nonzero(frames.subgoals[frame].any(axis=0))
+            put(self._subgoal, self._middles(corner, columns[:1], rows[:1]))
+        put(self._robots[frames.pose.heading[frame]], way[-1:])
+
+    def _middles(self, corner: tuple[int, int], x: Any, y: Any) -> list[tuple[int, int]]:
+        """Where the middles of cells lie on the picture."""
+        places = np.stack([x, y], axis=-1).reshape(-1, 2) * self._layout.scale + self._layout.scale // 2 + corner
+        return [(column, row) for column, row in places.tolist()]
+
+    def _write(self, draw: ImageDraw.ImageDraw, corner: tuple[int, int], number: int, frame: int) -> None:
+        """Two lines above a panel."""
+        panel = self._panels[number]
+        style = planner_style(panel.planner)
+        x, upper, lower = corner[0], corner[1] - _CAPTION + 2, corner[1] - _CAPTION + 19
+        if panel.cost:
+            draw.text((x, upper), "predicted cost-to-go", _INK, self._font)
+            self._draw_scale(draw, x, lower)
+            return
+        draw.text((x, upper), style.label, style.colour, self._bold)
+        draw.text((x, lower), f"step {frame}: {_doing(panel.frames, frame)}", _INK, self._font)
+        extra = self._extra[number][frame]
+        if np.isfinite(extra):
+            right = x + max(self._layout.width, _LEAST_WIDE)
+            draw.text((right, lower), f"{extra:+.0f} %", _PALE_INK, self._font, anchor="ra")
+
+    def _draw_scale(self, draw: ImageDraw.ImageDraw, x: int, y: int) -> None:
+        """The colours of costs, from 0 to the highest."""
+        draw.text((x, y), "0", _PALE_INK, self._font)
+        for level in range(_COST_LEVELS):
+            colour = tuple(int(255 * value) for value in colormaps[COST_COLOURS](level / _COST_LEVELS)[:3])
+            left = x + 14 + 2 * level
+            draw.rectangle((left, y + 3, left + 1, y + 12), fill=colour)
+        draw.text((x + 20 + 2 * _COST_LEVELS, y), f"{self._high:.0f} cells", _PALE_INK, self._font)
+
+
+def _doing(frames: Frames, frame: int) -> str:
+    """What the robot is doing, in few words."""
+    if frame == len(frames) - 1:
+        return outcome(frames)
+    return {EXPLORE: "exploring", TO_GOAL: "goal seen", GAVE_UP: "gave up"}[int(frames.mode[frame])]
+
+
+def steps_shown(frames_by_planner: Mapping[str, Frames]) -> list[int]:
+    """The steps that have a picture: all, or every second, third ... of a long episode; the last one always."""
+    last = max(len(frames) for frames in frames_by_planner.values()) - 1
+    return [*range(0, last, -(-max(last, 1) // _MOST_PICTURES)), last]
+
+
+def pictures(house: House, frames_by_planner: Mapping[str, Frames], steps: Iterable[int]) -> Iterator[Picture]:
+    """Pictures of planners from one start: RGB, all of one size, with an even width and height.
+
+    Each planner has a panel with its map, and one with the cost-to-go it predicts where it does.
+
+    Args:
+      house: the house.
+      frames_by_planner: planner name -> its replayed episode, all from one start.
+      steps: which ones; planners that have arrived wait.
+    """
+    panels = []
+    for planner, frames in frames_by_planner.items():
+        panels.append(_Panel(planner, frames, False))
+        if frames.cost_to_go is not None:
+            panels.append(_Panel(planner, frames, True))
+    painter = _Painter(house, panels, _layout(len(panels), *house.terrain.shape))
+    for step in steps:
+        yield painter.paint(step)
+
+
+def animate(
+    path: str | Path, house: House, frames_by_planner: Mapping[str, Frames], *, frames_per_second: int = 12
+) -> Path:
+    """Write an animation of planners from one start, side by side, see `pictures` and `steps_shown`.
+
+    Args:
+      path: file to write; its ending decides the format, `.gif` or `.mp4`.
+      house: the house.
+      frames_by_planner: planner name -> its replayed episode, all from one start.
+      frames_per_second: pictures shown in a second.
+
+    Returns:
+      The path.
+
+    Raises:
+      InputError: for another ending, a file that cannot be written, or an OpenCV that cannot write MP4.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".gif", ".mp4"):
+        raise InputError(f"{path}: is no animation; give a name that ends in .gif or .mp4")
+    steps = steps_shown(frames_by_planner)
+    shown = pictures(house, frames_by_planner, steps)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix.lower() == ".gif":
+            sample = pictures(house, frames_by_planner, steps[:: max(1, len(steps) // _SAMPLE)] + steps[-1:])
+            durations = [1 / frames_per_second] * (len(steps) - 1) + [_LAST_SECONDS]
+            _write_gif(path, shown, _frequent_colours(sample), durations)
+        else:
+            _write_mp4(path, shown, frames_per_second)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); name a file in a folder of yours") from None
+    return path
+
+
+def _codes(picture: Picture) -> Int[np.ndarray, "height width"]:
+    """A number a colour."""
+    return picture.astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
+
+
+def _rgb(codes: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n 3"]:
+    return codes[:, None] >> np.array([16, 8, 0]) & 255
+
+
+def _frequent_colours(shown: Iterable[Picture]) -> Int[np.ndarray, "n"]:
+    """The colours of marks and the most frequent ones of pictures, at most as many as a GIF has; sorted codes."""
+    counts: collections.Counter[int] = collections.Counter()
+    marks = [int(colour[1:], 16) for colour in (_MARK, _ROBOT, _SUBGOAL)]
+    for picture in shown:
+        found, often = np.unique(_codes(picture), return_counts=True)
+        counts.update(dict(zip(found.tolist(), often.tolist(), strict=True)))
+    frequent = [code for code, _ in counts.most_common() if code not in marks]
+    return np.array(sorted(marks + frequent[: 256 - len(marks)]), np.int32)
+
+
+def _write_gif(path: Path, shown: Iterator[Picture], colours: Int[np.ndarray, "n"], durations: Sequence[float]) -> None:
+    """One table of colours serves all pictures, so that only what changes is stored."""
+    table = _rgb(colours).astype(np.uint8).tobytes()
+
+    def indexed(picture: Picture) -> Image.Image:
+        codes = _codes(picture)
+        index = np.minimum(np.searchsorted(colours, codes), len(colours) - 1)
+        others = colours[index] != codes
+        found, inverse = np.unique(codes[others], return_inverse=True)
+        off = np.abs(_rgb(found)[:, None] - _rgb(colours)).sum(axis=-1)
+        index[others] = np.argmin(off, axis=1)[inverse]
+        image = Image.fromarray(index.astype(np.uint8))
+        image.putpalette(table)
+        return image
+
+    images = map(indexed, shown)
+    milliseconds = [round(1000 * seconds) for seconds in durations]
+    next(images).save(path, save_all=True, append_images=images, duration=milliseconds, loop=0, optimize=False)
+
+
+def _write_mp4(path: Path, shown: Iterator[Picture], frames_per_second: int) -> None:
+    picture = next(shown)
+    height, width, _ = picture.shape
+    for codec in _CODECS:
+        video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), frames_per_second, (width, height))
+        if video.isOpened():
+            break
+    else:
+        raise InputError(f"{path}: OpenCV has none of the codecs {', '.join(_CODECS)} or cannot write there; try .gif")
+    video.write(picture[..., ::-1])
+    for picture in shown:
+        video.write(picture[..., ::-1])
+    for _ in range(round(_LAST_SECONDS * frames_per_second)):
+        video.write(picture[..., ::-1])
+    video.release()

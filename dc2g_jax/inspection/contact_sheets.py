@@ -1,0 +1,154 @@
+"""Contact sheets: every house of a dataset as a small map, by group, on as many pages as it takes."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from dc2g_jax.datasets.houses import House, group_of
+from dc2g_jax.datasets.starts import why_no_episode
+from dc2g_jax.grid.ground import pieces
+from dc2g_jax.grid.terrain import FRONT_DOOR
+from dc2g_jax.inspection.figures import class_patch, map_image, save_figure, whole_pixels
+
+#: Inches: a page, its margin, the side of a map's place, what lies between and below maps, a headline, head and foot.
+_PAGE_WIDTH, _PAGE_HEIGHT, _MARGIN = 7.16, 9.6, 0.05
+_SIDE, _BETWEEN, _NAME, _HEADLINE, _HEAD, _FOOT = 0.837, 0.05, 0.2, 0.24, 0.26, 0.42
+_COLUMNS = int((_PAGE_WIDTH - 2 * _MARGIN + _BETWEEN) / (_SIDE + _BETWEEN))
+_DPI = 300
+
+#: Group -> headline, in the order of the sheets.
+_GROUPS = {
+    "train": "training",
+    "val": "validation",
+    "same_neighborhood": "test, same neighborhood as training",
+    "new_neighborhood": "test, new neighborhood",
+    "urban": "test, urban",
+    "test": "test",
+}
+
+
+class Row(NamedTuple):
+    """Maps side by side.
+
+    Attributes:
+      headline: what stands above them, empty in the further rows of a group.
+      houses: as many as fit.
+    """
+
+    headline: str
+    houses: Sequence[House]
+
+    @property
+    def height(self) -> float:
+        """Inches that the row takes."""
+        return (_HEADLINE if self.headline else 0.0) + _SIDE + _NAME
+
+
+def contact_pages(houses: Sequence[House]) -> list[list[Row]]:
+    """Rows of houses on pages: group by group, each in the order of names."""
+    by_group: dict[str, list[House]] = {group: [] for group in _GROUPS}
+    for house in sorted(houses, key=lambda house: house.name):
+        by_group.setdefault(group_of(house) or house.split, []).append(house)
+    room = _PAGE_HEIGHT - _HEAD - _FOOT
+    pages: list[list[Row]] = [[]]
+    for group, own in by_group.items():
+        for first in range(0, len(own), _COLUMNS):
+            headline = "" if first else f"{_GROUPS.get(group, group)}: {len(own)}"
+            row = Row(headline, own[first : first + _COLUMNS])
+            if pages[-1] and sum(above.height for above in pages[-1]) + row.height > room:
+                pages.append([])
+            pages[-1].append(row)
+    return pages
+
+
+def _draw_house(axes: Axes, house: House) -> None:
+    """A house, with a mark a door."""
+    terrain = house.terrain
+    axes.imshow(map_image(terrain, np.ones(terrain.shape, bool)), interpolation="nearest", aspect="auto")
+    doors = pieces(terrain == FRONT_DOOR)
+    axes.plot(
+        [door.x for door in doors], [door.y for door in doors], "*", color="white", markersize=4.5,
+        markeredgecolor="black", markeredgewidth=0.5,
+    )  # fmt: skip
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_color("#999999")
+        spine.set_linewidth(0.4)
+
+
+def _doubt(house: House) -> str:
+    """Why no episode can be run in a house, in the words that fit below a map; empty where one can."""
+    if why_no_episode(house) is None:
+        return ""
+    return "no door within reach" if np.any(house.terrain == FRONT_DOOR) else "no front door"
+
+
+class _Page:
+    """An empty page with its head.
+
+    Args:
+      title: what stands at its head on the left.
+      number: what stands there on the right.
+      height: inches of its rows.
+    """
+
+    def __init__(self, title: str, number: str, height: float):
+        self._height = _HEAD + height + _FOOT
+        self.figure = Figure(figsize=(_PAGE_WIDTH, self._height))
+        self._text(_MARGIN, _HEAD / 2, title, fontsize=9, fontweight="bold")
+        self._text(_PAGE_WIDTH - _MARGIN, _HEAD / 2, number, ha="right", fontsize=7.5, color="#555555")
+
+    def _text(self, x: float, y: float, text: str, **style: Any) -> None:
+        """Text at inches from the upper left corner."""
+        self.figure.text(x / _PAGE_WIDTH, 1 - y / self._height, text, va="center", **style)
+
+    def draw(self, row: Row, y: float) -> None:
+        """Draw a row whose upper edge lies `y` inches below that of the page."""
+        if row.headline:
+            self._text(_MARGIN, y + 0.55 * _HEADLINE, row.headline, fontsize=8)
+            y += _HEADLINE
+        for place, house in enumerate(row.houses):
+            middle = _MARGIN + place * (_SIDE + _BETWEEN) + _SIDE / 2
+            _draw_house(self._map_axes(house, middle, y + _SIDE / 2), house)
+            self._text(middle, y + _SIDE + 0.07, house.name, ha="center", fontsize=6)
+            self._text(middle, y + _SIDE + 0.155, _doubt(house), ha="center", fontsize=5.2, color="#b03000")
+
+    def _map_axes(self, house: House, x: float, y: float) -> Axes:
+        """Axes around a point, as large as a map may be; on whole pixels, so that all its cells have one size."""
+        height, width = house.terrain.shape
+        cell = whole_pixels(_SIDE / max(height, width), _DPI)
+        left = round((x - cell * width / 2) * _DPI) / _DPI
+        bottom = round((self._height - y - cell * height / 2) * _DPI) / _DPI
+        return self.figure.add_axes(
+            (left / _PAGE_WIDTH, bottom / self._height, cell * width / _PAGE_WIDTH, cell * height / self._height)
+        )
+
+
+def plot_contact_page(path: str | Path, title: str, number: str, rows: Sequence[Row]) -> list[Path]:
+    """Draw a page of houses of any sizes; a star marks a door, words below a map that no episode can be run in it.
+
+    Args:
+      path: where to write, without an ending.
+      title: what the houses are.
+      number: which page it is.
+      rows: what `contact_pages` put on the page.
+
+    Returns:
+      The files written: PNG and SVG.
+    """
+    page = _Page(title, number, sum(row.height for row in rows))
+    y = _HEAD
+    for row in rows:
+        page.draw(row, y)
+        y += row.height
+    classes = np.unique(np.concatenate([house.terrain.ravel() for row in rows for house in row.houses]))
+    page.figure.legend(
+        handles=[class_patch(index) for index in classes.tolist()], loc="lower left", bbox_to_anchor=(0, 0), ncols=8,
+        frameon=False, fontsize=6.8, handlelength=1.1, columnspacing=1.1, borderaxespad=0.1, labelspacing=0.3,
+    )  # fmt: skip
+    return save_figure(page.figure, path, dpi=_DPI)

@@ -1,0 +1,155 @@
+"""Colours of the viewer, and the words that go with them."""
+
+from typing import NamedTuple
+
+import numpy as np
+import rerun as rr
+from jaxtyping import Bool, Float, UInt8
+from matplotlib import colormaps
+from matplotlib.colors import to_rgb
+
+from dc2g_jax.grid.terrain import CLASS_NAMES
+from dc2g_jax.inspection.figures import CLASS_COLOURS
+
+#: Layers over the observed map -> name and colour, RGBA. The legend names them.
+REACHABLE = ("reachable", (0, 190, 230, 60))
+FIELD_OF_VIEW = ("field of view", (255, 255, 255, 110))
+FRONTIER = ("frontier", (255, 205, 0, 255))
+
+EXPANDING_COLOR = (225, 90, 0)
+SUBGOAL_COLOR = (235, 0, 235)
+TRAJECTORY_COLOR = (15, 15, 15)
+ROBOT_COLOR = (235, 30, 30)
+GOAL_COLOR = (235, 30, 30)
+FRAME_COLOR = (120, 120, 128)
+
+#: Colours of curves, in turn.
+CURVE_COLORS = ((255, 150, 0), (0, 200, 255), (120, 220, 90), (220, 120, 255), (255, 235, 59), (255, 90, 90))
+
+#: Class index -> its colour in words.
+_COLOR_WORDS = (
+    "mauve", "orange-red", "green", "grey", "light blue", "crimson", "sand", "navy", "cream", "violet", "dark green",
+    "ochre", "yellow-green", "brown", "black", "white",
+)  # fmt: skip
+
+#: Costs are drawn in classes, so that the viewer names the value under the pointer: not shown, no way, then costs.
+NOT_SHOWN, NO_WAY, FIRST_COST, LAST_COST = 0, 1, 2, 255
+_NOT_SHOWN_COLOR, _NO_WAY_COLOR = (32, 33, 38), (82, 83, 90)
+
+#: The part of the colours of costs that is used: the dark end hides what is drawn over it.
+_BRIGHT = 0.88
+
+#: Differences are drawn in classes too: this one says that there is none, those below and above it come from
+#: `-FARTHEST_OFF` to `FARTHEST_OFF` cells.
+NO_DIFFERENCE, FARTHEST_OFF = 128, 40
+
+_EPISODE_LEGEND = """\
+**Maps**
+
+- mauve: not yet observed
+- white veil: field of view
+- blue veil: reachable
+- yellow: frontier, at the edge of the unknown
+- orange dots: frontier-expanding cells
+- magenta: plan and its subgoal
+- black line: the way so far
+- red arrow: robot
+
+**Costs-to-go**
+
+- yellow at the goal to blue, {farthest} cells away
+- grey: no way; dark: not observed
+- dots: candidates, white for the lowest score, which wins, over red to black
+- red dots: goal
+
+**Terrain**
+
+{classes}
+
+Point at a cell or a dot for its class, cost or score.
+"""
+
+
+def terrain_context() -> rr.AnnotationContext:
+    """Names and colours of the terrain classes."""
+    colors = [tuple(round(255 * part) for part in to_rgb(color)) for color in CLASS_COLOURS.values()]
+    names = ("not observed", *CLASS_NAMES[1:])
+    return rr.AnnotationContext(list(zip(range(len(names)), names, colors, strict=True)))
+
+
+def layer_context(name: str, color: tuple[int, ...]) -> rr.AnnotationContext:
+    """Class 1 in a see-through colour, class 0 not drawn at all."""
+    return rr.AnnotationContext([(0, "", (0, 0, 0, 0)), (1, name, color)])
+
+
+class CostScale(NamedTuple):
+    """How costs-to-go become classes of an image.
+
+    Attributes:
+      farthest: largest exact cost to be shown, in cells; where the colours end.
+      cells: cells of cost in one class.
+    """
+
+    farthest: float
+    cells: int
+
+    @classmethod
+    def of(cls, exact: Float[np.ndarray, "*n h w"]) -> "CostScale":
+        """The scale of exact costs, with a quarter of the classes left for estimates beyond them."""
+        farthest = float(np.max(exact, where=np.isfinite(exact), initial=1.0))
+        return cls(farthest, int(np.ceil(farthest / (0.75 * (LAST_COST - FIRST_COST)))))
+
+    def classes(
+        self, cost: Float[np.ndarray, "*n h w"], shown: Bool[np.ndarray, "*n h w"]
+    ) -> UInt8[np.ndarray, "*n h w"]:
+        """Class indices of images of costs."""
+        level = np.clip(cost / self.cells, 0, LAST_COST - FIRST_COST)
+        level = np.where(np.isfinite(cost), np.rint(level) + FIRST_COST, NO_WAY)
+        return np.where(shown, level, NOT_SHOWN).astype(np.uint8)
+
+    def context(self) -> rr.AnnotationContext:
+        """Names and colours of the classes."""
+        costs = self.cells * np.arange(LAST_COST - FIRST_COST + 1)
+        colors = _colors("viridis_r", _BRIGHT * np.minimum(costs / self.farthest, 1))
+        known = [
+            (FIRST_COST + index, f"{cost} cells to go", tuple(color))
+            for index, (cost, color) in enumerate(zip(costs.tolist(), colors.tolist(), strict=True))
+        ]
+        none = [(NOT_SHOWN, "not observed", _NOT_SHOWN_COLOR), (NO_WAY, "no way", _NO_WAY_COLOR)]
+        return rr.AnnotationContext([*none, *known])
+
+
+def difference_classes(
+    difference: Float[np.ndarray, "*n h w"], shown: Bool[np.ndarray, "*n h w"]
+) -> UInt8[np.ndarray, "*n h w"]:
+    """Class indices of images of differences between costs in cells."""
+    off = np.clip(np.rint(np.where(shown, difference, 0)), -FARTHEST_OFF, FARTHEST_OFF)
+    return np.where(shown, NO_DIFFERENCE + off, NOT_SHOWN).astype(np.uint8)
+
+
+def difference_context() -> rr.AnnotationContext:
+    """Names and colours of the classes of differences: blue where the estimate is too low, red where too high."""
+    off = np.arange(-FARTHEST_OFF, FARTHEST_OFF + 1)
+    colors = _colors("RdBu_r", (off + FARTHEST_OFF) / (2 * FARTHEST_OFF))
+    known = [
+        (NO_DIFFERENCE + cells, f"{cells:+d} cells", tuple(color))
+        for cells, color in zip(off.tolist(), colors.tolist(), strict=True)
+    ]
+    return rr.AnnotationContext([(NOT_SHOWN, "not observed", _NOT_SHOWN_COLOR), *known])
+
+
+def score_colors(rank: Float[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
+    """Colours of candidates, from white for the lowest score of a step, 0, over red to black for the highest, 1."""
+    return _colors("hot_r", rank)
+
+
+def _colors(colormap: str, values: Float[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
+    """RGB colours of values from 0 to 1."""
+    return (255 * colormaps[colormap](np.clip(values, 0, 1))[:, :3]).astype(np.uint8)
+
+
+def episode_legend(terrain: UInt8[np.ndarray, "h w"], scale: CostScale) -> str:
+    """The words that go with the colours, for the classes that occur in a house."""
+    present = [index for index in np.unique(terrain).tolist() if index]
+    classes = ", ".join(f"{_COLOR_WORDS[index]}: {CLASS_NAMES[index].replace('_', ' ')}" for index in present)
+    return _EPISODE_LEGEND.format(farthest=round(scale.farthest), classes=classes)

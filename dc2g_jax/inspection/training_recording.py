@@ -1,0 +1,253 @@
+"""Recordings of training for the rerun viewer: curves, and what the network makes of a few fixed maps meanwhile."""
+
+import contextlib
+import dataclasses
+import itertools
+import uuid
+from collections.abc import Mapping
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from jaxtyping import Array, Float, UInt8
+
+from dc2g_jax.datasets.houses import HouseDataset, stack_worlds
+from dc2g_jax.datasets.pairs import Pair, make_pair
+from dc2g_jax.datasets.starts import sample_starts
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation import networks
+from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation.training import TrainingConfig, optimizer
+from dc2g_jax.evaluation import episodes_from
+from dc2g_jax.inspection import legend
+from dc2g_jax.inspection.columns import TIMELINE, curve_style, image_style, open_recording
+from dc2g_jax.inspection.legend import CostScale
+from dc2g_jax.mask_collection import Masks, collect_masks
+from dc2g_jax.planning.planners import Frontier
+from dc2g_jax.planning.rules import complete_rules
+from dc2g_jax.training_data import training_set, usable
+
+#: Columns between two maps that are shown side by side.
+_GAP = 2
+
+#: Reach of the field of view of the robots whose maps are shown, in cells.
+_SENSING_RANGE = 8
+
+#: Steps from one prediction to the next, at least.
+_STEPS_PER_PREDICTION = 100
+
+#: Entities of the maps, top to bottom, and what they are called.
+_ROWS = {
+    "known": "observed parts of validation houses, always the same",
+    "predicted": "predicted cost-to-go",
+    "exact": "exact cost-to-go",
+    "difference": "predicted less exact: blue too low, red too high",
+}
+
+#: Entities of the curves, top to bottom, and what they are called and their share of the height.
+_CURVES = {
+    "loss": ("loss", 2),
+    "learning_rate": ("learning rate", 2),
+    "error": ("mean error on the maps shown (cells)", 2),
+    "validation/mean": ("validation episodes: mean extra steps (%)", 3),
+}
+
+
+@jax.jit
+def _expected_cost(network: NetworkCostToGo, terrain: UInt8[Array, "n h w"]) -> Float[Array, "n h w"]:
+    return jnp.mean(networks.apply(network.architecture, network.weights, terrain), axis=-1)
+
+
+def learning_rates(config: TrainingConfig) -> Float[np.ndarray, "steps"]:
+    """The learning rate of every step.
+
+    Read off the optimiser itself, whatever its schedule: what it takes off a weight of 1 that has no gradient, where
+    weights decay by all of the learning rate.
+    """
+    transform = optimizer(dataclasses.replace(config.recipe, weight_decay=1.0))
+    weight, gradient = jnp.float32(1), jnp.float32(0)
+
+    def step(state: tuple, _: None) -> tuple[tuple, Array]:
+        update, state = transform.update(gradient, state, weight)
+        return state, -jnp.asarray(update)
+
+    _, rates = jax.lax.scan(step, transform.init(weight), length=config.steps)
+    return config.learning_rate * np.asarray(rates)
+
+
+def maps_to_watch(dataset: HouseDataset, count: int) -> Pair:
+    """What exploring robots had seen of the dataset's validation houses: the same maps in every run.
+
+    Args:
+      dataset: whose validation houses.
+      count: number of maps.
+
+    Raises:
+      InputError: if there is no such map.
+    """
+    houses = usable(dataset, "val")
+    rules = complete_rules(_SENSING_RANGE)
+    starts = sample_starts(houses, -(-count // len(houses)), seed=0)
+    masks = collect_masks(
+        Frontier(rules=rules),
+        stack_worlds(houses),
+        episodes_from(starts, {house.name: number for number, house in enumerate(houses)}),
+        sensing=rules.sensing,
+        per_episode=4,
+        seed=0,
+    )
+    if not len(masks.world):
+        raise InputError(f"{dataset.name}: robots see a door of its validation houses at once; train without --record")
+    chosen = np.linspace(0, len(masks.world) - 1, count).round().astype(int)
+    data = training_set(houses, len(houses), Masks(masks.boards[chosen], masks.world[chosen]))
+    return jax.vmap(lambda index: make_pair(data, index, jnp.int32(0), edge_weight=1.0))(jnp.arange(count))
+
+
+def next_file(folder: Path) -> Path:
+    """The file for the recording of a run that begins or is taken up: `training-001.rrd`, then `training-002.rrd`."""
+    files = (folder / f"training-{number:03d}.rrd" for number in itertools.count(1))
+    return next(file for file in files if not file.exists())
+
+
+def _side_by_side(images: UInt8[np.ndarray, "n h w"]) -> UInt8[np.ndarray, "h all"]:
+    """Class images in a row, with gaps of class 0."""
+    padded = np.pad(images, ((0, 0), (0, 0), (0, _GAP)))
+    return np.concatenate(list(padded), axis=1)[:, :-_GAP]
+
+
+def _layout(shape: tuple[int, int], steps: int) -> rrb.Blueprint:
+    """The first view: curves on the left, maps on the right.
+
+    Args:
+      shape: rows and columns of maps side by side.
+      steps: optimiser steps in all.
+    """
+    bounds = rrb.VisualBounds2D(x_range=[-0.5, shape[1] + 0.5], y_range=[-0.5, shape[0] + 0.5])
+    maps = [rrb.Spatial2DView(origin=f"/maps/{row}", name=name, visual_bounds=bounds) for row, name in _ROWS.items()]
+    ends = (rr.TimeRangeBoundary.absolute(seq=step) for step in (0, steps))
+    whole = rrb.archetypes.TimeAxis(view_range=rr.TimeRange(*ends))
+    legend_at = rrb.PlotLegend(corner=rrb.Corner2D.RightTop)
+    curves = [
+        rrb.TimeSeriesView(origin=f"/{curve}", name=name, axis_x=whole, plot_legend=legend_at)
+        for curve, (name, _) in _CURVES.items()
+    ]
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(*curves, row_shares=[share for _, share in _CURVES.values()]),
+            rrb.Vertical(*maps),
+            column_shares=[2, 3.6],
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
+        auto_views=False,
+    )
+
+
+class TrainingRecording:
+    """A recording that grows while a network trains. Looks at the network alone: training goes on as it would anyway.
+
+    What has been logged is in the file a moment later, and stays readable when the process is killed. The files of one
+    folder are one recording, so that the viewer joins a run that was interrupted: `rerun FOLDER/training-*.rrd`.
+
+    Args:
+      folder: of the run.
+      config: how it trains.
+      maps: what to show predictions on, a few pairs; always the same.
+      file: to write; none where `None`.
+      viewer: address of a running viewer to send everything to, as `rerun --help` names it; none where `None`.
+
+    Raises:
+      InputError: if the file cannot be written or the address is none.
+    """
+
+    def __init__(self, folder: Path, config: TrainingConfig, maps: Pair, *, file: Path | None, viewer: str | None):
+        self._rates = learning_rates(config)
+        self._predicted: int | None = None
+        self._terrain = jnp.asarray(maps.terrain)
+        self._exact = np.asarray(maps.target)
+        self._counts = np.asarray(maps.weight) > 0
+        self._scale = CostScale.of(self._exact)
+        terrain = _side_by_side(np.asarray(maps.terrain))
+        self._stream = open_recording(
+            file,
+            viewer,
+            name=f"training of {folder.name}",
+            blueprint=_layout(terrain.shape, config.steps),
+            recording=str(uuid.uuid5(uuid.NAMESPACE_URL, folder.resolve().as_uri())),
+        )
+        self._curves: list[str] = []
+        styles = (legend.terrain_context(), self._scale.context(), self._scale.context(), legend.difference_context())
+        count, height, width = maps.terrain.shape
+        corners = np.stack([np.arange(count) * (width + _GAP), np.zeros(count)], axis=1)
+        frames = rr.Boxes2D(mins=corners, sizes=[[width, height]] * count, colors=legend.FRAME_COLOR, radii=0.3)
+        for row, context in zip(_ROWS, styles, strict=True):
+            image_style(self._stream, f"maps/{row}", context, 0)
+            self._stream.log(f"maps/{row}/frames", frames, static=True)
+        exact = self._scale.classes(self._exact, self._counts)
+        for row, image in (("known", terrain), ("exact", _side_by_side(exact))):
+            self._stream.log(f"maps/{row}", rr.SegmentationImage(image), static=True)
+
+    def look(self, step: int, loss: float, network: NetworkCostToGo) -> None:
+        """Add to the curves, and now and then what the network makes of the maps.
+
+        Args:
+          step: optimiser steps taken.
+          loss: mean of the last of them.
+          network: as it is now.
+        """
+        self._add(step, {"loss": loss, "learning_rate": float(self._rates[step - 1])})
+        if self._predicted is None or step >= self._predicted + _STEPS_PER_PREDICTION:
+            self.predict(step, network)
+
+    def validate(self, step: int, figures: Mapping[str, float], network: NetworkCostToGo) -> None:
+        """Add the figures of a validation, and what the network makes of the maps.
+
+        Args:
+          step: optimiser steps taken.
+          figures: name -> value.
+          network: as it is now.
+        """
+        kinds = {name: "median" if "median" in name else "mean" for name in figures}
+        self._add(step, {f"validation/{kinds[name]}/{name}": value for name, value in figures.items()})
+        if self._predicted != step:
+            self.predict(step, network)
+
+    def predict(self, step: int, network: NetworkCostToGo) -> None:
+        """Show what the network makes of the maps.
+
+        Args:
+          step: optimiser steps taken.
+          network: as it is now.
+        """
+        self._predicted = step
+        predicted = np.asarray(_expected_cost(network, self._terrain))
+        difference = np.where(self._counts, predicted - np.where(self._counts, self._exact, 0), 0)
+        self._add(step, {"error": float(np.abs(difference).sum() / self._counts.sum())})
+        predictions = {
+            "predicted": self._scale.classes(predicted, self._counts),
+            "difference": legend.difference_classes(difference, self._counts),
+        }
+        for row, classes in predictions.items():
+            self._stream.log(f"maps/{row}", rr.SegmentationImage(_side_by_side(classes)))
+
+    def _add(self, step: int, values: Mapping[str, float]) -> None:
+        """Add a point to each of some curves, entity -> value."""
+        self._stream.set_time(TIMELINE, sequence=step)
+        for curve, value in values.items():
+            if curve not in self._curves:
+                group, _, name = curve.rpartition("/")
+                number = sum(other.rpartition("/")[0] == group for other in self._curves)
+                self._curves.append(curve)
+                color = legend.CURVE_COLORS[number % len(legend.CURVE_COLORS)]
+                curve_style(self._stream, curve, name.replace("_", " "), color)
+            self._stream.log(curve, rr.Scalars(value))
+
+    def close(self) -> None:
+        """Write what is left."""
+        with contextlib.suppress(RuntimeError):  # a viewer that is gone
+            self._stream.flush(timeout_sec=5)
+        self._stream.disconnect()

@@ -1,0 +1,62 @@
+"""Figures of episodes that have been run: `python -m experiments.draw_episodes outputs/RUN/episodes.csv`."""
+
+import dataclasses
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from tqdm import tqdm
+
+from dc2g_jax.datasets.houses import group_of, open_dataset
+from dc2g_jax.errors import InputError
+from dc2g_jax.inspection.episode_figures import plot_trajectories
+from dc2g_jax.inspection.figures import plot_house_strips
+from experiments.common import DatasetOption, OutOption, command_line
+from experiments.episodes import read_episodes
+from experiments.outputs import output_folder
+from experiments.run_episodes import PlannerName
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Draw episodes from an `episodes.csv`: extra steps house by house, and the ways of planners on the map.
+
+    Attributes:
+      episodes: the `episodes.csv` of an earlier run.
+      planner: planners to draw.
+      house: draw the ways in this house, a figure a start; several can be named.
+      dataset: the dataset of that run; where not given, DC2G_DATA, the cache, or a download.
+      out: folder to write to; a new one below outputs/ where not given.
+    """
+
+    episodes: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CSV")]
+    planner: tuple[PlannerName, ...] = ("frontier", "dc2g")
+    house: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...", help_behavior_hint="")] = ()
+    dataset: DatasetOption = None
+    out: OutOption = None
+
+
+def main(options: Options) -> None:
+    """Read, draw."""
+    dataset = open_dataset(options.dataset)
+    results = [result for result in read_episodes(options.episodes) if result.planner in options.planner]
+    if not results:
+        raise InputError(f"{options.episodes}: has no episode of {' or '.join(options.planner)}; give other --planner")
+    group_by_house = {house: group_of(dataset.house(house)) or "test" for house in {one.house for one in results}}
+    for name in options.house:
+        if name not in group_by_house:
+            raise InputError(f"{options.episodes}: has no episode in {name}; give another --house")
+    out = output_folder(options, "draw_episodes")
+    plot_house_strips(out / "houses", results, group_by_house)
+    shown = [result for result in results if result.house in options.house]
+    starts = {(one.house, one.x, one.y, one.heading, one.range): None for one in shown}
+    for start in tqdm(starts, desc="drawing", unit="figure", file=sys.stderr):
+        own = [one for one in shown if (one.house, one.x, one.y, one.heading, one.range) == start]
+        name = "{}-x{}-y{}-h{}-r{}".format(*start)
+        plot_trajectories(out / name, dataset.house(start[0]), {one.planner: one for one in own})
+    print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

@@ -1,0 +1,63 @@
+"""Send the planners over a map of your own: `python -m experiments.explore_map my.png --palette palette.csv`."""
+
+import dataclasses
+import sys
+from typing import Annotated
+
+import tyro
+
+from dc2g_jax.datasets.houses import House
+from dc2g_jax.datasets.maps import require_way_to_goal
+from experiments.common import NetworkOption, OutOption, command_line
+from experiments.episodes import EpisodeTable
+from experiments.map_options import MapOptions, StartOption, doubts_about, start_in, terrain_of
+from experiments.one_start import Animation, Request, draw_request, require_sensing_range, run_request, tell_files
+from experiments.outputs import output_folder
+from experiments.run_episodes import PlannerName
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(MapOptions):
+    """Run planners from one start on a map of your own: a table, a figure, an animation and a recording of each step.
+
+    Attributes:
+      start: column, row (growing downward) and heading (0 right, 1 down, 2 left, 3 up); sampled where not given, on
+        the road where there is one.
+      seed: of the sampled start.
+      planner: planners to run, besides the oracle; figures show them in this order.
+      sensing_range: how many cells ahead a robot sees.
+      network: folder of a trained network for `dc2g` and `dc2g_uncertain`; the shipped one where not given.
+      step_limit: actions after which an episode ends without success; where not given, 500, or twice the map's
+        traversable cells where that is more.
+      animation: formats of the animation.
+      out: folder to write to; a new one below outputs/ where not given.
+    """
+
+    start: StartOption = None
+    seed: int = 0
+    planner: tuple[PlannerName, ...] = ("dc2g", "frontier")
+    sensing_range: int = 8
+    network: NetworkOption = None
+    step_limit: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    animation: tuple[Animation, ...] = ("gif",)
+    out: OutOption = None
+
+
+def main(options: Options) -> None:
+    """Read, run, draw."""
+    sensing_range = require_sensing_range(options.sensing_range)
+    terrain = terrain_of(options)
+    require_way_to_goal(str(options.map), terrain)
+    house = House(options.map.stem, "test", terrain)
+    start = start_in(house, options.start, options.seed)._replace(sensing_range=sensing_range)
+    out = output_folder(options, "explore_map")
+    for doubt in doubts_about(options):
+        print(f"warning: {doubt}", file=sys.stderr)
+    request = Request(house, start, options.planner, options.step_limit, options.network)
+    results, network = run_request(request, EpisodeTable(out / "episodes.csv"))
+    draw_request(out, "episode", request, results, network, options.animation)
+    tell_files(out)
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

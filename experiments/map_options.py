@@ -1,0 +1,116 @@
+"""Options that commands share: a map of one's own, and where an episode on it starts."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import tyro
+from jaxtyping import Bool, UInt8
+
+from dc2g_jax.datasets.class_images import read_palette
+from dc2g_jax.datasets.houses import House
+from dc2g_jax.datasets.maps import Goal, draw_map
+from dc2g_jax.datasets.occupancy import YAML_ENDINGS, read_occupancy_map
+from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
+from dc2g_jax.errors import InputError
+from dc2g_jax.grid.ground import connected_to_goal
+from dc2g_jax.grid.poses import HEADINGS
+from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
+
+#: Where an episode starts: column, row and heading.
+StartOption = Annotated[tuple[int, int, int] | None, tyro.conf.arg(metavar="COLUMN ROW HEADING", help_behavior_hint="")]
+
+
+@dataclasses.dataclass(frozen=True)
+class MapOptions:
+    """A map and how to read it.
+
+    Attributes:
+      map: a class picture (.png), an array of class indices (.npy), or the YAML file of a ROS occupancy map.
+      palette: CSV file with the columns class,r,g,b: what the colours of a picture mean.
+      goals: goals besides the front doors that are drawn, x and y of one after the other.
+      goal_unit: `cells` are columns and rows of the grid, `metres` lie in the map frame of a ROS map.
+      cells: columns and rows of the grid that the map is sampled to; a pixel a cell where not given.
+    """
+
+    map: tyro.conf.Positional[Path]
+    palette: Annotated[Path | None, tyro.conf.arg(metavar="CSV", help_behavior_hint="")] = None
+    goals: Annotated[tuple[tuple[float, float], ...], tyro.conf.arg(metavar="X Y ...", help_behavior_hint="")] = ()
+    goal_unit: Literal["cells", "metres"] = "cells"
+    cells: Annotated[tuple[int, int] | None, tyro.conf.arg(metavar="COLUMNS ROWS", help_behavior_hint="")] = None
+
+
+def terrain_of(options: MapOptions) -> UInt8[np.ndarray, "h w"]:
+    """The map's class indices, whether or not its goals can be reached.
+
+    Raises:
+      InputError: for a map, a palette or a goal of no use.
+    """
+    palette = None if options.palette is None else read_palette(options.palette)
+    goals = [Goal(x, y, options.goal_unit) for x, y in options.goals]
+    return draw_map(options.map, palette=palette, goals=goals, cells=options.cells)
+
+
+def doubts_about(options: MapOptions) -> list[str]:
+    """What in a map's file is probably not meant, a line each."""
+    if options.map.suffix.lower() not in YAML_ENDINGS:
+        return []
+    doubt = read_occupancy_map(options.map).doubt
+    return [doubt] if doubt else []
+
+
+def start_in(house: House, pose: tuple[int, int, int] | None, seed: int) -> Start:
+    """The start that was asked for, or a sampled one.
+
+    Args:
+      house: where to start.
+      pose: column, row and heading, or `None`.
+      seed: of the sampled start.
+
+    Raises:
+      InputError: if no goal can be reached from there; names the nearest cell to start from.
+    """
+    if pose is None:
+        if reason := why_no_episode(house):
+            elsewhere = np.any(_start_ground(house.terrain))
+            remedy = "give a --start on other ground, from which one can" if elsewhere else "choose another one"
+            raise InputError(f"{house.name}: {reason}; {remedy}")
+        return sample_starts([house], 1, seed=seed)[0]
+    x, y, heading = pose
+    if not 0 <= heading < HEADINGS:
+        raise InputError(
+            f"--start {x} {y} {heading}: there is no heading {heading}; give 0 (right), 1 (down), 2 (left) or 3 (up)"
+        )
+    if problem := _why_no_start(house.terrain, x, y):
+        raise InputError(f"--start {x} {y} {heading}: {problem}; {_nearest_start(house.terrain, x, y)}")
+    return Start(house.name, x, y, heading)
+
+
+def _why_no_start(terrain: UInt8[np.ndarray, "h w"], x: int, y: int) -> str | None:
+    """Why no episode can start in a cell, or `None` where one can."""
+    height, width = terrain.shape
+    if not (0 <= x < width and 0 <= y < height):
+        return f"column {x}, row {y} is off the map of {width} x {height} cells"
+    if terrain[y, x] == FRONT_DOOR:
+        return f"column {x}, row {y} is a goal already"
+    if not TRAVERSABLE[terrain[y, x]]:
+        name = CLASS_NAMES[terrain[y, x]] if terrain[y, x] else "unknown"
+        return f"column {x}, row {y} is {name!r}, which is not traversable"
+    if not connected_to_goal(terrain)[y, x]:
+        return f"no goal can be reached from column {x}, row {y}"
+    return None
+
+
+def _start_ground(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Cells from which an episode can start."""
+    return connected_to_goal(terrain) & (terrain != FRONT_DOOR)
+
+
+def _nearest_start(terrain: UInt8[np.ndarray, "h w"], x: int, y: int) -> str:
+    """Where an episode can start nearby."""
+    rows, columns = np.nonzero(_start_ground(terrain))
+    if not len(rows):
+        return "the map has no ground that leads to a goal"
+    nearest = int(np.argmin((columns - x) ** 2 + (rows - y) ** 2))
+    return f"the nearest cell to start from lies at column {columns[nearest]}, row {rows[nearest]}"

@@ -1,0 +1,164 @@
+"""Planners from one start: run, put in a table, drawn, animated and recorded; for commands that look at one start."""
+
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import UInt8
+from tqdm import tqdm
+
+from dc2g_jax.datasets.houses import House, HouseDataset
+from dc2g_jax.datasets.starts import Start
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.checkpoints import TrainedNetwork
+from dc2g_jax.evaluation import NETWORK_PLANNERS, EpisodeResult, Runner
+from dc2g_jax.grid.terrain import TRAVERSABLE
+from dc2g_jax.inspection.animation import animate
+from dc2g_jax.inspection.episode_figures import plot_episode, plot_trajectories
+from dc2g_jax.inspection.recording import record_episode
+from dc2g_jax.inspection.replay import replay_result
+from dc2g_jax.planning.planners import GAVE_UP, MODE_NAMES
+from dc2g_jax.planning.rules import SETTINGS
+from dc2g_jax.rollout import STEP_LIMIT
+from experiments.common import open_network
+from experiments.episodes import EpisodeProgress, EpisodeTable
+
+#: Sensing ranges that can be asked for, in cells.
+_RANGES = (1, 64)
+
+#: Bytes that the replay of an episode takes for a cell and a step, and the most that all replays may take.
+_REPLAY_BYTES, _MOST_BYTES = 75, 6e9
+
+Animation = Literal["gif", "mp4"]
+
+
+class Request(NamedTuple):
+    """What to run.
+
+    Attributes:
+      house: where.
+      start: from which pose, with which sensing range; rules are those of the paper's text.
+      planners: names, in the order of the figures.
+      step_limit: actions after which an episode ends without success; `None` for `step_limit_for` the house.
+      network: folder of the network, `None` for the shipped one.
+    """
+
+    house: House
+    start: Start
+    planners: Sequence[str]
+    step_limit: int | None
+    network: Path | None
+
+
+def require_sensing_range(cells: int) -> int:
+    """Refuse a sensing range that no kernel has."""
+    low, high = _RANGES
+    if not low <= cells <= high:
+        raise InputError(f"--sensing-range {cells}: give {low} to {high} cells")
+    return cells
+
+
+def step_limit_for(terrain: UInt8[np.ndarray, "h w"]) -> int:
+    """Twice as many actions as there is ground to cover, and no fewer than in the paper."""
+    return max(STEP_LIMIT, 2 * int(np.sum(TRAVERSABLE[terrain])))
+
+
+def run_request(request: Request, table: EpisodeTable) -> tuple[dict[str, EpisodeResult], TrainedNetwork | None]:
+    """Run the oracle and the planners, and print what came of it.
+
+    Returns:
+      Planner -> its episode, the oracle first, and the network they used.
+
+    Raises:
+      InputError: if the step limit is none, or not even the oracle reaches a goal within it.
+    """
+    house, start = request.house, request.start
+    network = open_network(request.network) if NETWORK_PLANNERS.keys() & set(request.planners) else None
+    limit = step_limit_for(house.terrain) if request.step_limit is None else request.step_limit
+    if limit < 1:
+        raise InputError(f"--step-limit {limit}: give at least 1")
+    runner = Runner(
+        HouseDataset(house.name, "folder", (house,)), SETTINGS["paper"], step_limit=limit, progress=EpisodeProgress()
+    )
+    names = list(dict.fromkeys(("oracle", *request.planners)))
+    (oracle,) = table.run(runner, [start], names[:1])
+    if not oracle.success:
+        raise InputError(f"--step-limit {limit}: the shortest way to a goal is longer; give a larger one")
+    results = [oracle, *table.run(runner, [start], names[1:], network)]
+    _print_results(results, house, limit)
+    return {result.planner: result for result in results}, network
+
+
+def _print_results(results: Sequence[EpisodeResult], house: House, limit: int) -> None:
+    first = results[0]
+    height, width = house.terrain.shape
+    print(
+        f"{house.name}: {width} x {height} cells, {first.range}-cell sensing, start at column {first.x}, "
+        f"row {first.y}, heading {('right', 'down', 'left', 'up')[first.heading]}"
+    )
+    print(f"{'planner':16}{'steps':>8}{'extra steps':>14}   outcome")
+    for result in results:
+        outcome = "reached the goal" if result.success else f"stopped at the limit of {limit} steps"
+        if not result.success and result.mode == MODE_NAMES[GAVE_UP]:
+            outcome = "gave up: nothing left to explore"
+        extra = "knows the map" if result.planner == "oracle" else f"{result.extra:.1f} %"
+        print(f"{result.planner:16}{result.steps:>8,}{extra:>14}   {outcome}")
+
+
+def draw_request(
+    out: Path, name: str, request: Request, results: dict[str, EpisodeResult], network: TrainedNetwork | None,
+    animations: Sequence[Animation],
+) -> None:  # fmt: skip
+    """Write the figure, the ways on the map, the animations and the recording of an episode.
+
+    Args:
+      out: folder to write to.
+      name: of the files, without an ending.
+      request: what was run.
+      results: planner -> its episode.
+      network: the network they used.
+      animations: formats of the animation.
+    """
+    plot_trajectories(out / "trajectories", request.house, results)
+    chosen = _replayable({planner: results[planner] for planner in request.planners}, request.house.terrain.size)
+    if not chosen:
+        return
+    rules = SETTINGS["paper"].rules(request.start.sensing_range)
+    bar = tqdm(total=len(chosen) + len(animations) + 2, desc=f"{'drawing':>16}", unit="file", file=sys.stderr)
+    frames = {}
+    for planner, result in chosen.items():
+        frames[planner] = replay_result(result, request.house, rules, network)
+        bar.update()
+    plot_episode(out / name, request.house, frames)
+    bar.update()
+    for ending in animations:
+        animate(out / f"{name}.{ending}", request.house, frames)
+        bar.update()
+    # The recording replays for itself; both at once would take twice the memory.
+    frames.clear()
+    record_episode(out / f"{name}.rrd", house=request.house, result_by_planner=chosen, rules=rules, estimator=network)
+    bar.update()
+    bar.close()
+
+
+def _replayable(results: Mapping[str, EpisodeResult], cells: int) -> dict[str, EpisodeResult]:
+    """The episodes that can be replayed in the memory there is; the longest are left out, with a line."""
+    kept = dict(results)
+    while sum(result.steps + 1 for result in kept.values()) * cells * _REPLAY_BYTES > _MOST_BYTES:
+        longest = max(kept, key=lambda planner: kept[planner].steps)
+        print(
+            f"{longest}: {kept[longest].steps:,} steps on {cells:,} cells are too many to be replayed: left out of the "
+            "figure, the animation and the recording; a coarser grid (--cells) takes less memory",
+            file=sys.stderr,
+        )
+        del kept[longest]
+    return kept
+
+
+def tell_files(out: Path) -> None:
+    """Print what has been written."""
+    print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+    for recording in out.glob("*.rrd"):
+        print(f"Step through it: rerun {recording}")

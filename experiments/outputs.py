@@ -1,0 +1,152 @@
+"""Folders that commands write to, and the record each of them holds of how to make it again."""
+
+import dataclasses
+import datetime
+import functools
+import importlib.metadata
+import json
+import shlex
+import subprocess
+import sys
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any, Protocol
+
+import jax
+
+from dc2g_jax.errors import InputError
+
+#: File in every output folder that says how it was made.
+RUN_FILE = "run.json"
+
+#: Options that may change when a run is resumed: they decide where it goes on, not what comes out.
+_WHERE = ("out", "resume")
+
+
+class OutputOptions(Protocol):
+    """Options of a command that writes to a folder; a dataclass. One with `resume` can go on where it stopped."""
+
+    @property
+    def out(self) -> Path | None:
+        """The folder; a new one below outputs/ where not given."""
+        ...
+
+
+def output_folder(options: OutputOptions, command: str, *, free: Collection[str] = ()) -> Path:
+    """The folder to write to, with a `run.json` that holds the command, all options, versions, commit and time.
+
+    Nothing that lies there is overwritten: a folder in use is refused, but for `--resume` with the options that it was
+    begun with; `run.json` then lists each time that the run was taken up.
+
+    Args:
+      options: the command's options.
+      command: name of the command.
+      free: further options that may differ from the run that is resumed.
+
+    Raises:
+      InputError: if the folder is in use, cannot be made, or holds no such run to resume.
+    """
+    resume = bool(getattr(options, "resume", False))
+    folder = options.out
+    if folder is None:
+        if resume:
+            raise InputError("--resume: which run? give the --out folder that it writes to")
+        folder = Path("outputs") / f"{command}-{datetime.datetime.now():%Y%m%d-%H%M%S}"
+    given = _plain_options(options)
+    runs: list[dict[str, Any]] = []
+    if resume:
+        before = _read_run(folder)
+        _require_same(folder, before, command, given, {*_WHERE, *free})
+        runs = before["runs"]
+    else:
+        _make_new(folder, resumable=hasattr(options, "resume"))
+    facts = {
+        "experiment": command,
+        "options": given,
+        "runs": [
+            *runs,
+            {
+                "command": command_written(),
+                "began": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+                "commit": commit(),
+                "versions": versions(),
+            },
+        ],
+    }
+    try:
+        (folder / RUN_FILE).write_text(json.dumps(facts, indent=2) + "\n")
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror}); give --out another folder") from None
+    return folder
+
+
+def _make_new(folder: Path, *, resumable: bool) -> None:
+    """Make a folder that does not exist or is empty."""
+    try:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            remedy = "; to go on with the run in it, add --resume" if resumable and (folder / RUN_FILE).exists() else ""
+            raise InputError(f"{folder}: is not an empty folder; give --out a new folder{remedy}")
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror}); give --out another folder") from None
+
+
+def _plain_options(options: Any) -> dict[str, Any]:
+    """Options as JSON has them, paths as text, tuples as lists; those of a group as `group.name`."""
+    plain: dict[str, Any] = {}
+    for name, value in json.loads(json.dumps(dataclasses.asdict(options), default=str)).items():
+        plain |= {f"{name}.{part}": one for part, one in value.items()} if isinstance(value, dict) else {name: value}
+    return plain
+
+
+def _read_run(folder: Path) -> dict[str, Any]:
+    """What `run.json` of a folder says."""
+    path = folder / RUN_FILE
+    try:
+        facts = json.loads(path.read_text())
+        if isinstance(facts["options"], dict) and isinstance(facts["runs"], list):
+            return facts
+    except FileNotFoundError:
+        raise InputError(f"{folder}: holds no run to resume; leave out --resume to begin one") from None
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
+    raise InputError(f"{path}: cannot be read, so the run cannot be resumed; begin anew in another --out folder")
+
+
+def _require_same(
+    folder: Path, before: dict[str, Any], command: str, given: dict[str, Any], free: Collection[str]
+) -> None:
+    """See that a run is resumed with the options that it was begun with."""
+    if before.get("experiment") != command:
+        raise InputError(
+            f"{folder}: holds a run of {before.get('experiment')}, not of {command}; give --out another folder"
+        )
+    for name, value in given.items():
+        if name.rpartition(".")[2] not in free and before["options"].get(name) != value:
+            raise InputError(
+                f"{folder}: was begun with {name} {before['options'].get(name)!r}, now it is {value!r}; resume it with "
+                "the same options, or give --out another folder"
+            )
+
+
+def command_written() -> str:
+    """The command as it was typed, with `python -m` before the name of the experiment."""
+    return shlex.join(["python", "-m", f"experiments.{Path(sys.argv[0]).stem}", *sys.argv[1:]])
+
+
+@functools.cache
+def commit() -> str:
+    """The git commit of the code, with `+` after it where files have changed since; `unknown` outside a repository."""
+    here = Path(__file__).parent
+    found = [
+        subprocess.run(["git", *command], capture_output=True, text=True, check=False, cwd=here).stdout.strip()
+        for command in (("rev-parse", "HEAD"), ("status", "--porcelain", "--untracked-files=no"))
+    ]
+    return (found[0] or "unknown") + ("+" if found[1] else "")
+
+
+def versions() -> dict[str, str]:
+    """Versions of what a result depends on, and the device it was made on."""
+    found = {name: importlib.metadata.version(name) for name in ("dc2g_jax", "jax", "flax", "numpy")}
+    python = ".".join(str(part) for part in sys.version_info[:3])
+    return {"python": python, **found, "device": jax.devices()[0].device_kind}

@@ -1,0 +1,92 @@
+"""The table of episodes: read back as written, and gone on with where a run stopped."""
+
+import numpy as np
+import pytest
+
+from dc2g_jax.datasets.houses import House, HouseDataset
+from dc2g_jax.datasets.starts import Start
+from dc2g_jax.errors import InputError
+from dc2g_jax.evaluation import Runner
+from dc2g_jax.planning.rules import SETTINGS
+from experiments.episodes import EpisodeTable, read_episodes, write_episodes
+
+STARTS = (Start("left", 9, 5, 1), Start("right", 9, 5, 2))
+PLANNERS = ("oracle", "frontier")
+
+
+class Interrupted(Runner):
+    """Is interrupted in the middle of a planner, and counts what it was asked for."""
+
+    def __init__(self, dataset: HouseDataset, at: str | None = None):
+        super().__init__(dataset, SETTINGS["reference"])
+        self.at, self.asked = at, []
+
+    def run(self, starts, planners, estimator=None):
+        self.asked += planners
+        if self.at in planners:
+            raise KeyboardInterrupt
+        return super().run(starts, planners, estimator)
+
+
+@pytest.fixture(scope="module")
+def dataset(street) -> HouseDataset:
+    mirrored = np.ascontiguousarray(street[:, ::-1])
+    return HouseDataset("toys", "folder", (House("left", "test", street), House("right", "val", mirrored)))
+
+
+@pytest.fixture(scope="module")
+def results(dataset):
+    return Runner(dataset, SETTINGS["reference"]).run(STARTS, PLANNERS)
+
+
+def test_episodes_are_read_as_they_were_written(results, tmp_path):
+    path = tmp_path / "episodes.csv"
+    mixed = [*results, results[0]._replace(expanding_range=None, actions="", success=False, mode="gave_up")]
+    write_episodes(path, mixed)
+    assert read_episodes(path) == mixed
+    assert [file.name for file in tmp_path.iterdir()] == ["episodes.csv"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "mention"), [(",9,", ",nine,", "line 2: .*'nine'"), ("house,", "home,", "lacks the column 'house'")]
+)
+def test_a_damaged_table_is_refused(results, tmp_path, old, new, mention):
+    path = tmp_path / "episodes.csv"
+    write_episodes(path, results)
+    path.write_text(path.read_text().replace(old, new, 1))
+    with pytest.raises(InputError, match=mention):
+        EpisodeTable(path)
+
+
+def test_an_interrupted_run_goes_on_with_the_planner_it_was_at(dataset, results, tmp_path):
+    path = tmp_path / "episodes.csv"
+    with pytest.raises(KeyboardInterrupt):
+        EpisodeTable(path).run(Interrupted(dataset, at="frontier"), STARTS, PLANNERS)
+    assert read_episodes(path) == results[:2]
+    runner = Interrupted(dataset)
+    assert EpisodeTable(path).run(runner, STARTS, PLANNERS) == results
+    assert runner.asked == ["frontier"]
+    assert read_episodes(path) == results
+
+
+def test_parts_of_a_run_are_kept_one_after_the_other(dataset, results, tmp_path):
+    path = tmp_path / "episodes.csv"
+    runner = Interrupted(dataset, at="frontier")
+    table = EpisodeTable(path)
+    table.run(runner, STARTS, ["oracle"])
+    with pytest.raises(KeyboardInterrupt):
+        table.run(runner, STARTS[1:], PLANNERS)
+    assert read_episodes(path) == [*results[:2], results[1]]
+    runner, table = Interrupted(dataset), EpisodeTable(path)
+    table.run(runner, STARTS, ["oracle"])
+    assert table.run(runner, STARTS[1:], PLANNERS) == [results[1], results[3]]
+    assert runner.asked == ["frontier"]
+
+
+def test_episodes_of_other_starts_are_run_anew(dataset, results, tmp_path):
+    path = tmp_path / "episodes.csv"
+    write_episodes(path, results)
+    runner = Interrupted(dataset)
+    assert EpisodeTable(path).run(runner, STARTS[::-1], ["oracle"]) == results[1::-1]
+    assert runner.asked == ["oracle"]
+    assert read_episodes(path) == results[1::-1]

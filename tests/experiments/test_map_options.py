@@ -1,0 +1,60 @@
+"""Where an episode may start, and what is said where it may not."""
+
+import numpy as np
+import pytest
+
+from dc2g_jax.datasets.houses import House
+from dc2g_jax.datasets.starts import Start
+from experiments.map_options import start_in
+from tests.maps import drawn
+from tests.refusals import refusal
+
+YARD = House(
+    "yard",
+    "test",
+    drawn("""
+        ##D##...
+        ..P....R
+        SSSSS...
+        RRRRR..P
+    """),
+)
+
+
+def test_a_start_that_is_given_is_taken():
+    assert start_in(YARD, (4, 2, 3), seed=0) == Start("yard", 4, 2, 3)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_start_that_is_not_given_is_sampled_on_the_road(seed):
+    start = start_in(YARD, None, seed)
+    assert start == start_in(YARD, None, seed)
+    assert start.y == 3
+    assert 0 <= start.x <= 4
+    assert 0 <= start.heading < 4
+
+
+@pytest.mark.parametrize(
+    ("pose", "mentions"),
+    [
+        ((1, 3, 4), ("--start 1 3 4", "no heading 4")),
+        ((9, 3, 0), ("off the map of 8 x 4 cells", "column 4, row 3")),
+        ((-1, 3, 0), ("off the map of 8 x 4 cells", "column 0, row 3")),
+        ((0, 0, 0), ("column 0, row 0 is 'house', which is not traversable", "column 0, row 2")),
+        ((2, 0, 0), ("is a goal already", "column 2, row 1")),
+        ((7, 1, 0), ("no goal can be reached from column 7, row 1", "column 4, row 2")),
+    ],
+)
+def test_a_start_of_no_use_is_refused_with_the_nearest_that_is(pose, mentions):
+    refusal(lambda: start_in(YARD, pose, seed=0), *mentions)
+
+
+def test_without_road_that_leads_to_a_goal_a_start_has_to_be_given():
+    terrain = np.where(YARD.terrain == YARD.terrain[3, 0], np.uint8(2), YARD.terrain)
+    terrain[3, 7] = YARD.terrain[3, 0]
+    house = House("path", "test", terrain)
+    refusal(lambda: start_in(house, None, seed=0), "path", "from any of its road cells", "give a --start")
+    assert start_in(house, (0, 2, 1), seed=0) == Start("path", 0, 2, 1)
+    terrain = terrain.copy()
+    terrain[0, 2] = 2
+    refusal(lambda: start_in(House("doorless", "test", terrain), None, seed=0), "no front door", "choose another one")

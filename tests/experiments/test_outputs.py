@@ -1,0 +1,90 @@
+"""Output folders: never overwritten, and they say how they were made."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import jax
+import pytest
+
+from dc2g_jax.errors import InputError
+from experiments.outputs import output_folder
+
+
+@dataclasses.dataclass(frozen=True)
+class Group:
+    steps: int = 5
+    minutes: float = 2.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    out: Path | None = None
+    network: Path | None = None
+    seeds: tuple[int, ...] = (0, 1)
+    training: Group = dataclasses.field(default_factory=Group)
+
+
+@dataclasses.dataclass(frozen=True)
+class Resumable(Options):
+    resume: bool = False
+
+
+def test_a_folder_says_how_it_was_made(tmp_path):
+    folder = output_folder(Options(out=tmp_path / "deep" / "run", network=Path("weights")), "wander")
+    facts = json.loads((folder / "run.json").read_text())
+    assert facts["experiment"] == "wander"
+    assert facts["options"] == {
+        "out": str(tmp_path / "deep" / "run"), "network": "weights", "seeds": [0, 1], "training.steps": 5,
+        "training.minutes": 2.0,
+    }  # fmt: skip
+    (only,) = facts["runs"]
+    assert only["command"].startswith("python -m experiments.")
+    assert only["versions"]["jax"] == jax.__version__
+    assert set(only) == {"command", "began", "commit", "versions"}
+
+
+def test_without_a_folder_a_new_one_is_made(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert output_folder(Options(), "wander").parent == Path("outputs")
+
+
+def test_a_folder_in_use_is_refused(tmp_path):
+    (tmp_path / "results.csv").write_text("mine")
+    with pytest.raises(InputError, match=r"not an empty folder; give --out a new folder$"):
+        output_folder(Options(out=tmp_path), "wander")
+    with pytest.raises(InputError, match=r"a new folder$"):  # no run is in it, so none can be resumed
+        output_folder(Resumable(out=tmp_path), "wander")
+    assert [path.name for path in tmp_path.iterdir()] == ["results.csv"]
+    with pytest.raises(InputError, match="not an empty folder"):
+        output_folder(Options(out=tmp_path / "results.csv"), "wander")
+    with pytest.raises(InputError, match="cannot be written"):
+        output_folder(Options(out=tmp_path / "results.csv" / "below"), "wander")
+
+
+def test_a_run_is_resumed_with_the_options_it_was_begun_with(tmp_path):
+    options = Resumable(out=tmp_path / "run")
+    output_folder(options, "wander")
+    with pytest.raises(InputError, match="add --resume"):
+        output_folder(options, "wander")
+    again = dataclasses.replace(options, resume=True)
+    output_folder(again, "wander")
+    facts = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert len(facts["runs"]) == 2
+    other = dataclasses.replace(again, training=Group(minutes=3.0))
+    with pytest.raises(InputError, match=r"begun with training\.minutes 2\.0, now it is 3\.0"):
+        output_folder(other, "wander")
+    output_folder(other, "wander", free=("minutes",))
+    with pytest.raises(InputError, match="a run of wander, not of rest"):
+        output_folder(again, "rest")
+
+
+def test_what_cannot_be_resumed_is_refused(tmp_path):
+    with pytest.raises(InputError, match="which run"):
+        output_folder(Resumable(resume=True), "wander")
+    with pytest.raises(InputError, match="holds no run to resume"):
+        output_folder(Resumable(out=tmp_path / "none", resume=True), "wander")
+    for damaged in ("{", "[]", '{"options": 3, "runs": []}'):
+        (tmp_path / "run.json").write_text(damaged)
+        with pytest.raises(InputError, match=r"run\.json: cannot be read"):
+            output_folder(Resumable(out=tmp_path, resume=True), "wander")

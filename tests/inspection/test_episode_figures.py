@@ -1,0 +1,117 @@
+"""Figures of episodes show what was replayed, and cells of one size."""
+
+import cv2
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+
+from dc2g_jax.grid.terrain import CLASS_NAMES, HOUSE
+from dc2g_jax.inspection import episode_figures
+from dc2g_jax.inspection.episode_figures import moments, outcome, plot_episode, plot_trajectories, poses_along
+from dc2g_jax.inspection.figures import CLASS_COLOURS, map_image
+from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
+from tests.inspection import toy
+
+
+@pytest.fixture
+def drawn_figure(monkeypatch):
+    """The figures that would have been written."""
+    figures = []
+    monkeypatch.setattr(episode_figures, "save_figure", lambda figure, path, dpi: figures.append(figure) or [])
+    return figures
+
+
+def _image(axes) -> np.ndarray:
+    return np.asarray(axes.images[0].get_array())
+
+
+def test_every_class_has_a_colour_in_the_order_of_classes():
+    assert tuple(CLASS_COLOURS) == CLASS_NAMES
+
+
+def test_ground_that_was_not_seen_is_pale():
+    seen, unseen = map_image(np.full((1, 2), HOUSE, np.uint8), np.array([[True, False]]))[0]
+    colour = np.array(to_rgb(CLASS_COLOURS["house"]))
+    np.testing.assert_allclose(seen, colour)
+    np.testing.assert_allclose(unseen, 1 - 0.15 * (1 - colour))
+
+
+def test_a_way_is_that_of_the_replay():
+    for planner, frames in toy.replayed().items():
+        way = poses_along(toy.RESULTS[planner], toy.HOUSE)
+        for name in ("x", "y", "heading"):
+            np.testing.assert_array_equal(getattr(way, name), getattr(frames.pose, name))
+
+
+def test_a_way_against_the_edge_of_the_map_stays_there():
+    way = poses_along(toy.RESULTS["dc2g"]._replace(x=8, actions="FFFL"), toy.HOUSE)
+    assert way.x.tolist() == [8, 9, 9, 9, 9]
+    assert way.heading.tolist() == [0, 0, 0, 0, 3]
+
+
+def test_moments_are_the_start_the_sight_of_the_goal_and_the_end():
+    frames = toy.replayed()["frontier"]
+    assert len(frames) == 25
+    modes = np.full(25, EXPLORE)
+    modes[12:] = TO_GOAL
+    assert moments(frames.replace(mode=modes), 4) == [0, 6, 12, 24]
+    assert moments(frames.replace(mode=np.full(25, TO_GOAL)), 4) == [0, 8, 16, 24]
+    assert moments(frames.replace(mode=np.full(25, EXPLORE)), 3) == [0, 12, 24]
+    modes[1:] = TO_GOAL
+    assert moments(frames.replace(mode=modes), 4) == [0, 1, 24]
+
+
+def test_outcomes():
+    frames = toy.replayed()["frontier"]
+    away = np.append(frames.to_goal[:-1], 3)
+    assert outcome(frames) == "at the goal"
+    assert outcome(frames.replace(to_goal=away, mode=np.full(25, GAVE_UP))) == "gave up"
+    assert outcome(frames.replace(to_goal=away, mode=np.full(25, EXPLORE))) == "step limit"
+
+
+def test_panels_show_what_was_known_at_each_moment(drawn_figure, tmp_path):
+    episodes = toy.replayed()
+    plot_episode(tmp_path / "episode", toy.HOUSE, episodes, columns=3)
+    (figure,) = drawn_figure
+    panels = [axes for axes in figure.axes if axes.images]
+    knowledge, ends = panels[:3] + panels[8:11], [panels[3], panels[11]]
+    steps = [(planner, step) for planner in ("dc2g", "frontier") for step in moments(episodes[planner], 3)]
+    for axes, (planner, step) in zip(knowledge, steps, strict=True):
+        assert axes.get_title().startswith(f"step {step}")
+        np.testing.assert_allclose(_image(axes), map_image(toy.HOUSE.terrain, episodes[planner].seen[step]))
+    everything = map_image(toy.HOUSE.terrain, np.ones(toy.HOUSE.terrain.shape, bool))
+    for axes, extra in zip(ends, (0, 71), strict=True):
+        assert axes.get_title() == f"{extra} % extra steps"
+        np.testing.assert_allclose(_image(axes), everything)
+    # The toy estimator knows the truth: all that was observed in the end is shown in the colours of the exact panel.
+    seen = episodes["dc2g"].seen[-1]
+    np.testing.assert_allclose(_image(panels[6])[seen], _image(panels[7])[seen])
+    assert np.all(_image(panels[6])[~seen] == 1)
+
+
+@pytest.mark.parametrize("shape", [(50, 50), (9, 6), (6, 17), (90, 40)])
+@pytest.mark.parametrize("columns", [1, 3, 5])
+def test_cells_are_a_whole_number_of_pixels(shape, columns):
+    sheet = episode_figures._sheet(shape, 2, columns, episode_figures._entries(toy.HOUSE.terrain))
+    for side, cells in zip((sheet.height, sheet.width), shape, strict=True):
+        pixels = side * episode_figures._DPI / cells
+        assert pixels == pytest.approx(round(pixels))
+        assert round(pixels) >= 1
+    width, height = sheet.figure.get_size_inches() * episode_figures._DPI
+    assert (width, height) == (pytest.approx(round(width)), pytest.approx(round(height)))
+    assert width <= 7.2 * episode_figures._DPI
+
+
+@pytest.mark.parametrize("shape", [(200, 300), (900, 3000), (3000, 900)])
+def test_large_maps_fill_the_page(shape):
+    sheet = episode_figures._sheet(shape, 1, 5, episode_figures._entries(toy.HOUSE.terrain))
+    assert sheet.figure.get_figwidth() <= 7.2
+    assert sheet.width / sheet.height == pytest.approx(shape[1] / shape[0])
+    assert sheet.width == pytest.approx(1.31, abs=0.01) or sheet.height == pytest.approx(2.2)
+
+
+def test_trajectories_are_written(tmp_path):
+    files = plot_trajectories(tmp_path / "ways.v2", toy.HOUSE, toy.RESULTS)
+    assert [path.name for path in files] == ["ways.v2.png", "ways.v2.svg"]
+    assert cv2.imread(str(files[0])).shape[1] > 1000
+    assert files[1].read_text().count("<image") >= 2

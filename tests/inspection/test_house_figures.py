@@ -1,0 +1,95 @@
+"""Figures of many houses: strips of extra steps, and contact sheets."""
+
+import cv2
+import numpy as np
+import pytest
+
+from dc2g_jax.datasets.houses import House
+from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS
+from dc2g_jax.inspection import contact_sheets, figures
+from dc2g_jax.inspection.contact_sheets import contact_pages, plot_contact_page
+from dc2g_jax.inspection.figures import plot_house_strips
+from tests.inspection import toy
+
+
+def _results(houses, planners=("oracle", "frontier", "dc2g"), episodes=3):
+    return [
+        toy.RESULTS["dc2g"]._replace(house=house, planner=planner, extra=10.0 * number)
+        for planner in planners
+        for house in houses
+        for number in range(episodes)
+    ]
+
+
+def test_strips_hold_every_episode_but_the_oracles(monkeypatch, tmp_path):
+    drawn = []
+    monkeypatch.setattr(figures, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
+    groups = {"b": "urban", "a": "urban", "c": "same_neighborhood"}
+    plot_house_strips(tmp_path / "strips", _results(groups), groups)
+    (axes,) = drawn[0].axes
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["c", "a", "b"]
+    assert [text.get_text() for text in axes.texts] == ["same neighborhood", "urban"]
+    points = [line.get_xdata() for line in axes.lines if line.get_marker() in "os"]
+    assert np.array(points).tolist() == [[0.0, 10.0, 20.0]] * 6
+
+
+def test_groups_are_cut_where_a_column_is_full():
+    sections = [("x", ["a", "b", "c"]), ("y", ["d", "e"])]
+    assert figures._columns_of_houses(sections, 1) == [sections]
+    assert figures._columns_of_houses(sections, 2) == [sections[:1], sections[1:]]
+    uneven = [("x", ["a"]), ("y", ["b", "c", "d"])]
+    assert figures._columns_of_houses(uneven, 2) == [[("x", ["a"]), ("y", ["b"])], [("y", ["c", "d"])]]
+
+
+def test_strips_are_written(tmp_path):
+    houses = [f"n{number:03}" for number in range(25)]
+    files = plot_house_strips(tmp_path / "strips", _results(houses, ("frontier",)), dict.fromkeys(houses, "test"))
+    assert [path.suffix for path in files] == [".png", ".svg"]
+    assert all(path.stat().st_size > 10_000 for path in files)
+
+
+def _houses(count, split="test", shape=(5, 5)):
+    terrain = np.full(shape, GRASS, np.uint8)
+    return [House(f"{split}{count - number:03}", split, terrain) for number in range(count)]
+
+
+def test_pages_hold_every_house_once_by_group_and_name():
+    houses = _houses(100) + _houses(9, "train")
+    pages = contact_pages(houses)
+    assert len(pages) == 2
+    rows = [row for page in pages for row in page]
+    assert [row.headline for row in rows if row.headline] == ["training: 9", "test: 100"]
+    names = [house.name for row in rows for house in row.houses]
+    assert names == sorted(names[:9]) + sorted(names[9:])
+    assert sorted(names) == sorted(house.name for house in houses)
+    assert names[0].startswith("train")
+    for page in pages:
+        assert sum(row.height for row in page) <= contact_sheets._PAGE_HEIGHT
+
+
+def test_a_page_says_in_which_houses_no_episode_can_be_run(monkeypatch, tmp_path):
+    drawn = []
+    monkeypatch.setattr(contact_sheets, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
+    walled = np.full((4, 7), GRASS, np.uint8)
+    walled[1, 1] = FRONT_DOOR
+    houses = [toy.HOUSE, *_houses(1), House("walled", "test", walled)]
+    (page,) = contact_pages(houses)
+    plot_contact_page(tmp_path / "page", "three", "page 1 of 1", page)
+    texts = [text.get_text() for text in drawn[0].texts]
+    assert texts[:3] == ["three", "page 1 of 1", "test: 3"]
+    below = [text for text in texts[3:] if text]
+    assert below == ["test001", "no front door", "toy", "walled", "no door within reach"]
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (9, 6), (50, 50), (200, 300), (10, 400)])
+def test_houses_of_any_size_are_drawn_in_their_colours(shape, tmp_path):
+    (page,) = contact_pages(_houses(2, shape=shape))
+    png, svg = plot_contact_page(tmp_path / "page", "title", "page 1 of 1", page)
+    assert svg.stat().st_size > 1000
+    image = cv2.imread(str(png))
+    side = int(contact_sheets._SIDE * contact_sheets._DPI)
+    grass = np.all(image[..., ::-1] == (0x4F, 0x9D, 0x69), axis=-1).sum()
+    height, width = shape
+    cell = max(side // max(shape), 1) if max(shape) <= side else side / max(shape)
+    # The frames of the maps take their rims, the legend adds a patch.
+    assert grass == pytest.approx(2 * height * width * cell**2, rel=0.25)
