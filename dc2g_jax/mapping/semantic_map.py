@@ -1,0 +1,308 @@
+"""A voxel map with classes, built from depth images, and the 2D map that a planner reads off it (paper, section III-C).
+
+Each voxel has a log-odds of being occupied, updated and clamped as OctoMap does it (Hornung et al., Autonomous Robots
+2013), and a class that the frames vote for. Two bytes a voxel, in dense arrays: 80 kB for 50 x 50 cells and 16 levels,
+1.3 MB for 200 x 200. A frame touches only the window of the map that is within reach of the camera, so what it costs
+depends on the reach and the size of the image, not on the size of the map; while it is taken in, it needs 64 bytes for
+each voxel of the window and some for each pixel.
+
+World frame, camera frame and units are those of `dc2g_jax.mapping.camera`. The lowest level is centred on the ground,
+z = 0. All functions are for one map; `jax.vmap` makes them take many.
+"""
+
+import functools
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int8, Int32, UInt8
+
+from dc2g_jax.errors import InputError
+from dc2g_jax.grid.terrain import CLASS_BITS, CLASS_NAMES, UNKNOWN
+from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, check_shapes, points, rays
+
+#: Log-odds are whole numbers of this size.
+LOG_ODDS_UNIT = 0.05
+
+#: OctoMap's defaults in those units: a hit adds 0.85, a miss takes 0.40, the sum stays within -2.0 and 3.5. So a voxel
+#: with nothing against it takes one hit to be occupied, and one that is surely occupied nine misses to be free.
+HIT, MISS, LOWEST, HIGHEST = 17, 8, -40, 70
+
+#: What stands in a voxel's log-odds as long as no frame has said anything about it.
+UNSEEN = -128
+
+#: The most a voxel's votes for its class can outweigh those against it.
+MOST_CONFIDENT = 15
+
+#: The most voxels that a map may have: as many as 32-bit numbers can count for each class.
+MOST_VOXELS = 2**27 - 1
+
+#: The class of something that stands there but has no label.
+_UNLABELLED_OBSTACLE = CLASS_NAMES.index("nothing")
+
+_CONFIDENCE_BITS = MOST_CONFIDENT.bit_length()
+
+
+@struct.dataclass
+class MapSettings:
+    """What a map covers, and how far its camera is trusted. Static: no leaf of a pytree.
+
+    Attributes:
+      rows: of the map.
+      columns: of the map.
+      cell_size: side of a cell, metres.
+      levels: voxels above each cell.
+      level_height: height of a voxel, metres; the lowest reaches from half of it below the ground to half above.
+      reach: returns from farther away than this (metres from the camera) are skipped.
+      inset: a return counts for the voxel so many metres behind it, for what sends it back lies behind the surface.
+        Walls along the border of two cells would else be booked to either side.
+      clearance: what begins higher than this above the ground (metres) is no obstacle.
+    """
+
+    rows: int = struct.field(pytree_node=False)
+    columns: int = struct.field(pytree_node=False)
+    cell_size: float = struct.field(pytree_node=False)
+    levels: int = struct.field(pytree_node=False, default=16)
+    level_height: float = struct.field(pytree_node=False, default=0.25)
+    reach: float = struct.field(pytree_node=False, default=10.0)
+    inset: float = struct.field(pytree_node=False, default=0.05)
+    clearance: float = struct.field(pytree_node=False, default=2.0)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Levels, rows and columns."""
+        return self.levels, self.rows, self.columns
+
+
+@struct.dataclass
+class SemanticMap:
+    """What is known of each voxel.
+
+    Attributes:
+      log_odds: of being occupied, in units of `LOG_ODDS_UNIT`; `UNSEEN` where no frame has said anything.
+      votes: the class in the upper four bits (0: none); in the lower four, by how many frames its votes outweigh those
+        for other classes, `MOST_CONFIDENT` at most.
+    """
+
+    log_odds: Int8[Array, "levels h w"]
+    votes: UInt8[Array, "levels h w"]
+
+    @property
+    def occupied(self) -> Bool[Array, "levels h w"]:
+        """Is it more likely than not that something is there?"""
+        return self.log_odds > 0
+
+    @property
+    def classes(self) -> UInt8[Array, "levels h w"]:
+        """Class index of what is there, 0 where nothing is or where it has no label."""
+        return self.votes >> _CONFIDENCE_BITS
+
+    @property
+    def confidence(self) -> UInt8[Array, "levels h w"]:
+        """By how many frames the votes for the class outweigh the others."""
+        return self.votes & MOST_CONFIDENT
+
+
+class _Window(NamedTuple):
+    """A part of a map: its first level, row and column, and its shape."""
+
+    corner: Int32[Array, "3"]
+    shape: tuple[int, int, int]
+
+
+def empty_map(settings: MapSettings) -> SemanticMap:
+    """A map of which nothing has been seen.
+
+    Raises:
+      InputError: a setting makes no sense.
+    """
+    _check_settings(settings)
+    return SemanticMap(
+        log_odds=jnp.full(settings.shape, UNSEEN, jnp.int8),
+        votes=jnp.zeros(settings.shape, jnp.uint8),
+    )
+
+
+def integrate(semantic_map: SemanticMap, frame: Frame, intrinsics: Intrinsics, settings: MapSettings) -> SemanticMap:
+    """The map after one more frame.
+
+    A voxel in which the frame has a return is hit. One above the ground that the camera has looked through, to
+    something farther away, is missed, so that what has gone away is forgotten. The ground is where it is: it is never
+    missed. All returns in a voxel together cast one vote, for the class that most of them have (the smaller index of
+    two), and the votes of frames are counted as in Boyer and Moore's majority vote. A voxel that is free has no class.
+
+    Pixels without a return are skipped, as are those whose depth is negative, not finite or out of reach; points off
+    the map are dropped. A pixel without a label (0, or no class index) says that something is there, not what.
+
+    Args:
+      semantic_map: so far.
+      frame: depth, classes and pose of the camera.
+      intrinsics: of the camera.
+      settings: those the map was made with.
+
+    Raises:
+      InputError: frame, intrinsics and settings are of different sizes.
+    """
+    check_shapes(frame, intrinsics)
+    if semantic_map.log_odds.shape != settings.shape:
+        raise InputError(
+            f"the map has shape {semantic_map.log_odds.shape}, but its settings say {settings.shape}; give the "
+            "settings it was made with"
+        )
+    window = _window(frame.pose, settings)
+    usable = _usable(frame, intrinsics, settings)
+    counts = _counts(frame, usable, intrinsics, settings, window)
+    missed = _looked_through(frame, usable, intrinsics, settings, window)
+    before = jax.tree.map(lambda voxels: jax.lax.dynamic_slice(voxels, window.corner, window.shape), semantic_map)
+    after = _updated(before, counts, missed)
+    return jax.tree.map(
+        lambda voxels, part: jax.lax.dynamic_update_slice(voxels, part, window.corner), semantic_map, after
+    )
+
+
+def terrain_map(semantic_map: SemanticMap, settings: MapSettings) -> UInt8[Array, "h w"]:
+    """Class index of every cell as seen from above, the map that planners take (`dc2g_jax.gridworld.belief_from_map`).
+
+    Where something stands on the ground or hangs within the clearance above it: the class with the most votes of the
+    voxels it fills ("nothing" if it has no label). Elsewhere, where the ground has been seen: the class of the ground.
+    Unknown (0) everywhere else, and where the ground has no label.
+    """
+    end = sum((level - 0.5) * settings.level_height < settings.clearance for level in range(settings.levels))
+    standing = semantic_map.occupied[1:end]
+    classes, weight = semantic_map.classes[1:end], semantic_map.confidence[1:end].astype(jnp.int32) + 1
+    counts = jnp.stack(
+        [jnp.sum(jnp.where(standing & (classes == index), weight, 0), axis=0) for index in range(len(CLASS_NAMES))]
+    )
+    obstacle, labelled = _winner(counts)
+    ground = jnp.where(semantic_map.occupied[0], semantic_map.classes[0], jnp.uint8(UNKNOWN))
+    obstacle = jnp.where(labelled, obstacle, jnp.uint8(_UNLABELLED_OBSTACLE))
+    return jnp.where(jnp.any(standing, axis=0), obstacle, ground)
+
+
+def _window(pose: CameraPose, settings: MapSettings) -> _Window:
+    """The part of the map that holds all of it that is within reach of the camera."""
+    cells = math.ceil((settings.reach + settings.inset) / settings.cell_size)
+    rows, columns = min(2 * cells + 1, settings.rows), min(2 * cells + 1, settings.columns)
+    x, y = pose.position[0] / settings.cell_size, pose.position[1] / settings.cell_size
+    first_row = jnp.clip(jnp.floor(-y) - cells, 0, settings.rows - rows)
+    first_column = jnp.clip(jnp.floor(x) - cells, 0, settings.columns - columns)
+    corner = jnp.nan_to_num(jnp.stack([jnp.zeros_like(x), first_row, first_column])).astype(jnp.int32)
+    return _Window(corner, (settings.levels, rows, columns))
+
+
+def _usable(frame: Frame, intrinsics: Intrinsics, settings: MapSettings) -> Bool[Array, "h w"]:
+    """Pixels whose depth says something."""
+    distance = frame.depth * _ray_lengths(frame, intrinsics)
+    return (frame.depth > 0) & (distance <= settings.reach)
+
+
+def _ray_lengths(frame: Frame, intrinsics: Intrinsics) -> Float[Array, "h w"]:
+    """Metres from the camera for each metre of depth."""
+    return jnp.sqrt(jnp.sum(jnp.square(rays(intrinsics, frame.pose)), axis=-1))
+
+
+def _counts(
+    frame: Frame,
+    usable: Bool[Array, "height width"],
+    intrinsics: Intrinsics,
+    settings: MapSettings,
+    window: _Window,
+) -> Int32[Array, "class levels h w"]:
+    """How many returns of each class lie in each voxel of the window; class 0 are those without a label."""
+    booked = frame.depth + settings.inset / _ray_lengths(frame, intrinsics)
+    x, y, z = jnp.moveaxis(points(booked, intrinsics, frame.pose), -1, 0)
+    heights = z / settings.level_height + 0.5
+    places = [heights, -y / settings.cell_size, x / settings.cell_size]
+    labels = jnp.where(frame.classes < len(CLASS_NAMES), frame.classes, jnp.uint8(UNKNOWN))
+    index, inside = labels.astype(jnp.int32), usable
+    for place, first, size in zip(places, window.corner, window.shape, strict=True):
+        # Compared as floats: far numbers do not fit into integers.
+        offset = jnp.floor(place) - first
+        inside &= (offset >= 0) & (offset < size)
+        index = index * size + jnp.where(inside, offset, 0).astype(jnp.int32)
+    size = len(CLASS_NAMES) * math.prod(window.shape)
+    counts = jnp.zeros(size, jnp.int32).at[jnp.where(inside, index, size)].add(1, mode="drop")
+    return counts.reshape(len(CLASS_NAMES), *window.shape)
+
+
+def _looked_through(
+    frame: Frame,
+    usable: Bool[Array, "height width"],
+    intrinsics: Intrinsics,
+    settings: MapSettings,
+    window: _Window,
+) -> Bool[Array, "levels h w"]:
+    """Voxels of the window above the ground that the camera has seen to be free.
+
+    The whole voxel must lie in front of what the pixel at its centre shows, and in front of what the eight pixels
+    around that one show: between two pixels that graze a surface, depth may change by more than a voxel.
+    """
+    levels, rows, columns = (jnp.arange(size) for size in window.shape)
+    x = (columns + window.corner[2] + 0.5) * settings.cell_size - frame.pose.position[0]
+    y = -(rows[:, None] + window.corner[1] + 0.5) * settings.cell_size - frame.pose.position[1]
+    z = levels[:, None, None] * settings.level_height - frame.pose.position[2]
+    right, down, forward = (x * axis[0] + y * axis[1] + z * axis[2] for axis in frame.pose.rotation.T)
+    column = jnp.round(right / forward * intrinsics.focal_x + intrinsics.center_x)
+    row = jnp.round(down / forward * intrinsics.focal_y + intrinsics.center_y)
+    in_image = (column >= 0) & (column < intrinsics.width) & (row >= 0) & (row < intrinsics.height)
+    in_view = in_image & (forward > 0) & (right**2 + down**2 + forward**2 <= settings.reach**2)
+    row, column = (jnp.where(in_view, place, 0).astype(jnp.int32) for place in (row, column))
+    nearest = jnp.where(usable, _nearest_around(jnp.where(usable, frame.depth, jnp.inf)), 0)
+    half_diagonal = math.hypot(settings.cell_size, settings.cell_size, settings.level_height) / 2
+    return in_view & (forward + half_diagonal < nearest[row, column]) & (levels[:, None, None] > 0)
+
+
+def _nearest_around(depth: Float[Array, "h w"]) -> Float[Array, "h w"]:
+    """The least of each pixel and its eight neighbours."""
+    height, width = depth.shape
+    padded = jnp.pad(depth, 1, constant_values=jnp.inf)
+    in_row = functools.reduce(jnp.minimum, [padded[:, column : column + width] for column in range(3)])
+    return functools.reduce(jnp.minimum, [in_row[row : row + height] for row in range(3)])
+
+
+def _updated(
+    before: SemanticMap, counts: Int32[Array, "class levels h w"], missed: Bool[Array, "levels h w"]
+) -> SemanticMap:
+    """The voxels after one frame. A voxel that is both hit and missed is hit, as in OctoMap."""
+    hit = jnp.any(counts > 0, axis=0)
+    known = jnp.where(before.log_odds == UNSEEN, 0, before.log_odds.astype(jnp.int32))
+    changed = jnp.clip(known + jnp.where(hit, HIT, -MISS), LOWEST, HIGHEST).astype(jnp.int8)
+    log_odds = jnp.where(hit | missed, changed, before.log_odds)
+
+    winner, labelled = _winner(counts)
+    undecided = before.confidence == 0
+    gained = jnp.minimum(before.confidence, MOST_CONFIDENT - 1) + 1
+    confidence = jnp.where(undecided | (winner == before.classes), gained, before.confidence - 1)
+    voted = jnp.where(undecided, winner, before.classes) << _CONFIDENCE_BITS | confidence
+    votes = jnp.where(labelled, voted, before.votes)
+    return SemanticMap(log_odds=log_odds, votes=jnp.where(log_odds > 0, votes, jnp.uint8(0)))
+
+
+def _winner(counts: Int32[Array, "class *shape"]) -> tuple[UInt8[Array, "*shape"], Bool[Array, "*shape"]]:
+    """The class, other than 0, with the largest count, the smaller index of two, and whether any count is not 0."""
+    last = len(CLASS_NAMES) - 1
+    from_last = last - jnp.arange(1, len(CLASS_NAMES)).reshape(-1, *(1,) * (counts.ndim - 1))
+    # One maximum of count and class together: the position of a maximum is found far more slowly.
+    best = jnp.max(counts[1:] << CLASS_BITS | from_last, axis=0)
+    return (last - (best & last)).astype(jnp.uint8), best > last
+
+
+def _check_settings(settings: MapSettings) -> None:
+    """Refuse settings that make no map."""
+    for name in ("rows", "columns", "levels"):
+        value = getattr(settings, name)
+        if not (isinstance(value, int | np.integer) and value > 0):
+            raise InputError(f"{name} is {value!r}; give a whole number above 0")
+    if math.prod(settings.shape) > MOST_VOXELS:
+        raise InputError(f"a map of {settings.shape} has more than {MOST_VOXELS} voxels; make them larger or fewer")
+    for name in ("cell_size", "level_height", "reach"):
+        value = getattr(settings, name)
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(f"{name} is {value!r}; give metres, above 0")
+    for name in ("inset", "clearance"):
+        value = getattr(settings, name)
+        if not (math.isfinite(value) and value >= 0):
+            raise InputError(f"{name} is {value!r}; give metres, 0 or more")
