@@ -1,0 +1,397 @@
+"""The search for a front door as Gymnasium environments: one robot, or many that a single compiled call steps.
+
+    import dc2g_jax.environments.gymnasium_env  # makes the environments known
+
+    gymnasium.make("dc2g_jax/FrontDoor-v0", dataset="procedural", split="train")
+    gymnasium.make_vec("dc2g_jax/FrontDoor-v0", num_envs=256, vectorization_mode="vector_entry_point")
+
+Both are `dc2g_jax.environments.functional.FrontDoor` and take the same options. Needs the extra `gym`. (Gymnasium looks
+for no plug-ins since its version 1.0, so somebody has to import this module; it does so itself when it is asked for
+`"dc2g_jax.environments.gymnasium_env:dc2g_jax/FrontDoor-v0"`.)
+
+An observation is a dictionary: `terrain`, uint8 [h w], holds the class index of every observed cell (see
+`dc2g_jax.grid.terrain`) and 0 elsewhere; `pose`, int32 [3], is column, row and heading (0 = +x, 1 = +y, 2 = -x, 3 = -y;
+y grows downward). Actions: 0 forward one cell, 1 turn left, 2 turn right. Every action is rewarded with -1.
+"""
+
+import functools
+import os
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, UInt8
+
+from dc2g_jax.datasets.houses import HouseDataset
+from dc2g_jax.environments.functional import (
+    SENSING_RANGE,
+    FrontDoor,
+    Observation,
+    Params,
+    State,
+    observe,
+    whole_number,
+)
+from dc2g_jax.environments.task import Task
+from dc2g_jax.errors import InputError
+from dc2g_jax.grid.poses import FORWARD, HEADINGS, Pose
+from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES
+from dc2g_jax.rollout import STEP_LIMIT
+
+try:
+    import gymnasium
+    from gymnasium import spaces
+    from gymnasium.envs import registration
+    from gymnasium.utils import seeding
+    from gymnasium.vector import AutoresetMode
+    from gymnasium.vector.utils import batch_space
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(
+        f"dc2g_jax.environments.gymnasium_env needs {error.name}, which is not installed; "
+        'install the extra: pip install "dc2g_jax[gym]"',
+        name=error.name,
+    ) from None
+
+#: What Gymnasium calls the environment.
+GYMNASIUM_ID = "dc2g_jax/FrontDoor-v0"
+
+#: Longer side of a rendered frame in pixels, about.
+FRAME_SIDE = 400
+
+#: Colour of the robot in a frame, RGB: none of the classes'.
+ROBOT_COLOR = (255, 60, 200)
+
+#: Half the robot's length in a frame in pixels, at least.
+ROBOT_RADIUS = 9
+
+if GYMNASIUM_ID not in registration.registry:
+    registration.register(
+        GYMNASIUM_ID,
+        entry_point=f"{__name__}:FrontDoorEnv",
+        vector_entry_point=f"{__name__}:FrontDoorVectorEnv",
+    )
+
+
+class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
+    """One robot.
+
+    Args:
+      dataset: where to be, see `dc2g_jax.environments.task.Task`; and so for the next four.
+      split: `train`, `val` or `test`.
+      sensing_range: reach of the 90-degree field of view, in cells.
+      step_limit: actions after which an episode is truncated.
+      cells: cells a side of the maps, where `dataset` is to be opened.
+      render_mode: `rgb_array` or `None`.
+
+    Raises:
+      InputError: an option is no good, or the dataset is not.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012
+
+    def __init__(
+        self,
+        *,
+        dataset: str | os.PathLike[str] | HouseDataset | None = None,
+        split: str = "train",
+        sensing_range: int = SENSING_RANGE,
+        step_limit: int = STEP_LIMIT,
+        cells: int = 50,
+        render_mode: str | None = None,
+    ):
+        self._task = Task(dataset, split, sensing_range, step_limit, cells)
+        self.render_mode = _checked_render_mode(render_mode)
+        self.observation_space = _observation_space(self._task)
+        self.action_space = spaces.Discrete(FrontDoor.num_actions)
+        self._key: Array | None = None
+        self._observation: Observation | None = None
+        self._state: State | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Begin an episode: a random one, or from a given start.
+
+        Args:
+          seed: the same seed begins the same series of episodes; `None` goes on with the present one.
+          options: nothing, or a start: `house`, a name in the split, `x`, `y` and `heading`.
+
+        Returns:
+          Observation, and the house's name as `house`.
+
+        Raises:
+          InputError: an episode cannot start there.
+        """
+        super().reset(seed=seed)
+        if seed is not None or self._key is None:
+            self._key = _keys([self.np_random])[0]
+        task = self._task
+        if options:
+            house, pose = jax.tree.map(lambda leaf: leaf[0], task.starts(options, 1))
+            self._observation, self._state = _start(house, pose, task.params, task.environment)
+        else:
+            self._key, self._observation, self._state = _reset(self._key, task.params, task.environment)
+        return self._seen(), self._info()
+
+    def step(self, action: np.int64 | int) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """Take one action. `terminated`: a front door is reached; `truncated`: the steps are used up."""
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("the episode has ended or none has begun; call reset() first")
+        if not self.action_space.contains(action):
+            raise InputError(f"action is {action!r}; give 0 (forward), 1 (turn left) or 2 (turn right)")
+        task = self._task
+        self._observation, self._state, reward, terminated, truncated = _advance(
+            self._state, np.int32(action), task.params, task.environment
+        )
+        outcome = self._seen(), float(reward), bool(terminated), bool(truncated), self._info()
+        if terminated or truncated:
+            self._state = None
+        return outcome
+
+    def render(self) -> UInt8[np.ndarray, "height width 3"] | None:
+        """A picture of what the robot knows, or `None` where no render mode was chosen."""
+        if self.render_mode is None or self._observation is None:
+            return None
+        return frame(**self._seen())
+
+    def _seen(self) -> dict[str, np.ndarray]:
+        assert self._observation is not None
+        return _to_numpy(self._observation)
+
+    def _info(self) -> dict[str, Any]:
+        assert self._state is not None
+        return {"house": self._task.names[int(self._state.house)]}
+
+
+class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
+    """Many robots, each in an episode of its own, all stepped by one compiled call.
+
+    Robot `i` goes through what that of a `FrontDoorEnv` seeded with `seed + i` does. A robot whose episode ends begins
+    the next in the same step (`AutoresetMode.SAME_STEP`): its observation is the first of the new episode, and the last
+    of the old one is `final_obs` in the infos.
+
+    Args:
+      num_envs: how many robots.
+      dataset: as in `FrontDoorEnv`, and so are the others.
+      split: see there.
+      sensing_range: see there.
+      step_limit: see there.
+      cells: see there.
+      render_mode: see there.
+    """
+
+    metadata = {  # noqa: RUF012
+        **FrontDoorEnv.metadata,
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int,
+        *,
+        dataset: str | os.PathLike[str] | HouseDataset | None = None,
+        split: str = "train",
+        sensing_range: int = SENSING_RANGE,
+        step_limit: int = STEP_LIMIT,
+        cells: int = 50,
+        render_mode: str | None = None,
+    ):
+        self.num_envs = whole_number("num_envs", num_envs, 1)
+        self._task = Task(dataset, split, sensing_range, step_limit, cells)
+        self.render_mode = _checked_render_mode(render_mode)
+        self.single_observation_space = _observation_space(self._task)
+        self.single_action_space = spaces.Discrete(FrontDoor.num_actions)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._keys: Array | None = None
+        self._observations: Observation | None = None
+        self._states: State | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Begin an episode of every robot.
+
+        Args:
+          seed: robot `i` is seeded with `seed + i`; `None` goes on with the present series of episodes.
+          options: nothing, or starts: `house`, `x`, `y` and `heading`, each one value for all or one a robot.
+
+        Returns:
+          Observations, and the houses' names as `house`.
+
+        Raises:
+          InputError: an episode cannot start there.
+        """
+        super().reset(seed=seed)
+        if seed is None and self._keys is None:
+            seed = int(self.np_random.integers(2**31))
+        if seed is not None:
+            self._keys = _keys(seeding.np_random(seed + robot)[0] for robot in range(self.num_envs))
+        task = self._task
+        if options:
+            houses, poses = task.starts(options, self.num_envs)
+            self._observations, self._states = _start_all(houses, poses, task.params, task.environment)
+        else:
+            self._keys, self._observations, self._states = _reset_all(self._keys, task.params, task.environment)
+        return _to_numpy(self._observations), self._infos()
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Take one action of every robot, and begin the next episode of those that have ended theirs."""
+        if self._states is None:
+            raise gymnasium.error.ResetNeeded("no episode has begun; call reset() first")
+        task, houses = self._task, np.asarray(self._states.house)
+        self._keys, self._observations, self._states, rewards, info = _step_all(
+            self._keys, self._states, self._checked(actions), task.params, task.environment
+        )
+        terminated, truncated = np.array(info["terminated"]), np.array(info["truncated"])
+        infos = self._infos()
+        if np.any(done := terminated | truncated):
+            infos |= self._final_infos(done, houses, info["final_observation"])
+        return _to_numpy(self._observations), np.array(rewards, np.float64), terminated, truncated, infos
+
+    def render(self) -> tuple[UInt8[np.ndarray, "height width 3"], ...] | None:
+        """A picture of what each robot knows, or `None` where no render mode was chosen."""
+        if self.render_mode is None or self._observations is None:
+            return None
+        return tuple(frame(**seen) for seen in _one_by_one(_to_numpy(self._observations)))
+
+    def _checked(self, actions: np.ndarray | Sequence[int]) -> Int[np.ndarray, "robots"]:
+        chosen = np.asarray(actions)
+        if chosen.shape != (self.num_envs,) or chosen.dtype.kind not in "iu":
+            raise InputError(
+                f"actions have shape {chosen.shape} and type {chosen.dtype}; give {self.num_envs} whole numbers"
+            )
+        if np.any((chosen < 0) | (chosen >= FrontDoor.num_actions)):
+            wrong = chosen[(chosen < 0) | (chosen >= FrontDoor.num_actions)][0]
+            raise InputError(f"an action is {wrong}; give 0 (forward), 1 (turn left) or 2 (turn right)")
+        return chosen.astype(np.int32)
+
+    def _infos(self) -> dict[str, Any]:
+        """What `FrontDoorEnv` says of every robot, in the form of vector infos."""
+        assert self._states is not None
+        return {"house": self._task.names[np.asarray(self._states.house)], "_house": np.ones(self.num_envs, bool)}
+
+    def _final_infos(self, done: np.ndarray, houses: np.ndarray, observations: Observation) -> dict[str, Any]:
+        """The last observation and infos of every episode that has just ended."""
+        last = np.full(self.num_envs, None, object)
+        for robot, seen in zip(np.flatnonzero(done), _one_by_one(_to_numpy(observations, done)), strict=True):
+            last[robot] = seen
+        names = np.where(done, self._task.names[houses], None)
+        return {
+            "final_obs": last,
+            "_final_obs": done.copy(),
+            "final_info": {"house": names, "_house": done.copy()},
+            "_final_info": done.copy(),
+        }
+
+
+def _checked_render_mode(mode: str | None) -> str | None:
+    if mode not in (None, *FrontDoorEnv.metadata["render_modes"]):
+        raise InputError(f"render_mode is {mode!r}; use 'rgb_array' or None")
+    return mode
+
+
+def _observation_space(task: Task) -> gymnasium.Space[Any]:
+    height, width = task.environment.observation_shape(task.params)
+    return spaces.Dict(
+        {
+            "terrain": spaces.Box(0, len(CLASS_NAMES) - 1, (height, width), np.uint8),
+            "pose": spaces.MultiDiscrete([width, height, HEADINGS], dtype=np.int32),
+        }
+    )
+
+
+def _keys(generators: Iterable[np.random.Generator]) -> Array:
+    """The key that each robot's series of episodes begins with."""
+    return jax.vmap(jax.random.key)(np.array([generator.integers(2**31) for generator in generators], np.int32))
+
+
+def _to_numpy(observation: Observation, chosen: Any = ...) -> dict[str, np.ndarray]:
+    """An observation, or the chosen of many, as Gymnasium has it: arrays of the caller's own."""
+    pose = observation.pose
+    return {
+        "terrain": np.array(np.asarray(observation.terrain)[chosen]),
+        "pose": np.stack([np.asarray(part)[chosen] for part in (pose.x, pose.y, pose.heading)], axis=-1),
+    }
+
+
+def _one_by_one(observations: dict[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
+    """A batch of observations, each by itself."""
+    return [
+        {"terrain": terrain.copy(), "pose": pose.copy()}
+        for terrain, pose in zip(observations["terrain"], observations["pose"], strict=True)
+    ]
+
+
+_jit = functools.partial(jax.jit, static_argnames="environment")
+
+
+@_jit
+def _start(house: Int[Array, ""], pose: Pose, params: Params, environment: FrontDoor) -> tuple[Observation, State]:
+    return environment.start(house, pose, params)
+
+
+@_jit
+def _reset(key: Array, params: Params, environment: FrontDoor) -> tuple[Array, Observation, State]:
+    """Begin an episode, and leave a key for the next."""
+    key, own_key = jax.random.split(key)
+    return key, *environment.reset(own_key, params)
+
+
+@_jit
+def _advance(
+    state: State, action: Int[Array, ""], params: Params, environment: FrontDoor
+) -> tuple[Observation, State, Array, Array, Array]:
+    state, reward, terminated, truncated = environment.advance(state, action, params)
+    return observe(state), state, reward, terminated, truncated
+
+
+@_jit
+def _start_all(
+    houses: Int[Array, "robots"], poses: Pose, params: Params, environment: FrontDoor
+) -> tuple[Observation, State]:
+    return jax.vmap(lambda house, pose: environment.start(house, pose, params))(houses, poses)
+
+
+@_jit
+def _reset_all(keys: Array, params: Params, environment: FrontDoor) -> tuple[Array, Observation, State]:
+    return jax.vmap(lambda key: _reset(key, params, environment))(keys)
+
+
+@_jit
+def _step_all(
+    keys: Array, states: State, actions: Int[Array, "robots"], params: Params, environment: FrontDoor
+) -> tuple[Array, Observation, State, Float[Array, "robots"], dict[str, Any]]:
+    """Step every robot; a key is used up where an episode ends."""
+
+    def step_one(key: Array, state: State, action: Array) -> tuple[Any, ...]:
+        next_key, own_key = jax.random.split(key)
+        observation, state, reward, done, info = environment.step(own_key, state, action, params)
+        return jnp.where(done, next_key, key), observation, state, reward, info
+
+    return jax.vmap(step_one)(keys, states, actions)
+
+
+def frame(terrain: UInt8[np.ndarray, "h w"], pose: Int[np.ndarray, "3"]) -> UInt8[np.ndarray, "height width 3"]:
+    """A picture of what a robot knows: observed cells in their classes' colours, others black, the robot a triangle.
+
+    Args:
+      terrain: observed class indices.
+      pose: column, row and heading.
+    """
+    scale = max(FRAME_SIDE // max(terrain.shape), 4)
+    picture = np.repeat(np.repeat(CLASS_COLORS[terrain], scale, axis=0), scale, axis=1)
+    x, y, heading = pose
+    ahead = np.array(FORWARD[heading])
+    aside = np.array([-ahead[1], ahead[0]])
+    corners = np.array([ahead, 0.8 * aside - 0.9 * ahead, -0.8 * aside - 0.9 * ahead])
+    middle = np.array([x + 0.5, y + 0.5]) * scale
+    triangle = np.rint(middle + corners * max(0.45 * scale, ROBOT_RADIUS)).astype(np.int32)
+    cv2.fillPoly(picture, [triangle], ROBOT_COLOR, lineType=cv2.LINE_AA)
+    cv2.polylines(picture, [triangle], isClosed=True, color=(255, 255, 255), thickness=1, lineType=cv2.LINE_AA)
+    return picture

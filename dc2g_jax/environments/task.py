@@ -1,0 +1,114 @@
+"""What a user asks of an environment, checked: houses, sensing range and step limit, and starts by house name."""
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Int
+
+from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
+from dc2g_jax.datasets.starts import why_no_episode
+from dc2g_jax.environments.functional import front_door, whole_number
+from dc2g_jax.errors import InputError
+from dc2g_jax.grid.ground import connected_to_goal
+from dc2g_jax.grid.poses import HEADINGS, Pose, make_pose
+from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR
+
+_START = ("house", "x", "y", "heading")
+
+
+class Task:
+    """The houses of a split in which episodes can be run, and the environment in them.
+
+    Args:
+      dataset: folder of houses, the word `procedural`, or an open dataset, which spares environments that share one
+        the reading; `None` for the published houses, see `dc2g_jax.datasets.houses.open_dataset`.
+      split: houses to be in: `train`, `val` or `test`. Those in which no episode can be run are left out.
+      sensing_range: reach of the 90-degree field of view, in cells.
+      step_limit: actions after which an episode is truncated.
+      cells: cells a side of the maps, where `dataset` is to be opened.
+
+    Attributes:
+      environment: the functional environment.
+      params: where its episodes take place.
+      names: names of the houses, by their index in the stack of worlds: object [houses].
+
+    Raises:
+      InputError: an option is no good, or the dataset is not.
+    """
+
+    def __init__(
+        self,
+        dataset: str | os.PathLike[str] | HouseDataset | None,
+        split: str,
+        sensing_range: int,
+        step_limit: int,
+        cells: int,
+    ):
+        if not isinstance(dataset, HouseDataset):
+            dataset = open_dataset(dataset, cells=whole_number("cells", cells, 2))
+        self._dataset, self._split = dataset, split
+        houses = [house for house in dataset.split(split) if why_no_episode(house) is None]
+        if not houses:
+            raise InputError(f"{dataset.name}: no episode can be run in any house of split {split!r}; use another")
+        self.environment, self.params = front_door(houses, sensing_range=sensing_range, step_limit=step_limit)
+        self.names = np.array([house.name for house in houses], object)
+
+    def starts(self, options: Mapping[str, Any], robots: int) -> tuple[Int[Array, "robots"], Pose]:
+        """The starts that reset options ask for.
+
+        Args:
+          options: `house`, `x`, `y` and `heading`, each one value for all robots or one for each of them.
+          robots: how many.
+
+        Returns:
+          Index of the house, and pose, of each robot.
+
+        Raises:
+          InputError: an option is unknown, missing or of the wrong length, or no episode can start there.
+        """
+        for name in options:
+            if name not in _START:
+                raise InputError(f"reset option {name!r} is unknown; a start has {', '.join(_START)}")
+        columns = []
+        for name in _START:
+            if name not in options:
+                raise InputError(f"reset options have no {name!r}; a start has {', '.join(_START)}")
+            values = [options[name]] * robots if np.ndim(options[name]) == 0 else list(options[name])
+            if len(values) != robots:
+                raise InputError(
+                    f"reset option {name!r} has {len(values)} values; give one, or one for each of {robots}"
+                )
+            columns.append(values)
+        table = np.array([self._start(*row) for row in zip(*columns, strict=True)], np.int32)
+        house, x, y, heading = jnp.asarray(table).T
+        return house, make_pose(x, y, heading)
+
+    def _start(self, name: object, x: object, y: object, heading: object) -> tuple[int, int, int, int]:
+        """One start, checked; the house by its index."""
+        house = self._dataset.house(str(name))
+        if house.split != self._split:
+            raise InputError(
+                f"house {name} is in split {house.split!r}; make the environment with split={house.split!r}"
+            )
+        if reason := why_no_episode(house):
+            raise InputError(f"house {name}: no episode can be run in it: {reason}; name another")
+        height, width = house.terrain.shape
+        column, row = whole_number("x", x, 0, width - 1), whole_number("y", y, 0, height - 1)
+        _check_ground(house, column, row)
+        index = int(np.flatnonzero(self.names == house.name)[0])
+        return index, column, row, whole_number("heading", heading, 0, HEADINGS - 1)
+
+
+def _check_ground(house: House, x: int, y: int) -> None:
+    """Refuse a cell from which there is nothing to look for."""
+    terrain = house.terrain[y, x]
+    if terrain == FRONT_DOOR:
+        raise InputError(f"({x}, {y}) in {house.name} is a front door already; start elsewhere")
+    if not connected_to_goal(house.terrain)[y, x]:
+        raise InputError(
+            f"no front door of {house.name} can be reached from ({x}, {y}), which is {CLASS_NAMES[terrain]}; "
+            "start on a traversable cell that is connected to one"
+        )

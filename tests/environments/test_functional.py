@@ -1,0 +1,204 @@
+"""The functional environment against a plain simulation, planners' action sequences and its own promises."""
+
+import collections
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax.datasets.houses import stack_worlds
+from dc2g_jax.datasets.starts import sample_starts
+from dc2g_jax.environments.functional import OUTSIDE, Observation, egocentric, front_door
+from dc2g_jax.evaluation import episodes_from
+from dc2g_jax.grid.poses import make_pose
+from dc2g_jax.grid.sensing import field_of_view
+from dc2g_jax.planning.planners import Oracle
+from dc2g_jax.rollout import rollout
+from tests.environments.houses import STREET, WALLED, YARD, house, start_poses
+from tests.oracles import gridworld_oracle as oracle
+from tests.refusals import refusal
+
+HOUSES = (house("street", STREET), house("yard", YARD))
+TERRAINS = (STREET, YARD)
+RANGE, LIMIT = 4, 60
+ENVIRONMENT, PARAMS = front_door(HOUSES, sensing_range=RANGE, step_limit=LIMIT)
+reset = jax.jit(ENVIRONMENT.reset)
+start = jax.jit(ENVIRONMENT.start)
+step = jax.jit(ENVIRONMENT.step)
+
+
+def pose_of(observation) -> tuple[int, int, int]:
+    pose = observation.pose
+    return int(pose.x), int(pose.y), int(pose.heading)
+
+
+def begin(number: int, x: int, y: int, heading: int):
+    return start(jnp.int32(number), make_pose(x, y, heading), PARAMS)
+
+
+class Simulation:
+    """One episode in plain NumPy."""
+
+    def __init__(self, terrain: np.ndarray, pose: tuple[int, int, int]):
+        self.terrain, self.pose, self.steps = terrain, pose, 0
+        self.seen = oracle.visible(pose, RANGE, terrain.shape)
+
+    def act(self, action: int) -> tuple[bool, bool]:
+        """Take an action: is a door reached, are the steps used up?"""
+        after = oracle.moved(self.pose, action, self.terrain.shape)
+        if self.terrain[after[1], after[0]] in oracle.TRAVERSABLE_CLASSES:
+            self.pose = after
+        self.steps += 1
+        self.seen |= oracle.visible(self.pose, RANGE, self.terrain.shape)
+        reached = bool(self.terrain[self.pose[1], self.pose[0]] == oracle.FRONT_DOOR)
+        return reached, self.steps == LIMIT and not reached
+
+    def check(self, observation) -> None:
+        assert pose_of(observation) == self.pose
+        np.testing.assert_array_equal(observation.terrain, np.where(self.seen, self.terrain, 0))
+
+
+@jax.jit
+def walk(key, actions):
+    """The first observation and house of a robot, and what comes of its actions, one after another."""
+
+    def cycle(carry, action):
+        key, state = carry
+        key, own = jax.random.split(key)
+        observation, state, *outcome = ENVIRONMENT.step(own, state, action, PARAMS)
+        return (key, state), (observation, state.house, *outcome)
+
+    observation, state = ENVIRONMENT.reset(key, PARAMS)
+    return observation, state.house, jax.lax.scan(cycle, (key, state), actions)[1]
+
+
+def test_random_actions_against_a_plain_simulation():
+    """Many steps over many episodes, whose random starts are checked as well."""
+    actions = np.random.default_rng(0).choice([0, 0, 0, 1, 2], 1500)
+    observation, house_index, steps = jax.device_get(walk(jax.random.key(0), jnp.asarray(actions, jnp.int32)))
+    simulation = Simulation(TERRAINS[house_index], pose_of(observation))
+    simulation.check(observation)
+    bumped, endings = 0, collections.Counter()
+    for number, action in enumerate(actions):
+        observation, next_house, reward, done, info = jax.tree.map(lambda leaf, at=number: leaf[at], steps)
+        before = simulation.pose
+        terminated, truncated = simulation.act(int(action))
+        bumped += action == 0 and simulation.pose == before
+        simulation.check(info["final_observation"])
+        assert reward == -1.0
+        assert (info["terminated"], info["truncated"], done) == (terminated, truncated, terminated or truncated)
+        assert info["episode_return"] == -simulation.steps == -info["episode_length"]
+        if done:
+            endings[int(house_index), terminated] += 1
+            house_index, first = next_house, pose_of(observation)
+            assert first in start_poses(TERRAINS[house_index])
+            simulation = Simulation(TERRAINS[house_index], first)
+        assert next_house == house_index
+        simulation.check(observation)
+    # Both ways to end, in both houses, and obstacles were met.
+    assert len(endings) == 4
+    assert bumped > 50
+
+
+def test_the_oracle_s_actions_end_the_episode_when_the_rollout_says():
+    starts = sample_starts(HOUSES, 4, seed=3)
+    episodes = episodes_from(starts, {"street": 0, "yard": 1})
+    planned = rollout(Oracle(), stack_worlds(HOUSES), episodes, sensing=field_of_view(RANGE), step_limit=LIMIT)
+    assert np.all(planned.success)
+    for number, one in enumerate(starts):
+        _, state = begin(("street", "yard").index(one.house), one.x, one.y, one.heading)
+        for count in range(planned.steps[number]):
+            action = jnp.int32(planned.actions[number, count])
+            _, state, _, done, info = step(jax.random.key(0), state, action, PARAMS)
+            assert bool(done) == bool(info["terminated"]) == (count + 1 == planned.steps[number])
+        assert float(info["episode_return"]) == -planned.steps[number]
+
+
+def test_a_door_reached_with_the_last_step_is_no_truncation():
+    params = dataclasses.replace(PARAMS, step_limit=jnp.int32(2))
+    for first_action, ends in ((0, (True, False)), (1, (False, True))):
+        _, state = begin(1, 3, 3, 3)
+        _, state, _, done, _ = step(jax.random.key(0), state, jnp.int32(first_action), params)
+        assert not done
+        *_, done, info = step(jax.random.key(0), state, jnp.int32(0), params)
+        assert done
+        assert (bool(info["terminated"]), bool(info["truncated"])) == ends
+
+
+def test_starts_are_uniform_over_houses_and_over_their_road_in_every_heading():
+    keys = jax.random.split(jax.random.key(5), 4000)
+    observations, states = jax.jit(jax.vmap(ENVIRONMENT.reset, in_axes=(0, None)))(keys, PARAMS)
+    pose = observations.pose
+    drawn = np.stack([states.house, pose.x, pose.y, pose.heading], axis=-1).tolist()
+    poses = [{(x, y, heading) for house, x, y, heading in drawn if house == number} for number in range(2)]
+    assert poses == [start_poses(terrain) for terrain in TERRAINS]
+    # Each house as often as the other, whatever its road: 0.5 within four standard deviations.
+    assert abs(float(jnp.mean(states.house)) - 0.5) < 4 * 0.5 / np.sqrt(4000)
+    # The street's two rows of road.
+    assert abs(float(jnp.mean(pose.y[states.house == 0])) - 4.5) < 4 * 0.5 / np.sqrt(2000)
+
+
+def signature(tree) -> list[tuple]:
+    return [(leaf.shape, leaf.dtype, leaf.weak_type) for leaf in jax.tree.leaves(tree)]
+
+
+@pytest.mark.parametrize("action", [np.int64(1), 0, np.int8(2)], ids=["int64", "int", "int8"])
+def test_step_keeps_structure_shapes_dtypes_and_weak_types(action):
+    before = jax.eval_shape(ENVIRONMENT.reset, jax.random.key(0), PARAMS)
+    given = jax.eval_shape(ENVIRONMENT.start, jnp.int32(0), make_pose(0, 4, 0), PARAMS)
+    after = jax.eval_shape(ENVIRONMENT.step, jax.random.key(0), before[1], action, PARAMS)
+    assert jax.tree.structure(before) == jax.tree.structure(given) == jax.tree.structure(after[:2])
+    assert signature(before) == signature(given) == signature(after[:2])
+    assert signature(after[4]["final_observation"]) == signature(before[0])
+    assert not any(weak for _, _, weak in signature(after))
+    assert [leaf.dtype for leaf in after[2:4]] == [jnp.float32, jnp.bool_]
+
+
+def test_many_robots_go_through_what_each_does_alone():
+    actions = jnp.asarray(np.random.default_rng(2).choice([0, 0, 0, 1, 2], (5, 200)), jnp.int32)
+    keys = jax.random.split(jax.random.key(7), 5)
+    together = jax.vmap(walk)(keys, actions)
+    for robot in range(5):
+        alone = walk(keys[robot], actions[robot])
+        jax.tree.map(lambda many, one, at=robot: np.testing.assert_array_equal(many[at], one), together, alone)
+
+
+def test_the_same_key_of_either_kind_begins_the_same_episode():
+    keys = jax.random.key(4), jax.random.key(4), jax.random.PRNGKey(4), jax.random.key(5)
+    one, again, old_style, other = (reset(key, PARAMS) for key in keys)
+    jax.tree.map(np.testing.assert_array_equal, one, again)
+    jax.tree.map(np.testing.assert_array_equal, one, old_style)
+    assert pose_of(one[0]) != pose_of(other[0])
+
+
+@pytest.mark.parametrize("heading", range(4))
+@pytest.mark.parametrize("cell", [(0, 0), (9, 7), (4, 2)], ids=str)
+def test_egocentric_cells_lie_ahead_and_to_the_right(heading, cell):
+    terrain = np.arange(80, dtype=np.uint8).reshape(8, 10)
+    radius = 3
+    seen = np.asarray(egocentric(Observation(jnp.asarray(terrain), make_pose(*cell, heading)), radius))
+    assert seen.shape == (7, 7)
+    assert seen.dtype == np.uint8
+    ahead, right = oracle.STEPS[heading], oracle.STEPS[(heading + 1) % 4]
+    for up in range(-radius, radius + 1):
+        for aside in range(-radius, radius + 1):
+            x, y = (cell[axis] + up * ahead[axis] + aside * right[axis] for axis in (0, 1))
+            inside = 0 <= x < 10 and 0 <= y < 8
+            assert seen[radius - up, radius + aside] == (terrain[y, x] if inside else OUTSIDE)
+
+
+def test_observations_have_the_shape_that_is_promised():
+    assert ENVIRONMENT.observation_shape(PARAMS) == STREET.shape
+    assert ENVIRONMENT.num_actions == 3
+
+
+def test_refusals():
+    refusal(lambda: front_door([]), "give at least one")
+    refusal(
+        lambda: front_door([*HOUSES, house("walled", WALLED)]), "walled", "no front door can be reached", "leave it"
+    )
+    refusal(lambda: front_door([*HOUSES, house("narrow", STREET[:, :9])]), "narrow", "street")
+    refusal(lambda: front_door(HOUSES, sensing_range=0), "sensing_range is 0", "from 1 to")
+    refusal(lambda: front_door(HOUSES, step_limit=0), "step_limit is 0", "from 1 to")

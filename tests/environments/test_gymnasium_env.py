@@ -1,0 +1,253 @@
+"""The Gymnasium environments: registration, episodes, autoreset, pictures and refusals."""
+
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+
+gymnasium = pytest.importorskip("gymnasium", reason="Gymnasium is absent")
+
+from gymnasium.error import ResetNeeded  # noqa: E402
+from gymnasium.utils.env_checker import check_env, data_equivalence  # noqa: E402
+from gymnasium.vector import AutoresetMode  # noqa: E402
+from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
+
+from dc2g_jax.datasets.houses import HouseDataset  # noqa: E402
+from dc2g_jax.environments.gymnasium_env import GYMNASIUM_ID, ROBOT_COLOR, FrontDoorEnv, FrontDoorVectorEnv  # noqa: E402
+from dc2g_jax.grid.terrain import CLASS_COLORS  # noqa: E402
+from tests.environments.houses import DATASET, STREET, YARD, house, start_poses  # noqa: E402
+from tests.oracles import gridworld_oracle as oracle  # noqa: E402
+from tests.refusals import refusal  # noqa: E402
+
+#: From the yard's road to its door in four steps.
+TO_THE_DOOR = {"house": "yard", "x": 5, "y": 4, "heading": 3}
+WAY = (0, 1, 0, 0, 2, 0, 0)
+SMALL = {"dataset": DATASET, "sensing_range": 4, "step_limit": 25}
+
+
+def make(**options):
+    return gymnasium.make(GYMNASIUM_ID, **{**SMALL, **options})
+
+
+def make_vec(robots, mode="vector_entry_point", **options):
+    kwargs = {"vector_kwargs": {"autoreset_mode": AutoresetMode.SAME_STEP}} if mode == "sync" else {}
+    return gymnasium.make_vec(GYMNASIUM_ID, num_envs=robots, vectorization_mode=mode, **kwargs, **{**SMALL, **options})
+
+
+@pytest.mark.parametrize("render_mode", [None, "rgb_array"])
+def test_gymnasium_s_own_check(render_mode):
+    """Warnings are errors here."""
+    check_env(make(render_mode=render_mode).unwrapped)
+
+
+def test_gymnasium_imports_the_module_that_is_named_and_finds_both_environments():
+    script = textwrap.dedent("""
+        import sys
+        import gymnasium
+        named = "dc2g_jax.environments.gymnasium_env:dc2g_jax/FrontDoor-v0"
+        options = {"dataset": "procedural", "cells": 20, "split": "test"}
+        print(gymnasium.make(named, **options).unwrapped.__class__.__name__)
+        envs = gymnasium.make_vec(named, num_envs=3, vectorization_mode="vector_entry_point", **options)
+        print(envs.__class__.__name__, envs.reset(seed=0)[0]["terrain"].shape)
+    """)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["FrontDoorEnv", "FrontDoorVectorEnv (3, 20, 20)"]
+
+
+def test_an_episode_from_a_given_start_to_the_door():
+    env = make()
+    observation, info = env.reset(options=TO_THE_DOOR)
+    pose, seen = (5, 4, 3), np.zeros(YARD.shape, bool)
+    for number, action in enumerate((None, *WAY)):
+        if action is not None:
+            observation, reward, terminated, truncated, info = env.step(action)
+            pose = oracle.moved(pose, action, YARD.shape)
+            assert (reward, terminated, truncated) == (-1.0, number == len(WAY), False)
+        seen |= oracle.visible(pose, 4, YARD.shape)
+        assert tuple(observation["pose"]) == pose
+        np.testing.assert_array_equal(observation["terrain"], np.where(seen, YARD, 0))
+        assert observation in env.observation_space
+        assert info == {"house": "yard"}
+    assert YARD[pose[1], pose[0]] == oracle.FRONT_DOOR
+    with pytest.raises(ResetNeeded):
+        env.step(0)
+
+
+def test_used_up_steps_truncate():
+    env = make(step_limit=3)
+    env.reset(options=TO_THE_DOOR)
+    ends = [env.step(1)[2:4] for _ in range(3)]
+    assert ends == [(False, False), (False, False), (False, True)]
+
+
+def test_the_same_seed_gives_the_same_series_of_episodes():
+    def series(seed) -> list[tuple]:
+        env = make()
+        firsts = [env.reset(seed=seed), *(env.reset() for _ in range(7))]
+        return [(info["house"], *observation["pose"].tolist()) for observation, info in firsts]
+
+    first = series(8)
+    assert series(8) == first
+    assert series(9) != first
+    assert len(set(first)) > 1
+    assert all(
+        pose in start_poses({"street": STREET, "yard": YARD}[name]) for name, *rest in first for pose in [tuple(rest)]
+    )
+    assert len(set(map(tuple, [series(None)[0] for _ in range(8)]))) > 1
+
+
+def test_only_houses_of_the_split_with_an_episode_in_them():
+    assert {info["house"] for _, info in (make(split="val").reset(seed=seed) for seed in range(3))} == {"lane"}
+    refusal(lambda: make(split="test"), "small", "'test'", "no episode")
+
+
+def test_vector_equals_single_environments_with_the_same_seeds_and_actions():
+    robots = 6
+    together, apart = make_vec(robots), make_vec(robots, "sync")
+    for name in ("single_observation_space", "single_action_space", "observation_space", "action_space"):
+        assert getattr(together, name) == getattr(apart, name)
+    assert together.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    actions = np.random.default_rng(1).choice([0, 0, 1, 2], (120, robots))
+    ended = {True: 0, False: 0}
+    assert data_equivalence(together.reset(seed=11), apart.reset(seed=11), exact=True)
+    for number, action in enumerate(actions):
+        ours, theirs = together.step(action), apart.step(action)
+        assert data_equivalence(ours, theirs, exact=True), number
+        assert ours[0] in together.observation_space
+        ended[True] += int(ours[2].sum())
+        ended[False] += int(ours[3].sum())
+    assert min(ended.values()) > 0
+    # The series goes on, and a given start does not use it up.
+    starts = {"house": "yard", "x": 5, "y": 4, "heading": 3}
+    for options in (None, starts, None):
+        assert data_equivalence(together.reset(options=options), apart.reset(options=options), exact=True)
+
+
+def test_vector_starts_may_differ_and_the_last_observation_is_kept():
+    envs = make_vec(2)
+    starts = {"house": ["yard", "street"], "x": [5, 0], "y": 4, "heading": [3, 0]}
+    observations, infos = envs.reset(seed=0, options=starts)
+    assert observations["pose"].tolist() == [[5, 4, 3], [0, 4, 0]]
+    assert infos["house"].tolist() == ["yard", "street"]
+    for action in WAY:
+        observations, rewards, terminated, truncated, infos = envs.step(np.array([action, 1]))
+        assert rewards.tolist() == [-1, -1]
+    assert (terminated.tolist(), truncated.tolist()) == ([True, False], [False, False])
+    last = infos["final_obs"][0]
+    assert last["pose"].tolist()[:2] == [3, 1]
+    assert last["terrain"][1, 3] == oracle.FRONT_DOOR
+    assert infos["final_obs"][1] is None
+    assert infos["final_info"]["house"].tolist() == ["yard", None]
+    assert infos["_final_obs"].tolist() == [True, False]
+    # The observation is the first of the next episode.
+    pose = tuple(observations["pose"][0].tolist())
+    terrain = {"street": STREET, "yard": YARD}[infos["house"][0]]
+    assert pose in start_poses(terrain)
+    np.testing.assert_array_equal(
+        observations["terrain"][0], np.where(oracle.visible(pose, 4, terrain.shape), terrain, 0)
+    )
+
+
+def test_what_was_returned_stays_as_it_was():
+    envs = make_vec(3)
+    before, _ = envs.reset(seed=2)
+    kept = {name: values.copy() for name, values in before.items()}
+    after, *_ = envs.step(np.array([1, 1, 1]))
+    assert data_equivalence(before, kept, exact=True)
+    after["terrain"][:] = 0
+
+
+def test_a_wrapper_counts_the_episodes():
+    envs = RecordEpisodeStatistics(make_vec(2, step_limit=5))
+    envs.reset(seed=0)
+    for _ in range(5):
+        *_, infos = envs.step(np.array([1, 1]))
+    assert infos["episode"]["l"].tolist() == [5, 5]
+    assert infos["episode"]["r"].tolist() == [-5, -5]
+
+
+def test_pictures_show_what_is_observed_and_the_robot():
+    env = make(render_mode="rgb_array")
+    observation, _ = env.reset(options=TO_THE_DOOR)
+    picture = env.render()
+    scale = 400 // max(YARD.shape)
+    assert picture.shape == (YARD.shape[0] * scale, YARD.shape[1] * scale, 3)
+    assert picture.dtype == np.uint8
+    cells = picture.reshape(YARD.shape[0], scale, YARD.shape[1], scale, 3)
+    for y, x in np.ndindex(YARD.shape):
+        if (x, y) != (5, 4):
+            assert np.all(cells[y, :, x] == CLASS_COLORS[observation["terrain"][y, x]])
+    middle = cells[4, scale // 2, 5, scale // 2]
+    assert tuple(middle) == ROBOT_COLOR
+    # The robot looks up: its colour reaches further up in the middle column than at the sides, below only there.
+    colored = np.all(cells[4, :, 5] == ROBOT_COLOR, axis=-1)
+    assert colored[: scale // 4].sum() < colored[-scale // 2 :].sum()
+    silent = make()
+    silent.reset()
+    assert silent.render() is None
+    pictures = make_vec(2, render_mode="rgb_array")
+    pictures.reset(options=TO_THE_DOOR)
+    for one in pictures.render():
+        np.testing.assert_array_equal(one, picture)
+
+
+def test_refused_starts():
+    env = make().unwrapped
+
+    def refused(*mentions, **options):
+        refusal(lambda: env.reset(options={**TO_THE_DOOR, **options}), *mentions)
+
+    refused("'colour'", "unknown", colour=3)
+    refused("yrad", "did you mean yard", house="yrad")
+    refused("lane", "'val'", "split='val'", house="lane")
+    refused("walled", "no front door can be reached", house="walled")
+    refused("(3, 1) in yard", "front door already", x=3, y=1)
+    refused("(0, 0)", "grass", "start on", x=0, y=0)
+    refused("x is 10", "from 0 to 9", x=10)
+    refused("y is 2.5", "whole number", y=2.5)
+    refused("heading is True", heading=True)
+    refusal(lambda: env.reset(options={"house": "yard", "x": 5, "y": 4}), "no 'heading'")
+    refusal(lambda: make_vec(3).reset(options={**TO_THE_DOOR, "x": [5, 5]}), "'x' has 2 values", "one for each of 3")
+
+
+def test_refused_options_and_actions():
+    refusal(lambda: FrontDoorEnv(dataset="/nowhere"), "/nowhere", "not an existing folder")
+    refusal(lambda: FrontDoorEnv(**{**SMALL, "split": "training"}), "'training'", "train, val, test")
+    refusal(lambda: FrontDoorEnv(**{**SMALL, "sensing_range": 0}), "sensing_range is 0")
+    refusal(lambda: FrontDoorEnv(**{**SMALL, "step_limit": 0}), "step_limit is 0")
+    refusal(lambda: FrontDoorEnv(dataset="procedural", cells=1), "cells is 1", "at least 2")
+    refusal(lambda: FrontDoorEnv(**SMALL, render_mode="human"), "'human'", "'rgb_array'")
+    refusal(lambda: FrontDoorVectorEnv(0, **SMALL), "num_envs is 0")
+    other = HouseDataset("two", "folder", (house("street", STREET), house("narrow", STREET[:, :9])))
+    refusal(lambda: FrontDoorEnv(dataset=other), "street has 10 x 8", "narrow has 9 x 8")
+    env = FrontDoorEnv(**SMALL)
+    with pytest.raises(ResetNeeded):
+        env.step(0)
+    env.reset()
+    refusal(lambda: env.step(3), "action is 3", "1 (turn left)")
+    envs = FrontDoorVectorEnv(2, **SMALL)
+    with pytest.raises(ResetNeeded):
+        envs.step(np.array([0, 0]))
+    envs.reset()
+    refusal(lambda: envs.step(np.array([0, 1, 2])), "(3,)", "2 whole numbers")
+    refusal(lambda: envs.step(np.array([0.0, 1.0])), "float64")
+    refusal(lambda: envs.step(np.array([0, -1])), "action is -1")
+
+
+def test_without_gymnasium_the_extra_is_named():
+    script = textwrap.dedent("""
+        import sys
+        sys.modules["gymnasium"] = None
+        import dc2g_jax.environments.functional
+        try:
+            import dc2g_jax.environments.gymnasium_env
+        except ModuleNotFoundError as error:
+            print(error)
+    """)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == [
+        "dc2g_jax.environments.gymnasium_env needs gymnasium, which is not installed; "
+        'install the extra: pip install "dc2g_jax[gym]"'
+    ]

@@ -1,0 +1,101 @@
+"""The examples run, and do what they say."""
+
+import csv
+import importlib.util
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax.environments.functional import front_door
+from dc2g_jax.grid.poses import make_pose
+from dc2g_jax.rollout import Episodes
+from tests.environments.houses import YARD, house
+from tests.refusals import refusal
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+PLANNERS = ["random", "PPO", "frontier", "oracle"]
+
+
+@pytest.fixture(scope="module")
+def ppo():
+    specification = importlib.util.spec_from_file_location("ppo_example", EXAMPLES / "ppo.py")
+    module = importlib.util.module_from_spec(specification)
+    # A dataclass looks its module up by name.
+    sys.modules[module.__name__] = module
+    specification.loader.exec_module(module)
+    return module
+
+
+def table(path: Path) -> dict[str, tuple[float, float]]:
+    with path.open(newline="") as file:
+        return {row["planner"]: (float(row["mean_steps"]), float(row["success"])) for row in csv.DictReader(file)}
+
+
+def test_ppo_sets_what_it_learned_beside_the_others(ppo, tmp_path, capsys):
+    out = tmp_path / "table.csv"
+    options = ppo.Options(
+        steps=600, maps=12, held_out_maps=8, robots=16, steps_per_update=16, batch=100, passes=2, width=16, view=3,
+        starts_per_map=2, step_limit=40, out=out,
+    )  # fmt: skip
+    ppo.main(options)
+    rows = table(out)
+    assert list(rows) == PLANNERS
+    printed = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in printed[-4:]] == PLANNERS
+    for line, (steps, success) in zip(printed[-4:], rows.values(), strict=True):
+        assert line.split()[1:] == [f"{steps:.1f}", f"{success:.1%}"]
+        assert 0 < steps <= 40
+        assert 0 <= success <= 1
+    # Nobody beats the oracle.
+    assert all(rows["oracle"][0] <= steps and rows["oracle"][1] >= success for steps, success in rows.values())
+    refusal(lambda: ppo.main(options), out, "give --out a new file")
+
+
+def test_ppo_counts_the_steps_to_the_door(ppo):
+    """Always forward: from the yard's road to the door in two steps, and into a wall for ever."""
+    environment, params = front_door([house("yard", YARD)], sensing_range=4)
+    episodes = Episodes(world=jnp.zeros(2, jnp.int32), start=make_pose([3, 5], [3, 3], [3, 0]))
+    forward = lambda key, observations: jnp.zeros_like(observations.pose.x)  # noqa: E731
+    steps, success = ppo.play(forward, environment, 7, params, episodes, jax.random.key(0))
+    assert (steps.tolist(), success.tolist()) == ([2, 7], [True, False])
+
+
+def test_ppo_s_advantages_against_their_definition(ppo):
+    """The discounted sum of the surprises to come, up to the end of the episode."""
+    rng = np.random.default_rng(0)
+    steps, robots = 12, 3
+    value, reward = rng.normal(size=(2, steps, robots)).astype(np.float32)
+    done, last = rng.random((steps, robots)) < 0.25, rng.normal(size=robots).astype(np.float32)
+    lived = ppo.Lived(*[jnp.zeros((steps, robots))] * 3, value, reward, jnp.asarray(done), jnp.zeros((steps, robots)))
+    following = np.vstack([value[1:], last])
+    expected = np.zeros((steps, robots))
+    for step, robot in np.ndindex(steps, robots):
+        weight = 1.0
+        for later in range(step, steps):
+            gone_on = 0.0 if done[later, robot] else 1.0
+            expected[step, robot] += weight * (
+                reward[later, robot] + ppo.DISCOUNT * following[later, robot] * gone_on - value[later, robot]
+            )
+            weight *= ppo.DISCOUNT * ppo.GAE_DECAY * gone_on
+    np.testing.assert_allclose(ppo.advantages(lived, jnp.asarray(last)), expected, rtol=1e-4, atol=1e-5)
+
+
+def test_ppo_refuses_a_file_in_use_before_it_learns(ppo, tmp_path):
+    (tmp_path / "table.csv").write_text("mine")
+    refusal(lambda: ppo.main(ppo.Options(out=tmp_path / "table.csv")), "table.csv")
+    assert (tmp_path / "table.csv").read_text() == "mine"
+
+
+@pytest.mark.slow
+def test_ppo_learns(ppo, tmp_path):
+    """In maps never seen it reaches the door far sooner than by chance, after two or three minutes on two cores."""
+    out = tmp_path / "table.csv"
+    ppo.main(ppo.Options(steps=1_000_000, maps=300, held_out_maps=60, out=out))
+    rows = table(out)
+    assert rows["PPO"][0] < 0.5 * rows["random"][0]
+    assert rows["PPO"][1] > 0.75 > 0.4 > rows["random"][1]
+    assert rows["frontier"][1] == rows["oracle"][1] == 1.0
