@@ -1,0 +1,150 @@
+"""The documents say what is so: their Python examples run and print what they show, their names and commands exist."""
+
+import dataclasses
+import fnmatch
+import functools
+import importlib
+import importlib.util
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tyro
+
+from dc2g_jax.datasets import houses
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+#: Packages of extras: examples that need them are run where they are installed.
+OPTIONAL = ("gymnasium",)
+
+#: A Python example and, where a block of text follows it, what it prints.
+_EXAMPLE = re.compile(r"^```python\n(.*?)^```\n(?:\s*^```text\n(.*?)^```\n)?", flags=re.S | re.M)
+_SHELL = re.compile(r"^```bash\n(.*?)^```", flags=re.S | re.M)
+_COMMAND = re.compile(r"python (-m experiments\.\w+|examples/\w+\.py)([^`\n|&#]*)")
+_NAME = re.compile(r"\bdc2g_jax(?:\.\w+)+")
+
+
+def page_id(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def examples(page: Path) -> list[tuple[str, str | None]]:
+    """The Python examples of a page, and what each is said to print."""
+    return [(found[1], found[2]) for found in _EXAMPLE.finditer(page.read_text())]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def houses_drawn_once():
+    """The procedural houses are drawn for the first page that asks for them, and kept for the others."""
+    drawn_once = functools.cache(houses.procedural_houses)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(houses, "procedural_houses", drawn_once)
+        yield
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if examples(page)], ids=page_id)
+def test_python_examples_print_what_the_page_shows(page, tmp_path, monkeypatch, capsys):
+    """All examples of a page, in order, in one namespace and an empty folder, without a network."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DC2G_DATA", "procedural")
+    namespace: dict[str, Any] = {"__name__": "__page__"}
+    for number, (code, shown) in enumerate(examples(page), start=1):
+        try:
+            exec(compile(code, f"{page_id(page)}, example {number}", "exec"), namespace)
+        except ModuleNotFoundError as error:
+            if error.name not in OPTIONAL:
+                raise
+            pytest.skip(f"example {number} needs {error.name}")
+        printed = capsys.readouterr().out
+        if shown is not None:
+            assert printed == shown, f"example {number} prints:\n{printed}"
+
+
+@functools.cache
+def exists(name: str) -> bool:
+    """Is this dotted name a module, or an attribute of one, or a field of a dataclass?"""
+    found: Any = importlib.import_module("dc2g_jax")
+    parts = name.split(".")
+    for place, part in enumerate(parts[1:], start=2):
+        path = ".".join(parts[:place])
+        if not hasattr(found, part) and hasattr(found, "__path__") and importlib.util.find_spec(path):
+            importlib.import_module(path)
+        if hasattr(found, part):
+            found = getattr(found, part)
+        elif dataclasses.is_dataclass(found) and part in {field.name for field in dataclasses.fields(found)}:
+            return place == len(parts)
+        else:
+            return False
+    return True
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_id)
+def test_names_exist(page):
+    assert [name for name in sorted(set(_NAME.findall(page.read_text()))) if not exists(name)] == []
+
+
+def test_every_module_is_in_the_reference():
+    text = "".join(page.read_text() for page in (ROOT / "docs" / "reference").glob("*.md"))
+    shown = tuple(name + suffix for name in re.findall(r"^::: ([\w.]+)$", text, flags=re.M) for suffix in ("", ".*"))
+    files = [path for path in (ROOT / "dc2g_jax").rglob("*.py") if path.stem != "__init__"]
+    modules = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in files]
+    assert [name for name in modules if not any(fnmatch.fnmatch(name, one) for one in shown)] == []
+
+
+def test_a_name_that_does_not_exist_is_noticed():
+    assert exists("dc2g_jax.gridworld.Belief.seen")
+    assert not exists("dc2g_jax.gridworld.Belief.heard")
+    assert not exists("dc2g_jax.grid.no_such_module")
+
+
+@functools.cache
+def options_of(program: str) -> Any:
+    """The options dataclass of a command, `-m experiments.NAME` or `examples/NAME.py`."""
+    if program.startswith("-m "):
+        return importlib.import_module(program[3:]).Options
+    spec = importlib.util.spec_from_file_location(Path(program).stem, ROOT / program)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.Options
+
+
+def commands(text: str) -> list[tuple[str, str]]:
+    """The programs that a text runs, and what is written after each."""
+    return _COMMAND.findall(text.replace("\\\n", " "))
+
+
+def option_names(options: Any) -> set[str]:
+    """The options of a command as they are written, those of its groups among them."""
+    names: set[str] = set()
+    for field in dataclasses.fields(options):
+        default = field.default_factory() if field.default_factory is not dataclasses.MISSING else field.default
+        names |= option_names(type(default)) if dataclasses.is_dataclass(default) else {field.name.replace("_", "-")}
+    return names
+
+
+def shell_commands() -> list[Any]:
+    found = []
+    for page in PAGES:
+        for block in _SHELL.findall(page.read_text()):
+            found += [pytest.param(*one, id=f"{page_id(page)}: {one[0]}{one[1].rstrip()}") for one in commands(block)]
+    return found
+
+
+@pytest.mark.parametrize(("program", "arguments"), shell_commands())
+def test_commands_are_understood(program, arguments):
+    """The command line as written is taken by the command's own options."""
+    tyro.cli(options_of(program), args=shlex.split(arguments), console_outputs=False)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_id)
+def test_options_named_in_the_text_exist(page):
+    """In passing a command may be named without all that it needs, but not with an option that it has not."""
+    for program, arguments in commands(_SHELL.sub("", page.read_text())):
+        names = {word[2:].partition("=")[0] for word in arguments.split() if word.startswith("--")} - {"help"}
+        assert names <= option_names(options_of(program)), f"{program}{arguments}"
