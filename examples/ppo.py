@@ -3,8 +3,6 @@
 One compiled program, environments included, in the manner of PureJaxRL: a scan over updates, in each of them a scan
 over steps of all robots, then a few passes over what they lived through. The maps are procedural houses drawn small.
 At the end the policy is set beside random actions, frontier exploration and the oracle, in maps that it has never seen.
-
-PPO: Schulman et al., 2017, arXiv 1707.06347. GAE: Schulman et al., 2016, arXiv 1506.02438.
 """
 
 import dataclasses
@@ -72,8 +70,8 @@ class Options:
       out: new CSV file for the table; nothing is written where not given.
     """
 
-    steps: int = 2_000_000
-    maps: int = 400
+    steps: int = 3_000_000
+    maps: int = 800
     held_out_maps: int = 100
     cells: int = 16
     sensing_range: int = 4
@@ -107,8 +105,7 @@ class ActorCritic(nnx.Module):
         hidden = jax.nn.relu(self.second(hidden))
         # The cell ahead is always seen: whoever knows that there is no ground does not try.
         blocked = groups[:, view.shape[1] // 2 - 1, view.shape[2] // 2] < 4
-        logits = self.policy(hidden).at[:, FORWARD_ACTION].add(jnp.where(blocked, -1e9, 0.0))
-        return logits, self.value(hidden)[:, 0]
+        return self.policy(hidden).at[:, FORWARD_ACTION].add(-1e9 * blocked), self.value(hidden)[:, 0]
 
 
 class Lived(NamedTuple):
@@ -141,9 +138,8 @@ class PPO:
         self.view = jax.vmap(functools.partial(egocentric, radius=options.view))
         self.definition, self.first_weights = nnx.split(ActorCritic(options, nnx.Rngs(options.seed)))
         self.decisions = options.robots * options.steps_per_update
-        updates = max(1, options.steps // self.decisions)
-        self.chunk = max(1, updates // LOOKS)
-        self.updates = updates // self.chunk * self.chunk
+        self.chunk = max(1, options.steps // self.decisions // LOOKS)
+        self.updates = self.chunk * max(1, options.steps // self.decisions // self.chunk)
         self.batches = max(1, self.decisions // options.batch)
         rate = optax.linear_schedule(options.learning_rate, 0.0, self.updates * options.passes * self.batches)
         self.optimizer = optax.chain(optax.clip_by_global_norm(MAX_GRADIENT_NORM), optax.adam(rate, eps=1e-5))
@@ -179,7 +175,7 @@ class PPO:
         return learner._replace(states=states, observations=observations, key=key), lived
 
     def loss(self, weights: Any, lived: Lived, advantage: Array, target: Array) -> Float[Array, ""]:
-        """The clipped objective, to be minimised (PPO, equations 7 and 9)."""
+        """The clipped objective, to be minimised (Schulman et al. 2017, arXiv 1707.06347, equations 7 and 9)."""
         logits, value = self.network(weights, lived.view)
         ratio = jnp.exp(-cross_entropy(logits, lived.action) - lived.log_probability)
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
@@ -214,7 +210,7 @@ class PPO:
 
 
 def advantages(lived: Lived, last_value: Float[Array, "robots"]) -> Float[Array, "steps robots"]:
-    """Generalized advantage estimates (GAE, equation 16)."""
+    """Generalized advantage estimates (Schulman et al. 2016, arXiv 1506.02438, equation 16)."""
 
     def backward(carry: tuple[Array, Array], step: Lived) -> tuple[tuple[Array, Array], Array]:
         advantage, next_value = carry

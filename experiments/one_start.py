@@ -17,7 +17,7 @@ from dc2g_jax.evaluation import NETWORK_PLANNERS, EpisodeResult, Runner
 from dc2g_jax.grid.terrain import TRAVERSABLE
 from dc2g_jax.inspection.animation import animate
 from dc2g_jax.inspection.episode_figures import plot_episode, plot_trajectories
-from dc2g_jax.inspection.recording import record_episode
+from dc2g_jax.inspection.recording import Episode, record_frames
 from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.planners import GAVE_UP, MODE_NAMES
 from dc2g_jax.planning.rules import SETTINGS
@@ -29,7 +29,7 @@ from experiments.episodes import EpisodeProgress, EpisodeTable
 _RANGES = (1, 64)
 
 #: Bytes that the replay of an episode takes for a cell and a step, and the most that all replays may take.
-_REPLAY_BYTES, _MOST_BYTES = 75, 6e9
+_REPLAY_BYTES, _MOST_BYTES = 45, 6e9
 
 Animation = Literal["gif", "mp4"]
 
@@ -127,18 +127,17 @@ def draw_request(
         return
     rules = SETTINGS["paper"].rules(request.start.sensing_range)
     bar = tqdm(total=len(chosen) + len(animations) + 2, desc=f"{'drawing':>16}", unit="file", file=sys.stderr)
-    frames = {}
+    episodes = {}
     for planner, result in chosen.items():
-        frames[planner] = replay_result(result, request.house, rules, network)
+        episodes[planner] = Episode(result, replay_result(result, request.house, rules, network))
         bar.update()
+    frames = {planner: episode.frames for planner, episode in episodes.items()}
     plot_episode(out / name, request.house, frames)
     bar.update()
     for ending in animations:
         animate(out / f"{name}.{ending}", request.house, frames)
         bar.update()
-    # The recording replays for itself; both at once would take twice the memory.
-    frames.clear()
-    record_episode(out / f"{name}.rrd", house=request.house, result_by_planner=chosen, rules=rules, estimator=network)
+    record_frames(out / f"{name}.rrd", house=request.house, episodes=episodes)
     bar.update()
     bar.close()
 

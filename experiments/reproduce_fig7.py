@@ -23,7 +23,7 @@ from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.evaluation import PLANNERS, EpisodeResult, Runner, Summary, extra_steps, summarize
 from dc2g_jax.inspection import recording
 from dc2g_jax.inspection.episode_figures import plot_episode
-from dc2g_jax.inspection.figures import plot_extra_steps
+from dc2g_jax.inspection.figures import plot_extra_steps, plot_house_strips
 from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollout import STEP_LIMIT
@@ -255,6 +255,9 @@ def main(options: Options) -> None:
     write_tables(out, tables, entries)
     plot_extra_steps(out / "fig7", tables, label)
     for settings, part in results.items():
+        compared = [result for result in part if result.planner in ("frontier", "dc2g")]
+        groups = {episode.house: episode.group for episode in entries[settings]}
+        plot_house_strips(out / f"houses_{settings}", compared, groups)
         if options.record:
             record(out, dataset, settings, part, network, options.record)
     facts = {

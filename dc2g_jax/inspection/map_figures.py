@@ -14,27 +14,8 @@ from matplotlib.patheffects import withStroke
 
 from dc2g_jax.grid.ground import connected_to_goal, goals_without_ground, pieces
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
-from dc2g_jax.inspection.figures import save_figure
+from dc2g_jax.inspection.figures import CLASS_COLOURS, class_patch, save_figure
 
-#: Class -> colour. Ground is pale and the rest is dark, so that they differ in grey as well; unknown lies between.
-_CLASS_COLOURS = {
-    "__ignore__": "#a79bb5",
-    "front_door": "#d55e00",
-    "grass": "#4f9d69",
-    "road": "#d5d8dc",
-    "driveway": "#9ecae9",
-    "car": "#b5446e",
-    "path": "#f0d589",
-    "house": "#2f3144",
-    "sidewalk": "#f4ece1",
-    "fence": "#7b5ea7",
-    "tree": "#1b5e3c",
-    "mailbox": "#b8860b",
-    "bush": "#a3bb55",
-    "garage door": "#a6611a",
-    "nothing": "#111111",
-    "traversable": "#fffdf5",
-}
 _LEADING, _ISLAND, _BLOCKED = "#bfe0f2", "#e69f00", "#5b606b"
 _MARKER: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "black", "markeredgewidth": 0.8, "clip_on": False}
 _GOAL: dict[str, Any] = {"marker": "*", "color": "#f0e442", "markersize": 12, **_MARKER}
@@ -116,14 +97,10 @@ def _legend(axes: Axes, handles: list[Any]) -> None:
 
 
 def _draw_classes(axes: Axes, terrain: UInt8[np.ndarray, "h w"]) -> None:
-    _show(axes, list(_CLASS_COLOURS.values()), terrain)
+    _show(axes, list(CLASS_COLOURS.values()), terrain)
     cells = np.bincount(terrain.ravel(), minlength=len(CLASS_NAMES))
-    handles = []
-    for index in np.argsort(-cells, kind="stable")[: np.count_nonzero(cells)]:
-        label = CLASS_NAMES[index].replace("_", " ") if index else "unknown"
-        colour = _CLASS_COLOURS[CLASS_NAMES[index]]
-        handles.append(Patch(facecolor=colour, edgecolor="#777777", linewidth=0.5, label=label))
-    _legend(axes, handles)
+    largest_first = np.argsort(-cells, kind="stable")[: np.count_nonzero(cells)]
+    _legend(axes, [class_patch(index) for index in largest_first.tolist()])
     _draw_goals(axes, terrain)
     axes.set_title("what is where", fontsize=10)
 

@@ -187,14 +187,15 @@ def replay(
     padded = np.full(-(-n_frames // _CHUNK) * _CHUNK, NO_ACTION, np.int8)
     padded[: len(actions)] = actions
     carry = _first_carry(world, start, planner, rules=rules)
-    chunks = []
+    chunks, path = [], []
     for first in range(0, len(padded), _CHUNK):
         chunk = jnp.asarray(padded[first : first + _CHUNK])
         carry, frames = _replay_chunk(carry, chunk, world, planner, rules=rules)
-        chunks.append(frames)
-    fetched = jax.tree.map(lambda *parts: np.concatenate(parts)[:n_frames], *jax.device_get(chunks))
-    path = map(_path, fetched.pop("distance"), fetched["subgoals"])
-    return Frames(**fetched, path=tuple(path))
+        fetched = jax.device_get(frames)
+        path += map(_path, fetched.pop("distance"), fetched["subgoals"])
+        chunks.append(fetched)
+    whole = jax.tree.map(lambda *parts: np.concatenate(parts)[:n_frames], *chunks)
+    return Frames(**whole, path=tuple(path[:n_frames]))
 
 
 def actions_from_letters(letters: str) -> Int8[np.ndarray, "actions"]:
