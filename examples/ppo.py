@@ -1,8 +1,8 @@
 """Learn to find the front door with PPO: `python examples/ppo.py`.
 
-One compiled program, environments included, in the manner of PureJaxRL: a scan over updates, in each of them a scan
-over steps of all robots, then a few passes over what they lived through. The maps are procedural houses drawn small.
-At the end the policy is set beside random actions, frontier exploration and the oracle, in maps that it has never seen.
+One compiled program, environments included, in the manner of PureJaxRL: a scan over updates, in each a scan over steps
+of all robots, then a few passes over what they lived through. The maps are procedural houses drawn small. The policy is
+then set beside random actions, frontier exploration and the oracle, in maps that it has never seen.
 """
 
 import dataclasses
@@ -152,12 +152,6 @@ class PPO:
         """Draw actions from the policy."""
         return jax.random.categorical(key, self.network(weights, self.view(observations))[0])
 
-    def init(self, key: Array) -> Learner:
-        """Before the first step."""
-        key, *keys = jax.random.split(key, 1 + self.options.robots)
-        observations, states = jax.vmap(self.environment.reset, in_axes=(0, None))(jnp.stack(keys), self.params)
-        return Learner(self.first_weights, self.optimizer.init(self.first_weights), states, observations, key)
-
     def live(self, learner: Learner, _: None) -> tuple[Learner, Lived]:
         """One step of every robot."""
         key, action_key, step_key = jax.random.split(learner.key, 3)
@@ -223,7 +217,9 @@ def advantages(lived: Lived, last_value: Float[Array, "robots"]) -> Float[Array,
 
 def learned_policy(options: Options, ppo: PPO) -> Act:
     """Learn, with a look at the progress after each chunk of updates."""
-    learner = ppo.init(jax.random.key(options.seed))
+    key, *keys = jax.random.split(jax.random.key(options.seed), 1 + options.robots)
+    observations, states = jax.vmap(ppo.environment.reset, in_axes=(0, None))(jnp.stack(keys), ppo.params)
+    learner = Learner(ppo.first_weights, ppo.optimizer.init(ppo.first_weights), states, observations, key)
     with tqdm(total=ppo.updates * ppo.decisions, desc="learning", unit="step", unit_scale=True, file=sys.stderr) as bar:
         for _ in range(ppo.updates // ppo.chunk):
             learner, (ended, lengths) = ppo.learn(learner)
@@ -253,7 +249,11 @@ def small_houses(count: int, cells: int, seed: int, split: str) -> list[House]:
     numbers = tqdm(range(count), desc=f"{split} maps", unit="map", file=sys.stderr)
     pictures = (draw_house(extra_house_seed(seed, number), STYLES[number % len(STYLES)]) for number in numbers)
     houses = [House(f"{split}{n}", split, sample_grid(picture, cells)) for n, picture in enumerate(pictures)]
-    return [house for house in houses if why_no_episode(house) is None]
+    if not (kept := [house for house in houses if why_no_episode(house) is None]):
+        raise InputError(
+            f"no {split} map of {count} has a way to its door in {cells} cells; raise --cells or the number"
+        )
+    return kept
 
 
 def compare(options: Options, houses: Sequence[House], act: Act) -> list[tuple[str, float, float]]:
@@ -275,6 +275,9 @@ def compare(options: Options, houses: Sequence[House], act: Act) -> list[tuple[s
 
 def main(options: Options) -> None:
     """Draw maps, learn in them and in their mirror images, compare."""
+    for name, value in vars(options).items():
+        if isinstance(value, int) and value < 1 and (name, value) != ("seed", 0):
+            raise InputError(f"--{name.replace('_', '-')} is {value}; give a whole number of at least 1")
     if options.out is not None and (options.out.exists() or not options.out.parent.is_dir()):
         raise InputError(f"{options.out}: exists, or its folder does not; give --out a new file")
     houses = small_houses(options.maps, options.cells, 2 * options.seed, "training")

@@ -57,6 +57,7 @@ def main(options: Options) -> None:
     results, network = run_request(request, EpisodeTable(out / "episodes.csv"))
     draw_request(out, "episode", request, results, network, options.animation)
     tell_files(out)
+    print("One start says little: --seed gives another; reproduce_fig7 --settings paper --dataset FOLDER runs many.")
 
 
 if __name__ == "__main__":

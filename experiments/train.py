@@ -39,7 +39,7 @@ from dc2g_jax.training_data import (
     training_houses,
     training_set,
 )
-from experiments.common import command_line
+from experiments.common import DatasetOption, NetworkOption, command_line
 from experiments.outputs import command_written, commit, output_folder
 from experiments.training_loop import FiniteLoss, run_steps
 
@@ -72,10 +72,10 @@ class Options:
       resume: go on with the run in `out`, begun with the same options, where it stopped.
     """
 
-    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    dataset: str | None = None
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    dataset: DatasetOption = None
     data: tyro.conf.OmitArgPrefixes[DataConfig] = dataclasses.field(default_factory=DataConfig)
-    after: Path | None = None
+    after: NetworkOption = None
     loss: str = "quantile"
     widths: tuple[int, ...] = Architecture.widths
     quantiles: tuple[float, ...] = Architecture.quantiles

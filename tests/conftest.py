@@ -31,6 +31,13 @@ settings.register_profile("tests", derandomize=True, deadline=None)
 settings.load_profile("tests")
 
 
+@pytest.fixture(scope="module", autouse=True)
+def forget_programs():
+    """Let go of what a module compiled: thousands of programs in one process exhaust its memory mappings, and XLA dies."""
+    yield
+    jax.clear_caches()
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """The folder of recorded data and datasets beside the repository."""

@@ -58,7 +58,7 @@ def test_ppo_sets_what_it_learned_beside_the_others(ppo, tmp_path, capsys):
 def test_ppo_counts_the_steps_to_the_door(ppo):
     """Always forward: from the yard's road to the door in two steps, and into a wall for ever."""
     environment, params = front_door([house("yard", YARD)], sensing_range=4)
-    episodes = Episodes(world=jnp.zeros(2, jnp.int32), start=make_pose([3, 5], [3, 3], [3, 0]))
+    episodes = Episodes(world=jnp.zeros(2, jnp.int32), start=make_pose(*np.array([[3, 5], [3, 3], [3, 0]])))
     forward = lambda key, observations: jnp.zeros_like(observations.pose.x)  # noqa: E731
     steps, success = ppo.play(forward, environment, 7, params, episodes, jax.random.key(0))
     assert (steps.tolist(), success.tolist()) == ([2, 7], [True, False])
@@ -84,7 +84,10 @@ def test_ppo_s_advantages_against_their_definition(ppo):
     np.testing.assert_allclose(ppo.advantages(lived, jnp.asarray(last)), expected, rtol=1e-4, atol=1e-5)
 
 
-def test_ppo_refuses_a_file_in_use_before_it_learns(ppo, tmp_path):
+def test_ppo_refuses_bad_options_before_it_learns(ppo, tmp_path):
+    refusal(lambda: ppo.main(ppo.Options(robots=0)), "--robots is 0", "at least 1")
+    refusal(lambda: ppo.main(ppo.Options(seed=-1)), "--seed is -1")
+    refusal(lambda: ppo.main(ppo.Options(out=tmp_path / "no" / "table.csv")), "table.csv", "folder")
     (tmp_path / "table.csv").write_text("mine")
     refusal(lambda: ppo.main(ppo.Options(out=tmp_path / "table.csv")), "table.csv")
     assert (tmp_path / "table.csv").read_text() == "mine"

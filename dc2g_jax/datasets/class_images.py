@@ -175,7 +175,7 @@ def _explain_color(png_path: Path, palette: Palette, image: Pixels, classes: np.
         listed.append(f"and {len(counts) - len(listed)} other colours")
     return (
         f"{png_path}: has colours outside the palette {palette.path}: {', '.join(listed)}; "
-        "repaint them in exact colours, without smoothing, or add them to the palette"
+        "add those that are classes of their own to the palette, repaint others in exact colours, without smoothing"
     )
 
 

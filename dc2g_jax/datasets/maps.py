@@ -98,7 +98,9 @@ def draw_map(
     where, ending, occupancy = str(path), path.suffix.lower(), None
     if ending == ".png":
         if palette is None:
-            raise InputError(f"{path}: a picture needs a palette; give a CSV file with the columns class,r,g,b")
+            raise InputError(
+                f"{path}: a picture needs a palette; give one (--palette), a CSV file with the columns class,r,g,b"
+            )
         terrain = _sampled_with_doors(where, read_class_image(path, palette), cells, goals)
     elif ending == ".npy":
         terrain = _sampled_with_doors(where, _read_array(path), cells, goals)

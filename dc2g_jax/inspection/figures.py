@@ -146,7 +146,8 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], dataset: str
     for names in groups.values():
         names.sort(key=_group_place)
     bars = [len(groups[s]) * len(_compared(panels[s])) for s in panels]
-    figure = Figure(figsize=(1.2 + 0.36 * sum(bars), 4.4), layout="constrained")
+    # A few bars alone would leave no room for the legend.
+    figure = Figure(figsize=(max(7.0, 1.2 + 0.36 * sum(bars)), 4.4), layout="constrained")
     all_axes = figure.subplots(1, len(panels), squeeze=False, sharey=True, width_ratios=bars)[0]
     for axes, (settings, table) in zip(all_axes, panels.items(), strict=True):
         _bars(axes, table, groups[settings])

@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env, data_equivalence  # noqa: E40
 from gymnasium.vector import AutoresetMode  # noqa: E402
 from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
 
-from dc2g_jax.datasets.houses import HouseDataset  # noqa: E402
+from dc2g_jax.datasets.houses import HouseDataset, save_dataset  # noqa: E402
 from dc2g_jax.environments.gymnasium_env import GYMNASIUM_ID, ROBOT_COLOR, FrontDoorEnv, FrontDoorVectorEnv  # noqa: E402
 from dc2g_jax.grid.terrain import CLASS_COLORS  # noqa: E402
 from tests.environments.houses import DATASET, STREET, YARD, house, start_poses  # noqa: E402
@@ -42,18 +42,20 @@ def test_gymnasium_s_own_check(render_mode):
     check_env(make(render_mode=render_mode).unwrapped)
 
 
-def test_gymnasium_imports_the_module_that_is_named_and_finds_both_environments():
+def test_gymnasium_imports_the_module_that_is_named_and_reads_the_folder_that_is_given(tmp_path):
+    squares = np.kron(np.pad(STREET, ((0, 2), (0, 0)), mode="edge"), np.ones((3, 3), np.uint8))
+    folder = save_dataset([("street", "train", squares)], tmp_path / "houses")
     script = textwrap.dedent("""
         import sys
         import gymnasium
         named = "dc2g_jax.environments.gymnasium_env:dc2g_jax/FrontDoor-v0"
-        options = {"dataset": "procedural", "cells": 20, "split": "test"}
+        options = {"dataset": sys.argv[1], "cells": 10}
         print(gymnasium.make(named, **options).unwrapped.__class__.__name__)
         envs = gymnasium.make_vec(named, num_envs=3, vectorization_mode="vector_entry_point", **options)
         print(envs.__class__.__name__, envs.reset(seed=0)[0]["terrain"].shape)
     """)
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines() == ["FrontDoorEnv", "FrontDoorVectorEnv (3, 20, 20)"]
+    done = subprocess.run([sys.executable, "-c", script, folder], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["FrontDoorEnv", "FrontDoorVectorEnv (3, 10, 10)"]
 
 
 def test_an_episode_from_a_given_start_to_the_door():
