@@ -38,7 +38,6 @@ from dc2g_jax.rollout import Episodes, rollout
 DISCOUNT, GAE_DECAY = 0.99, 0.95
 CLIP, ENTROPY_WEIGHT, VALUE_WEIGHT, MAX_GRADIENT_NORM = 0.2, 0.01, 0.5, 0.5
 REWARD_SCALE = 0.05  # What a step's reward of -1 counts, which keeps values around one.
-LOOKS = 100  # Chunks of updates, after each of which progress is shown.
 
 # What the network is told of a cell: 0 unknown, 1 no ground, 2 house, 3 outside, 4 street, 5 driveway or path, 6 door.
 GROUPS = np.array([0, *np.where(TRAVERSABLE[1:], 4, 1), 3])
@@ -138,7 +137,7 @@ class PPO:
         self.view = jax.vmap(functools.partial(egocentric, radius=options.view))
         self.definition, self.first_weights = nnx.split(ActorCritic(options, nnx.Rngs(options.seed)))
         self.decisions = options.robots * options.steps_per_update
-        self.chunk = max(1, options.steps // self.decisions // LOOKS)
+        self.chunk = max(1, options.steps // self.decisions // 100)  # Progress is shown a hundred times.
         self.updates = self.chunk * max(1, options.steps // self.decisions // self.chunk)
         self.batches = max(1, self.decisions // options.batch)
         rate = optax.linear_schedule(options.learning_rate, 0.0, self.updates * options.passes * self.batches)
@@ -250,9 +249,7 @@ def small_houses(count: int, cells: int, seed: int, split: str) -> list[House]:
     pictures = (draw_house(extra_house_seed(seed, number), STYLES[number % len(STYLES)]) for number in numbers)
     houses = [House(f"{split}{n}", split, sample_grid(picture, cells)) for n, picture in enumerate(pictures)]
     if not (kept := [house for house in houses if why_no_episode(house) is None]):
-        raise InputError(
-            f"no {split} map of {count} has a way to its door in {cells} cells; raise --cells or the number"
-        )
+        raise InputError(f"no {split} map of {count} keeps a way to its door in {cells} cells; give more --cells")
     return kept
 
 

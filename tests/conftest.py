@@ -33,7 +33,7 @@ settings.load_profile("tests")
 
 @pytest.fixture(scope="module", autouse=True)
 def forget_programs():
-    """Let go of what a module compiled: thousands of programs in one process exhaust its memory mappings, and XLA dies."""
+    """Let go of what a module compiled: with thousands of programs in one process XLA crashes."""
     yield
     jax.clear_caches()
 

@@ -187,7 +187,8 @@ def replay(
     padded = np.full(-(-n_frames // _CHUNK) * _CHUNK, NO_ACTION, np.int8)
     padded[: len(actions)] = actions
     carry = _first_carry(world, start, planner, rules=rules)
-    chunks, path = [], []
+    chunks: list[dict[str, Any]] = []
+    path: list[np.ndarray] = []
     for first in range(0, len(padded), _CHUNK):
         chunk = jnp.asarray(padded[first : first + _CHUNK])
         carry, frames = _replay_chunk(carry, chunk, world, planner, rules=rules)
