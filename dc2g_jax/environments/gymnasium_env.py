@@ -67,6 +67,8 @@ ROBOT_COLOR = (255, 60, 200)
 #: Half the robot's length in a frame in pixels, at least.
 ROBOT_RADIUS = 9
 
+_ACTIONS = "give 0 (forward), 1 (turn left) or 2 (turn right)"
+
 if GYMNASIUM_ID not in registration.registry:
     registration.register(
         GYMNASIUM_ID,
@@ -141,7 +143,7 @@ class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         if self._state is None:
             raise gymnasium.error.ResetNeeded("the episode has ended or none has begun; call reset() first")
         if not self.action_space.contains(action):
-            raise InputError(f"action is {action!r}; give 0 (forward), 1 (turn left) or 2 (turn right)")
+            raise InputError(f"action is {action!r}; {_ACTIONS}")
         task = self._task
         self._observation, self._state, reward, terminated, truncated = _advance(
             self._state, np.int32(action), task.params, task.environment
@@ -266,9 +268,8 @@ class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.nd
             raise InputError(
                 f"actions have shape {chosen.shape} and type {chosen.dtype}; give {self.num_envs} whole numbers"
             )
-        if np.any((chosen < 0) | (chosen >= FrontDoor.num_actions)):
-            wrong = chosen[(chosen < 0) | (chosen >= FrontDoor.num_actions)][0]
-            raise InputError(f"an action is {wrong}; give 0 (forward), 1 (turn left) or 2 (turn right)")
+        if len(wrong := chosen[(chosen < 0) | (chosen >= FrontDoor.num_actions)]):
+            raise InputError(f"an action is {wrong[0]}; {_ACTIONS}")
         return chosen.astype(np.int32)
 
     def _infos(self) -> dict[str, Any]:
