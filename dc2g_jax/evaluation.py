@@ -10,6 +10,7 @@ import numpy as np
 
 from dc2g_jax.datasets.houses import HouseDataset, stack_worlds
 from dc2g_jax.datasets.starts import Start
+from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, ExactCostToGo, TranslatorCostToGo
 from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax.grid.terrain import FRONT_DOOR
@@ -17,6 +18,9 @@ from dc2g_jax.planning.planners import DC2G, MODE_NAMES, Frontier, Oracle, Plann
 from dc2g_jax.planning.rules import Rules, Settings
 from dc2g_jax.planning.selection import ExpectedCost, QuantileCost
 from dc2g_jax.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
+
+#: A map of this many cells has one more action in its step limit: 500 for the published ones, of 50 x 50 cells.
+_CELLS_A_STEP = 50 * 50 // STEP_LIMIT
 
 #: Planner names, in the order of the tables.
 PLANNERS = ("oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go")
@@ -118,8 +122,15 @@ class Runner:
     Args:
       dataset: the houses.
       settings: rules by sensing range.
-      step_limit: actions after which an episode ends without success.
+      step_limit: actions after which an episode ends without success; `None` for 500, and on maps of over
+        50 x 50 cells, the size of the published ones, one for every five cells of the largest.
       progress: called as `progress(planner, finished, episodes)` now and then.
+
+    Attributes:
+      step_limit: actions after which an episode ends without success.
+
+    Raises:
+      InputError: the step limit is less than 1.
     """
 
     def __init__(
@@ -127,7 +138,7 @@ class Runner:
         dataset: HouseDataset,
         settings: Settings,
         *,
-        step_limit: int = STEP_LIMIT,
+        step_limit: int | None = None,
         progress: Callable[[str, int, int], None] | None = None,
     ):
         self._dataset = dataset
@@ -135,7 +146,11 @@ class Runner:
         # Every house of the dataset, whether used or not: the compiled program is then the same for all requests.
         self._worlds = stack_worlds(dataset.houses)
         self._settings = settings
-        self._step_limit = step_limit
+        if step_limit is None:
+            step_limit = max(STEP_LIMIT, max(house.terrain.size for house in dataset.houses) // _CELLS_A_STEP)
+        if step_limit < 1:
+            raise InputError(f"step limit {step_limit}: give at least 1 (--step-limit)")
+        self.step_limit = step_limit
         self._progress = progress
         self._oracles: dict[tuple[Rules, tuple[Start, ...]], Trajectories] = {}
 
@@ -151,7 +166,7 @@ class Runner:
             self._worlds,
             episodes,
             sensing=rules.sensing,
-            step_limit=self._step_limit,
+            step_limit=self.step_limit,
             on_progress=report,
         )
 

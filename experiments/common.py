@@ -20,6 +20,9 @@ DatasetOption = Annotated[str | None, tyro.conf.arg(metavar="FOLDER", help_behav
 NetworkOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 OutOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 
+#: Actions after which an episode ends without success; where not given, as many as suit the size of the map.
+StepLimitOption = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
+
 #: The trained network that comes with the package.
 SHIPPED_NETWORK = "weights/compact_unet"
 

@@ -2,13 +2,10 @@
 
 import dataclasses
 import sys
-from typing import Annotated
-
-import tyro
 
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.maps import require_way_to_goal
-from experiments.common import NetworkOption, OutOption, command_line
+from experiments.common import NetworkOption, OutOption, StepLimitOption, command_line
 from experiments.episodes import EpisodeTable
 from experiments.map_options import MapOptions, StartOption, doubts_about, start_in, terrain_of
 from experiments.one_start import Animation, Request, draw_request, require_sensing_range, run_request, tell_files
@@ -27,8 +24,8 @@ class Options(MapOptions):
       planner: planners to run, besides the oracle; figures show them in this order.
       sensing_range: how many cells ahead a robot sees.
       network: folder of a trained network for `dc2g` and `dc2g_uncertain`; the shipped one where not given.
-      step_limit: actions after which an episode ends without success; where not given, 500, or twice the map's
-        traversable cells where that is more.
+      step_limit: actions after which an episode ends without success; where not given, 500, and on maps of over 50 x 50
+        cells one for every five cells.
       animation: formats of the animation.
       out: folder to write to; a new one below outputs/ where not given.
     """
@@ -38,7 +35,7 @@ class Options(MapOptions):
     planner: tuple[PlannerName, ...] = ("dc2g", "frontier")
     sensing_range: int = 8
     network: NetworkOption = None
-    step_limit: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    step_limit: StepLimitOption = None
     animation: tuple[Animation, ...] = ("gif",)
     out: OutOption = None
 
@@ -49,7 +46,7 @@ def main(options: Options) -> None:
     terrain = terrain_of(options)
     require_way_to_goal(str(options.map), terrain)
     house = House(options.map.stem, "test", terrain)
-    start = start_in(house, options.start, options.seed)._replace(sensing_range=sensing_range)
+    start = start_in(str(options.map), house, options.start, options.seed)._replace(sensing_range=sensing_range)
     out = output_folder(options, "explore_map")
     for doubt in doubts_about(options):
         print(f"warning: {doubt}", file=sys.stderr)

@@ -60,10 +60,11 @@ def doubts_about(options: MapOptions) -> list[str]:
     return [doubt] if doubt else []
 
 
-def start_in(house: House, pose: tuple[int, int, int] | None, seed: int) -> Start:
+def start_in(where: str, house: House, pose: tuple[int, int, int] | None, seed: int) -> Start:
     """The start that was asked for, or a sampled one.
 
     Args:
+      where: the map's file or name, which begins the message of an error.
       house: where to start.
       pose: column, row and heading, or `None`.
       seed: of the sampled start.
@@ -75,15 +76,16 @@ def start_in(house: House, pose: tuple[int, int, int] | None, seed: int) -> Star
         if reason := why_no_episode(house):
             elsewhere = np.any(_start_ground(house.terrain))
             remedy = "give a --start on other ground, from which one can" if elsewhere else "choose another one"
-            raise InputError(f"{house.name}: {reason}; {remedy}")
+            raise InputError(f"{where}: {reason}; {remedy}")
         return sample_starts([house], 1, seed=seed)[0]
     x, y, heading = pose
     if not 0 <= heading < HEADINGS:
         raise InputError(
-            f"--start {x} {y} {heading}: there is no heading {heading}; give 0 (right), 1 (down), 2 (left) or 3 (up)"
+            f"{where}: --start {x} {y} {heading}: there is no heading {heading}; give 0 (right), 1 (down), 2 (left) or "
+            "3 (up)"
         )
     if problem := _why_no_start(house.terrain, x, y):
-        raise InputError(f"--start {x} {y} {heading}: {problem}; {_nearest_start(house.terrain, x, y)}")
+        raise InputError(f"{where}: --start {x} {y} {heading}: {problem}; {_nearest_start(house.terrain, x, y)}")
     return Start(house.name, x, y, heading)
 
 

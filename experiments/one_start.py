@@ -5,8 +5,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-import numpy as np
-from jaxtyping import UInt8
 from tqdm import tqdm
 
 from dc2g_jax.datasets.houses import House, HouseDataset
@@ -14,14 +12,12 @@ from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.evaluation import NETWORK_PLANNERS, EpisodeResult, Runner
-from dc2g_jax.grid.terrain import TRAVERSABLE
 from dc2g_jax.inspection.animation import animate
 from dc2g_jax.inspection.episode_figures import plot_episode, plot_trajectories
 from dc2g_jax.inspection.recording import Episode, record_frames
 from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.planners import GAVE_UP, MODE_NAMES
 from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.rollout import STEP_LIMIT
 from experiments.common import open_network
 from experiments.episodes import EpisodeProgress, EpisodeTable
 
@@ -41,7 +37,7 @@ class Request(NamedTuple):
       house: where.
       start: from which pose, with which sensing range; rules are those of the paper's text.
       planners: names, in the order of the figures.
-      step_limit: actions after which an episode ends without success; `None` for `step_limit_for` the house.
+      step_limit: actions after which an episode ends without success; `None` for as many as suit its size.
       network: folder of the network, `None` for the shipped one.
     """
 
@@ -60,11 +56,6 @@ def require_sensing_range(cells: int) -> int:
     return cells
 
 
-def step_limit_for(terrain: UInt8[np.ndarray, "h w"]) -> int:
-    """Twice as many actions as there is ground to cover, and no fewer than in the paper."""
-    return max(STEP_LIMIT, 2 * int(np.sum(TRAVERSABLE[terrain])))
-
-
 def run_request(request: Request, table: EpisodeTable) -> tuple[dict[str, EpisodeResult], TrainedNetwork | None]:
     """Run the oracle and the planners, and print what came of it.
 
@@ -76,12 +67,9 @@ def run_request(request: Request, table: EpisodeTable) -> tuple[dict[str, Episod
     """
     house, start = request.house, request.start
     network = open_network(request.network) if NETWORK_PLANNERS.keys() & set(request.planners) else None
-    limit = step_limit_for(house.terrain) if request.step_limit is None else request.step_limit
-    if limit < 1:
-        raise InputError(f"--step-limit {limit}: give at least 1")
-    runner = Runner(
-        HouseDataset(house.name, "folder", (house,)), SETTINGS["paper"], step_limit=limit, progress=EpisodeProgress()
-    )
+    dataset = HouseDataset(house.name, "folder", (house,))
+    runner = Runner(dataset, SETTINGS["paper"], step_limit=request.step_limit, progress=EpisodeProgress())
+    limit = runner.step_limit
     names = list(dict.fromkeys(("oracle", *request.planners)))
     (oracle,) = table.run(runner, [start], names[:1])
     if not oracle.success:

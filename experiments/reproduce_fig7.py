@@ -27,7 +27,7 @@ from dc2g_jax.inspection.figures import plot_extra_steps, plot_house_strips
 from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollout import STEP_LIMIT
-from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from experiments.common import DatasetOption, NetworkOption, OutOption, StepLimitOption, command_line, open_network
 from experiments.episodes import EpisodeProgress, EpisodeTable
 from experiments.outputs import output_folder
 
@@ -42,7 +42,8 @@ class Options:
         sampled starts in every test house with 8-cell sensing, `both` runs both.
       starts_per_house: sampled starts in each test house.
       seed: of the sampled starts.
-      step_limit: actions after which an episode from a sampled start ends without success.
+      step_limit: actions after which an episode from a sampled start ends without success; where not given, 500, and on
+        maps of over 50 x 50 cells one for every five cells.
       network: folder of a trained network for `dc2g` and `dc2g_uncertain`; the shipped one where not given.
       record: write rerun recordings (.rrd) and figures of this many episodes of each setting, spread over those run.
       out: folder to write to; a new one below outputs/ where not given.
@@ -53,7 +54,7 @@ class Options:
     settings: Literal["both", "published", "paper"] = "both"
     starts_per_house: int = 10
     seed: int = 0
-    step_limit: int = STEP_LIMIT
+    step_limit: StepLimitOption = None
     network: NetworkOption = None
     record: int = 0
     out: OutOption = None

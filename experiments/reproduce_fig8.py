@@ -76,7 +76,7 @@ def main(options: Options) -> None:
     if options.house is None:
         start = median_start(dataset, options.seed)
     else:
-        start = start_in(dataset.house(options.house), options.start, options.seed)
+        start = start_in(options.house, dataset.house(options.house), options.start, options.seed)
     out = output_folder(options, "reproduce_fig8")
     house = dataset.house(start.house)
     request = Request(house, start._replace(sensing_range=sensing_range), options.planner, None, options.network)

@@ -10,8 +10,7 @@ from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import read_starts
 from dc2g_jax.evaluation import NETWORK_PLANNERS, Runner, summarize
 from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.rollout import STEP_LIMIT
-from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from experiments.common import DatasetOption, NetworkOption, OutOption, StepLimitOption, command_line, open_network
 from experiments.episodes import EpisodeProgress, EpisodeTable
 from experiments.outputs import output_folder
 
@@ -30,7 +29,8 @@ class Options:
         code at any range. `paper`: as the paper's text says, 8-cell sensing. A range in the file wins.
       dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
       network: folder of a trained network for `dc2g` and `dc2g_uncertain`; the shipped one where not given.
-      step_limit: actions after which an episode ends without success.
+      step_limit: actions after which an episode ends without success; where not given, 500, and on maps of over 50 x 50
+        cells one for every five cells.
       out: folder to write to; a new one below outputs/ where not given.
       resume: go on with the run in `out`, begun with the same options, where it stopped.
     """
@@ -40,7 +40,7 @@ class Options:
     settings: Literal["published", "reference", "paper"] = "paper"
     dataset: DatasetOption = None
     network: NetworkOption = None
-    step_limit: int = STEP_LIMIT
+    step_limit: StepLimitOption = None
     out: OutOption = None
     resume: bool = False
 

@@ -17,9 +17,11 @@ from dc2g_jax.evaluation import (
     make_planner,
     summarize,
 )
+from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.planning.planners import DC2G, Frontier, Oracle
 from dc2g_jax.planning.rules import SETTINGS, complete_rules
 from tests.oracles import gridworld_oracle as oracle
+from tests.refusals import refusal
 
 RULES = complete_rules(4)
 
@@ -128,3 +130,10 @@ def test_summary():
 def test_a_summary_of_nothing_is_refused():
     with pytest.raises(ValueError, match="no episode"):
         summarize([], [])
+
+
+def test_the_step_limit_grows_with_the_map(dataset):
+    assert Runner(dataset, SETTINGS["paper"]).step_limit == 500
+    campus = House("campus", "test", np.full((60, 100), FRONT_DOOR, np.uint8))
+    assert Runner(HouseDataset("own", "folder", (campus,)), SETTINGS["paper"]).step_limit == 60 * 100 // 5
+    refusal(lambda: Runner(dataset, SETTINGS["paper"], step_limit=0), "step limit 0", "at least 1")

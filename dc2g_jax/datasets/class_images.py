@@ -76,7 +76,7 @@ def read_palette(csv_path: Path) -> Palette:
     """
     csv_path = Path(csv_path)
     rows = read_table(
-        csv_path, ("class", "r", "g", "b"), remedy="a dataset needs this palette, with columns class,r,g,b"
+        csv_path, ("class", "r", "g", "b"), remedy="give the palette, a CSV file with the columns class,r,g,b"
     )
     colors = np.zeros((len(rows), 3), np.uint8)
     for index, (line, row) in enumerate(rows):

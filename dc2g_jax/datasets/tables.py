@@ -63,9 +63,7 @@ def _read_text(path: Path, remedy: str) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         byte = data[error.start]
-        raise InputError(
-            f"{path}: byte 0x{byte:02x} at offset {error.start} is not UTF-8; save the file as UTF-8 text"
-        ) from None
+        raise InputError(f"{path}: byte 0x{byte:02x} at offset {error.start} is not UTF-8 text; {remedy}") from None
 
 
 def _check_header(path: Path, header: list[str], columns: Sequence[str]) -> None:

@@ -189,7 +189,7 @@ def test_files_that_are_no_maps(tmp_path, palette, yard):
 
 
 def test_maps_of_no_use(yard):
-    remedy = "give goals, beside road, driveway, path, sidewalk, traversable"
+    remedy = "give goals (--goals), beside road, driveway, path, sidewalk, traversable"
     doorless = np.where(yard == FRONT_DOOR, GRASS, yard)
     refusal(lambda: map_from_classes(doorless), "the array: it has no front door", remedy)
     refusal(lambda: map_from_classes(np.full((2, 3), GRASS)), "it has no traversable ground", remedy)

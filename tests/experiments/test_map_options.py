@@ -22,13 +22,13 @@ YARD = House(
 
 
 def test_a_start_that_is_given_is_taken():
-    assert start_in(YARD, (4, 2, 3), seed=0) == Start("yard", 4, 2, 3)
+    assert start_in("yard.png", YARD, (4, 2, 3), seed=0) == Start("yard", 4, 2, 3)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_start_that_is_not_given_is_sampled_on_the_road(seed):
-    start = start_in(YARD, None, seed)
-    assert start == start_in(YARD, None, seed)
+    start = start_in("yard.png", YARD, None, seed)
+    assert start == start_in("yard.png", YARD, None, seed)
     assert start.y == 3
     assert 0 <= start.x <= 4
     assert 0 <= start.heading < 4
@@ -46,15 +46,17 @@ def test_a_start_that_is_not_given_is_sampled_on_the_road(seed):
     ],
 )
 def test_a_start_of_no_use_is_refused_with_the_nearest_that_is(pose, mentions):
-    refusal(lambda: start_in(YARD, pose, seed=0), *mentions)
+    refusal(lambda: start_in("yard.png", YARD, pose, seed=0), "yard.png: --start", *mentions)
 
 
 def test_without_road_that_leads_to_a_goal_a_start_has_to_be_given():
     terrain = np.where(YARD.terrain == YARD.terrain[3, 0], np.uint8(2), YARD.terrain)
     terrain[3, 7] = YARD.terrain[3, 0]
     house = House("path", "test", terrain)
-    refusal(lambda: start_in(house, None, seed=0), "path", "from any of its road cells", "give a --start")
-    assert start_in(house, (0, 2, 1), seed=0) == Start("path", 0, 2, 1)
+    sampled = lambda: start_in("path.png", house, None, seed=0)  # noqa: E731
+    refusal(sampled, "path.png: ", "from any of its road cells", "give a --start")
+    assert start_in("path.png", house, (0, 2, 1), seed=0) == Start("path", 0, 2, 1)
     terrain = terrain.copy()
     terrain[0, 2] = 2
-    refusal(lambda: start_in(House("doorless", "test", terrain), None, seed=0), "no front door", "choose another one")
+    house = House("doorless", "test", terrain)
+    refusal(lambda: start_in("no.png", house, None, seed=0), "no.png: ", "no front door", "choose another one")
