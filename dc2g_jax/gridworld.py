@@ -11,9 +11,10 @@ from flax import struct
 from jaxtyping import Array, Bool, Int, UInt8, UInt32
 
 from dc2g_jax.grid import bitboard
+from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.poses import Pose, moved
-from dc2g_jax.grid.sensing import Kernel, visible
-from dc2g_jax.grid.world import World, unpack_classes, world_from_terrain
+from dc2g_jax.grid.sensing import Kernel
+from dc2g_jax.grid.world import World, opaque_cells, unpack_classes, world_from_terrain
 
 
 @struct.dataclass
@@ -51,12 +52,17 @@ class Belief:
         """Observed class indices, 0 where nothing has been observed."""
         return unpack_classes(self.classes, self.width)
 
+    @property
+    def opaque(self) -> Board:
+        """Board of the observed cells that hide what is behind them."""
+        return opaque_cells(self.classes)
+
 
 def _observed(
     world: World, pose: Pose, steps: Int[Array, "*batch"], seen: UInt32[Array, "n_words h *batch"], sensing: Kernel
 ) -> Belief:
     """The belief after looking around from `pose`, having seen `seen` before."""
-    seen = seen | visible(sensing, pose, world.height, world.width)
+    seen = seen | sensing.visible(pose, world.opaque, world.width)
     return Belief(
         pose=pose,
         steps=steps,

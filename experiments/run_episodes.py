@@ -26,7 +26,8 @@ class Options:
         optionally, range,expanding_range in cells.
       planner: planners to run.
       settings: rules. `published`: as the paper's 400 episodes were run, 5-cell sensing. `reference`: as the authors'
-        code at any range. `paper`: as the paper's text says, 8-cell sensing. A range in the file wins.
+        code at any range. `paper`: as the paper's text says, 8-cell sensing. `occluded`: the same,
+        but houses, trees and other tall things hide what is behind them. A range in the file wins.
       dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
       network: folder of a trained network for `dc2g` and `dc2g_uncertain`; the shipped one where not given.
       step_limit: actions after which an episode ends without success; where not given, 500, and on maps of over 50 x 50
@@ -37,7 +38,7 @@ class Options:
 
     starts: Annotated[Path, tyro.conf.arg(metavar="CSV")]
     planner: tuple[PlannerName, ...] = ("oracle", "frontier", "dc2g")
-    settings: Literal["published", "reference", "paper"] = "paper"
+    settings: Literal["published", "reference", "paper", "occluded"] = "paper"
     dataset: DatasetOption = None
     network: NetworkOption = None
     step_limit: StepLimitOption = None

@@ -1,6 +1,7 @@
 """What a robot sees from a pose: constant kernels of offsets, one for each heading, placed on the map.
 
-The field of view has no occlusion, so it is four constant sets of offsets moved to the robot's cell.
+The paper's field of view has no occlusion, so it is four constant sets of offsets moved to the robot's cell. With it
+(`line_of_sight`), a cell is seen through another one next to it that is nearer to the robot, all the way: a tree.
 """
 
 import dataclasses
@@ -37,6 +38,21 @@ class Kernel:
                 array[heading, dy + self.radius, dx + self.radius] = True
         return array
 
+    def visible(self, pose: Pose, opaque: Board, width: int) -> Board:
+        """The in-bounds cells that are seen from a pose.
+
+        Args:
+          pose: of the robot.
+          opaque: cells that hide what is behind them. Nothing does here.
+          width: columns of the grid.
+        """
+        return visible(self, pose, opaque.shape[1], width)
+
+    def poses_that_see(self, targets: Board, opaque: Board) -> PoseSet:
+        """Poses from which at least one target cell is seen, see `visible`."""
+        del opaque
+        return poses_that_see(targets, self)
+
     @classmethod
     def from_array(cls, array: Bool[np.ndarray, "heading dy dx"]) -> "Kernel":
         """The inverse of `as_array`."""
@@ -46,6 +62,79 @@ class Kernel:
             for heading in range(HEADINGS)
         )
         return cls(radius=radius, offsets=offsets)
+
+
+@dataclasses.dataclass(frozen=True)
+class OccludedKernel(Kernel):
+    """A set of offsets that are seen only where nothing stands in between.
+
+    An offset is seen through its parent: the one a cell less ahead that is next to the straight line to the robot. It
+    is hidden where the parent is, or where something opaque stands in the parent's cell; the robot's own hides nothing.
+    What is hidden behind a cell that is seen therefore comes to light cell after cell: a robot that goes where it might
+    see something unobserved, for all it knows, observes something there.
+    """
+
+    def visible(self, pose: Pose, opaque: Board, width: int) -> Board:
+        """The in-bounds cells that are seen from a pose, see `Kernel.visible`."""
+        height = opaque.shape[1]
+        dx, dy, parents = (jnp.asarray(table)[pose.heading] for table in self._tree())
+        x, y = (jnp.moveaxis(offsets, -1, 0) + here for offsets, here in ((dx, pose.x), (dy, pose.y)))
+        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        is_opaque = jax.vmap(functools.partial(bitboard.contains, opaque))
+        hides = is_opaque(jnp.clip(x, 0, width - 1), jnp.clip(y, 0, height - 1)) & inside
+        # The robot's own cell is the first, and hides nothing.
+        through = jnp.concatenate([jnp.ones_like(hides[:1]), ~hides[1:]])
+        parents = jnp.moveaxis(parents, -1, 0)
+        seen = jnp.ones_like(inside)
+        # An offset is as many steps away from the robot as it lies ahead.
+        for _ in range(self.radius):
+            seen = jnp.take_along_axis(seen & through, parents, axis=0)
+        cells = bitboard.single(x, jnp.where(seen & inside, y, -1), *opaque.shape[:2])
+        return jnp.bitwise_or.reduce(cells, axis=2)
+
+    def poses_that_see(self, targets: Board, opaque: Board) -> PoseSet:
+        """Poses from which at least one target cell is seen, see `visible`."""
+        height = opaque.shape[1]
+        reach = range(-self.radius, self.radius + 1)
+        framed = [(0, 0), (self.radius, self.radius)] + [(0, 0)] * (opaque.ndim - 2)
+        columns = jnp.stack(
+            [jnp.stack([jnp.pad(bitboard.shift(board, -dx, 0), framed) for board in (targets, opaque)]) for dx in reach]
+        )
+
+        def look(carry: tuple[Board, Array], offset: tuple[Array, ...]) -> tuple[tuple[Board, Array], None]:
+            sees, through = carry
+            number, dx, dy, parent = offset
+            there = jax.lax.dynamic_slice_in_dim(columns[dx + self.radius], dy + self.radius, height, axis=2)
+            sees = sees | (through[parent] & there[0])
+            return (sees, through.at[number].set(through[parent] & ~there[1])), None
+
+        def cells_that_see(tree: tuple[Array, ...]) -> Board:
+            # Cells from which each offset is seen and seen through; the robot's own cell hides nothing.
+            through = jnp.broadcast_to(~jnp.zeros_like(opaque), (tree[0].size, *opaque.shape))
+            offsets = (jnp.arange(1, tree[0].size), *(table[1:] for table in tree))
+            return jax.lax.scan(look, (targets, through), offsets)[0][0]
+
+        return jax.lax.map(cells_that_see, tuple(jnp.asarray(table) for table in self._tree()))
+
+    def _tree(self) -> tuple[Int[np.ndarray, "heading offsets"], ...]:
+        """Columns and rows of the offsets, the robot's own first, parents before children, and number of the parent."""
+        dx, dy, parents = [], [], []
+        for heading, (ex, ey) in enumerate(FORWARD):
+            ahead_and_lateral = sorted((dx * ex + dy * ey, dy * ex - dx * ey) for dx, dy in self.offsets[heading])
+            number = {offset: index for index, offset in enumerate(ahead_and_lateral)}
+            dx.append([ahead * ex - lateral * ey for ahead, lateral in ahead_and_lateral])
+            dy.append([ahead * ey + lateral * ex for ahead, lateral in ahead_and_lateral])
+            parents.append([number[_towards_the_robot(*offset)] for offset in ahead_and_lateral])
+        return tuple(np.array(table, np.int32) for table in (dx, dy, parents))
+
+
+def _towards_the_robot(ahead: int, lateral: int) -> tuple[int, int]:
+    """The offset one cell less ahead that is next to the straight line, the one nearer to the middle of two."""
+    if ahead == 0:
+        return 0, 0
+    # Rounded towards the middle, a parent lies within the wedge.
+    beside = (2 * abs(lateral) * (ahead - 1) + ahead - 1) // (2 * ahead)
+    return ahead - 1, beside if lateral > 0 else -beside
 
 
 def _turned(ahead_and_lateral: list[tuple[int, int]], radius: int) -> Kernel:
@@ -77,6 +166,16 @@ def field_of_view(radius: int) -> Kernel:
         if ahead**2 + lateral**2 <= radius**2
     ]
     return _turned([(0, 0), *wedge], radius)
+
+
+@functools.cache
+def line_of_sight(radius: int) -> OccludedKernel:
+    """The field of view in which houses, trees and other tall things hide what is behind them.
+
+    Raises:
+      ValueError: if `radius` is less than 1.
+    """
+    return OccludedKernel(radius, field_of_view(radius).offsets)
 
 
 @functools.cache

@@ -62,3 +62,8 @@ _TRAVERSABLE_NAMES = ("front_door", "road", "driveway", "path", "sidewalk", "tra
 
 #: Class index -> may the robot drive there? bool [16].
 TRAVERSABLE = np.array([name in _TRAVERSABLE_NAMES for name in CLASS_NAMES])
+
+_OPAQUE_NAMES = ("car", "house", "fence", "tree", "bush", "garage door")
+
+#: Class index -> does it hide what is behind it from a camera a metre above the ground? bool [16].
+OPAQUE = np.array([name in _OPAQUE_NAMES for name in CLASS_NAMES])

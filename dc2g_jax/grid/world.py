@@ -1,11 +1,14 @@
 """One house: its terrain and the cell sets derived from it."""
 
+import functools
+
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jaxtyping import Array, UInt8, UInt32
 
 from dc2g_jax.grid import bitboard, terrain
+from dc2g_jax.grid.bitboard import Board
 
 
 @struct.dataclass
@@ -33,6 +36,20 @@ class World:
     def terrain(self) -> UInt8[Array, "h w *batch"]:
         """Class index of every cell, see `dc2g_jax.grid.terrain`."""
         return unpack_classes(self.classes, self.width)
+
+    @property
+    def opaque(self) -> Board:
+        """Board of the cells that hide what is behind them."""
+        return opaque_cells(self.classes)
+
+
+def opaque_cells(classes: UInt32[Array, "bit n_words h *batch"]) -> Board:
+    """Board of the cells whose class hides what is behind it, from the bit planes of class indices."""
+    found = jnp.zeros_like(classes[0])
+    for index in np.flatnonzero(terrain.OPAQUE):
+        planes = [plane if index >> bit & 1 else ~plane for bit, plane in enumerate(classes)]
+        found = found | functools.reduce(jnp.bitwise_and, planes)
+    return found
 
 
 def unpack_classes(classes: UInt32[Array, "bit n_words h *batch"], width: int) -> UInt8[Array, "h w *batch"]:

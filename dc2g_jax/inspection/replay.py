@@ -16,7 +16,6 @@ from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.evaluation import EpisodeResult, make_planner
 from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.poses import ACTION_LETTERS, Pose, every_heading, make_pose
-from dc2g_jax.grid.sensing import visible
 from dc2g_jax.grid.world import World, world_from_terrain
 from dc2g_jax.gridworld import Belief
 from dc2g_jax.planning.frontiers import frontier_cells
@@ -87,7 +86,7 @@ class _Carry(NamedTuple):
 def _frame(carry: _Carry, world: World, planner: Planner, rules: Rules) -> tuple[_Carry, dict[str, Any]]:
     """One frame, and the carry with the planner's new state."""
     belief = carry.belief
-    height, width = belief.height, belief.width
+    width = belief.width
     pose = belief.pose
     reachable = reachable_cells(belief, carry.reachable)
     plan, planner_state = planner.plan(belief, carry.planner_state)
@@ -99,7 +98,7 @@ def _frame(carry: _Carry, world: World, planner: Planner, rules: Rules) -> tuple
     chosen_from = planner.candidates(belief, reachable) if isinstance(planner, DC2G) else candidates
     boards = {
         "seen": belief.seen,
-        "field_of_view": visible(rules.sensing, pose, height, width),
+        "field_of_view": rules.sensing.visible(pose, world.opaque, width),
         "reachable": reachable,
         "frontier": frontier_cells(belief, reachable),
     }

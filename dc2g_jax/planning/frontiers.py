@@ -44,7 +44,7 @@ def complete(belief: Belief, reachable: Board, sensing: Kernel) -> PoseSet:
       sensing: the robot's field of view.
     """
     targets = _unseen(belief) & bitboard.neighbours(frontier_cells(belief, reachable))
-    return _reachable_but_here(poses_that_see(targets, sensing), belief, reachable)
+    return _reachable_but_here(sensing.poses_that_see(targets, belief.opaque), belief, reachable)
 
 
 def reference(belief: Belief, reachable: Board, expanding: Kernel) -> PoseSet:
@@ -76,4 +76,4 @@ def opening(belief: Belief, candidates: PoseSet, sensing: Kernel, depth: int) ->
     rim = belief.seen
     for _ in range(depth):
         rim = rim | bitboard.neighbours(rim)
-    return candidates & poses_that_see(_beyond(belief, rim), sensing)
+    return candidates & sensing.poses_that_see(_beyond(belief, rim), belief.opaque)

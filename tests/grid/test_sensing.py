@@ -6,9 +6,12 @@ import jax
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from dc2g_jax import gridworld
 from dc2g_jax.grid import bitboard, poses, sensing
 from dc2g_jax.grid.poses import make_pose
+from dc2g_jax.grid.world import world_from_terrain
 from tests import maps
 from tests.oracles import gridworld_oracle as oracle
 
@@ -54,6 +57,45 @@ def posing(shape: tuple[int, int]):
         return [poses.unpack(sensing.poses_that_see(board, kernel), shape[1]) for kernel in kernels]
 
     return jax.jit(run)
+
+
+@functools.cache
+def occluded(shape: tuple[int, int]):
+    """What is seen from every pose, and the poses that see a target, where some cells are opaque."""
+    kernel = sensing.line_of_sight(6)
+    y, x, heading = (part.ravel() for part in np.indices((*shape, 4)))
+
+    def run(opaque, targets):
+        board = bitboard.pack(opaque)
+        every = jax.vmap(lambda x, y, heading: kernel.visible(make_pose(x, y, heading), board, shape[1]))
+        seen = jax.vmap(lambda one: bitboard.unpack(one, shape[1]))(every(x, y, heading))
+        return seen, poses.unpack(kernel.poses_that_see(bitboard.pack(targets), board), shape[1])
+
+    return jax.jit(run), list(zip(x.tolist(), y.tolist(), heading.tolist(), strict=True))
+
+
+@pytest.mark.parametrize("shape", [(9, 31), (7, 33)], ids="{0[0]}x{0[1]}".format)
+@given(seed=maps.seeds, density=st.sampled_from([0.0, 0.1, 0.4, 1.0]))
+@settings(max_examples=5)
+def test_opaque_cells_hide_what_is_behind_them(shape, seed, density):
+    opaque, targets = maps.random_cells(seed, shape, density), maps.random_cells(seed + 1, shape, 0.05)
+    run, every_pose = occluded(shape)
+    seen, seeing = (np.asarray(result) for result in run(opaque, targets))
+    for pose, cells in zip(every_pose, seen, strict=True):
+        np.testing.assert_array_equal(cells, oracle.visible_past(opaque, pose, 6), err_msg=str(pose))
+        assert seeing[pose[2], pose[1], pose[0]] == np.any(cells & targets)
+
+
+def test_a_wall_hides_a_street():
+    picture = maps.drawn("""
+        RRRRRRRRR
+        RRR#RRRRR
+        RRRRRRRRR
+    """)
+    belief = gridworld.reset(world_from_terrain(picture), make_pose(0, 1, 0), sensing.line_of_sight(8))
+    hidden = np.argwhere(np.asarray(belief.terrain)[1] == 0).ravel()
+    assert hidden.tolist() == [4, 5, 6, 7, 8]
+    assert np.asarray(belief.terrain)[1, 3] == maps.drawn("#")[0, 0]
 
 
 @each_shape

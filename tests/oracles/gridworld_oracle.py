@@ -78,6 +78,35 @@ def visible(pose: Pose, radius: int, shape: tuple[int, int]) -> Array:
     return seen
 
 
+def visible_past(opaque: Array, pose: Pose, radius: int) -> Array:
+    """Cells seen from a pose where opaque cells hide what is behind them: bool [h w].
+
+    From one ring ahead to the next: a cell is looked at through the one before it that is nearest to the straight line,
+    and of two equally near ones, through the one nearer to the middle.
+    """
+    x, y, heading = pose
+    height, width = opaque.shape
+    forward, right = ((1, 0), (0, 1), (-1, 0), (0, -1))[heading], ((0, 1), (-1, 0), (0, -1), (1, 0))[heading]
+    seen = np.zeros(opaque.shape, bool)
+    seen[y, x] = True
+    clear = {(0, 0): True}
+    for ahead in range(1, radius + 1):
+        for lateral in range(1 - ahead, ahead):
+            if ahead**2 + lateral**2 > radius**2:
+                continue
+            exact = lateral * (ahead - 1) / ahead
+            through = min(
+                (place for place in clear if place[0] == ahead - 1), key=lambda p: (abs(p[1] - exact), abs(p[1]))
+            )
+            column = x + ahead * forward[0] + lateral * right[0]
+            row = y + ahead * forward[1] + lateral * right[1]
+            inside = 0 <= column < width and 0 <= row < height
+            clear[ahead, lateral] = clear[through] and not (inside and opaque[row, column])
+            if inside and clear[through]:
+                seen[row, column] = True
+    return seen
+
+
 def _sources(cells: Array, offsets: list[Offset]) -> Array:
     """Cells from which at least one of `cells` lies at one of the offsets: bool [h w]."""
     height, width = cells.shape

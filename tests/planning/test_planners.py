@@ -14,7 +14,8 @@ from dc2g_jax.evaluation import action_letters
 from dc2g_jax.grid import poses
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.search import EIGHT_CONNECTED, FOUR_CONNECTED
-from dc2g_jax.grid.sensing import field_of_view
+from dc2g_jax.grid.sensing import field_of_view, line_of_sight
+from dc2g_jax.grid.terrain import OPAQUE
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.planners import DC2G, EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL, Frontier, Oracle
 from dc2g_jax.planning.rules import SETTINGS, complete_rules, reference_rules
@@ -212,10 +213,28 @@ def test_once_a_goal_is_reachable_the_plan_goes_there(rules):
 # --- exploration ends -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("planner", ["frontier", "dc2g"])
-def test_exploration_by_complete_rules_always_ends_with_everything_seen(planner):
+def seen_without_occlusion(terrain, pose):
+    """Cells seen from a pose."""
+    return oracle.visible(pose, SENSING, terrain.shape)
+
+
+def seen_past_obstacles(terrain, pose):
+    """Cells seen from a pose where houses and trees hide what is behind them."""
+    return oracle.visible_past(OPAQUE[terrain], pose, SENSING)
+
+
+@pytest.mark.parametrize(
+    ("planner", "rules", "visible"),
+    [
+        ("frontier", RULES["complete"], seen_without_occlusion),
+        ("dc2g", RULES["complete"], seen_without_occlusion),
+        ("frontier", complete_rules(SENSING, line_of_sight), seen_past_obstacles),
+        ("dc2g", complete_rules(SENSING, line_of_sight), seen_past_obstacles),
+    ],
+)
+def test_exploration_by_complete_rules_always_ends_with_everything_seen(planner, rules, visible):
     """Without a goal in reach the robot gives up, and by then it has seen all there was to see."""
-    shape, rules = (11, 33), RULES["complete"]
+    shape = (11, 33)
     terrains, starts = random_worlds(shape, 500, doors=0, episodes=40)
     for index in range(0, 40, 2):  # in half of them there is a door, walled in
         row, column = index % 7 + 2, index % 29 + 2
@@ -223,15 +242,15 @@ def test_exploration_by_complete_rules_always_ends_with_everything_seen(planner)
             terrains[index, row, column - 1 : column + 2] = terrains[index, row - 1 : row + 2, column] = 7
             terrains[index, row, column] = oracle.FRONT_DOOR
     chosen = Frontier(rules) if planner == "frontier" else DC2G(Scattered(), rules)
-    done = run(chosen, terrains, starts, step_limit=2000)
+    done = run(chosen, terrains, starts, sensing=rules.sensing, step_limit=2000)
     assert (done.mode == GAVE_UP).all()
     assert not done.success.any()
     for index, (terrain, pose) in enumerate(zip(terrains, starts, strict=True)):
         component = oracle.reachable(np.isin(terrain, oracle.TRAVERSABLE_CLASSES), *pose[:2])
-        seen = oracle.visible(pose, SENSING, shape)
+        seen = visible(terrain, pose)
         for action in done.actions[index, : done.steps[index]]:
             pose = oracle.moved(pose, int(action), shape)
-            seen |= oracle.visible(pose, SENSING, shape)
+            seen |= visible(terrain, pose)
         assert (component <= seen).all()
         assert not oracle.frontier_complete(seen, component).any()
 
