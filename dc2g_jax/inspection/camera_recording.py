@@ -1,0 +1,264 @@
+"""Recordings for the rerun viewer of a camera whose images become a map: images, points, voxels, map and way."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from jaxtyping import Float, UInt8
+
+from dc2g_jax.grid.terrain import CLASS_NAMES
+from dc2g_jax.inspection import legend
+from dc2g_jax.inspection.columns import TIMELINE, image_style, open_recording, send, send_images
+from dc2g_jax.mapping.camera import Frame, Intrinsics, points
+from dc2g_jax.mapping.semantic_map import MapSettings, SemanticMap
+from dc2g_jax.mapping.sequences import DEPTH_UNITS, depth_steps
+
+#: Steps that are sent together. Until then they are kept in memory.
+_CHUNK = 32
+
+#: The points that are shown in the end, and the fewest of a frame.
+_POINTS, _FEWEST_POINTS = 200_000, 200
+
+#: Share of its size that a voxel is drawn in: the gaps tell one from the next.
+_DRAWN = 0.94
+
+#: Entities: what is in the camera's image hangs below the camera, so that it is shown in the world as well.
+_CAMERA, _IMAGE = "world/camera", "world/camera/image"
+_PICTURE, _DEPTH, _CLASSES = f"{_IMAGE}/picture", f"{_IMAGE}/depth", f"{_IMAGE}/classes"
+
+#: The way of the camera up to the moment shown.
+_SO_FAR = rrb.VisibleTimeRanges(
+    timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
+)
+
+_points = jax.jit(points)
+
+
+class MappedFrame(NamedTuple):
+    """A frame, and the map after it; arrays on the host.
+
+    Attributes:
+      frame: what the camera delivered.
+      picture: its colour image as a PNG or JPEG file has it, if there is one.
+      voxels: the map.
+      terrain: the map as seen from above.
+    """
+
+    frame: Frame
+    picture: bytes | None
+    voxels: SemanticMap
+    terrain: UInt8[np.ndarray, "h w"]
+
+
+class CameraRecording:
+    """A recording that grows while a sequence is mapped. `close` it, or use it in a `with` statement.
+
+    Args:
+      file: to write.
+      camera: that takes the frames.
+      settings: of the map.
+      way: where the camera will be, for the first view, metres in the world.
+      name: what the viewer calls the recording.
+
+    Raises:
+      InputError: the file cannot be written.
+    """
+
+    def __init__(
+        self, file: Path, *, camera: Intrinsics, settings: MapSettings, way: Float[np.ndarray, "n 3"], name: str
+    ):
+        self._camera, self._settings = camera, settings
+        pixels_a_point = camera.height * camera.width * len(way) / max(_POINTS, _FEWEST_POINTS * len(way))
+        self._stride = max(1, round(pixels_a_point**0.5))
+        self._stream = open_recording(file, name=name, blueprint=_layout(settings, way))
+        self._waiting: list[MappedFrame] = []
+        self._sent = 0
+        self._last: np.ndarray | None = None
+        self._describe()
+
+    def __enter__(self) -> "CameraRecording":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def add(self, mapped: MappedFrame) -> None:
+        """One more step."""
+        self._waiting.append(mapped)
+        if len(self._waiting) == _CHUNK:
+            self._send()
+
+    def close(self) -> None:
+        """Write what is left."""
+        if self._waiting:
+            self._send()
+        self._stream.flush()
+        self._stream.disconnect()
+
+    def _describe(self) -> None:
+        """What stays the same: colours, frames of reference, the camera, and how things are drawn."""
+        stream, camera = self._stream, self._camera
+
+        def style(entity: str, look: Any) -> None:
+            stream.log(entity, look, static=True)
+
+        style("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        style("world", legend.terrain_context())
+        lens = np.eye(3)
+        lens[[0, 1], [0, 1]] = camera.focal_x, camera.focal_y
+        lens[:2, 2] = camera.center_x, camera.center_y
+        style(
+            _IMAGE,
+            rr.Pinhole(
+                image_from_camera=lens,
+                resolution=[camera.width, camera.height],
+                camera_xyz=rr.ViewCoordinates.RDF,
+                image_plane_distance=2 * self._settings.cell_size,
+            ),
+        )
+        steps = rr.components.ImageFormat(
+            width=camera.width, height=camera.height, channel_datatype=rr.ChannelDatatype.U16
+        )
+        reach = [0, DEPTH_UNITS * self._settings.reach]
+        style(_DEPTH, rr.DepthImage.from_fields(format=steps, meter=DEPTH_UNITS, colormap="Turbo", depth_range=reach))
+        style("world/points", rr.Points3D.from_fields(radii=-2.0))
+        style("world/voxels", rr.Boxes3D.from_fields(fill_mode="solid"))
+        style("world/way", rr.LineStrips3D.from_fields(radii=-2.5, colors=legend.ROBOT_COLOR))
+        image_style(stream, _CLASSES, legend.terrain_context(), 0)
+        image_style(stream, "map", legend.terrain_context(), 0)
+        style("map/way", rr.LineStrips2D.from_fields(radii=0.16, colors=legend.TRAJECTORY_COLOR, draw_order=30))
+        style("map/robot", rr.Points2D.from_fields(radii=0.8, colors=legend.ROBOT_COLOR, draw_order=60))
+        style("map/robot/view", rr.Arrows2D.from_fields(radii=0.3, colors=legend.ROBOT_COLOR, draw_order=61))
+        classes = np.arange(len(CLASS_NAMES), dtype=np.uint8)
+        image_style(stream, "legend", legend.terrain_context(), 0)
+        style("legend", rr.SegmentationImage(classes[:, None]))
+        places = np.stack([0 * classes + 0.5, classes + 0.3], axis=1)
+        names = [name.replace("_", " ") for name in ("not observed", *CLASS_NAMES[1:])]
+        style("legend/names", rr.Points2D(places, radii=0.0, colors=(255, 255, 255), labels=names, show_labels=True))
+
+    def _send(self) -> None:
+        """Send the steps that wait."""
+        mapped, self._waiting = self._waiting, []
+        steps = self._sent + np.arange(len(mapped))
+        self._sent += len(mapped)
+        frames = [one.frame for one in mapped]
+        self._send_images(steps, mapped)
+        self._send_points(steps, frames)
+        self._send_voxels(steps, [one.voxels for one in mapped])
+        send_images(self._stream, "map", steps, np.stack([one.terrain for one in mapped]))
+        self._send_way(steps, frames)
+
+    def _send_images(self, steps: np.ndarray, mapped: list[MappedFrame]) -> None:
+        """What the camera delivers."""
+        stream = self._stream
+        seen = [(step, one.picture) for step, one in zip(steps, mapped, strict=True) if one.picture is not None]
+        if seen:
+            send(
+                stream,
+                _PICTURE,
+                np.array([step for step, _ in seen]),
+                rr.EncodedImage.columns(blob=[p for _, p in seen]),
+            )
+        depth = np.stack([depth_steps(np.asarray(one.frame.depth)) for one in mapped])
+        send(stream, _DEPTH, steps, rr.DepthImage.columns(buffer=depth.reshape(len(steps), -1).view(np.uint8)))
+        send_images(stream, _CLASSES, steps, np.stack([np.asarray(one.frame.classes) for one in mapped]))
+
+    def _send_points(self, steps: np.ndarray, frames: list[Frame]) -> None:
+        """The points of each frame in the world, thinned out evenly."""
+        clouds, classes = [], []
+        for frame in frames:
+            kept = np.zeros((self._camera.height, self._camera.width), bool)
+            kept[:: self._stride, :: self._stride] = True
+            kept &= np.asarray(frame.depth) > 0
+            clouds.append(np.asarray(_points(frame.depth, self._camera, frame.pose))[kept])
+            classes.append(np.asarray(frame.classes)[kept])
+        counts = [len(cloud) for cloud in clouds]
+        cloud = rr.Points3D.columns(positions=np.concatenate(clouds), class_ids=np.concatenate(classes))
+        send(self._stream, "world/points", steps, cloud.partition(counts))
+
+    def _send_voxels(self, steps: np.ndarray, maps: list[SemanticMap]) -> None:
+        """The occupied voxels as boxes in the colours of their classes."""
+        cell, level_height = self._settings.cell_size, self._settings.level_height
+        centers, classes = [], []
+        for voxels in jax.tree.map(jnp.asarray, maps):
+            level, row, column = np.nonzero(np.asarray(voxels.occupied))
+            middles = [(column + 0.5) * cell, -(row + 0.5) * cell, level * level_height]
+            centers.append(np.stack(middles, axis=1).astype(np.float32))
+            classes.append(np.asarray(voxels.classes)[level, row, column])
+        counts = [len(center) for center in centers]
+        sizes = np.tile(_DRAWN / 2 * np.array([cell, cell, level_height], np.float32), (sum(counts), 1))
+        boxes = rr.Boxes3D.columns(centers=np.concatenate(centers), half_sizes=sizes, class_ids=np.concatenate(classes))
+        send(self._stream, "world/voxels", steps, boxes.partition(counts))
+
+    def _send_way(self, steps: np.ndarray, frames: list[Frame]) -> None:
+        """Where the camera is, where it looks, and the way it came: a piece a step, which the viewer adds up."""
+        stream = self._stream
+        here = np.stack([np.asarray(frame.pose.position) for frame in frames])
+        turns = np.stack([np.asarray(frame.pose.rotation) for frame in frames])
+        send(stream, _CAMERA, steps, rr.Transform3D.columns(translation=here, mat3x3=turns.reshape(-1, 9)))
+        on_map = here[:, :2] * (1, -1) / self._settings.cell_size
+        ahead = turns[:, :2, 2] * (2.5, -2.5)
+        send(stream, "map/robot", steps, rr.Points2D.columns(positions=on_map))
+        send(stream, "map/robot/view", steps, rr.Arrows2D.columns(origins=on_map, vectors=ahead))
+        before = np.concatenate([here[:1] if self._last is None else self._last[None], here[:-1]])
+        self._last = here[-1]
+        moving = np.flatnonzero(np.any(here != before, axis=1))
+        if len(moving):
+            pieces = np.stack([before[moving], here[moving]], axis=1)
+            send(stream, "world/way", steps[moving], rr.LineStrips3D.columns(strips=pieces))
+            flat = (pieces[..., :2] * (1, -1) / self._settings.cell_size).astype(np.float32)
+            send(stream, "map/way", steps[moving], rr.LineStrips2D.columns(strips=flat))
+
+
+def _layout(settings: MapSettings, way: Float[np.ndarray, "n 3"]) -> rrb.Blueprint:
+    """The first view: the camera's images on the left, voxels in the middle, map, points and legend on the right."""
+    low, high = way.min(axis=0), way.max(axis=0)
+    x, y, _ = (low + high) / 2
+    size = float(max(high - low)) + settings.reach
+    eye = rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital,
+        position=[x, y - 0.9 * size, size],
+        look_target=[x, y, 0],
+        eye_up=[0, 0, 1],
+    )
+
+    def world(name: str, contents: list[str], so_far: list[str]) -> rrb.Spatial3DView:
+        return rrb.Spatial3DView(
+            origin="/world",
+            contents=["/world/way", f"/{_CAMERA}", f"/{_IMAGE}", *contents],
+            name=name,
+            eye_controls=eye,
+            background=legend.FRAME_COLOR,
+            line_grid=False,
+            overrides=dict.fromkeys(("world/way", *so_far), _SO_FAR),
+        )
+
+    images = [
+        rrb.Spatial2DView(origin=f"/{_IMAGE}", contents=[f"/{entity}"], name=name)
+        for entity, name in ((_PICTURE, "camera"), (_DEPTH, "depth"), (_CLASSES, "classes of the pixels"))
+    ]
+    bounds = rrb.VisualBounds2D(x_range=[-0.5, settings.columns + 0.5], y_range=[-0.5, settings.rows + 0.5])
+    names = rrb.VisualBounds2D(x_range=[-0.5, 1.5], y_range=[-0.3, len(CLASS_NAMES) + 0.3])
+    seen_from_above = rrb.Spatial2DView(
+        origin="/map", name="map as seen from above", visual_bounds=bounds, overrides={"map/way": _SO_FAR}
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(*images),
+            world("voxels", ["/world/voxels", f"/{_PICTURE}"], []),
+            rrb.Vertical(
+                seen_from_above,
+                world("points so far, depth of this frame", ["/world/points", f"/{_DEPTH}"], ["world/points"]),
+            ),
+            rrb.Spatial2DView(origin="/legend", name="legend", visual_bounds=names),
+            column_shares=[2.2, 5, 3.4, 1.2],
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, fps=10.0),
+        auto_views=False,
+    )

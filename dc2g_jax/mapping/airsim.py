@@ -1,0 +1,352 @@
+"""Frames from AirSim, the simulator of the paper's Unreal experiments (sections III-C, IV-D), over its own protocol.
+
+AirSim's Python package needs a web server of 2018, and none of it is needed here: AirSim speaks MessagePack-RPC, so a
+request is the array [0, number, method, parameters] and its answer [1, number, error, result], one after the other
+over TCP. `pip install "dc2g_jax[airsim]"` gets `msgpack`, which is all it takes. Layouts of messages are those of
+AirLib's `RpcLibAdaptorsBase.hpp`, version 1 of the protocol; Cosys-AirSim has version 4 and other image requests.
+
+AirSim's frame is x north, y east, z down, in metres from where the vehicle starts; its bodies look along x, with y to
+the right and z down. The world here has x east, y north, z up, and its origin lies where `Camera.origin` says.
+
+Set in AirSim's `settings.json` one size and field of view for the images of types 0 (scene), 1 (planar depth) and 5
+(segmentation): they must show the same pixels.
+"""
+
+import dataclasses
+import socket
+import time
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from dc2g_jax.datasets.class_images import Palette
+from dc2g_jax.errors import InputError
+from dc2g_jax.grid.terrain import CLASS_NAMES, UNKNOWN
+from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, intrinsics
+from dc2g_jax.mapping.quaternions import quaternion_from_rotation, rotation_from_quaternion
+
+#: Where AirSim listens if its settings say nothing else.
+PORT = 41451
+
+#: Types of images (`ImageCaptureBase::ImageType`).
+SCENE, DEPTH_PLANAR, SEGMENTATION = 0, 1, 5
+
+#: The version of the protocol (`getServerVersion` and the least that a server asks for).
+_VERSION = 1
+
+_REQUEST, _RESPONSE = 0, 1
+
+#: Bytes taken from the socket at once.
+_CHUNK = 1 << 16
+
+#: What is farther than this is sky, metres: AirSim's depth has no other word for it.
+_SKY = 1000.0
+
+#: World from AirSim's frame, and AirSim's body from the camera's axes right, down and forward.
+_WORLD_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+_BODY_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+
+class AirSim:
+    """A connection to a running AirSim. Use it in a `with` statement, or `close` it.
+
+    Args:
+      host: where AirSim runs.
+      port: where it listens.
+      timeout: seconds that a request may take in all; none waits for longer.
+
+    Raises:
+      InputError: nothing listens there, it does not answer, it is no AirSim of this version, or `msgpack` is missing.
+    """
+
+    def __init__(self, host: str = "127.0.0.1", port: int = PORT, timeout: float = 10.0):
+        try:
+            import msgpack
+        except ModuleNotFoundError:
+            raise InputError('msgpack: is not installed; run: pip install "dc2g_jax[airsim]"') from None
+        self._address, self._timeout, self._number = f"{host}:{port}", timeout, 0
+        self._pack = msgpack.packb
+        # Old versions send images as text that is none.
+        self._unpacker = msgpack.Unpacker(raw=False, unicode_errors="surrogateescape")
+        try:
+            self._socket = socket.create_connection((host, port), timeout)
+        except OSError as error:
+            raise InputError(
+                f"AirSim at {self._address}: cannot be reached ({error}); start it, or give its host and port"
+            ) from None
+        try:
+            self._confirm()
+        except InputError:
+            self.close()
+            raise
+
+    def __enter__(self) -> "AirSim":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the connection."""
+        self._socket.close()
+
+    def call(self, method: str, *parameters: Any) -> Any:
+        """Send one request and wait for its answer.
+
+        Args:
+          method: name of a function of AirSim.
+          parameters: its parameters, made of numbers, text, lists and dictionaries.
+
+        Returns:
+          The result, made of the same.
+
+        Raises:
+          InputError: no answer in time, the connection is gone, or AirSim says that something is wrong.
+        """
+        self._number += 1
+        deadline = time.monotonic() + self._timeout
+        try:
+            self._socket.settimeout(self._timeout)
+            self._socket.sendall(self._pack([_REQUEST, self._number, method, list(parameters)]))
+            answer = self._receive(deadline)
+            # What comes too late belongs to a request that was given up.
+            while self._is_late(answer):
+                answer = self._receive(deadline)
+        except TimeoutError:
+            raise InputError(
+                f"AirSim at {self._address}: no answer to {method} within {self._timeout:g} s; see whether it is "
+                "paused, or give a longer timeout"
+            ) from None
+        except OSError as error:
+            raise InputError(f"AirSim at {self._address}: gone during {method} ({error}); start it again") from None
+        except ValueError as error:
+            raise InputError(
+                f"AirSim at {self._address}: answers {method} with what is no message ({error}); give AirSim's own port"
+            ) from None
+        if answer[2] is not None:
+            words = " ".join(str(answer[2]).split())
+            raise InputError(f"AirSim at {self._address}: refuses {method}: {words}; see AirSim's log")
+        return answer[3]
+
+    def _is_late(self, answer: Any) -> bool:
+        """Is this the answer to an earlier request?
+
+        Raises:
+          ValueError: it is the answer to none.
+        """
+        if not (isinstance(answer, list) and len(answer) == 4 and answer[0] == _RESPONSE):
+            raise ValueError(f"a {type(answer).__name__} instead of [1, number, error, result]")
+        if not (isinstance(answer[1], int) and answer[1] <= self._number):
+            raise ValueError(f"the number {answer[1]!r}, which was not asked for")
+        return bool(answer[1] < self._number)
+
+    def _receive(self, deadline: float) -> Any:
+        """The next message; msgpack's own errors are `ValueError`s."""
+        while True:
+            for message in self._unpacker:
+                return message
+            left = deadline - time.monotonic()
+            if left <= 0:
+                raise TimeoutError
+            self._socket.settimeout(left)
+            data = self._socket.recv(_CHUNK)
+            if not data:
+                raise ConnectionError("it has closed the connection")
+            self._unpacker.feed(data)
+
+    def _confirm(self) -> None:
+        """See that this is an AirSim of this version, as AirSim's own `confirmConnection` does."""
+        if self.call("ping") is not True:
+            raise InputError(f"AirSim at {self._address}: does not answer a ping with true; give AirSim's own port")
+        for method in ("getServerVersion", "getMinRequiredClientVersion"):
+            if (version := self.call(method)) != _VERSION:
+                raise InputError(
+                    f"AirSim at {self._address}: {method} is {version!r}, not {_VERSION}; use a version that fits"
+                )
+
+
+@dataclasses.dataclass(frozen=True)
+class Camera:
+    """A camera of AirSim, and how what it delivers is understood.
+
+    Attributes:
+      palette: what the colours of segmentation images stand for; a colour that is not in it is not labelled.
+      name: of the camera, as in AirSim's settings.
+      vehicle: that carries it; AirSim's first where empty.
+      origin: where the vehicle started, in the world: x and y in metres, and AirSim's zero height over the ground.
+    """
+
+    palette: Palette
+    name: str = "0"
+    vehicle: str = ""
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class Capture(NamedTuple):
+    """What AirSim's camera has delivered; NumPy arrays on the host.
+
+    Attributes:
+      frame: depth, classes and pose.
+      picture: the scene, RGB.
+      seconds: AirSim's time.
+    """
+
+    frame: Frame
+    picture: UInt8[np.ndarray, "h w 3"]
+    seconds: float
+
+
+def capture(airsim: AirSim, camera: Camera) -> Capture:
+    """Take depth, segmentation and scene of one moment.
+
+    Raises:
+      InputError: AirSim refuses, or sends an image of another size or kind than it says.
+    """
+    kinds = ((SCENE, False), (DEPTH_PLANAR, True), (SEGMENTATION, False))
+    requests = [
+        {"camera_name": camera.name, "image_type": kind, "pixels_as_float": is_float, "compress": False}
+        for kind, is_float in kinds
+    ]
+    answers = _call_of_camera(airsim, "simGetImages", requests, camera.vehicle)
+    if not isinstance(answers, list) or len(answers) != len(requests):
+        raise InputError(
+            f"AirSim's simGetImages: sent no {len(requests)} images for camera {camera.name!r}; see its log"
+        )
+    scene, depth, segmentation = answers
+    picture, colors, metres = _pixels(scene), _pixels(segmentation), _metres(depth)
+    for name, image in (("scene", picture), ("segmentation", colors)):
+        if image.shape[:2] != metres.shape:
+            raise InputError(
+                f"AirSim's camera {camera.name!r}: {name} is {image.shape[1]} x {image.shape[0]} pixels, depth "
+                f"{metres.shape[1]} x {metres.shape[0]}; give all CaptureSettings in settings.json one size"
+            )
+    shades = colors.astype(np.int64)
+    classes = camera.palette.class_of_color[shades[..., 0] << 16 | shades[..., 1] << 8 | shades[..., 2]]
+    labels: Any = np.where(classes < len(CLASS_NAMES), classes, UNKNOWN).astype(np.uint8)
+    returned: Any = np.where(metres < _SKY, metres, 0).astype(np.float32)
+    pose = _world_pose(depth["camera_position"], depth["camera_orientation"], camera.origin)
+    return Capture(Frame(depth=returned, classes=labels, pose=pose), picture, depth["time_stamp"] * 1e-9)
+
+
+def camera_intrinsics(airsim: AirSim, camera: Camera, height: int, width: int) -> Intrinsics:
+    """The intrinsics of a camera whose images have this size.
+
+    Raises:
+      InputError: AirSim refuses, or says something impossible.
+    """
+    degrees = _call_of_camera(airsim, "simGetCameraInfo", camera.name, camera.vehicle)["fov"]
+    if not 0 < degrees < 180:
+        raise InputError(f"AirSim's camera {camera.name!r}: has a field of view of {degrees} degrees; set FOV_Degrees")
+    return intrinsics(degrees, height, width)
+
+
+def vehicle_pose(airsim: AirSim, camera: Camera) -> CameraPose:
+    """Where the vehicle is: the pose of a camera in its middle that looks ahead."""
+    pose = airsim.call("simGetVehiclePose", camera.vehicle)
+    return _world_pose(pose["position"], pose["orientation"], camera.origin)
+
+
+def set_vehicle_pose(airsim: AirSim, camera: Camera, pose: CameraPose) -> None:
+    """Put the vehicle where a camera in its middle that looks ahead has this pose, through whatever is in the way."""
+    position = _WORLD_FROM_NED.T @ (np.asarray(pose.position, np.float64) - camera.origin)
+    rotation = _WORLD_FROM_NED.T @ np.asarray(pose.rotation, np.float64) @ _BODY_FROM_CAMERA.T
+    ned = {"position": _named("xyz", position), "orientation": _named("xyzw", quaternion_from_rotation(rotation))}
+    airsim.call("simSetVehiclePose", ned, True, camera.vehicle)
+
+
+def drive(airsim: AirSim, camera: Camera, throttle: float, steering: float, brake: float = 0.0) -> None:
+    """Set the pedals and the wheel of a car, which AirSim then holds.
+
+    Args:
+      airsim: the connection.
+      camera: on which vehicle.
+      throttle: -1 to 1; below 0 in reverse gear.
+      steering: -1 (left) to 1 (right).
+      brake: 0 to 1.
+
+    Raises:
+      InputError: AirSim refuses, or a number is out of its range.
+    """
+    for name, value, low in (("throttle", throttle, -1), ("steering", steering, -1), ("brake", brake, 0)):
+        if not low <= value <= 1:
+            raise InputError(f"{name} is {value}; give {low} to 1")
+    reverse = throttle < 0
+    controls = {
+        "throttle": float(throttle),
+        "steering": float(steering),
+        "brake": float(brake),
+        "handbrake": False,
+        "is_manual_gear": reverse,
+        "manual_gear": -1 if reverse else 0,
+        "gear_immediate": True,
+    }
+    airsim.call("enableApiControl", True, camera.vehicle)
+    airsim.call("setCarControls", controls, camera.vehicle)
+
+
+def label_objects(airsim: AirSim, object_ids: Mapping[str, int]) -> None:
+    """Give objects of AirSim's scene the numbers that decide their colour in segmentation images.
+
+    Args:
+      airsim: the connection.
+      object_ids: regular expression of names of meshes -> number from 0 to 255; later ones win.
+
+    Raises:
+      InputError: AirSim refuses, or no mesh has such a name.
+    """
+    for pattern, number in object_ids.items():
+        if not 0 <= number <= 255:
+            raise InputError(f"object number {number} of {pattern!r}: give 0 to 255")
+        if airsim.call("simSetSegmentationObjectID", pattern, number, True) is not True:
+            raise InputError(f"{pattern!r}: AirSim has no mesh of such a name; see simListSceneObjects")
+
+
+def _call_of_camera(airsim: AirSim, method: str, *parameters: Any) -> Any:
+    """Call a function about a camera; some versions also want to be told that it is on a vehicle, not in the scene."""
+    try:
+        return airsim.call(method, *parameters, False)
+    except InputError as error:
+        if "invalid number of arguments" not in str(error):
+            raise
+        return airsim.call(method, *parameters)
+
+
+def _metres(answer: Mapping[str, Any]) -> Float[np.ndarray, "h w"]:
+    """The image of an answer with a number a pixel."""
+    return _shaped(answer, np.asarray(answer["image_data_float"], np.float32), 1)[..., 0]
+
+
+def _pixels(answer: Mapping[str, Any]) -> UInt8[np.ndarray, "h w 3"]:
+    """The RGB image of an answer; what is sent is blue, green, red, and opacity in old versions."""
+    data = answer["image_data_uint8"]
+    values = np.frombuffer(data.encode("utf-8", "surrogateescape") if isinstance(data, str) else data, np.uint8)
+    channels = 4 if values.size == 4 * answer["height"] * answer["width"] else 3
+    return np.ascontiguousarray(_shaped(answer, values, channels)[..., 2::-1])
+
+
+def _shaped(answer: Mapping[str, Any], values: np.ndarray, channels: int) -> np.ndarray:
+    """The values as an image of the size that is said to be."""
+    height, width = answer["height"], answer["width"]
+    if not values.size == height * width * channels > 0:
+        raise InputError(
+            f"AirSim's image of type {answer['image_type']}: has {values.size} values for {width} x {height} pixels "
+            f"({' '.join(str(answer['message']).split()) or 'no message'}); see AirSim's log and the camera's name"
+        )
+    return values.reshape(height, width, channels)
+
+
+def _world_pose(
+    position: Mapping[str, float], orientation: Mapping[str, float], origin: tuple[float, ...]
+) -> CameraPose:
+    """A pose in the world of something that AirSim says is here and turned so."""
+    ned = np.array([position[f"{axis}_val"] for axis in "xyz"])
+    turn = rotation_from_quaternion(np.array([orientation[f"{axis}_val"] for axis in "xyzw"]))
+    place: Any = (_WORLD_FROM_NED @ ned + origin).astype(np.float32)
+    rotation: Any = (_WORLD_FROM_NED @ turn @ _BODY_FROM_CAMERA).astype(np.float32)
+    return CameraPose(position=place, rotation=rotation)
+
+
+def _named(axes: str, values: np.ndarray) -> dict[str, float]:
+    return {f"{axis}_val": value for axis, value in zip(axes, values.tolist(), strict=True)}

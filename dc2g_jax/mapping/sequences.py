@@ -1,0 +1,386 @@
+"""Recorded depth images with classes and poses: folders like those of the TUM RGB-D benchmark.
+
+What holds as there (Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM Systems, IROS 2012):
+
+- `depth.txt` and `rgb.txt` have a line an image: its time in seconds, and its file as seen from the folder. `#` begins
+  a comment. Colour images are optional here, and only looked at.
+- A depth image is a greyscale PNG of 16 bits, 5000 a metre, along the optical axis, 0 where nothing came back.
+  So depth ends at 13.107 m. Depth and colour images show the same in the same pixel.
+- `groundtruth.txt` has a line a pose: time, tx ty tz in metres, qx qy qz qw. It takes points of the camera (x right,
+  y down, z forward) to the world.
+- Each list has times of its own; what is nearest in time belongs together, if it is at most 0.02 s away.
+
+What is added:
+
+- `classes.txt` lists class images as `depth.txt` lists depth images. They show the same pixels: a greyscale PNG of
+  8 bits with the class indices of `dc2g_jax.grid.terrain`, 0 without label. Where the folder has a palette,
+  `labels_colors.csv`, they are pictures in its colours instead.
+- `camera.txt` has one line, the intrinsics: focal_x focal_y center_x center_y width height. Images have no distortion.
+- The world has z up and its ground at z = 0, as in `dc2g_jax.mapping.camera`; `moved` takes another one there.
+"""
+
+import dataclasses
+import math
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int, UInt8, UInt16
+
+from dc2g_jax.datasets.class_images import PALETTE_FILE, Palette, read_class_image, read_palette
+from dc2g_jax.errors import InputError
+from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics
+from dc2g_jax.mapping.checks import check_intrinsics
+from dc2g_jax.mapping.quaternions import quaternion_from_rotation, rotation_from_quaternion
+from dc2g_jax.mapping.semantic_map import MapSettings
+
+#: Steps of a depth image in a metre.
+DEPTH_UNITS = 5000.0
+
+#: Seconds that images and poses of one moment may be apart, as in the benchmark's own tools.
+TOLERANCE = 0.02
+
+#: Files of a folder.
+DEPTH_LIST, CLASS_LIST, PICTURE_LIST = "depth.txt", "classes.txt", "rgb.txt"
+POSE_LIST, CAMERA_FILE = "groundtruth.txt", "camera.txt"
+
+_LIST_FIELDS = ("time", "file")
+_POSE_FIELDS = ("time", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+_CAMERA_FIELDS = ("focal_x", "focal_y", "center_x", "center_y", "width", "height")
+
+
+class Moment(NamedTuple):
+    """What belongs together.
+
+    Attributes:
+      time: of the depth image, seconds.
+      depth: file of the depth image.
+      classes: file of the class image.
+      picture: file of the colour image, if there is one.
+      pose: of the camera.
+    """
+
+    time: float
+    depth: Path
+    classes: Path
+    picture: Path | None
+    pose: CameraPose
+
+
+@dataclasses.dataclass(frozen=True)
+class ImageSequence:
+    """A recording whose images have not been read yet.
+
+    Attributes:
+      intrinsics: of its camera.
+      moments: in the order of time.
+      skipped: depth images that have no class image or no pose near them in time.
+      palette: what the colours of class images stand for; `None` where they hold class indices.
+    """
+
+    intrinsics: Intrinsics
+    moments: tuple[Moment, ...]
+    skipped: int
+    palette: Palette | None
+
+
+class Shot(NamedTuple):
+    """A frame to write, and the colour image that goes with it, if any."""
+
+    frame: Frame
+    picture: UInt8[np.ndarray, "h w 3"] | None = None
+
+
+class _Timed(NamedTuple):
+    """Things with times, in the order of time."""
+
+    times: Float[np.ndarray, "n"]
+    things: list[Any]
+
+
+def read_sequence(folder: str | Path, tolerance: float = TOLERANCE) -> ImageSequence:
+    """Read the lists of a recording and put together what belongs together.
+
+    Args:
+      folder: of the recording.
+      tolerance: seconds that a class image, colour image or pose may be away from its depth image.
+
+    Raises:
+      InputError: a list or `camera.txt` is missing or says something impossible, or no depth image has both a class
+        image and a pose near it.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; give a recording that has {DEPTH_LIST} in it")
+    intrinsics = _read_camera(folder / CAMERA_FILE)
+    depth, classes = (_read_list(folder / name) for name in (DEPTH_LIST, CLASS_LIST))
+    pictures = _read_list(folder / PICTURE_LIST) if (folder / PICTURE_LIST).exists() else _Timed(np.zeros(0), [])
+    poses = _read_poses(folder / POSE_LIST)
+    moments = []
+    nearest = [_nearest(timed.times, depth.times, tolerance) for timed in (classes, pictures, poses)]
+    for time, file, class_at, picture_at, pose_at in zip(*depth, *nearest, strict=True):
+        if class_at >= 0 and pose_at >= 0:
+            picture = pictures.things[picture_at] if picture_at >= 0 else None
+            moments.append(Moment(float(time), file, classes.things[class_at], picture, poses.things[pose_at]))
+    if not moments:
+        raise InputError(
+            f"{folder}: none of its {len(depth.things)} depth images has a class image and a pose within {tolerance:g} "
+            f"s; compare the times in {DEPTH_LIST}, {CLASS_LIST} and {POSE_LIST}"
+        )
+    palette = read_palette(folder / PALETTE_FILE) if (folder / PALETTE_FILE).exists() else None
+    return ImageSequence(intrinsics, tuple(moments), len(depth.things) - len(moments), palette)
+
+
+def frames(sequence: ImageSequence) -> Iterator[Frame]:
+    """Read one frame after the other; NumPy arrays on the host.
+
+    Raises:
+      InputError: an image is missing, damaged, of another size or kind.
+    """
+    for moment in sequence.moments:
+        yield read_frame(sequence, moment)
+
+
+def read_frame(sequence: ImageSequence, moment: Moment) -> Frame:
+    """The depth and class image of a moment; NumPy arrays on the host.
+
+    Raises:
+      InputError: an image is missing, damaged, of another size or kind.
+    """
+    steps = _read_grey(moment.depth, np.uint16, "depth in 5000 steps a metre")
+    if sequence.palette is None:
+        classes = _read_grey(moment.classes, np.uint8, f"class indices, or lay a palette {PALETTE_FILE} beside them")
+    else:
+        classes = read_class_image(moment.classes, sequence.palette)
+    height, width = sequence.intrinsics.height, sequence.intrinsics.width
+    for file, image in ((moment.depth, steps), (moment.classes, classes)):
+        if image.shape != (height, width):
+            raise InputError(
+                f"{file}: is {image.shape[1]} x {image.shape[0]} pixels, but the camera's images are {width} x "
+                f"{height}; repair {CAMERA_FILE} or the image"
+            )
+    depth: Any = steps.astype(np.float32) / np.float32(DEPTH_UNITS)
+    labels: Any = classes
+    return Frame(depth=depth, classes=labels, pose=moment.pose)
+
+
+def read_picture(moment: Moment) -> bytes | None:
+    """The colour image of a moment as it lies in its file, encoded; `None` where there is none.
+
+    Raises:
+      InputError: the file cannot be read.
+    """
+    return None if moment.picture is None else _read_bytes(moment.picture)
+
+
+def moved(sequence: ImageSequence, offset: Float[np.ndarray, "3"]) -> ImageSequence:
+    """The recording in a world whose origin lies elsewhere.
+
+    Args:
+      sequence: the recording.
+      offset: what is added to the camera's positions, x, y and z in metres.
+    """
+    shift = offset.astype(np.float32)
+    moments = tuple(
+        moment._replace(pose=moment.pose.replace(position=moment.pose.position + shift))  # type: ignore[attr-defined]
+        for moment in sequence.moments
+    )
+    return dataclasses.replace(sequence, moments=moments)
+
+
+def covered(sequence: ImageSequence, cell_size: float, reach: float) -> tuple[ImageSequence, MapSettings]:
+    """A map that holds all within reach of the camera's way, and the recording in the frame of that map.
+
+    Args:
+      sequence: a recording in any place; its ground is at z = 0 already.
+      cell_size: side of a cell, metres.
+      reach: how far its camera is trusted, metres.
+
+    Returns:
+      The recording, moved by whole cells, and the settings.
+    """
+    ways = np.stack([moment.pose.position[:2] for moment in sequence.moments]).astype(np.float64)
+    low = np.floor((ways.min(axis=0) - reach) / cell_size)
+    high = np.ceil((ways.max(axis=0) + reach) / cell_size)
+    columns, rows = (high - low).astype(int).tolist()
+    offset = cell_size * np.array([-low[0], -high[1], 0.0])
+    return moved(sequence, offset), MapSettings(rows=rows, columns=columns, cell_size=cell_size, reach=reach)
+
+
+def write_sequence(folder: str | Path, intrinsics: Intrinsics, shots: Iterable[Shot], rate: float = 10.0) -> Path:
+    """Write a recording that `read_sequence` reads; depth comes back to within 0.1 mm.
+
+    Shots are taken one by one, and what has been written stays readable when writing stops in between.
+
+    Args:
+      folder: to write to; new or empty.
+      intrinsics: of the camera.
+      shots: in the order of time. Depth that 16 bits cannot hold (13.107 m and more, or not finite) becomes none.
+      rate: shots a second.
+
+    Returns:
+      The folder.
+
+    Raises:
+      InputError: the folder is in use or cannot be made, or the intrinsics form no image.
+    """
+    check_intrinsics(intrinsics)
+    folder = Path(folder)
+    try:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise InputError(f"{folder}: is not an empty folder; give a new one")
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror}); give a folder of yours") from None
+    numbers = [getattr(intrinsics, name) for name in _CAMERA_FIELDS]
+    (folder / CAMERA_FILE).write_text(f"# {' '.join(_CAMERA_FIELDS)}\n{' '.join(f'{n:.9g}' for n in numbers)}\n")
+    for number, shot in enumerate(shots):
+        for (name, fields), line in _write_shot(folder, f"{number / rate:.6f}", shot).items():
+            begun = (folder / name).exists()
+            with (folder / name).open("a") as file:
+                file.write(f"{line}\n" if begun else f"# {' '.join(fields)}\n{line}\n")
+    return folder
+
+
+def depth_steps(depth: Float[np.ndarray, "h w"]) -> UInt16[np.ndarray, "h w"]:
+    """Metres as a depth image has them; 0 where it has no number for them, and where they are none."""
+    steps = np.rint(depth.astype(np.float64) * DEPTH_UNITS)
+    return np.where((steps > 0) & (steps <= np.iinfo(np.uint16).max), steps, 0).astype(np.uint16)
+
+
+def _write_shot(folder: Path, time: str, shot: Shot) -> dict[tuple[str, tuple[str, ...]], str]:
+    """Write the images of a shot; the lists it belongs into, by name and fields, and its line in each."""
+    images = {DEPTH_LIST: ("depth", depth_steps(np.asarray(shot.frame.depth)))}
+    images[CLASS_LIST] = ("classes", np.asarray(shot.frame.classes))
+    if shot.picture is not None:
+        images[PICTURE_LIST] = ("rgb", shot.picture[..., ::-1])  # OpenCV writes blue first
+    lines: dict[tuple[str, tuple[str, ...]], str] = {}
+    for name, (kind, image) in images.items():
+        file = f"{kind}/{time}.png"
+        _write_png(folder / file, image)
+        lines[name, _LIST_FIELDS] = f"{time} {file}"
+    turn = quaternion_from_rotation(np.asarray(shot.frame.pose.rotation))
+    numbers = [*np.asarray(shot.frame.pose.position).tolist(), *turn.tolist()]
+    lines[POSE_LIST, _POSE_FIELDS] = f"{time} {' '.join(f'{number:.9g}' for number in numbers)}"
+    return lines
+
+
+def _write_png(file: Path, image: np.ndarray) -> None:
+    file.parent.mkdir(exist_ok=True)
+    encoded, data = cv2.imencode(".png", np.ascontiguousarray(image))
+    if not encoded:
+        raise InputError(f"{file}: an image of {image.shape} cannot be encoded; give one with pixels")
+    file.write_bytes(data.tobytes())
+
+
+def _read_bytes(file: Path, remedy: str = "put the image there, or repair the list") -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror}); {remedy}") from None
+
+
+def _read_grey(file: Path, dtype: type[np.unsignedinteger], what: str) -> np.ndarray:
+    """A greyscale PNG of so many bits."""
+    data = np.frombuffer(_read_bytes(file), np.uint8)
+    try:
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    except cv2.error:
+        image = None
+    if image is None:
+        raise InputError(f"{file}: is no intact PNG; copy or export it again")
+    if image.ndim != 2 or image.dtype != dtype:
+        found = f"{8 * image.itemsize} bits and {1 if image.ndim == 2 else image.shape[2]} channels"
+        raise InputError(
+            f"{file}: has {found}; save it as greyscale PNG of {8 * np.dtype(dtype).itemsize} bits: {what}"
+        )
+    return np.asarray(image)
+
+
+def _nearest(times: Float[np.ndarray, "n"], wanted: Float[np.ndarray, "m"], tolerance: float) -> Int[np.ndarray, "m"]:
+    """For each wanted time the index of the nearest one, -1 where that is too far away. Times are sorted."""
+    if not times.size:
+        return np.full(wanted.shape, -1)
+    after = np.searchsorted(times, wanted).clip(0, times.size - 1)
+    before = (after - 1).clip(0)
+    nearest = np.where(np.abs(times[before] - wanted) <= np.abs(times[after] - wanted), before, after)
+    # Times are written in decimals, and their difference is not exact.
+    return np.where(np.abs(times[nearest] - wanted) <= tolerance + 1e-9, nearest, -1)
+
+
+def _read_list(path: Path) -> _Timed:
+    """Times and files of a list of images."""
+    return _sorted((_numbers(path, line, [time])[0], path.parent / file) for line, (time, file) in _lines(path))
+
+
+def _read_poses(path: Path) -> _Timed:
+    """Times and poses."""
+    poses = []
+    for line, words in _lines(path, _POSE_FIELDS):
+        time, *numbers = _numbers(path, line, words)
+        try:
+            rotation = rotation_from_quaternion(np.array(numbers[3:]))
+        except InputError as error:
+            raise InputError(f"{path}: line {line}: {error}") from None
+        position: Any = np.array(numbers[:3], np.float32)
+        turn: Any = rotation.astype(np.float32)
+        poses.append((time, CameraPose(position=position, rotation=turn)))
+    return _sorted(poses)
+
+
+def _read_camera(path: Path) -> Intrinsics:
+    lines = list(_lines(path, _CAMERA_FIELDS))
+    if len(lines) != 1:
+        raise InputError(f"{path}: has {len(lines)} lines; give one: {' '.join(_CAMERA_FIELDS)}")
+    values = dict(zip(_CAMERA_FIELDS, _numbers(path, *lines[0]), strict=True))
+    for name in ("width", "height"):
+        if not values[name].is_integer():
+            raise InputError(f"{path}: {name} is {values[name]:g}; give whole pixels")
+    lenses: dict[str, Any] = {name: jnp.float32(values[name]) for name in _CAMERA_FIELDS[:4]}
+    camera = Intrinsics(**lenses, height=int(values["height"]), width=int(values["width"]))
+    try:
+        check_intrinsics(camera)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return camera
+
+
+def _lines(path: Path, fields: tuple[str, ...] = _LIST_FIELDS) -> Iterator[tuple[int, list[str]]]:
+    """Line numbers and words of the lines that are neither blank nor comments; commas and tabs are blanks."""
+    try:
+        text = _read_bytes(path, f"write it, with lines of {' '.join(fields)}").decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: byte {error.start} is not UTF-8 text; save the list as text") from None
+    for number, line in enumerate(text.splitlines(), 1):
+        bare = line.replace(",", " ").strip()
+        if not bare or bare.startswith("#"):
+            continue
+        # The name of a file may have blanks in it.
+        words = bare.split(maxsplit=1) if fields == _LIST_FIELDS else bare.split()
+        if len(words) != len(fields):
+            raise InputError(
+                f"{path}: line {number} has {len(words)} values, not {len(fields)}; write {' '.join(fields)}"
+            )
+        yield number, words
+
+
+def _numbers(path: Path, line: int, words: list[str]) -> list[float]:
+    """The numbers of a line."""
+    numbers = []
+    for word in words:
+        try:
+            number = float(word)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            raise InputError(f"{path}: line {line} has {word!r} where a number belongs; repair the line")
+        numbers.append(number)
+    return numbers
+
+
+def _sorted(things: Iterable[tuple[float, Any]]) -> _Timed:
+    ordered = sorted(things, key=lambda thing: thing[0])
+    return _Timed(np.array([time for time, _ in ordered]), [thing for _, thing in ordered])
