@@ -1,0 +1,99 @@
+"""What stands in a house: the classes of the indoor map, how they look, and what a data set calls them.
+
+The paper has 16 semantic classes, "a superset of our target classes" (section II-A), and names the goals alone. The
+others here are chosen to tell rooms apart. Floor and walls are none of them: that something stands in the way, and what
+has been seen, are channels of their own.
+
+An armchair is no goal "chair" and has a class of its own, so that whatever the map calls a chair is one. Bathtubs
+are other objects: ProcTHOR's table of objects has none, so a class of their own would teach a cue that is never found
+there.
+"""
+
+import numpy as np
+
+#: Class index -> name. Index 0 stands for floor, wall and whatever has no class.
+CLASS_NAMES: tuple[str, ...] = (
+    "nothing",
+    "bed",
+    "chair",
+    "sink",
+    "plant",
+    "couch",
+    "armchair",
+    "table",
+    "desk",
+    "cabinet",
+    "shelf",
+    "television",
+    "toilet",
+    "refrigerator",
+    "counter",
+    "lamp",
+    "other object",
+)
+
+#: Semantic classes, those of the map's channels: class index `1 + channel`.
+SEMANTIC_CLASSES = len(CLASS_NAMES) - 1
+
+NOTHING = 0
+(
+    BED, CHAIR, SINK, PLANT, COUCH, ARMCHAIR, TABLE, DESK, CABINET, SHELF, TELEVISION, TOILET, REFRIGERATOR, COUNTER,
+    LAMP, OTHER,
+) = range(1, len(CLASS_NAMES))  # fmt: skip
+
+#: What a robot may be sent to, by class index, in the paper's order (section III-C).
+GOALS: tuple[int, ...] = (BED, CHAIR, SINK, PLANT, COUCH)
+
+#: Class index -> RGB colour, uint8 [17 3]. Goals have colours of Okabe and Ito, which the colour-blind tell apart; all
+#: else is paler or darker than they are.
+CLASS_COLORS = np.array(
+    [
+        (255, 255, 255),
+        (0, 114, 178),
+        (230, 159, 0),
+        (86, 180, 233),
+        (0, 158, 115),
+        (213, 94, 0),
+        (204, 121, 167),
+        (214, 190, 156),
+        (184, 158, 118),
+        (140, 112, 84),
+        (92, 72, 54),
+        (44, 44, 52),
+        (240, 228, 66),
+        (190, 204, 222),
+        (160, 160, 148),
+        (250, 226, 150),
+        (158, 142, 176),
+    ],
+    dtype=np.uint8,
+)
+
+#: Room type -> name, as ProcTHOR has them. Index 0 is outside.
+ROOM_NAMES: tuple[str, ...] = ("outside", "Bedroom", "Bathroom", "Kitchen", "LivingRoom")
+BEDROOM, BATHROOM, KITCHEN, LIVING_ROOM = range(1, len(ROOM_NAMES))
+
+#: ProcTHOR object type -> class. Small things that stand on furniture are part of it, whatever else stands on the floor
+#: is an other object.
+PROCTHOR_CLASSES: dict[str, int] = {
+    "Bed": BED,
+    "Chair": CHAIR,
+    "Sink": SINK,
+    "HousePlant": PLANT,
+    "Sofa": COUCH,
+    "ArmChair": ARMCHAIR,
+    "DiningTable": TABLE,
+    "CoffeeTable": TABLE,
+    "Desk": DESK,
+    "Dresser": CABINET,
+    "SideTable": CABINET,
+    "TVStand": CABINET,
+    "Safe": CABINET,
+    "ShelvingUnit": SHELF,
+    "Television": TELEVISION,
+    "Toilet": TOILET,
+    "Fridge": REFRIGERATOR,
+    "CounterTop": COUNTER,
+    "FloorLamp": LAMP,
+    "DeskLamp": LAMP,
+}

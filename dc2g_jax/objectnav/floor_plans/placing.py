@@ -1,0 +1,278 @@
+"""Furniture in a room: along its walls, in its corners or away from them, so that a robot still gets everywhere.
+
+What has been placed never moves. Every door keeps a free square on both sides, and what one has to stand before, such
+as a couch, keeps its front. A piece after which some floor could no longer be reached by a robot is not placed.
+"""
+
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool
+
+from dc2g_jax.objectnav.floor_plans.layouts import Layout
+from dc2g_jax.objectnav.plan_cells import MARGIN, world_from_plan
+from dc2g_jax.objectnav.plans import Furniture, HousePlan, Segment
+from dc2g_jax.objectnav.starts import components, passable
+
+#: Cells in which it is checked that a robot gets everywhere, metres.
+CHECK_CELLS = 0.1
+
+#: From the middle of a wall to the back of what stands against it, metres.
+_BEHIND = 0.07
+
+#: What is kept free before a door, and between two pieces, metres.
+_BEFORE_DOOR, _BETWEEN = 0.9, 0.02
+
+_ATTEMPTS = 10
+
+
+class Rectangle(NamedTuple):
+    """Left, lower, right and upper border, metres."""
+
+    left: float
+    lower: float
+    right: float
+    upper: float
+
+    def overlaps(self, other: "Rectangle", gap: float = 0.0) -> bool:
+        """Do two rectangles come nearer to each other than a gap?"""
+        return (
+            self.left < other.right + gap
+            and other.left < self.right + gap
+            and self.lower < other.upper + gap
+            and other.lower < self.upper + gap
+        )
+
+
+class Wall(NamedTuple):
+    """A straight wall seen from its room.
+
+    Attributes:
+      start: one end.
+      along: unit vector to the other end.
+      inward: unit vector into the room.
+      length: metres.
+    """
+
+    start: tuple[float, float]
+    along: tuple[int, int]
+    inward: tuple[int, int]
+    length: float
+
+
+class Size(NamedTuple):
+    """Of a piece: along its back, from back to front, and its height; metres."""
+
+    width: float
+    depth: float
+    top: float
+
+
+def bounds(piece: Furniture) -> Rectangle:
+    """The upright rectangle around a piece."""
+    cosine, sine = abs(math.cos(piece.angle)), abs(math.sin(piece.angle))
+    across = (piece.width * cosine + piece.depth * sine) / 2
+    up = (piece.width * sine + piece.depth * cosine) / 2
+    return Rectangle(piece.x - across, piece.y - up, piece.x + across, piece.y + up)
+
+
+def in_front(piece: Furniture, along: float, ahead: float) -> tuple[float, float]:
+    """A point relative to a piece: so far to the side along its back, and so far before its middle."""
+    cosine, sine = math.cos(piece.angle), math.sin(piece.angle)
+    return piece.x + along * cosine - ahead * sine, piece.y + along * sine + ahead * cosine
+
+
+class Floor:
+    """The floor of a house in cells, with what is free of it."""
+
+    def __init__(self, layout: Layout) -> None:
+        plan = HousePlan(layout.rooms, layout.walls, layout.doors, ())
+        world = world_from_plan(plan, CHECK_CELLS)
+        corners = np.array(layout.walls).reshape(-1, 2)
+        self.free, self.rooms = np.asarray(world.free).copy(), np.asarray(world.rooms)
+        self._left, self._top = float(corners[:, 0].min()) - MARGIN, float(corners[:, 1].max()) + MARGIN
+
+    def cells(self, area: Rectangle, reach: float = 0.0) -> tuple[slice, slice]:
+        """The cells whose middle lies in a rectangle, or so near to it."""
+        left, right = ((x - self._left) / CHECK_CELLS - 0.5 for x in (area.left - reach, area.right + reach))
+        upper, lower = ((self._top - y) / CHECK_CELLS - 0.5 for y in (area.upper + reach, area.lower - reach))
+        rows = slice(max(math.ceil(upper), 0), max(math.floor(lower) + 1, 0))
+        return rows, slice(max(math.ceil(left), 0), max(math.floor(right) + 1, 0))
+
+
+class RoomSketch:
+    """A room that is being furnished.
+
+    Args:
+      rng: where chance comes from.
+      layout: the house.
+      number: of the room.
+      floor: of the house; takes in what is placed.
+
+    Attributes:
+      kind: type of the room.
+      pieces: what stands in it.
+    """
+
+    def __init__(self, rng: np.random.Generator, layout: Layout, number: int, floor: Floor) -> None:
+        self.rng, self.kind, self.pieces = rng, layout.kinds[number], list[Furniture]()
+        self._squares, self._unit, self._floor = layout.squares[number], layout.unit, floor
+        self._walls = _walls_of(layout, number)
+        corners = layout.rooms[number].outline
+        area = Rectangle(*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist())
+        self._window = floor.cells(area, 3 * CHECK_CELLS)
+        inside = floor.rooms == number + 1
+        doors = [door for door in layout.doors if np.any(inside[floor.cells(_widened(door, CHECK_CELLS))])]
+        for door in doors:
+            # The way to a door has to stay open too.
+            opening = floor.cells(_widened(door, CHECK_CELLS))
+            inside[opening] = floor.free[opening]
+        self._inside = inside[self._window]
+        self._kept = [_widened(door, _BEFORE_DOOR) for door in doors]
+        self._taken = list[Rectangle]()
+
+    def against_wall(
+        self, kind: int, size: Size, *, corner: float = 0.0, front: float = 0.0, wall: Wall | None = None
+    ) -> Furniture | None:
+        """Place a piece with its back to a wall.
+
+        Args:
+          kind: class index.
+          size: of the piece.
+          corner: share of the attempts that put it at an end of the wall.
+          front: metres before it that stay free.
+          wall: which one, else any.
+
+        Returns:
+          The piece, or `None` where it does not fit.
+        """
+        walls = [w for w in ([wall] if wall else self._walls) if w.length >= size.width + 2 * _BEHIND]
+        if not walls:
+            return None
+        shares = np.cumsum([w.length for w in walls])
+        for _ in range(_ATTEMPTS):
+            chosen = walls[int(np.searchsorted(shares, self.rng.uniform(0, shares[-1])))]
+            least, most = _BEHIND + size.width / 2, chosen.length - _BEHIND - size.width / 2
+            at = self.rng.choice((least, most)) if self.rng.random() < corner else self.rng.uniform(least, most)
+            piece = standing(kind, size, chosen, float(at))
+            if self.place(piece, front=front):
+                return piece
+        return None
+
+    def anywhere(self, kind: int, size: Size) -> Furniture | None:
+        """Place a piece somewhere on the floor, along or across; `None` where it does not fit."""
+        for _ in range(_ATTEMPTS):
+            x, y = self.point()
+            angle = float(self.rng.integers(2)) * math.pi / 2
+            piece = Furniture(kind, x, y, size.width, size.depth, angle, size.top)
+            if self.place(piece):
+                return piece
+        return None
+
+    def opposite(self, piece: Furniture) -> Wall | None:
+        """The wall that a piece faces."""
+        ahead = in_front(piece, 0, 1)
+        facing = round(ahead[0] - piece.x), round(ahead[1] - piece.y)
+        found = []
+        for wall in self._walls:
+            distance = (wall.start[0] - piece.x) * facing[0] + (wall.start[1] - piece.y) * facing[1]
+            at = (piece.x - wall.start[0]) * wall.along[0] + (piece.y - wall.start[1]) * wall.along[1]
+            if wall.inward == (-facing[0], -facing[1]) and distance > 0 and 0 < at < wall.length:
+                found.append((distance, wall))
+        return min(found)[1] if found else None
+
+    def point(self) -> tuple[float, float]:
+        """A point of the floor."""
+        squares = sorted(self._squares)
+        column, row = squares[int(self.rng.integers(len(squares)))]
+        return (column + self.rng.uniform()) * self._unit, (row + self.rng.uniform()) * self._unit
+
+    def on(self, piece: Furniture, kind: int, size: Size) -> None:
+        """Put something small on top of a piece."""
+        along = max((piece.width - size.width) / 2, 0.0) * self.rng.uniform(-0.9, 0.9)
+        back = max((piece.depth - size.depth) / 2, 0.0) * self.rng.uniform(-0.9, 0.3)
+        x, y = in_front(piece, along, back)
+        self.pieces.append(Furniture(kind, x, y, size.width, size.depth, piece.angle, piece.top + size.top))
+
+    def place(self, piece: Furniture, *, front: float = 0.0, table: Furniture | None = None) -> bool:
+        """Place a piece, unless it does not fit or some floor would be cut off.
+
+        Args:
+          piece: to be placed.
+          front: metres before it that stay free.
+          table: what it may reach below.
+        """
+        area = bounds(piece)
+        allowed = bounds(table) if table else None
+        ahead = [_front(piece, front)] if front else []
+        if not all(self._holds(part) for part in (area, *ahead)):
+            return False
+        if any(area.overlaps(other) for other in self._kept):
+            return False
+        if any(area.overlaps(other, _BETWEEN) for other in self._taken if other != allowed):
+            return False
+        if any(part.overlaps(other) for part in ahead for other in self._taken):
+            return False
+        place = self._floor.cells(area)
+        before = self._floor.free[place].copy()
+        self._floor.free[place] = False
+        if not self._is_one():
+            self._floor.free[place] = before
+            return False
+        self._taken.append(area)
+        self._kept += ahead
+        self.pieces.append(piece)
+        return True
+
+    def _holds(self, area: Rectangle) -> bool:
+        """Is a rectangle inside the room?"""
+        columns = range(math.floor(area.left / self._unit), math.floor(area.right / self._unit) + 1)
+        rows = range(math.floor(area.lower / self._unit), math.floor(area.upper / self._unit) + 1)
+        return all(square in self._squares for square in itertools.product(columns, rows))
+
+    def _is_one(self) -> bool:
+        """Can a robot get from everywhere it fits in the room to everywhere else, its doors included?"""
+        cells: Bool[np.ndarray, "h w"] = passable(self._floor.free[self._window], CHECK_CELLS) & self._inside
+        return int(components(cells).max()) == 1
+
+
+def standing(kind: int, size: Size, wall: Wall, at: float) -> Furniture:
+    """A piece with its back to a wall, its middle so many metres from the wall's start."""
+    ahead = _BEHIND + size.depth / 2
+    x, y = (s + a * at + n * ahead for s, a, n in zip(wall.start, wall.along, wall.inward, strict=True))
+    return Furniture(kind, x, y, size.width, size.depth, math.atan2(-wall.inward[0], wall.inward[1]), size.top)
+
+
+def _front(piece: Furniture, reach: float) -> Rectangle:
+    """What lies before a piece."""
+    x, y = in_front(piece, 0, (piece.depth + reach) / 2)
+    return bounds(piece._replace(x=x, y=y, depth=reach))
+
+
+def _widened(door: Segment, reach: float) -> Rectangle:
+    """The rectangle that a door takes up, and so much on both of its sides."""
+    (x0, y0), (x1, y1) = door
+    across, up = (reach, 0.0) if x0 == x1 else (0.0, reach)
+    return Rectangle(min(x0, x1) - across, min(y0, y1) - up, max(x0, x1) + across, max(y0, y1) + up)
+
+
+def _walls_of(layout: Layout, number: int) -> list[Wall]:
+    """The walls of a room, also those with doors; borders without a wall are none."""
+    outline = layout.rooms[number].outline
+    walls = []
+    for (x0, y0), (x1, y1) in zip(outline.tolist(), np.roll(outline, -1, axis=0).tolist(), strict=True):
+        length = math.hypot(x1 - x0, y1 - y0)
+        along = round((x1 - x0) / length), round((y1 - y0) / length)
+        side = Rectangle(min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1))
+        if not any(
+            _widened(border, 0.0).overlaps(side, gap=0.01) and _is_along(border, along) for border in layout.open
+        ):
+            walls.append(Wall((x0, y0), along, (-along[1], along[0]), length))
+    return walls
+
+
+def _is_along(border: Segment, along: tuple[int, int]) -> bool:
+    """Does a border run along a direction?"""
+    return (border.start[0] == border.end[0]) == (along[0] == 0)

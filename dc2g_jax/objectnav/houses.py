@@ -1,0 +1,80 @@
+"""Houses to search for objects in, by split: embedded ones, or those of ProcTHOR's files."""
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from dc2g_jax.datasets.houses import PROCEDURAL, tell_on_stderr
+from dc2g_jax.datasets.maps import SPLITS
+from dc2g_jax.errors import InputError
+from dc2g_jax.objectnav.floor_plans import draw_plan
+from dc2g_jax.objectnav.plan_cells import CELL_SIZE, world_from_plan
+from dc2g_jax.objectnav.procthor import read_procthor
+from dc2g_jax.objectnav.worlds import IndoorWorld
+
+#: What the files of houses end in.
+ENDINGS = (".jsonl.gz", ".jsonl")
+
+
+@dataclass(frozen=True, eq=False)
+class IndoorHouse:
+    """One house.
+
+    Attributes:
+        name: such as `train-17`: the split and the line of the file, or the number of the drawing.
+        split: 'train', 'val' or 'test'; a house belongs to one.
+        world: the house as cells.
+    """
+
+    name: str
+    split: str
+    world: IndoorWorld
+
+
+def indoor_houses(
+    location: str | os.PathLike[str] = PROCEDURAL,
+    split: str = "train",
+    *,
+    count: int | None = None,
+    cell_size: float = CELL_SIZE,
+    seed: int = 0,
+    strict: bool = False,
+    log: Callable[[str], None] = tell_on_stderr,
+) -> list[IndoorHouse]:
+    """The first houses of a split.
+
+    Args:
+        location: 'procedural' for the embedded houses, of which there is no end, or a folder with the files `train`,
+            `val` and `test`, ending in `.jsonl.gz` or `.jsonl`, and `asset_boxes.json`.
+        split: 'train', 'val' or 'test'.
+        count: how many, all if `None`; 20 embedded ones, as many as a split of the sample of ProcTHOR.
+        cell_size: side of a cell, metres.
+        seed: of the embedded houses.
+        strict: refuse a file for the first line that is no house, see `read_procthor`.
+        log: takes a line for each house that is skipped.
+
+    Raises:
+        InputError: there is no such split, folder or file, or a file is no good, or has fewer houses than that.
+    """
+    if split not in SPLITS:
+        raise InputError(f"no split is called {split!r}; use one of: {', '.join(SPLITS)}")
+    if count is not None and count < 1:
+        raise InputError(f"{count} houses: give a number of at least 1")
+    if location == PROCEDURAL:
+        plans = [(index, draw_plan(seed, split, index)) for index in range(count or 20)]
+    else:
+        path = _file(Path(location), split)
+        plans = read_procthor(path, strict=strict, log=log)
+        if count is not None and count > len(plans):
+            raise InputError(f"{path}: has {len(plans)} houses, less than {count}; ask for fewer")
+    return [IndoorHouse(f"{split}-{number}", split, world_from_plan(plan, cell_size)) for number, plan in plans[:count]]
+
+
+def _file(folder: Path, split: str) -> Path:
+    """The file of a split."""
+    paths = [folder / f"{split}{ending}" for ending in ENDINGS]
+    for path in paths:
+        if path.is_file():
+            return path
+    raise InputError(f"{folder}: has no {' or '.join(path.name for path in paths)}; give a folder of ProcTHOR houses")

@@ -1,0 +1,202 @@
+"""From a plan in metres to a world of cells.
+
+What a grid of heights can hold is the highest object in each cell, solid from the floor up. So a plant on a table takes
+the cells below its own box, as high as it reaches, and the table keeps the rest; what is pushed under a table top and
+what lies between a table's legs is not seen; a television on a wall stands on the floor. Nothing reaches through a wall
+or into another room. What is too thin for the grid gets the cells around it that a cell's width more would cover.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from dc2g_jax.errors import InputError
+from dc2g_jax.objectnav.plans import Furniture, HousePlan, Room, Segment
+from dc2g_jax.objectnav.worlds import IndoorWorld, Objects
+
+#: Side of a cell, metres: the paper's map of 420 cells is then 21 m wide.
+CELL_SIZE = 0.05
+
+#: Height of walls, and how thick they are where cells are not larger; metres.
+WALL_HEIGHT = 2.5
+WALL_THICKNESS = 0.1
+
+#: How much of the outside a grid shows around a house, metres. With cells of 5 or 10 cm, walls on whole decimetres
+#: then fill whole cells.
+MARGIN = 0.25
+
+#: The most cells along a side of a grid.
+MOST_CELLS = 4096
+
+#: What a cell's middle may lie outside a box and still be inside: rounding must not open walls. Metres.
+_ROUNDING = 1e-6
+
+
+class _Window(NamedTuple):
+    """A part of the grid: where it lies there, and the x and y of its cells' middles in the plan."""
+
+    place: tuple[slice, slice]
+    x: Float[np.ndarray, "1 w"]
+    y: Float[np.ndarray, "h 1"]
+
+
+class _Grid(NamedTuple):
+    """Cells over a plan: x of the left edge, y of the upper one, rows, columns, and the side of a cell."""
+
+    left: float
+    top: float
+    rows: int
+    columns: int
+    cell_size: float
+
+    @classmethod
+    def over(cls, plan: HousePlan, cell_size: float) -> "_Grid":
+        """The grid that shows all rooms and walls."""
+        corners = np.concatenate([*(room.outline for room in plan.rooms), *(np.array(wall) for wall in plan.walls)])
+        (left, bottom), (right, top) = corners.min(axis=0) - MARGIN, corners.max(axis=0) + MARGIN
+        height, width = float(top - bottom), float(right - left)
+        if not max(height, width) <= MOST_CELLS * cell_size:
+            size = f"{width:.4g} x {height:.4g} m"
+            raise InputError(f"a house of {size} has more than {MOST_CELLS} cells a side; give metres, or larger cells")
+        rows, columns = (math.ceil(side / cell_size - _ROUNDING) for side in (height, width))
+        return cls(float(left), float(top), rows, columns, cell_size)
+
+    def around(self, points: Float[np.ndarray, "point 2"], reach: float) -> _Window:
+        """The part of the grid within reach of the box around some points; it may be empty."""
+        (left, bottom), (right, top) = points.min(axis=0) - reach, points.max(axis=0) + reach
+        rows = _span(self.top - top, self.top - bottom, self.cell_size, self.rows)
+        columns = _span(left - self.left, right - self.left, self.cell_size, self.columns)
+        x = self.left + (np.arange(columns.start, columns.stop) + 0.5) * self.cell_size
+        y = self.top - (np.arange(rows.start, rows.stop) + 0.5) * self.cell_size
+        return _Window((rows, columns), x[None, :], y[:, None])
+
+
+def _span(start: float, end: float, cell_size: float, cells: int) -> slice:
+    """The cells along one side that hold anything of an interval, metres."""
+    first = min(max(math.floor(start / cell_size), 0), cells)
+    return slice(first, min(max(math.ceil(end / cell_size), first), cells))
+
+
+def world_from_plan(plan: HousePlan, cell_size: float = CELL_SIZE) -> IndoorWorld:
+    """Cut a house into cells. A cell belongs to what its middle lies in.
+
+    Objects whose middle is in no room are left out.
+
+    Args:
+      plan: the house.
+      cell_size: side of a cell, metres.
+
+    Raises:
+      InputError: cells have no size, or the house would have more than `MOST_CELLS` a side.
+    """
+    if not (math.isfinite(cell_size) and cell_size > 0):
+        raise InputError(f"cell size {cell_size}: give the metres of a cell, such as {CELL_SIZE}")
+    grid = _Grid.over(plan, cell_size)
+    floor = _floor(grid, plan.rooms)
+    walls = _walls(grid, plan)
+    rooms = np.where(walls, 0, floor).astype(np.uint8)
+    heights = np.where(walls, WALL_HEIGHT, 0).astype(np.float32)
+    instances = np.full(heights.shape, -1, np.int16)
+    housed = [entry for entry in zip(plan.furniture, rooms_at(plan), strict=True) if entry[1]]
+    # The highest comes last and covers the others.
+    for number, (piece, room) in sorted(enumerate(housed), key=lambda entry: entry[1][0].top):
+        place, cells = _footprint(grid, piece, rooms, room)
+        heights[place][cells] = piece.top
+        instances[place][cells] = number
+    kinds = np.array([piece.kind for piece, _ in housed], np.uint8)
+    return IndoorWorld(
+        free=(rooms > 0) & (instances < 0),
+        heights=heights,
+        classes=np.append(kinds, np.uint8(0))[instances],
+        instances=instances,
+        rooms=rooms,
+        room_kinds=np.array([0, *(room.kind for room in plan.rooms)], np.uint8),
+        objects=Objects(
+            classes=kinds,
+            rooms=np.array([room for _, room in housed], np.uint8),
+            positions=np.array([(p.x - grid.left, p.y - grid.top) for p, _ in housed], np.float32).reshape(-1, 2),
+        ),
+        cell_size=np.asarray(cell_size, np.float32),
+    )
+
+
+def rooms_at(plan: HousePlan) -> list[int]:
+    """The number of the room that the middle of each piece of furniture lies in, counted from 1; 0 outside."""
+    x, y = np.array([(piece.x, piece.y) for piece in plan.furniture]).reshape(-1, 2).T
+    found = np.zeros(len(x), int)
+    for number, room in enumerate(plan.rooms, 1):
+        found[_inside(room.outline, x, y)] = number
+    return found.tolist()
+
+
+def _inside(
+    outline: Float[np.ndarray, "corner 2"], x: Float[np.ndarray, "..."], y: Float[np.ndarray, "..."]
+) -> Bool[np.ndarray, "..."]:
+    """Which points lie within an outline: those from which a line to the right crosses it an odd number of times."""
+    inside = np.zeros(np.broadcast_shapes(x.shape, y.shape), bool)
+    for (x0, y0), (x1, y1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        if y0 != y1:
+            passes = (y >= min(y0, y1)) & (y < max(y0, y1))
+            inside ^= passes & (x < x0 + (y - y0) * ((x1 - x0) / (y1 - y0)))
+    return inside
+
+
+def _floor(grid: _Grid, rooms: tuple[Room, ...]) -> UInt8[np.ndarray, "h w"]:
+    """The number of each cell's room."""
+    floor = np.zeros((grid.rows, grid.columns), np.uint8)
+    for number, room in enumerate(rooms, 1):
+        window = grid.around(room.outline, 0)
+        floor[window.place][_inside(room.outline, window.x, window.y)] = number
+    return floor
+
+
+def _walls(grid: _Grid, plan: HousePlan) -> Bool[np.ndarray, "h w"]:
+    """Cells of walls, without those of open doors."""
+    walls = np.zeros((grid.rows, grid.columns), bool)
+    for wall in plan.walls:
+        place, cells = _strip(grid, wall, 1.0)
+        walls[place] |= cells
+    for door in plan.doors:
+        # Two walls back to back may lie a little apart.
+        place, cells = _strip(grid, door, 2.0)
+        walls[place] &= ~cells
+    return walls
+
+
+def _strip(grid: _Grid, segment: Segment, thickness: float) -> tuple[tuple[slice, slice], Bool[np.ndarray, "h w"]]:
+    """Where a strip of so many thicknesses of a wall lies along a segment, and its cells there.
+
+    Walls are so thick that no step from cell to cell, not even a diagonal one, leads through. They end square, half a
+    thickness beyond their ends, so that corners are closed; openings end where they end.
+    """
+    (x0, y0), (x1, y1) = segment
+    length = math.hypot(x1 - x0, y1 - y0) or 1.0
+    along = (x1 - x0) / length, (y1 - y0) / length
+    wall = max(WALL_THICKNESS, grid.cell_size * (abs(along[0]) + abs(along[1])))
+    box = Furniture(0, (x0 + x1) / 2, (y0 + y1) / 2, math.hypot(x1 - x0, y1 - y0), thickness * wall, 0, 0)
+    box = box._replace(angle=math.atan2(along[1], along[0]))
+    return _covered(grid, box if thickness > 1 else box._replace(width=box.width + wall))
+
+
+def _footprint(
+    grid: _Grid, piece: Furniture, rooms: UInt8[np.ndarray, "h w"], room: int
+) -> tuple[tuple[slice, slice], Bool[np.ndarray, "rows columns"]]:
+    """The cells of an object within its room: where they are on the grid, and which of them."""
+    place, cells = _covered(grid, piece)
+    cells &= rooms[place] == room
+    if not cells.any():
+        wider = piece._replace(width=piece.width + 2 * grid.cell_size, depth=piece.depth + 2 * grid.cell_size)
+        place, cells = _covered(grid, wider)
+        cells &= rooms[place] == room
+    return place, cells
+
+
+def _covered(grid: _Grid, box: Furniture) -> tuple[tuple[slice, slice], Bool[np.ndarray, "h w"]]:
+    """The cells whose middle lies in a box: where they are on the grid, and which of them."""
+    cosine, sine = math.cos(box.angle), math.sin(box.angle)
+    window = grid.around(np.array([[box.x, box.y]]), math.hypot(box.width, box.depth) / 2 + grid.cell_size)
+    x, y = window.x - box.x, window.y - box.y
+    cells = np.abs(x * cosine + y * sine) <= box.width / 2 + _ROUNDING
+    return window.place, cells & (np.abs(y * cosine - x * sine) <= box.depth / 2 + _ROUNDING)

@@ -1,0 +1,243 @@
+"""Houses in the format of ProcTHOR (Deitke et al., 2022): one house a line of JSON, and a table of its objects' boxes.
+
+What is taken from a house: the floors of rooms; walls, but those marked `empty`, which are none; doors between two
+rooms, all of them open, while doors to the outside stay closed; objects as the boxes of their assets, turned by
+`rotation.y`. Windows are walls. Of what stands on other objects that alone is taken which has a class of its own, such
+as a plant on a table. What hangs on a wall is left out, but televisions.
+"""
+
+import gzip
+import json
+import math
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from dc2g_jax.datasets.houses import tell_on_stderr
+from dc2g_jax.errors import InputError
+from dc2g_jax.objectnav.classes import OTHER, PROCTHOR_CLASSES, ROOM_NAMES
+from dc2g_jax.objectnav.plans import Furniture, HousePlan, Room, Segment
+
+#: The table of boxes, where no other is named: it lies beside the houses.
+BOXES_FILE = "asset_boxes.json"
+
+#: What begins higher above the floor than this and stands on nothing hangs on a wall, metres.
+_HANGING = 0.3
+
+#: No house reaches farther than this from the origin, metres, nor turns an object by more degrees than that.
+_FARTHEST, _FULLY_TURNED = 100.0, 3600.0
+
+#: What a house may have at most.
+_MOST_ROOMS, _MOST_OBJECTS = 255, 10_000
+
+
+class AssetBox(NamedTuple):
+    """The box around an asset.
+
+    Attributes:
+      kind: what it is, such as `DiningTable`.
+      width: along its x axis, metres.
+      height: metres.
+      depth: along its z axis, metres.
+    """
+
+    kind: str
+    width: float
+    height: float
+    depth: float
+
+
+def read_asset_boxes(path: str | Path) -> dict[str, AssetBox]:
+    """Read the table of boxes: a JSON object `assetId -> {"type": ..., "box": [x, y, z]}`, sizes in metres.
+
+    Raises:
+      InputError: the file cannot be read or is no such table; names the asset.
+    """
+    path = Path(path)
+    remedy = "give a JSON file that says type and box [x, y, z] in metres of each asset"
+    try:
+        table = json.loads(path.read_bytes())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); {remedy}") from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is no JSON ({_first_line(error)}); {remedy}") from None
+    if not isinstance(table, dict):
+        raise InputError(f"{path}: holds a {type(table).__name__} instead of assets; {remedy}")
+    boxes = {}
+    for asset, entry in table.items():
+        try:
+            boxes[asset] = AssetBox(str(entry["type"]), *(_number(abs(size), "box") for size in _list(entry, "box")))
+        except (TypeError, KeyError, InputError):
+            raise InputError(f"{path}: asset {asset!r} is {str(entry)[:60]!r}; {remedy}") from None
+    return boxes
+
+
+def read_procthor(
+    path: str | Path,
+    boxes: str | Path | None = None,
+    *,
+    strict: bool = False,
+    log: Callable[[str], None] = tell_on_stderr,
+) -> list[tuple[int, HousePlan]]:
+    """Read the houses of a file. Empty lines are passed over.
+
+    Args:
+      path: JSON lines, gzipped if the name ends in `.gz`.
+      boxes: the table of boxes, `asset_boxes.json` beside the houses if `None`.
+      strict: refuse the file for the first line that is no house; else such lines are named through `log` and skipped,
+        and at the end counted.
+      log: takes those lines.
+
+    Returns:
+      Line number, from 1, and plan of each house.
+
+    Raises:
+      InputError: a file cannot be read, or there is no house in it, or, when strict, a line is none.
+    """
+    path = Path(path)
+    table = read_asset_boxes(path.parent / BOXES_FILE if boxes is None else boxes)
+    houses, skipped = [], 0
+    for number, line in _lines(path):
+        try:
+            houses.append((number, house_plan(_parsed(line), table)))
+        except InputError as error:
+            if strict:
+                raise InputError(f"{path}: line {number} is no house: {error}; repair or delete the line") from None
+            log(f"{path}: line {number} is no house and is skipped: {error}")
+            skipped += 1
+    if skipped:
+        log(f"{path}: skipped {skipped} of {skipped + len(houses)} lines; repair or delete them")
+    if not houses:
+        raise InputError(f"{path}: holds no house; give a file with a house in ProcTHOR's JSON format on each line")
+    return houses
+
+
+def house_plan(house: Mapping[str, Any], boxes: Mapping[str, AssetBox]) -> HousePlan:
+    """The plan of one house: ProcTHOR's x and z are the plan's x and y, and its turns to the right are negative.
+
+    Args:
+      house: parsed from JSON.
+      boxes: asset -> its box.
+
+    Raises:
+      InputError: something in it is missing or makes no sense.
+    """
+    rooms = tuple(_room(room) for room in _list(house, "rooms"))
+    walls = {str(_field(wall, "id")): wall for wall in _list(house, "walls")}
+    furniture = [piece for entry in _list(house, "objects") for piece in _pieces(entry, boxes, on_floor=True)]
+    if not 0 < len(rooms) <= _MOST_ROOMS or len(furniture) > _MOST_OBJECTS:
+        raise InputError(f"{len(rooms)} rooms and {len(furniture)} objects, not 1 to {_MOST_ROOMS} and {_MOST_OBJECTS}")
+    return HousePlan(
+        rooms=rooms,
+        walls=tuple(_ends(wall) for wall in house["walls"] if not wall.get("empty")),
+        doors=tuple(
+            _opening(door, walls) for door in _list(house, "doors") if _field(door, "room0") != _field(door, "room1")
+        ),
+        furniture=tuple(furniture),
+    )
+
+
+def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
+    """The lines of a file that are not empty, with their numbers."""
+    opened = gzip.open if path.suffix == ".gz" else open
+    try:
+        with opened(path, "rb") as file:
+            for number, line in enumerate(file, 1):
+                if line.strip():
+                    yield number, line
+    except FileNotFoundError:
+        remedy = "give a file of houses in ProcTHOR's JSON format, .jsonl or .jsonl.gz"
+        raise InputError(f"{path}: no such file; {remedy}") from None
+    except (OSError, EOFError, zlib.error) as error:
+        raise InputError(f"{path}: cannot be read ({_first_line(error)}); give an undamaged file") from None
+
+
+def _parsed(line: bytes) -> dict[str, Any]:
+    try:
+        house = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"it is no JSON ({_first_line(error)})") from None
+    if not isinstance(house, dict):
+        raise InputError(f"it holds a {type(house).__name__} instead of an object")
+    return house
+
+
+def _first_line(error: BaseException) -> str:
+    return str(error).partition("\n")[0]
+
+
+def _field(entry: Any, name: str) -> Any:
+    """What stands under a name; InputError where nothing does."""
+    if not isinstance(entry, dict) or name not in entry:
+        raise InputError(f"no {name!r} in {str(entry)[:60]!r}")
+    return entry[name]
+
+
+def _list(entry: Any, name: str) -> list[Any]:
+    found = _field(entry, name)
+    if not isinstance(found, list):
+        raise InputError(f"{name!r} is {str(found)[:60]!r}, no list")
+    return found
+
+
+def _number(value: Any, name: str, most: float = _FARTHEST) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= most:
+        raise InputError(f"{name!r} is {str(value)[:60]!r}, no number from {-most:g} to {most:g}")
+    return float(value)
+
+
+def _corners(entry: Any, name: str, least: int) -> Float[np.ndarray, "corner 2"]:
+    """The x and z of a polygon's corners."""
+    corners = [[_number(_field(corner, axis), axis) for axis in "xz"] for corner in _list(entry, name)]
+    if len(corners) < least:
+        raise InputError(f"{name!r} has {len(corners)} corners, less than {least}")
+    return np.array(corners)
+
+
+def _room(room: Any) -> Room:
+    kind = _field(room, "roomType")
+    if kind not in ROOM_NAMES[1:]:
+        raise InputError(f"the room type is {str(kind)[:60]!r}, none of {', '.join(ROOM_NAMES[1:])}")
+    return Room(ROOM_NAMES.index(kind), _corners(room, "floorPolygon", 3))
+
+
+def _ends(wall: Any) -> Segment:
+    """Where a wall stands: the first two corners of its polygon are those on the floor."""
+    start, end = _corners(wall, "polygon", 2)[:2].tolist()
+    return Segment(tuple(start), tuple(end))
+
+
+def _opening(door: Any, walls: Mapping[str, Any]) -> Segment:
+    """The piece of wall that a door opens."""
+    name = str(_field(door, "wall0"))
+    if name not in walls:
+        raise InputError(f"door {_field(door, 'id')!r} is in a wall {name!r} that is not there")
+    start, end = np.array(_ends(walls[name]))
+    length = float(np.hypot(*(end - start)))
+    if length == 0:
+        raise InputError(f"wall {name!r} has no length, but a door")
+    hole = [_number(_field(corner, "x"), "x") for corner in _list(door, "holePolygon")[:2]]
+    if len(hole) < 2:
+        raise InputError(f"the hole of door {_field(door, 'id')!r} has less than 2 corners")
+    near, far = (start + (end - start) * (x / length) for x in hole)
+    return Segment(tuple(near.tolist()), tuple(far.tolist()))
+
+
+def _pieces(entry: Any, boxes: Mapping[str, AssetBox], *, on_floor: bool) -> Iterator[Furniture]:
+    """An object and what stands on it."""
+    asset = str(_field(entry, "assetId"))
+    if asset not in boxes:
+        raise InputError(f"asset {asset[:60]!r} is not in the table of boxes")
+    box, position = boxes[asset], _field(entry, "position")
+    x, middle, z = (_number(_field(position, axis), axis) for axis in "xyz")
+    turn = _number(_field(_field(entry, "rotation"), "y"), "y", _FULLY_TURNED)
+    kind = PROCTHOR_CLASSES.get(box.kind, OTHER)
+    hangs = middle - box.height / 2 > _HANGING
+    if kind != OTHER or (on_floor and not hangs):
+        yield Furniture(kind, x, z, box.width, box.depth, -math.radians(turn), middle + box.height / 2)
+    for child in _list(entry, "children") if entry.get("children") else ():
+        yield from _pieces(child, boxes, on_floor=False)

@@ -1,0 +1,140 @@
+"""Houses as cells: where a robot can stand, and what is where and how high.
+
+World frame as in `dc2g_jax.mapping.camera`: x along the columns, y against the rows, both 0 at the outer corner of the
+first cell, which is the upper left one of the plan.
+"""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int16, UInt8
+
+from dc2g_jax.errors import InputError
+from dc2g_jax.mapping.scene import Scene, scene_from_heights
+
+#: What a leaf of one house is, and of stacked ones.
+Leaf = np.ndarray | Array
+
+
+@struct.dataclass
+class Objects:
+    """The objects of a house. Those of class 0 only fill up the arrays.
+
+    Attributes:
+      classes: class index of each.
+      rooms: the room it stands in, an index into `IndoorWorld.room_kinds`.
+      positions: x and y of its middle in the world, metres.
+    """
+
+    classes: UInt8[Leaf, " object"]
+    rooms: UInt8[Leaf, " object"]
+    positions: Float[Leaf, "object 2"]
+
+
+@struct.dataclass
+class IndoorWorld:
+    """One house. Its leaves are NumPy arrays until houses are stacked.
+
+    Attributes:
+      free: floor on which nothing stands, also in open doors.
+      heights: of what stands in a cell, metres above the floor; 0 on free floor and outside.
+      classes: of the highest object in a cell, see `dc2g_jax.objectnav.classes`; 0 where there is none, so in walls.
+      instances: its number in `objects`, -1 where there is none.
+      rooms: room of each cell, also below objects; 0 in walls and outside.
+      room_kinds: room -> index into `dc2g_jax.objectnav.classes.ROOM_NAMES`; room 0 is the outside.
+      objects: what stands in the house, also what is hidden by something higher.
+      cell_size: side of a cell, metres.
+    """
+
+    free: Bool[Leaf, "h w"]
+    heights: Float[Leaf, "h w"]
+    classes: UInt8[Leaf, "h w"]
+    instances: Int16[Leaf, "h w"]
+    rooms: UInt8[Leaf, "h w"]
+    room_kinds: UInt8[Leaf, " room"]
+    objects: Objects
+    cell_size: Float[Leaf, ""]
+
+    @property
+    def obstacle(self) -> Bool[Leaf, "h w"]:
+        """Cells in which a wall or an object stands. What lies outside is neither free nor an obstacle."""
+        return self.heights > 0
+
+    @property
+    def walls(self) -> Bool[Leaf, "h w"]:
+        """Cells of walls."""
+        return self.obstacle & (self.instances < 0)
+
+    def goals(self, goal: int | Array) -> Bool[Leaf, "h w"]:
+        """The cells of all objects of a class, as seen from above."""
+        return self.classes == goal
+
+
+def scene(world: IndoorWorld) -> Scene:
+    """What a simulated camera sees of a house: a tile a cell. Scenes of one size can be stacked."""
+    return scene_from_heights(np.asarray(world.heights), np.asarray(world.classes), float(world.cell_size))
+
+
+def pad_world(world: IndoorWorld, rows: int, columns: int, rooms: int, objects: int) -> IndoorWorld:
+    """The same house with more outside below and to the right of it, so that positions stay what they are.
+
+    Args:
+      world: one house.
+      rows: of the padded grid.
+      columns: of the padded grid.
+      rooms: how many to have room for, the outside being one.
+      objects: how many to have room for.
+
+    Raises:
+      InputError: the house is larger than that.
+    """
+    height, width = world.free.shape
+    more = rows - height, columns - width, rooms - len(world.room_kinds), objects - len(world.objects.classes)
+    if min(more) < 0:
+        raise InputError(
+            f"a house of {height} x {width} cells, {len(world.room_kinds)} rooms with the outside and "
+            f"{len(world.objects.classes)} objects does not fit into {rows} x {columns}, {rooms} and {objects}; "
+            "give larger numbers"
+        )
+
+    def filled(leaf: np.ndarray, *lacking: int) -> np.ndarray:
+        after = [*lacking, *(0 for _ in range(leaf.ndim - len(lacking)))]
+        nothing = -1 if leaf.dtype == np.int16 else 0
+        return np.pad(leaf, [(0, size) for size in after], constant_values=nothing)
+
+    cells = {
+        name: filled(np.asarray(getattr(world, name)), *more[:2])
+        for name in ("free", "heights", "classes", "instances", "rooms")
+    }
+    return world.replace(  # type: ignore[attr-defined]
+        **cells,
+        room_kinds=filled(np.asarray(world.room_kinds), more[2]),
+        objects=jax.tree.map(lambda leaf: filled(np.asarray(leaf), more[3]), world.objects),
+    )
+
+
+def stack_worlds(worlds: Sequence[IndoorWorld], *, rows: int = 0, columns: int = 0) -> IndoorWorld:
+    """Houses padded to one size and stacked along a first axis, to be mapped over.
+
+    Args:
+      worlds: at least one, all with cells of one size.
+      rows: of the grid at least; more where a house needs them.
+      columns: of the grid at least.
+
+    Raises:
+      InputError: there are no houses, or their cells differ in size.
+    """
+    sizes = sorted({float(world.cell_size) for world in worlds})
+    if len(sizes) != 1:
+        raise InputError(f"houses with cells of {sizes or 'no'} metres cannot be stacked; give houses with cells alike")
+    shape = (
+        max(rows, *(world.free.shape[0] for world in worlds)),
+        max(columns, *(world.free.shape[1] for world in worlds)),
+        max(len(world.room_kinds) for world in worlds),
+        max(len(world.objects.classes) for world in worlds),
+    )
+    padded = [pad_world(world, *shape) for world in worlds]
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *padded)
