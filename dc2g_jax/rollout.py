@@ -5,11 +5,8 @@ spent on finished robots while others walk on. On a CPU every core serves a queu
 not depend on the slot, the order or the core.
 """
 
-import concurrent.futures
 import dataclasses
 import functools
-import os
-import threading
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -21,6 +18,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Int, Int8
 
 from dc2g_jax import gridworld
+from dc2g_jax.devices import Report, every_device, share_out
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.sensing import Kernel
 from dc2g_jax.grid.world import World
@@ -259,17 +257,6 @@ def _programs(platform: str) -> tuple[Callable[..., tuple[_Queue, _State]], Call
     )
 
 
-def cores() -> int:
-    """Cores of the CPU that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def every_device() -> list[jax.Device]:
-    """Every accelerator once, or the CPU once a core."""
-    devices = jax.local_devices()
-    return devices * cores() if devices[0].platform == "cpu" else devices
-
-
 def _default_slots(planner: Planner, worlds: World, platform: str) -> int:
     """As many robots side by side as suit a device."""
     if platform != "cpu":
@@ -322,47 +309,24 @@ def rollout(
     slots = min(slots, capacity)
     first_state, run = _programs(devices[0].platform)
 
-    shares = [slice(worker, n_episodes, len(devices)) for worker in range(len(devices))]
-    finished = [0] * len(devices)
-    reporting, compiled, stop = threading.Lock(), threading.Event(), threading.Event()
-
-    def serve(worker: int) -> _Results:
-        """Run every n-th episode on one device."""
-        own = np.arange(n_episodes)[shares[worker]]
+    def serve(device: jax.Device, own: Int[np.ndarray, "own"], report: Report) -> _Results:
+        """Run some of the episodes on one device."""
         some = jax.tree.map(lambda leaf: np.asarray(leaf)[np.resize(own, capacity)], episodes)
-        own_planner, own_worlds, some = jax.device_put((planner, worlds, some), devices[worker])
+        own_planner, own_worlds, some = jax.device_put((planner, worlds, some), device)
         queue, state = first_state(
             own_planner, own_worlds, some, jnp.int32(len(own)), sensing=sensing, n_slots=slots, kept_steps=kept_steps
         )
         go_on = functools.partial(run, queue=queue, planner=own_planner, sensing=sensing, step_limit=step_limit)
         # Takes no step: this is where the program is compiled.
         state = go_on(state, n_steps=jnp.int32(0))
-        compiled.set()
-        under_way, n_steps = 1, _FIRST_STEPS
-        while under_way and not stop.is_set():
+        under_way, n_steps, goes_on = 1, _FIRST_STEPS, report(0)
+        while under_way and goes_on:
             began = time.perf_counter()
             state = go_on(state, n_steps=jnp.int32(n_steps))
             under_way = int(jnp.sum(state.slots.active))
             pace = n_steps / (time.perf_counter() - began)
             n_steps = max(1, min(int(pace * _SECONDS_PER_CALL), 2 * n_steps))
-            with reporting:
-                finished[worker] = int(state.seated) - under_way
-                if on_progress is not None:
-                    on_progress(sum(finished))
+            goes_on = report(int(state.seated) - under_way)
         return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(own)], state.results)
 
-    with concurrent.futures.ThreadPoolExecutor(len(devices)) as pool:
-        try:
-            served = [pool.submit(serve, 0)]
-            # The others wait until the first has compiled the program for all.
-            served[0].add_done_callback(lambda _: compiled.set())
-            compiled.wait()
-            served += [pool.submit(serve, worker) for worker in range(1, len(devices))]
-            parts = [future.result() for future in served]
-        finally:
-            stop.set()
-    whole = [np.empty((n_episodes, *leaf.shape[1:]), leaf.dtype) for leaf in jax.tree.leaves(parts[0])]
-    for share, part in zip(shares, parts, strict=True):
-        for all_values, values in zip(whole, jax.tree.leaves(part), strict=True):
-            all_values[share] = values
-    return Trajectories(*whole)
+    return Trajectories(*jax.tree.leaves(share_out(n_episodes, devices, serve, on_progress)))

@@ -10,13 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dc2g_jax.devices import every_device
 from dc2g_jax.estimation import networks
 from dc2g_jax.grid import bitboard, search
 from dc2g_jax.grid.poses import PoseSet, every_heading, unpack
 from dc2g_jax.grid.sensing import expanding_kernel, visible
 from dc2g_jax.gridworld import Belief
 from dc2g_jax.planning import frontiers, planners
-from dc2g_jax.rollout import every_device
 from experiments.baselines import libraries
 from experiments.benchmarks.bench import SENSING_RANGE, Bench, own
 from experiments.benchmarks.machine import BANDWIDTH, FLOAT_ARITHMETIC

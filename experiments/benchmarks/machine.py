@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax.rollout import cores
+from dc2g_jax.devices import cores
 from experiments.benchmarks.timing import measure
 from experiments.outputs import versions
 

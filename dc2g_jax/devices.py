@@ -1,0 +1,82 @@
+"""Work shared out among devices: every accelerator, or every core of the CPU."""
+
+import concurrent.futures
+import os
+import threading
+from collections.abc import Callable, Sequence
+from typing import Protocol, TypeVar
+
+import jax
+import numpy as np
+from jaxtyping import Int
+
+#: A pytree of NumPy arrays whose first axis is that of the pieces of work.
+Results = TypeVar("Results")
+
+
+class Report(Protocol):
+    """How a worker says how far it is: `report(finished)`. The answer is whether it is to go on.
+
+    The first report says that the program is compiled: only then the other workers begin, and find it ready.
+    """
+
+    def __call__(self, finished: int) -> bool:
+        """See above."""
+        ...
+
+
+def cores() -> int:
+    """Cores of the CPU that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def every_device() -> list[jax.Device]:
+    """Every accelerator once, or the CPU once a core."""
+    devices = jax.local_devices()
+    return devices * cores() if devices[0].platform == "cpu" else devices
+
+
+def share_out(
+    n_pieces: int,
+    devices: Sequence[jax.Device],
+    serve: Callable[[jax.Device, Int[np.ndarray, "own"], Report], Results],
+    on_progress: Callable[[int], None] | None = None,
+) -> Results:
+    """Do pieces of work, every n-th on one of n devices, each served by a thread.
+
+    Args:
+      n_pieces: how many, at least one for each device.
+      devices: where; a device that is named twice is served by two threads.
+      serve: `(device, numbers of its pieces, report) ->` their results.
+      on_progress: called with the number of pieces finished so far at each report.
+
+    Returns:
+      All results, in the order of the pieces.
+    """
+    shares = [np.arange(worker, n_pieces, len(devices)) for worker in range(len(devices))]
+    finished = [0] * len(devices)
+    reporting, compiled, stop = threading.Lock(), threading.Event(), threading.Event()
+
+    def work(worker: int) -> Results:
+        def report(number: int) -> bool:
+            compiled.set()
+            with reporting:
+                finished[worker] = number
+                if on_progress is not None:
+                    on_progress(sum(finished))
+            return not stop.is_set()
+
+        return serve(devices[worker], shares[worker], report)
+
+    with concurrent.futures.ThreadPoolExecutor(len(devices)) as pool:
+        try:
+            served = [pool.submit(work, 0)]
+            # The others wait until the first has compiled the program for all, or has failed.
+            served[0].add_done_callback(lambda _: compiled.set())
+            compiled.wait()
+            served += [pool.submit(work, worker) for worker in range(1, len(devices))]
+            parts = [future.result() for future in served]
+        finally:
+            stop.set()
+    order = np.argsort(np.concatenate(shares))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
