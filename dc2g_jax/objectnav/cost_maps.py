@@ -1,0 +1,86 @@
+"""Cost maps a controller drives by: what it costs the centre of a round vehicle to be anywhere on a grid.
+
+Made from distances and obstacles, exact or predicted. Cells lie in the world as in `dc2g_jax.control.vehicle`: x along
+columns, y against rows, metres.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float
+
+from dc2g_jax.control.mppi import CostOfPose
+from dc2g_jax.grid.fast_marching import geodesic_distance, travel_cost
+
+
+def inflated(cells: Bool[Array, "h w"], radius: float, cell_size: float) -> Bool[Array, "h w"]:
+    """Cells where the centre of a round vehicle may not be: at any nearer than `radius` the disc covers a part of one.
+
+    Args:
+      cells: the obstacles, squares.
+      radius: of the vehicle, metres.
+      cell_size: edge of a cell, metres.
+    """
+    reach = math.ceil(radius / cell_size + 0.5)
+    gap = np.maximum(np.abs(np.arange(-reach, reach + 1)) - 0.5, 0)
+    disc = np.hypot(gap[:, None], gap) * cell_size < radius
+    disc[reach, reach] = True
+    touched = jax.lax.conv_general_dilated(
+        cells.astype(jnp.float32)[None, None], jnp.asarray(disc, jnp.float32)[None, None], (1, 1), "SAME"
+    )
+    return touched[0, 0] > 0.5
+
+
+def distance_for_vehicle(
+    obstacles: Bool[Array, "h w"], goals: Bool[Array, "h w"], radius: float, cell_size: float
+) -> Float[Array, "h w"]:
+    """Distance that the centre of a round vehicle has to drive until it touches the goal (fast marching method).
+
+    Args:
+      obstacles: cells it may not touch, but on the goal.
+      goals: cells of the goal, obstacles or free.
+      radius: of the vehicle, metres.
+      cell_size: edge of a cell, metres.
+
+    Returns:
+      float32 metres; infinity where it does not fit and where no way leads to the goal.
+    """
+    return geodesic_distance(
+        ~inflated(obstacles, radius, cell_size), goals | (inflated(goals, radius, cell_size) & ~obstacles), cell_size
+    )
+
+
+def dense_costs(
+    distance: Float[Array, "h w"], cell_size: ArrayLike, *, collision: ArrayLike = 50.0, slope: ArrayLike = 10.0
+) -> Float[Array, "h w"]:
+    """A finite cost everywhere: the distance where there is one, and a wall that leads back to it elsewhere.
+
+    Args:
+      distance: to the goal, metres; infinity where the vehicle must not be or finds no way.
+      cell_size: edge of a cell, metres.
+      collision: cost of being where there is no distance, on top of the rest.
+      slope: of the cost there, away from cells with a distance, per metre.
+    """
+    known = jnp.isfinite(distance)
+    cost_of_cell = jnp.where(known, jnp.inf, jnp.asarray(slope * cell_size, jnp.float32))
+    filled = travel_cost(cost_of_cell, distance) + jnp.where(known, 0, jnp.float32(collision))
+    return jnp.where(jnp.any(known), filled, jnp.float32(collision))
+
+
+def cost_lookup(costs: Float[Array, "h w"], cell_size: ArrayLike, outside: ArrayLike) -> CostOfPose:
+    """What a pose costs by a cost map, between the centres of cells bilinear, for every yaw alike.
+
+    Args:
+      costs: of cells, finite.
+      cell_size: edge of a cell, metres.
+      outside: cost off the map.
+    """
+
+    def cost_of_pose(position: Float[Array, "2"], yaw: Float[Array, ""]) -> Float[Array, ""]:
+        column, row = position * jnp.array([1, -1], jnp.float32) / cell_size - 0.5
+        return jax.scipy.ndimage.map_coordinates(costs, [row, column], order=1, mode="constant", cval=outside)
+
+    return cost_of_pose
