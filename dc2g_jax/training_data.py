@@ -45,6 +45,7 @@ class DataConfig:
       half_weight_cost: cost-to-go, in cells, at which a cell weighs half as much as at a goal; `inf` for all alike.
       jitter: logarithm of the largest factor by which half of the maps are stretched, and moved by 40 cells times it.
       whole_share: share of pairs in which all of the map is observed, 0 to 1.
+      map_noise: highest level of noise in the maps, as a camera's leaves it; 0 for none.
       data_seed: of houses and masks, 0 to 9999.
     """
 
@@ -58,6 +59,7 @@ class DataConfig:
     half_weight_cost: float = 16.0
     jitter: float = 0.15
     whole_share: float = 0.2
+    map_noise: float = 0.0
     data_seed: int = 0
 
     def __post_init__(self) -> None:
@@ -73,7 +75,7 @@ class DataConfig:
         for name in ("own_share", "whole_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"{name} {getattr(self, name)}: give a share from 0 to 1")
-        for name in ("edge_weight", "jitter"):
+        for name in ("edge_weight", "jitter", "map_noise"):
             if not 0 <= getattr(self, name) < float("inf"):
                 raise InputError(f"{name} {getattr(self, name)}: give a number from 0 on")
         if not self.half_weight_cost > 0:
@@ -89,6 +91,7 @@ class DataConfig:
             half_weight_cost=self.half_weight_cost,
             jitter=self.jitter,
             whole_share=self.whole_share,
+            map_noise=self.map_noise,
         )
 
 

@@ -1,5 +1,6 @@
 """Training pairs: masked maps and the exact cost-to-go beneath them (Algorithm 1)."""
 
+import dataclasses
 import functools
 import math
 
@@ -9,6 +10,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
 
 from dc2g_jax.grid import bitboard
+from dc2g_jax.mapping.noise import IN_MAPS, noisy_map, scaled
 
 #: Number of ways to turn and mirror a square map.
 SYMMETRIES = 8
@@ -136,6 +138,13 @@ def jittered(key: Array, pair: Pair, jitter: float) -> Pair:
     return jax.tree.map(lambda new, old: jnp.where(change, new, old), changed, pair)
 
 
+def _with_noise(key: Array, pair: Pair, highest: float) -> Pair:
+    """A pair whose map is as a camera's noise may leave it, at a random level; the target stays what it is."""
+    level_key, noise_key = jax.random.split(key)
+    levels = scaled(IN_MAPS, jax.random.uniform(level_key, maxval=highest))
+    return dataclasses.replace(pair, terrain=noisy_map(noise_key, pair.terrain, levels))
+
+
 def draw_pairs(
     key: Array,
     data: TrainingSet,
@@ -146,6 +155,7 @@ def draw_pairs(
     jitter: float,
     whole_share: float,
     half_weight_cost: float = math.inf,
+    map_noise: float = 0.0,
 ) -> Pair:
     """A random batch of training pairs, each in a random symmetry (Algorithm 1, line 9).
 
@@ -159,6 +169,7 @@ def draw_pairs(
       jitter: see `jittered`; 0 for none.
       whole_share: probability that all of a map is observed.
       half_weight_cost: see `make_pair`.
+      map_noise: highest level of the noise in maps, see `dc2g_jax.mapping.noise.IN_MAPS`; 0 for none.
     """
     which, place, turn, change, lift = jax.random.split(key, 5)
     own = jax.random.uniform(which, (batch_size,)) < own_share
@@ -169,6 +180,9 @@ def draw_pairs(
     whole = jax.random.bernoulli(lift, whole_share, (batch_size,))
     make = functools.partial(make_pair, data, edge_weight=edge_weight, half_weight_cost=half_weight_cost)
     pairs = jax.vmap(make)(index, symmetry, whole)
+    if map_noise:
+        keys = jax.random.split(jax.random.fold_in(key, 1), batch_size)
+        pairs = jax.vmap(functools.partial(_with_noise, highest=map_noise))(keys, pairs)
     if not jitter:
         return pairs
     return jax.vmap(functools.partial(jittered, jitter=jitter))(jax.random.split(change, batch_size), pairs)

@@ -52,6 +52,10 @@ class NoiseLevels:
 #: confused surface in a frame, and a pose that drifts by a hundredth of the way.
 PAPER_LIKE = NoiseLevels(depth=0.0016, mislabelled=0.02, blobs=1.0, dropped=0.05, position_drift=0.01, yaw_drift=0.0035)
 
+#: What that leaves in a map from many frames, about: one cell in a hundred has a wrong class and a few next to each
+#: other do, and one in a hundred has never been made out.
+IN_MAPS = NoiseLevels(mislabelled=0.01, blobs=1.0, blob_radius=0.03, dropped=0.01)
+
 
 def scaled(levels: NoiseLevels, level: ArrayLike) -> NoiseLevels:
     """So many times as much of everything: 0 for none, 1 for these levels. Blobs grow in number, not in size."""
@@ -73,6 +77,19 @@ def noisy_frame(key: Key[Array, ""], frame: Frame, levels: NoiseLevels) -> Frame
         depth=jnp.where(kept, depth, 0),
         classes=jnp.where(kept | (frame.depth == 0), classes, 0).astype(jnp.uint8),
     )
+
+
+def noisy_map(key: Key[Array, ""], terrain: UInt8[Array, "h w"], levels: NoiseLevels) -> UInt8[Array, "h w"]:
+    """A map with wrong classes and missing cells; what has not been observed stays so.
+
+    Args:
+      key: of the random numbers.
+      terrain: class index of every cell, 0 where it has not been observed.
+      levels: of noise; of these, only what is wrong with labels and what is dropped matters.
+    """
+    label_key, drop_key = jax.random.split(key)
+    missing = _chance(drop_key, levels.dropped, terrain.shape)
+    return jnp.where(missing, jnp.uint8(0), _mislabelled(label_key, terrain, levels))
 
 
 def _chance(key: Key[Array, ""], share: ArrayLike, shape: tuple[int, ...]) -> Bool[Array, "..."]:

@@ -271,3 +271,17 @@ def test_masks_collected_along_paths(street, island):
     both = concatenate_masks([collected, again])
     np.testing.assert_array_equal(both.boards, np.concatenate([collected.boards] * 2))
     np.testing.assert_array_equal(both.world, np.concatenate([collected.world] * 2))
+
+
+def test_map_noise_changes_some_observed_cells_and_nothing_else():
+    data, _ = training_set((12, 12))
+    draw = functools.partial(draw_pairs, batch_size=200, own_share=0.5, edge_weight=4.0, jitter=0.0, whole_share=0.0)
+    clean = jax.jit(draw)(jax.random.key(0), data)
+    noisy = jax.jit(functools.partial(draw, map_noise=2.0))(jax.random.key(0), data)
+    np.testing.assert_array_equal(noisy.target, clean.target)
+    np.testing.assert_array_equal(noisy.weight, clean.weight)
+    before, after = np.asarray(clean.terrain), np.asarray(noisy.terrain)
+    assert not after[before == 0].any()
+    changed = np.mean((after != before)[before > 0])
+    assert 0.005 < changed < 0.1
+    assert np.any((after == 0) & (before > 0))
