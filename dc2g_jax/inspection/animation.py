@@ -1,34 +1,34 @@
 """Episodes as moving pictures: planners side by side, step by step, as GIF or MP4."""
 
-import collections
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import matplotlib
 import numpy as np
-from jaxtyping import Bool, Int, UInt8
+from jaxtyping import Bool, Float
 from matplotlib import colormaps
 from matplotlib.colors import to_rgb
 from PIL import Image, ImageDraw, ImageFont
 
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.errors import InputError
-from dc2g_jax.grid.ground import pieces
-from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
-from dc2g_jax.inspection.episode_figures import BLOCKED_COLOUR, COST_COLOURS, UNSEEN_COLOUR, outcome
-from dc2g_jax.inspection.figures import map_image, planner_style
+from dc2g_jax.grid.terrain import CLASS_NAMES, TRAVERSABLE
+from dc2g_jax.inspection.costs import BLOCKED_COLOUR, COST_COLOURS, cost_image, exact_cost_to_go, highest_cost
+from dc2g_jax.inspection.episode_figures import goal_marks, outcome
+from dc2g_jax.inspection.figures import CLASS_COLOURS, hidden_colour, map_image, planner_style, present_classes
 from dc2g_jax.inspection.replay import Frames, running_extra_steps
+from dc2g_jax.inspection.video import Picture, frequent_colours, write_gif, write_mp4
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
-
-Picture = UInt8[np.ndarray, "height width 3"]
 
 #: Pixels: the most that all panels may take, wide and high, and the same where cells would have fewer than three; the
 #: least width of a panel's column, and what lies between and above.
 _ROOM, _LARGE_ROOM, _LEAST_WIDE = (790, 600), (960, 640), 220
 _GAP, _CAPTION, _FONT = 14, 38, 13
+
+#: Pixels of the legend: a line, what lies between a sign and its word, and between one entry and the next; a patch.
+_LINE, _SIGN_GAP, _ENTRY_GAP, _PATCH = 22, 6, 18, 13
 
 #: Pictures of an episode at most; of a longer one only every second, third ... step is shown.
 _MOST_PICTURES = 250
@@ -47,9 +47,6 @@ _INK, _PALE_INK, _FRAME = "#222222", "#666666", "#bbbbbb"
 
 #: Rims of what has been seen, and of what is in view.
 _SEEN_RIM, _VIEW_RIM = to_rgb("#4d4d4d"), to_rgb("#e69f00")
-
-#: Codecs of an MP4 file, the first that OpenCV has is taken: VP9 is sharper and smaller, MPEG-4 is everywhere.
-_CODECS = ("vp09", "mp4v")
 
 # Marks as outlines around the origin, in units of half a mark.
 _TRIANGLES = [[(1, 0), (-0.8, -0.85), (-0.8, 0.85)]]
@@ -140,7 +137,7 @@ def _mark(outline: Sequence[tuple[float, float]], colour: str, side: int) -> Ima
     points = [(fine * (0.5 + 0.43 * x), fine * (0.5 + 0.43 * y)) for x, y in outline]
     draw = ImageDraw.Draw(image)
     draw.polygon(points, fill=colour)
-    draw.line([*points, *points[:2]], fill="black", width=max(8, fine // 9), joint="curve")
+    draw.line([*points, *points[:2]], fill="black", width=int(np.clip(fine // 9, 8, 14)), joint="curve")
     return image.resize((side, side), Image.Resampling.LANCZOS)
 
 
@@ -154,6 +151,37 @@ def _rim(pixels: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "height w
     framed = np.pad(pixels, 1, mode="edge")
     inner = framed[:-2, 1:-1] & framed[2:, 1:-1] & framed[1:-1, :-2] & framed[1:-1, 2:]
     return pixels & ~inner
+
+
+def _patch(colour: Sequence[float], rim: Sequence[float]) -> Image.Image:
+    """A square of a colour, RGB from 0 to 1, within a rim."""
+    pixels = np.broadcast_to(np.asarray(rim), (_PATCH, _PATCH, 3)).copy()
+    pixels[1:-1, 1:-1] = colour
+    return _image(pixels).convert("RGBA")
+
+
+def _image(pixels: Float[np.ndarray, "height width 3"]) -> Image.Image:
+    """An image of RGB from 0 to 1."""
+    return Image.fromarray((255 * pixels + 0.5).astype(np.uint8))
+
+
+def _with_legend(
+    size: tuple[int, int], entries: Mapping[str, Image.Image], font: ImageFont.FreeTypeFont
+) -> Image.Image:
+    """An empty picture of a size, and below it what signs mean, in lines from the left; its height is even too."""
+    places, x, line = [], _GAP, 0
+    for word, sign in entries.items():
+        length = sign.width + _SIGN_GAP + math.ceil(font.getlength(word))
+        if x > _GAP and x + length > size[0] - _GAP:
+            x, line = _GAP, line + 1
+        places.append((x, size[1] + line * _LINE + _LINE // 2))
+        x += length + _ENTRY_GAP
+    paper = Image.new("RGB", (size[0], size[1] + (line + 1) * _LINE + _GAP // 2 * 2), "white")
+    draw = ImageDraw.Draw(paper)
+    for (x, y), (word, sign) in zip(places, entries.items(), strict=True):
+        paper.paste(sign, (x, y - sign.height // 2), sign)
+        draw.text((x + sign.width + _SIGN_GAP, y), word, _INK, font, anchor="lm")
+    return paper
 
 
 class _Painter:
@@ -173,23 +201,28 @@ class _Painter:
         self._font, self._bold = _font("DejaVuSans"), _font("DejaVuSans-Bold")
         side = int(np.clip(2.6 * layout.scale, 11, 24))
         self._robots = [_mark(triangle, _ROBOT, side + 3) for triangle in _TRIANGLES]
-        self._start, self._goal = _mark(_CIRCLE, _MARK, side * 2 // 3), _mark(_STAR, _MARK, side + 1)
-        self._subgoal = _mark(_CROSS, _SUBGOAL, side - 1)
-        doors = pieces(house.terrain == FRONT_DOOR)
-        self._doors = [door.x for door in doors], [door.y for door in doors]
-        self._high = self._highest_cost()
+        self._start, self._subgoal = _mark(_CIRCLE, _MARK, side * 2 // 3), _mark(_CROSS, _SUBGOAL, side - 1)
+        self._goal, self._reached = _mark(_STAR, _MARK, side + 1), _mark(_STAR, _MARK, 2 * side + 6)
+        estimates = {panel.planner: panel.frames for panel in panels if panel.cost}
+        self._high = highest_cost(house, estimates, exact_cost_to_go(house)) if estimates else 1.0
+        self._paper = _with_legend(layout.size, self._entries(bool(estimates)), self._font)
 
-    def _highest_cost(self) -> float:
-        """The cost at the end of the colours."""
-        costs = [np.ones(1)]
-        for frames in (panel.frames for panel in self._panels):
-            if frames.cost_to_go is not None:
-                costs.append(frames.cost_to_go[-1][frames.seen[-1] & TRAVERSABLE[self._terrain]])
-        return float(np.percentile(np.concatenate(costs), 98))
+    def _entries(self, estimates: bool) -> dict[str, Image.Image]:
+        """What the legend says: classes, the largest first, what is pale or framed, and marks."""
+        frame, classes = to_rgb(_FRAME), present_classes(self._terrain)
+        names = [CLASS_NAMES[index] for index in classes]
+        entries = {name.replace("_", " "): _patch(to_rgb(CLASS_COLOURS[name]), frame) for name in names}
+        entries["not seen yet"] = _patch(hidden_colour(classes[0]), frame)
+        if estimates:
+            entries["not traversable"] = _patch(to_rgb(BLOCKED_COLOUR), frame)
+        if self._layout.scale > 2:
+            entries["in view"] = _patch((1.0, 1.0, 1.0), _VIEW_RIM)
+        marks = {"start": self._start, "robot": self._robots[0], "subgoal": self._subgoal, "goal": self._goal}
+        return entries | marks
 
     def paint(self, step: int) -> Picture:
         """The picture of a step; robots that have arrived stay where they are."""
-        picture = Image.new("RGB", self._layout.size, "white")
+        picture = self._paper.copy()
         draw = ImageDraw.Draw(picture)
         for number, panel in enumerate(self._panels):
             corner = self._layout.corner(number)
@@ -204,10 +237,9 @@ class _Painter:
     def _costs(self, frames: Frames, frame: int) -> np.ndarray:
         """Predicted costs-to-go of seen ground: RGB from 0 to 1, `[h w 3]`."""
         assert frames.cost_to_go is not None
-        level = np.rint(_COST_LEVELS * np.clip(frames.cost_to_go[frame] / self._high, 0, 1)) / _COST_LEVELS
-        ground, seen = TRAVERSABLE[self._terrain][..., None], frames.seen[frame][..., None]
-        known = np.where(ground, colormaps[COST_COLOURS](level)[..., :3], np.array(to_rgb(BLOCKED_COLOUR)))
-        return np.where(seen, known, np.array(to_rgb(UNSEEN_COLOUR)))
+        share = np.rint(_COST_LEVELS * frames.cost_to_go[frame] / self._high) / _COST_LEVELS
+        ground, seen = TRAVERSABLE[self._terrain], frames.seen[frame]
+        return cost_image(share, seen & ground, seen & ~ground)
 
     def _ground(self, panel: _Panel, frame: int) -> Image.Image:
         """The map or the costs, cells as squares of pixels, with rims around what has been seen and what is in view."""
@@ -217,9 +249,11 @@ class _Painter:
         pixels = _enlarged(cells, scale)
         if scale > 2:
             pixels[_rim(_enlarged(seen, scale))] = _SEEN_RIM
-            if not panel.cost:
+            if panel.cost:  # in grey, costs near the goal look like blocked ground
+                pixels[_rim(_enlarged(seen & TRAVERSABLE[self._terrain], scale))] = _SEEN_RIM
+            else:
                 pixels[_rim(_enlarged(frames.field_of_view[frame], scale))] = _VIEW_RIM
-        return Image.fromarray((255 * pixels + 0.5).astype(np.uint8))
+        return _image(pixels)
 
     def _draw_robot(
         self, picture: Image.Image, draw: ImageDraw.ImageDraw, corner: tuple[int, int], panel: _Panel, frame: int
@@ -231,12 +265,16 @@ class _Painter:
             for x, y in places:
                 picture.paste(mark, (x - mark.width // 2, y - mark.height // 2), mark)
 
-        if not panel.cost:
-            put(self._goal, self._middles(corner, *self._doors))
         way = self._middles(corner, frames.pose.x[: frame + 1], frames.pose.y[: frame + 1])
         if len(way) > 1:
             for colour, width in (("white", 4), ("black", 2)) if scale > 2 else (("white", 3), ("black", 1)):
                 draw.line(way, fill=colour, width=width)
+        if not panel.cost:
+            robot = int(frames.pose.x[frame]), int(frames.pose.y[frame])
+            places, reached = goal_marks(self._terrain, robot)
+            marks = self._middles(corner, *np.array(places, int).reshape(-1, 2).T)
+            put(self._goal, marks[: len(marks) - reached])
+            put(self._reached, marks[len(marks) - reached :])
         put(self._start, way[:1])
         if frames.mode[frame] == EXPLORE and frame < len(frames) - 1:
             rows, columns = np.nonzero(frames.subgoals[frame].any(axis=0))
@@ -271,7 +309,7 @@ class _Painter:
             colour = tuple(int(255 * value) for value in colormaps[COST_COLOURS](level / _COST_LEVELS)[:3])
             left = x + 14 + 2 * level
             draw.rectangle((left, y + 3, left + 1, y + 12), fill=colour)
-        draw.text((x + 20 + 2 * _COST_LEVELS, y), f"{self._high:.0f} cells", _PALE_INK, self._font)
+        draw.text((x + 20 + 2 * _COST_LEVELS, y), f"{self._high:.0f} cells or more", _PALE_INK, self._font)
 
 
 def _doing(frames: Frames, frame: int) -> str:
@@ -334,66 +372,9 @@ def animate(
         if path.suffix.lower() == ".gif":
             sample = pictures(house, frames_by_planner, steps[:: max(1, len(steps) // _SAMPLE)] + steps[-1:])
             durations = [1 / frames_per_second] * (len(steps) - 1) + [_LAST_SECONDS]
-            _write_gif(path, shown, _frequent_colours(sample), durations)
+            write_gif(path, shown, frequent_colours(sample, (_MARK, _ROBOT, _SUBGOAL)), durations)
         else:
-            _write_mp4(path, shown, frames_per_second)
+            write_mp4(path, shown, frames_per_second, _LAST_SECONDS)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); name a file in a folder of yours") from None
     return path
-
-
-def _codes(picture: Picture) -> Int[np.ndarray, "height width"]:
-    """A number a colour."""
-    return picture.astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
-
-
-def _rgb(codes: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n 3"]:
-    return codes[:, None] >> np.array([16, 8, 0]) & 255
-
-
-def _frequent_colours(shown: Iterable[Picture]) -> Int[np.ndarray, "n"]:
-    """The colours of marks and the most frequent ones of pictures, at most as many as a GIF has; sorted codes."""
-    counts: collections.Counter[int] = collections.Counter()
-    marks = [int(colour[1:], 16) for colour in (_MARK, _ROBOT, _SUBGOAL)]
-    for picture in shown:
-        found, often = np.unique(_codes(picture), return_counts=True)
-        counts.update(dict(zip(found.tolist(), often.tolist(), strict=True)))
-    frequent = [code for code, _ in counts.most_common() if code not in marks]
-    return np.array(sorted(marks + frequent[: 256 - len(marks)]), np.int32)
-
-
-def _write_gif(path: Path, shown: Iterator[Picture], colours: Int[np.ndarray, "n"], durations: Sequence[float]) -> None:
-    """One table of colours serves all pictures, so that only what changes is stored."""
-    table = _rgb(colours).astype(np.uint8).tobytes()
-
-    def indexed(picture: Picture) -> Image.Image:
-        codes = _codes(picture)
-        index = np.minimum(np.searchsorted(colours, codes), len(colours) - 1)
-        others = colours[index] != codes
-        found, inverse = np.unique(codes[others], return_inverse=True)
-        off = np.abs(_rgb(found)[:, None] - _rgb(colours)).sum(axis=-1)
-        index[others] = np.argmin(off, axis=1)[inverse]
-        image = Image.fromarray(index.astype(np.uint8))
-        image.putpalette(table)
-        return image
-
-    images = map(indexed, shown)
-    milliseconds = [round(1000 * seconds) for seconds in durations]
-    next(images).save(path, save_all=True, append_images=images, duration=milliseconds, loop=0, optimize=False)
-
-
-def _write_mp4(path: Path, shown: Iterator[Picture], frames_per_second: int) -> None:
-    picture = next(shown)
-    height, width, _ = picture.shape
-    for codec in _CODECS:
-        video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), frames_per_second, (width, height))
-        if video.isOpened():
-            break
-    else:
-        raise InputError(f"{path}: OpenCV has none of the codecs {', '.join(_CODECS)} or cannot write there; try .gif")
-    video.write(picture[..., ::-1])
-    for picture in shown:
-        video.write(picture[..., ::-1])
-    for _ in range(round(_LAST_SECONDS * frames_per_second)):
-        video.write(picture[..., ::-1])
-    video.release()

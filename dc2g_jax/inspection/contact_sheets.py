@@ -12,12 +12,13 @@ from dc2g_jax.datasets.houses import House, group_of
 from dc2g_jax.datasets.starts import why_no_episode
 from dc2g_jax.grid.ground import pieces
 from dc2g_jax.grid.terrain import FRONT_DOOR
-from dc2g_jax.inspection.figures import class_patch, map_image, save_figure, whole_pixels
+from dc2g_jax.inspection.figures import PAGE_WIDTH, class_patch, map_image, save_figure, whole_pixels
 
-#: Inches: a page, its margin, the side of a map's place, what lies between and below maps, a headline, head and foot.
-_PAGE_WIDTH, _PAGE_HEIGHT, _MARGIN = 7.16, 9.6, 0.05
-_SIDE, _BETWEEN, _NAME, _HEADLINE, _HEAD, _FOOT = 0.837, 0.05, 0.2, 0.24, 0.26, 0.42
-_COLUMNS = int((_PAGE_WIDTH - 2 * _MARGIN + _BETWEEN) / (_SIDE + _BETWEEN))
+#: Inches: the height of a page, its margin, the side of a map's place, what lies between and below maps, a headline,
+#: head and foot.
+_PAGE_HEIGHT, _MARGIN = 9.6, 0.05
+_SIDE, _BETWEEN, _NAME, _HEADLINE, _HEAD, _FOOT = 0.837, 0.05, 0.24, 0.24, 0.26, 0.42
+_COLUMNS = int((PAGE_WIDTH - 2 * _MARGIN + _BETWEEN) / (_SIDE + _BETWEEN))
 _DPI = 300
 
 #: Group -> headline, in the order of the sheets.
@@ -85,7 +86,7 @@ def _doubt(house: House) -> str:
     """Why no episode can be run in a house, in the words that fit below a map; empty where one can."""
     if why_no_episode(house) is None:
         return ""
-    return "no door within reach" if np.any(house.terrain == FRONT_DOOR) else "no front door"
+    return "door cut off" if np.any(house.terrain == FRONT_DOOR) else "no front door"
 
 
 class _Page:
@@ -99,13 +100,13 @@ class _Page:
 
     def __init__(self, title: str, number: str, height: float):
         self._height = _HEAD + height + _FOOT
-        self.figure = Figure(figsize=(_PAGE_WIDTH, self._height))
+        self.figure = Figure(figsize=(PAGE_WIDTH, self._height))
         self._text(_MARGIN, _HEAD / 2, title, fontsize=9, fontweight="bold")
-        self._text(_PAGE_WIDTH - _MARGIN, _HEAD / 2, number, ha="right", fontsize=7.5, color="#555555")
+        self._text(PAGE_WIDTH - _MARGIN, _HEAD / 2, number, ha="right", fontsize=7.5, color="#555555")
 
     def _text(self, x: float, y: float, text: str, **style: Any) -> None:
         """Text at inches from the upper left corner."""
-        self.figure.text(x / _PAGE_WIDTH, 1 - y / self._height, text, va="center", **style)
+        self.figure.text(x / PAGE_WIDTH, 1 - y / self._height, text, va="center", **style)
 
     def draw(self, row: Row, y: float) -> None:
         """Draw a row whose upper edge lies `y` inches below that of the page."""
@@ -115,8 +116,8 @@ class _Page:
         for place, house in enumerate(row.houses):
             middle = _MARGIN + place * (_SIDE + _BETWEEN) + _SIDE / 2
             _draw_house(self._map_axes(house, middle, y + _SIDE / 2), house)
-            self._text(middle, y + _SIDE + 0.07, house.name, ha="center", fontsize=6)
-            self._text(middle, y + _SIDE + 0.155, _doubt(house), ha="center", fontsize=5.2, color="#b03000")
+            self._text(middle, y + _SIDE + 0.07, house.name, ha="center", fontsize=7)
+            self._text(middle, y + _SIDE + 0.175, _doubt(house), ha="center", fontsize=7, color="#b03000")
 
     def _map_axes(self, house: House, x: float, y: float) -> Axes:
         """Axes around a point, as large as a map may be; on whole pixels, so that all its cells have one size."""
@@ -125,7 +126,7 @@ class _Page:
         left = round((x - cell * width / 2) * _DPI) / _DPI
         bottom = round((self._height - y - cell * height / 2) * _DPI) / _DPI
         return self.figure.add_axes(
-            (left / _PAGE_WIDTH, bottom / self._height, cell * width / _PAGE_WIDTH, cell * height / self._height)
+            (left / PAGE_WIDTH, bottom / self._height, cell * width / PAGE_WIDTH, cell * height / self._height)
         )
 
 
@@ -149,6 +150,6 @@ def plot_contact_page(path: str | Path, title: str, number: str, rows: Sequence[
     classes = np.unique(np.concatenate([house.terrain.ravel() for row in rows for house in row.houses]))
     page.figure.legend(
         handles=[class_patch(index) for index in classes.tolist()], loc="lower left", bbox_to_anchor=(0, 0), ncols=8,
-        frameon=False, fontsize=6.8, handlelength=1.1, columnspacing=1.1, borderaxespad=0.1, labelspacing=0.3,
+        frameon=False, fontsize=7, handlelength=1.1, columnspacing=1.1, borderaxespad=0.1, labelspacing=0.3,
     )  # fmt: skip
     return save_figure(page.figure, path, dpi=_DPI)

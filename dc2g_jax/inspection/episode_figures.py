@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,43 +12,40 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Normalize, to_rgb
-from matplotlib.figure import Figure
+from matplotlib.colors import Normalize
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from dc2g_jax.datasets.houses import House
-from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.evaluation import EpisodeResult
 from dc2g_jax.grid.ground import pieces
 from dc2g_jax.grid.poses import Pose, make_pose, moved
-from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.inspection.figures import class_patch, map_image, planner_style, save_figure, whole_pixels
+from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
+from dc2g_jax.inspection.costs import BLOCKED_COLOUR, COST_COLOURS, cost_image, exact_cost_to_go, highest_cost
+from dc2g_jax.inspection.figures import (
+    class_patch,
+    hidden_patch,
+    map_image,
+    planner_style,
+    present_classes,
+    save_figure,
+)
 from dc2g_jax.inspection.replay import Frames, actions_from_letters, running_extra_steps
+from dc2g_jax.inspection.sheets import DPI, FONT, Sheet, cell_rim, empty_sheet
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
 
-#: Inches: the width of a page's two columns, and the largest height of a panel; the space left of the panels, between
-#: them, above them for titles, for the colour bars and a line of the legend. And pixels by the inch.
-_WIDTH, _TALLEST = 7.16, 2.2
-_LEFT, _GAP, _TITLE, _BARS, _LINE = 0.3, 0.06, 0.17, 0.48, 0.15
-_DPI = 300
-
-#: Inches that an entry of the legend takes.
-_ENTRY = 0.86
-
-_FONT, _SMALL = 7.5, 6.8
 _GREY = "#444444"
 
-#: Colours of the cost-to-go, from the goal on, and of the way, from its start on; both ends of each differ in grey.
-COST_COLOURS, _WAY_COLOURS = "viridis_r", "plasma"
+#: Colours of the way, from its start on; the ends differ in grey.
+_WAY_COLOURS = "plasma"
 
-#: Where there is no cost-to-go to show: not observed, and observed but not traversable.
-UNSEEN_COLOUR, BLOCKED_COLOUR = "#ffffff", "#ececf1"
-
-_EDGE: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "black"}
+# Marks lie over lines and frames, and are whole at the edge of a map. The one of a goal that has been reached looks out
+# from under the robot.
+_EDGE: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "black", "clip_on": False, "zorder": 3}
 _START: dict[str, Any] = {"marker": "o", "color": "white", "markersize": 3.6, "markeredgewidth": 0.8, **_EDGE}
 _ROBOT: dict[str, Any] = {"color": "#f0e442", "markersize": 6, "markeredgewidth": 0.7, **_EDGE}
 _GOAL: dict[str, Any] = {"marker": "*", "color": "white", "markersize": 5.5, "markeredgewidth": 0.6, **_EDGE}
+_REACHED: dict[str, Any] = _GOAL | {"markersize": 13}
 _SUBGOAL: dict[str, Any] = {"marker": "X", "color": "#ff6ec7", "markersize": 5, "markeredgewidth": 0.6, **_EDGE}
 _LINE_STYLE: dict[str, Any] = {"solid_joinstyle": "round", "scalex": False, "scaley": False}
 _HEADING_MARKERS = ">v<^"
@@ -57,81 +54,28 @@ _HEADING_MARKERS = ">v<^"
 _USUAL_CELL = 1.68
 
 
-class _Sheet(NamedTuple):
-    """A figure of panels that all show a map, placed to the pixel so that every cell has the same size.
-
-    Attributes:
-      figure: the figure.
-      width: of a panel, in inches.
-      height: of a panel, in inches.
-      rows: rows of panels.
-    """
-
-    figure: Figure
-    width: float
-    height: float
-    rows: int
-
-    def panel(self, row: int, column: int, title: str = "") -> Axes:
-        """The panel in a row and a column."""
-        x = _LEFT + column * (self.width + _GAP)
-        y = _TITLE + row * (self.height + _TITLE)
-        axes = self._axes(x, y, self.width, self.height)
-        axes.set_xticks([])
-        axes.set_yticks([])
-        axes.set_title(title, fontsize=_FONT, pad=2)
-        for spine in axes.spines.values():
-            spine.set_color("#888888")
-            spine.set_linewidth(0.5)
-        return axes
-
-    def bar(self, place: float, colours: ScalarMappable, title: str, **options: Any) -> None:
-        """A colour bar below the panels, in the left half of the page (`place` 0) or in the right one (1)."""
-        width = float(self.figure.get_figwidth())
-        length = min(2.2, 0.38 * width)
-        x = (0.25 + 0.5 * place) * width - length / 2
-        axes = self._axes(x, self.rows * (self.height + _TITLE) + 0.09, length, 0.08)
-        bar = self.figure.colorbar(colours, cax=axes, orientation="horizontal", **options)
-        bar.outline.set_linewidth(0.5)  # type: ignore[operator]
-        axes.tick_params(labelsize=_SMALL, length=2, width=0.5, pad=1.5)
-        axes.set_xlabel(title, fontsize=_SMALL, labelpad=1)
-
-    def _axes(self, x: float, y: float, width: float, height: float) -> Axes:
-        """Axes at a place in inches from the upper left corner, moved to whole pixels."""
-        x, y = round(x * _DPI) / _DPI, round(y * _DPI) / _DPI
-        total_width, total_height = self.figure.get_size_inches()
-        rectangle = (x / total_width, 1 - (y + height) / total_height, width / total_width, height / total_height)
-        return self.figure.add_axes(rectangle)
-
-    def legend(self, entries: Sequence[Any], columns: int) -> None:
-        """What colours and marks mean, at the foot of the page."""
-        self.figure.legend(
-            handles=list(entries), loc="lower center", bbox_to_anchor=(0.5, 0), borderaxespad=0.1, ncols=columns,
-            frameon=False, fontsize=_SMALL, handlelength=1.1, handletextpad=0.5, columnspacing=1.2, labelspacing=0.35,
-        )  # fmt: skip
-
-
-def _sheet(shape: tuple[int, ...], rows: int, columns: int, entries: Sequence[Any]) -> _Sheet:
-    """An empty sheet for maps of this shape, with its legend."""
-    height, width = shape
-    room = (_WIDTH - _LEFT - columns * _GAP) / columns
-    scale = whole_pixels(min(room / width, _TALLEST / height), _DPI)
-    panel_width, panel_height = scale * width, scale * height
-    page_width = max(_LEFT + columns * (panel_width + _GAP), 3.5)
-    legend_columns = min(len(entries), int(page_width / _ENTRY))
-    foot = _BARS + _LINE * -(-len(entries) // legend_columns)
-    page_height = rows * (panel_height + _TITLE) + foot
-    pixels = np.ceil(np.array([page_width, page_height]) * _DPI)
-    sheet = _Sheet(Figure(figsize=tuple(pixels / _DPI)), panel_width, panel_height, rows)
-    sheet.legend(entries, legend_columns)
-    return sheet
-
-
 def _entries(terrain: UInt8[np.ndarray, "h w"], *marks: tuple[str, dict[str, Any]]) -> list[Any]:
     """What the legend says: the classes of a map, the largest first, and marks."""
-    cells = np.bincount(terrain.ravel(), minlength=len(CLASS_NAMES))
-    classes = [class_patch(index) for index in np.argsort(-cells, kind="stable")[: np.count_nonzero(cells)].tolist()]
+    classes = [class_patch(index) for index in present_classes(terrain)]
     return classes + [Line2D([], [], label=label, **style) for label, style in marks]
+
+
+def goal_marks(terrain: UInt8[np.ndarray, "h w"], robot: tuple[int, int]) -> tuple[list[tuple[int, int]], bool]:
+    """Columns and rows of the goals' marks, one a door; where the robot stands on a door, that one comes last.
+
+    Args:
+      terrain: the map.
+      robot: column and row of the robot. A door that it has reached has its mark there.
+
+    Returns:
+      The places, and has the last one been reached?
+    """
+    places = [(door.x, door.y) for door in pieces(terrain == FRONT_DOOR)]
+    x, y = robot
+    if terrain[y, x] != FRONT_DOOR:
+        return places, False
+    places.remove(min(places, key=lambda place: (place[0] - x) ** 2 + (place[1] - y) ** 2))
+    return [*places, robot], True
 
 
 _START_MARK, _ROBOT_MARK = ("start", _START), ("robot", {"marker": ">", **_ROBOT})
@@ -141,16 +85,7 @@ _GOAL_MARK, _SUBGOAL_MARK = ("goal", _GOAL), ("subgoal", _SUBGOAL)
 def _name(axes: Axes, planner: str) -> None:
     """A planner's name beside its row."""
     style = planner_style(planner)
-    axes.set_ylabel(style.label.replace(", ", ",\n"), fontsize=_FONT, color=style.colour, fontweight="bold", labelpad=3)
-
-
-def _rim(seen: Bool[np.ndarray, "h w"]) -> list[Any]:
-    """The edges between cells that have been seen and cells that have not, each as its two ends."""
-    y, x = np.nonzero(seen[:, 1:] != seen[:, :-1])
-    upright = np.stack([np.stack([x + 0.5, y - 0.5], -1), np.stack([x + 0.5, y + 0.5], -1)], 1)
-    y, x = np.nonzero(seen[1:] != seen[:-1])
-    level = np.stack([np.stack([x - 0.5, y + 0.5], -1), np.stack([x + 0.5, y + 0.5], -1)], 1)
-    return list(np.concatenate([upright, level]))
+    axes.set_ylabel(style.label.replace(", ", ",\n"), fontsize=FONT, color=style.colour, fontweight="bold", labelpad=3)
 
 
 def _scaled(axes: Axes, cells: int, style: Mapping[str, Any]) -> dict[str, Any]:
@@ -160,12 +95,23 @@ def _scaled(axes: Axes, cells: int, style: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value * scale if name in ("linewidth", "markersize") else value for name, value in style.items()}
 
 
-def _draw_map(axes: Axes, terrain: UInt8[np.ndarray, "h w"], seen: Bool[np.ndarray, "h w"]) -> None:
-    """Terrain, pale where not seen, and the goals: one mark a door."""
+def _draw_map(
+    axes: Axes, terrain: UInt8[np.ndarray, "h w"], seen: Bool[np.ndarray, "h w"], robot: tuple[int, int]
+) -> None:
+    """Terrain, pale where not seen, and the goals; a robot that has reached one is drawn over it."""
     axes.imshow(map_image(terrain, seen), interpolation="nearest", aspect="auto")
-    axes.add_collection(LineCollection(_rim(seen), colors=_GREY, linewidths=0.5), autolim=False)
-    doors = pieces(terrain == FRONT_DOOR)
-    axes.plot([door.x for door in doors], [door.y for door in doors], **_scaled(axes, terrain.shape[1], _GOAL))
+    axes.add_collection(LineCollection(cell_rim(seen), colors=_GREY, linewidths=0.5), autolim=False)
+    places, reached = goal_marks(terrain, robot)
+    styles = [_GOAL] * len(places)
+    if reached:
+        styles[-1] = _REACHED
+    for (x, y), style in zip(places, styles, strict=True):
+        axes.plot([x], [y], **_scaled(axes, terrain.shape[1], style))
+
+
+def _place(pose: Pose, step: int) -> tuple[int, int]:
+    """Column and row of a robot at a step."""
+    return int(pose.x[step]), int(pose.y[step])
 
 
 def _draw_robot(axes: Axes, frames: Frames, frame: int) -> None:
@@ -183,7 +129,7 @@ def _draw_robot(axes: Axes, frames: Frames, frame: int) -> None:
 
 def _draw_way(axes: Axes, house: House, way: Pose) -> None:
     """The whole map and a way on it, coloured from its start to its end."""
-    _draw_map(axes, house.terrain, np.ones(house.terrain.shape, bool))
+    _draw_map(axes, house.terrain, np.ones(house.terrain.shape, bool), _place(way, -1))
     points = np.stack([way.x, way.y], axis=-1).astype(float)
     segments = np.stack([points[:-1], points[1:]], axis=1)
     width = house.terrain.shape[1]
@@ -197,18 +143,17 @@ def _draw_way(axes: Axes, house: House, way: Pose) -> None:
     axes.plot(way.x[-1:], way.y[-1:], marker=marker, **_scaled(axes, width, _ROBOT))
 
 
-def _way_bar(sheet: _Sheet, place: float) -> None:
+def _way_bar(sheet: Sheet, place: float) -> None:
     colours = ScalarMappable(Normalize(0, 1), _WAY_COLOURS)
     sheet.bar(place, colours, "the way", ticks=[0, 1], format=lambda value, _: ("start", "end")[int(value)])
 
 
 def _draw_cost(axes: Axes, cost: Float[np.ndarray, "h w"], shown: np.ndarray, blocked: np.ndarray, high: float) -> None:
     """Costs-to-go where they are shown; blocked ground and the rest in greys."""
-    colours = colormaps[COST_COLOURS](np.clip(np.where(shown, cost, 0) / high, 0, 1))[..., :3]
-    image = np.where(shown[..., None], colours, np.array(to_rgb(UNSEEN_COLOUR)))
-    image = np.where(blocked[..., None], np.array(to_rgb(BLOCKED_COLOUR)), image)
-    axes.imshow(image, interpolation="nearest", aspect="auto")
-    axes.add_collection(LineCollection(_rim(shown | blocked), colors=_GREY, linewidths=0.5), autolim=False)
+    axes.imshow(cost_image(cost / high, shown, blocked), interpolation="nearest", aspect="auto")
+    # In grey, costs near the goal look like blocked ground: a line parts them.
+    rims = cell_rim(shown + 2 * blocked)
+    axes.add_collection(LineCollection(rims, colors=_GREY, linewidths=0.5), autolim=False)
 
 
 def outcome(frames: Frames) -> str:
@@ -232,22 +177,15 @@ def moments(frames: Frames, count: int) -> list[int]:
     return np.unique(chosen.round().astype(int)).tolist()
 
 
-def _moment_title(frames: Frames, frame: int) -> str:
-    if frame == len(frames) - 1:
-        return f"step {frame}: {outcome(frames)}"
-    first = frames.mode[frame] == TO_GOAL and frame > 0 and frames.mode[frame - 1] != TO_GOAL
-    return f"step {frame}{': goal seen' if first else ''}"
-
-
-def _cost_scale(house: House, frames_by_planner: Mapping[str, Frames], exact: Float[np.ndarray, "h w"]) -> float:
-    """The cost at the end of the colours: nearly all that is shown of what robots had observed lies below."""
-    shown = []
-    for frames in frames_by_planner.values():
-        if frames.cost_to_go is not None:
-            ground = frames.seen[-1] & TRAVERSABLE[house.terrain] & np.isfinite(exact)
-            shown += [exact[ground], frames.cost_to_go[-1][ground], frames.cost_to_go[0][ground & frames.seen[0]]]
-    costs = np.concatenate(shown)
-    return max(float(np.percentile(costs, 99)), 1.0) if costs.size else 1.0
+def _titles(frames: Frames, chosen: Sequence[int]) -> list[str]:
+    """What stands above the chosen moments of an episode, and above its whole way."""
+    titles = []
+    for frame in chosen[:-1]:
+        first = frames.mode[frame] == TO_GOAL and frame > 0 and frames.mode[frame - 1] != TO_GOAL
+        titles.append(f"step {frame}{': goal seen' if first else ''}")
+    extra = running_extra_steps(frames)[-1]
+    whole = f"extra steps: {extra:.0f} %" if np.isfinite(extra) else "whole map"
+    return [*titles, f"step {chosen[-1]}: {outcome(frames)}", whole]
 
 
 def plot_episode(
@@ -271,35 +209,38 @@ def plot_episode(
     count = columns or (4 if width <= 1.6 * height else 3 if width <= 2.6 * height else 2)
     estimates = sum(frames.cost_to_go is not None for frames in frames_by_planner.values())
     entries = _entries(house.terrain, _START_MARK, _ROBOT_MARK, _SUBGOAL_MARK, _GOAL_MARK)
-    sheet = _sheet((height, width), len(frames_by_planner) + estimates, count + 1, entries)
+    entries.append(hidden_patch(present_classes(house.terrain)[0]))
     if estimates:
-        exact = np.asarray(jax.jit(world_cost_to_go)(world_from_terrain(house.terrain)))
-        high = _cost_scale(house, frames_by_planner, exact)
+        entries.append(Patch(facecolor=BLOCKED_COLOUR, edgecolor="#777777", linewidth=0.4, label="not traversable"))
+    titles = {planner: _titles(frames, moments(frames, count)) for planner, frames in frames_by_planner.items()}
+    rows = len(frames_by_planner) + estimates
+    sheet = empty_sheet((height, width), rows, count + 1, entries, [title for row in titles.values() for title in row])
+    if estimates:
+        exact = exact_cost_to_go(house)
+        high = highest_cost(house, frames_by_planner, exact)
         sheet.bar(0, ScalarMappable(Normalize(0, high), COST_COLOURS), "cost-to-go (cells)", extend="max")
     _way_bar(sheet, 1 if estimates else 0.5)
     row = 0
     for planner, frames in frames_by_planner.items():
         chosen = moments(frames, count)
-        first = [sheet.panel(row, column, _moment_title(frames, frame)) for column, frame in enumerate(chosen)]
+        first = [sheet.panel(row, column, title) for column, title in enumerate(titles[planner][:-1])]
         _name(first[0], planner)
         for axes, frame in zip(first, chosen, strict=True):
-            _draw_map(axes, house.terrain, frames.seen[frame])
+            _draw_map(axes, house.terrain, frames.seen[frame], _place(frames.pose, frame))
             _draw_robot(axes, frames, frame)
-        extra = running_extra_steps(frames)[-1]
-        title = f"{extra:.0f} % extra steps" if np.isfinite(extra) else "whole map"
-        _draw_way(sheet.panel(row, count, title), house, frames.pose)
+        _draw_way(sheet.panel(row, count, titles[planner][-1]), house, frames.pose)
         row += 1
         if frames.cost_to_go is not None:
             _draw_costs([sheet.panel(row, column) for column in range(len(chosen))], house, frames, chosen, high)
             ground = TRAVERSABLE[house.terrain]
             _draw_cost(sheet.panel(row, count, "exact"), exact, ground & np.isfinite(exact), ~ground, high)
             row += 1
-    return save_figure(sheet.figure, path, dpi=_DPI)
+    return save_figure(sheet.figure, path, dpi=DPI)
 
 
 def _draw_costs(panels: Sequence[Axes], house: House, frames: Frames, chosen: Sequence[int], high: float) -> None:
     """What a planner expected at the chosen moments, on the ground that it had seen."""
-    panels[0].set_ylabel("predicted\ncost-to-go", fontsize=_FONT, labelpad=3)
+    panels[0].set_ylabel("predicted\ncost-to-go", fontsize=FONT, labelpad=3)
     ground = TRAVERSABLE[house.terrain]
     assert frames.cost_to_go is not None
     for axes, frame in zip(panels, chosen, strict=True):
@@ -337,12 +278,14 @@ def plot_trajectories(
     """
     columns = min(columns, len(result_by_planner))
     rows = -(-len(result_by_planner) // columns)
-    sheet = _sheet(house.terrain.shape, rows, columns, _entries(house.terrain, _START_MARK, _ROBOT_MARK, _GOAL_MARK))
-    for number, (planner, result) in enumerate(result_by_planner.items()):
-        axes = sheet.panel(*divmod(number, columns))
-        style = planner_style(planner)
+    titles = {}
+    for planner, result in result_by_planner.items():
         extra = "" if planner == "oracle" else f" ({result.extra:+.0f} %)"
-        axes.set_title(f"{style.label}: {result.steps} steps{extra}", fontsize=_FONT, pad=2, color=style.colour)
+        titles[planner] = f"{planner_style(planner).label}: {result.steps} steps{extra}"
+    entries = _entries(house.terrain, _START_MARK, _ROBOT_MARK, _GOAL_MARK)
+    sheet = empty_sheet(house.terrain.shape, rows, columns, entries, list(titles.values()))
+    for number, (planner, result) in enumerate(result_by_planner.items()):
+        axes = sheet.panel(*divmod(number, columns), titles[planner], planner_style(planner).colour)
         _draw_way(axes, house, poses_along(result, house))
     _way_bar(sheet, 0.5)
-    return save_figure(sheet.figure, path, dpi=_DPI)
+    return save_figure(sheet.figure, path, dpi=DPI)

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import matplotlib
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from matplotlib.artist import Artist
@@ -19,6 +20,9 @@ from dc2g_jax.evaluation import EpisodeResult, Summary
 from dc2g_jax.grid.terrain import CLASS_NAMES
 
 Table = Mapping[str, Mapping[str, Summary]]
+
+#: Inches: the width of a page's two columns, which figures take, so that their text has its size on paper.
+PAGE_WIDTH = 7.16
 
 
 class PlannerStyle(NamedTuple):
@@ -44,8 +48,8 @@ PLANNER_STYLES = {
     "frontier": PlannerStyle("Frontier", "#d55e00", marker="s"),
     "authors_dc2g": PlannerStyle("DC2G, authors' network", "#a9d3ee", hatch="///"),
     "dc2g": PlannerStyle("DC2G", "#0072b2"),
-    "dc2g_uncertain": PlannerStyle("DC2G, averse to risk", "#cc79a7", marker="D"),
-    "true_cost_to_go": PlannerStyle("DC2G, exact cost-to-go", "#009e73", marker="^"),
+    "dc2g_uncertain": PlannerStyle("DC2G, averse to risk", "#cc79a7", hatch="...", marker="D"),
+    "true_cost_to_go": PlannerStyle("DC2G, exact cost-to-go", "#009e73", hatch="xxx", marker="^"),
 }
 
 #: Class -> colour on maps. Ground is pale and the rest is dark, so that they differ in grey as well; unknown lies
@@ -96,14 +100,14 @@ def _compared(planners: Iterable[str]) -> list[str]:
 def _bars(axes: Axes, table: Table, groups: Sequence[str]) -> None:
     """Grouped bars of the mean, with a tick at the median."""
     planners = _compared(table)
-    width = 0.84 / len(planners)
+    width = 0.92 / len(planners)
     for place, planner in enumerate(planners):
         label, colour, hatch, _ = PLANNER_STYLES[planner]
         x = np.arange(len(groups)) + (place - (len(planners) - 1) / 2) * width
         mean = [table[planner][group].mean_extra for group in groups]
         median = [table[planner][group].median_extra for group in groups]
-        axes.bar(x, mean, width * 0.92, label=label, color=colour, hatch=hatch, edgecolor="#333333", linewidth=0.6)
-        axes.hlines(median, x - width * 0.46, x + width * 0.46, color="black", linewidth=1.8)
+        axes.bar(x, mean, width * 0.92, label=label, color=colour, hatch=hatch, edgecolor="#333333", linewidth=0.5)
+        axes.hlines(median, x - width * 0.46, x + width * 0.46, color="black", linewidth=1.4)
         for position, value in zip(x, mean, strict=True):
             axes.annotate(
                 f"{value:.0f}" if value >= 10 else f"{value:.1f}",
@@ -111,9 +115,11 @@ def _bars(axes: Axes, table: Table, groups: Sequence[str]) -> None:
                 xytext=(0, 2),
                 textcoords="offset points",
                 ha="center",
-                fontsize=7.5,
+                fontsize=7,
             )
     axes.set_xticks(np.arange(len(groups)), [_GROUP_LABELS.get(group, group) for group in groups])
+    axes.set_xlim(-0.5, len(groups) - 0.5)
+    axes.tick_params(labelsize=7.5)
     axes.tick_params(axis="x", length=0)
     axes.yaxis.grid(True, color="#dddddd", linewidth=0.6)
     axes.set_axisbelow(True)
@@ -122,11 +128,15 @@ def _bars(axes: Axes, table: Table, groups: Sequence[str]) -> None:
 
 
 def save_figure(figure: Figure, path: str | Path, dpi: int = 160) -> list[Path]:
-    """Write a figure as PNG, of `dpi` pixels by the inch, and as SVG; `path` is their name without an ending."""
+    """Write a figure as PNG, of `dpi` pixels by the inch, and as SVG; `path` is their name without an ending.
+
+    Text in the SVG is text: it can be searched and edited, and is shown in DejaVu Sans, or else in the viewer's own.
+    """
     FigureCanvasAgg(figure)
     written = [Path(f"{path}{ending}") for ending in (".png", ".svg")]
-    for target in written:
-        figure.savefig(target, dpi=dpi)
+    with matplotlib.rc_context({"svg.fonttype": "none"}):
+        for target in written:
+            figure.savefig(target, dpi=dpi)
     return written
 
 
@@ -145,14 +155,12 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], dataset: str
     groups = {settings: list(table["frontier"]) for settings, table in panels.items()}
     for names in groups.values():
         names.sort(key=_group_place)
-    bars = [len(groups[s]) * len(_compared(panels[s])) for s in panels]
-    # A few bars alone would leave no room for the legend.
-    figure = Figure(figsize=(max(7.0, 1.2 + 0.36 * sum(bars)), 4.4), layout="constrained")
-    all_axes = figure.subplots(1, len(panels), squeeze=False, sharey=True, width_ratios=bars)[0]
+    figure = Figure(figsize=(PAGE_WIDTH, 0.8 + 2.2 * len(panels)), layout="constrained")
+    all_axes = figure.subplots(len(panels), 1, squeeze=False, sharey=True)[:, 0]
     for axes, (settings, table) in zip(all_axes, panels.items(), strict=True):
         _bars(axes, table, groups[settings])
-        axes.set_title(_TITLES.get(settings, settings), fontsize=10.5)
-    all_axes[0].set_ylabel("extra steps beyond the oracle (%)")
+        axes.set_title(_TITLES.get(settings, settings), fontsize=8.5)
+    figure.supylabel("extra steps beyond the oracle (%)", fontsize=8)
     handles: dict[str, Artist] = {}
     for axes in all_axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -162,12 +170,12 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], dataset: str
         [handles[label] for label in labels],
         labels,
         loc="outside upper center",
-        ncols=len(labels),
+        ncols=min(len(labels), 3),
         frameon=False,
-        fontsize=9,
+        fontsize=7.5,
     )
-    figure.supxlabel(f"Bars: mean; black lines: median. Houses: {dataset}.", fontsize=8, color="#555555")
-    return save_figure(figure, path)
+    figure.supxlabel(f"Bars: mean; black lines: median. Houses: {dataset}.", fontsize=7, color="#555555")
+    return save_figure(figure, path, dpi=300)
 
 
 def _scale_extra_steps(axes: Axes, direction: str, ends: tuple[float, float]) -> None:
@@ -190,8 +198,12 @@ def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float
     Returns:
       The files written: PNG and SVG.
     """
-    figure = Figure(figsize=(3.1 * len(extra) + 0.4, 3.9), layout="constrained")
-    all_axes = figure.subplots(1, len(extra), squeeze=False, sharex=True, sharey=True)[0]
+    rows = -(-len(extra) // 2)
+    figure = Figure(figsize=(PAGE_WIDTH, 3.5 * rows + 0.3), layout="constrained")
+    grid = figure.subplots(rows, 2, squeeze=False, sharex=True, sharey=True)
+    all_axes = grid.ravel()[: len(extra)]
+    for axes in grid.ravel()[len(extra) :]:
+        axes.remove()
     most = max(value for pairs in extra.values() for pair in pairs for value in pair)
     ends = (-4.0, 1.6 * most)
     for axes, (group, pairs) in zip(all_axes, extra.items(), strict=True):
@@ -205,14 +217,15 @@ def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float
             _scale_extra_steps(axes, direction, ends)
         axes.grid(True, color="#dddddd", linewidth=0.5)
         axes.set_axisbelow(True)
+        axes.tick_params(labelsize=8)
         axes.set_aspect("equal")
         axes.set_title(_GROUP_LABELS.get(group, group).replace("\n", " "), fontsize=10)
         for place, text in (((0.97, 0.04), f"lower in {below}"), ((0.03, 0.93), f"higher in {above}")):
             side = "right" if place[0] > 0.5 else "left"
             axes.annotate(text, place, xycoords="axes fraction", ha=side, fontsize=8.5, color="#333333")
-    all_axes[0].set_ylabel("extra steps, this package (%)")
-    figure.supxlabel("extra steps, authors' network (%)      cross: means", fontsize=9.5)
-    return save_figure(figure, path)
+    figure.supylabel("extra steps, this package (%)", fontsize=9)
+    figure.supxlabel("extra steps, authors' network (%)      cross: means", fontsize=9)
+    return save_figure(figure, path, dpi=200)
 
 
 #: Pixels from which on it shows if not all cells have the same.
@@ -222,6 +235,12 @@ _EVEN_PIXELS = 4
 def planner_style(name: str) -> PlannerStyle:
     """How a planner looks; a plain style for one of another name."""
     return PLANNER_STYLES.get(name, PlannerStyle(name, "#777777"))
+
+
+def present_classes(terrain: UInt8[np.ndarray, "*cells"]) -> list[int]:
+    """The classes of a map, those of most cells first."""
+    cells = np.bincount(terrain.ravel(), minlength=len(CLASS_NAMES))
+    return np.argsort(-cells, kind="stable")[: np.count_nonzero(cells)].tolist()
 
 
 def map_image(terrain: UInt8[np.ndarray, "h w"], seen: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 3"]:
@@ -241,10 +260,22 @@ def class_patch(index: int) -> Patch:
     return Patch(facecolor=CLASS_COLOURS[CLASS_NAMES[index]], edgecolor="#777777", linewidth=0.4, label=label)
 
 
+def hidden_colour(index: int) -> tuple[float, float, float]:
+    """Of a class where it has not been observed."""
+    red, green, blue = map_image(np.full((1, 1), index, np.uint8), np.zeros((1, 1), bool))[0, 0].tolist()
+    return red, green, blue
+
+
+def hidden_patch(index: int) -> Patch:
+    """What a legend says of ground that has not been observed, in the colour of a class."""
+    return Patch(facecolor=hidden_colour(index), edgecolor="#777777", linewidth=0.4, label="not seen yet")
+
+
 def plain_axes(axes: Axes) -> None:
     """A grid behind the data, and no frame above and to the right."""
     axes.grid(True, color="#dddddd", linewidth=0.6)
     axes.set_axisbelow(True)
+    axes.tick_params(labelsize=8)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
 
@@ -286,7 +317,7 @@ def plot_house_strips(
     pages = _columns_of_houses(sections, 1 if len(extra) <= _ONE_COLUMN else 2)
     house_height = _LANE * len(planners) + _BETWEEN
     heights = [sum(_HEADLINE + house_height * len(houses) for _, houses in page) for page in pages]
-    figure = Figure(figsize=(3.58 * len(pages), max(heights) + 0.85), layout="constrained")
+    figure = Figure(figsize=(PAGE_WIDTH / 2 * len(pages), max(heights) + 0.85), layout="constrained")
     most = max(value for by_planner in extra.values() for values in by_planner.values() for value in values)
     columns = figure.subplots(1, len(pages), squeeze=False)[0]
     for axes, page in zip(columns, pages, strict=True):
@@ -359,5 +390,5 @@ def _draw_strips(
                     axes.vlines(float(np.mean(values)), *ends, color="black", linewidth=2.0)
                     axes.vlines(float(np.mean(values)), *ends, color=style.colour, linewidth=1.0)
             y += lanes + _BETWEEN
-    axes.set_yticks([place for place, _ in names], [name for _, name in names], fontsize=6.5)
+    axes.set_yticks([place for place, _ in names], [name for _, name in names], fontsize=7)
     axes.tick_params(axis="y", length=0)

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from dc2g_jax.inspection.figures import bare_axes, plain_axes, save_figure
+from dc2g_jax.inspection.figures import PAGE_WIDTH, bare_axes, plain_axes, save_figure
 from dc2g_jax.inspection.training_figures import draw_band
 
 #: Colours (Okabe and Ito), markers and line styles of networks and losses, in the order they are given.
@@ -82,21 +82,21 @@ def plot_translations(
       The files written: PNG and SVG.
     """
     rows = len(full)
-    figure = Figure(figsize=(11.4, 1.86 * rows + 1.0), layout="constrained")
+    figure = Figure(figsize=(PAGE_WIDTH, 1.15 * rows + 0.9), layout="constrained")
     halves = list(np.ravel(figure.subfigures(1, 2, squeeze=False)))
     for half, title, examples in zip(halves, ("full maps", "partial maps"), (full, partial), strict=True):
-        half.suptitle(title, fontsize=11)
+        half.suptitle(title, fontsize=9)
         grid = half.subplots(rows, 3, squeeze=False)
         for number, (row, example) in enumerate(zip(grid, examples, strict=True)):
             for axes, picture, name in zip(row, example[1:], ("input", "prediction", "truth"), strict=True):
                 axes.imshow(np.clip(picture, 0, 1), interpolation="nearest")
                 bare_axes(axes, "" if number else name)
-            row[0].set_ylabel(example.name, fontsize=7.5)
+            row[0].set_ylabel(example.name, fontsize=7)
     legend = {"white": "near the goal", "#555555": "far", "red": "not traversable", "black": "not observed, or cut off"}
     patches = [Patch(facecolor=colour, edgecolor="#333333", label=label) for colour, label in legend.items()]
-    options = {"ncols": len(patches), "frameon": False, "fontsize": 8.5, "title_fontsize": 8}
+    options = {"ncols": len(patches), "frameon": False, "fontsize": 7.5, "title_fontsize": 7.5}
     figure.legend(handles=patches, title=caption, loc="outside lower center", **options)
-    return save_figure(figure, path)
+    return save_figure(figure, path, dpi=300)
 
 
 def _moving_average(values: Float[np.ndarray, "n"], window: int) -> Float[np.ndarray, "n"]:
@@ -128,7 +128,7 @@ def plot_training(
       The files written: PNG and SVG.
     """
     metrics = ("l1", "low_precision", "low_recall")
-    figure = Figure(figsize=(10.5, 3.5), layout="constrained")
+    figure = Figure(figsize=(PAGE_WIDTH, 2.7), layout="constrained")
     panels = figure.subplots(1, len(metrics))
     for axes, metric in zip(panels, metrics, strict=True):
         for (loss, logs), colour, line in zip(runs.items(), _COLOURS, _LINES, strict=False):
@@ -137,11 +137,11 @@ def plot_training(
                 [_moving_average(np.array([log[step][metric] for step in steps]), window) for log in logs]
             )
             draw_band(axes, steps, curves, color=colour, linestyle=line, label=loss)
-        axes.set_xlabel("training steps")
-        axes.set_title(METRIC_LABELS[metric].replace("\n", " "), fontsize=10)
+        axes.set_xlabel("training steps", fontsize=8)
+        axes.set_title(METRIC_LABELS[metric].replace("\n", " "), fontsize=8.5)
         _plain(axes, metric)
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False)
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=8)
     figure.supxlabel(caption, fontsize=8, color="#555555")
     return save_figure(figure, path)
 
@@ -157,11 +157,11 @@ def plot_by_similarity(path: str | Path, networks: Mapping[str, Points], caption
     Returns:
       The files written: PNG and SVG.
     """
-    figure = Figure(figsize=(7.4, 9.6), layout="constrained")
+    figure = Figure(figsize=(PAGE_WIDTH, 9.2), layout="constrained")
     panels = figure.subplots(len(METRIC_LABELS), 1, sharex=True)
     for axes, (metric, label) in zip(panels, METRIC_LABELS.items(), strict=True):
         for number, (name, points) in enumerate(networks.items()):
-            colour, marker = _COLOURS[number % len(_COLOURS)], _MARKERS[number % len(_MARKERS)]
+            colour, marker, line = (kinds[number % len(kinds)] for kinds in (_COLOURS, _MARKERS, _LINES))
             axes.scatter(
                 points.distance, points.metrics[metric], s=22, marker=marker, color=colour, alpha=0.75, linewidths=0,
                 label=name,
@@ -169,10 +169,12 @@ def plot_by_similarity(path: str | Path, networks: Mapping[str, Points], caption
             if metric in points.fits:
                 slope, intercept = points.fits[metric]
                 ends = np.array([min(points.distance), max(points.distance)])
-                axes.plot(ends, slope * ends + intercept, color=colour, linestyle=_LINES[1], linewidth=1.5)
+                axes.plot(ends, slope * ends + intercept, color=colour, linestyle=line, linewidth=1.5)
         axes.set_ylabel(label, fontsize=9)
         _plain(axes, metric)
-    panels[-1].set_xlabel("distance from the most similar training house (0: same words, 1: no word in common)")
+    panels[-1].set_xlabel(
+        "distance from the most similar training house (0: same words, 1: no word in common)", fontsize=9
+    )
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=min(3, len(labels)), frameon=False)
     figure.supxlabel(caption, fontsize=8, color="#555555")

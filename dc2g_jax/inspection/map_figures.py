@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -13,8 +14,9 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
 from dc2g_jax.grid.ground import connected_to_goal, goals_without_ground, pieces
-from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
-from dc2g_jax.inspection.figures import CLASS_COLOURS, class_patch, save_figure
+from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
+from dc2g_jax.inspection.figures import CLASS_COLOURS, class_patch, present_classes, save_figure
+from dc2g_jax.inspection.sheets import cell_rim
 
 _LEADING, _ISLAND, _BLOCKED = "#bfe0f2", "#e69f00", "#5b606b"
 _MARKER: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "black", "markeredgewidth": 0.8, "clip_on": False}
@@ -98,9 +100,7 @@ def _legend(axes: Axes, handles: list[Any]) -> None:
 
 def _draw_classes(axes: Axes, terrain: UInt8[np.ndarray, "h w"]) -> None:
     _show(axes, list(CLASS_COLOURS.values()), terrain)
-    cells = np.bincount(terrain.ravel(), minlength=len(CLASS_NAMES))
-    largest_first = np.argsort(-cells, kind="stable")[: np.count_nonzero(cells)]
-    _legend(axes, [class_patch(index) for index in largest_first.tolist()])
+    _legend(axes, [class_patch(index) for index in present_classes(terrain)])
     _draw_goals(axes, terrain)
     axes.set_title("what is where", fontsize=10)
 
@@ -140,6 +140,8 @@ def _draw_distance(axes: Axes, terrain: UInt8[np.ndarray, "h w"], cost_to_go: Fl
     axes.set_facecolor("#e6e6e6")
     axes.set_title("exact cost-to-go", fontsize=10)
     image = axes.imshow(np.where(leading, cost_to_go, np.nan), cmap="viridis_r", vmin=0, interpolation="nearest")
+    # In grey, ground near a goal looks like what cannot be reached: a line parts them.
+    axes.add_collection(LineCollection(cell_rim(leading), colors="#444444", linewidths=0.5), autolim=False)
     _draw_goals(axes, terrain)
     if not np.any(leading):
         axes.text(0.5, 0.5, "no way to a goal", transform=axes.transAxes, ha="center", va="center", fontsize=10)

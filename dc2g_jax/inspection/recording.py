@@ -7,18 +7,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
 import numpy as np
 import rerun as rr
 from jaxtyping import Float
 
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.decisions import HEADING_NAMES
-from dc2g_jax.estimation.estimators import Estimator, world_cost_to_go
+from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.evaluation import EpisodeResult
 from dc2g_jax.grid.poses import FORWARD
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
-from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.inspection import legend
 from dc2g_jax.inspection.columns import (
     centers,
@@ -31,13 +29,12 @@ from dc2g_jax.inspection.columns import (
     send_images,
     send_lines,
 )
+from dc2g_jax.inspection.costs import exact_cost_to_go
 from dc2g_jax.inspection.episode_layout import episode_layout
 from dc2g_jax.inspection.legend import CostScale
 from dc2g_jax.inspection.replay import Frames, actions_from_letters, replay_result, running_extra_steps
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL
 from dc2g_jax.planning.rules import Rules
-
-_exact_cost_to_go = jax.jit(world_cost_to_go)
 
 
 class Episode(NamedTuple):
@@ -235,7 +232,7 @@ def record_frames(path: str | Path, *, house: House, episodes: Mapping[str, Epis
       ValueError: if the episodes do not belong together or to the house.
     """
     first = _check(house, {label: episode.result for label, episode in episodes.items()})
-    exact = np.asarray(_exact_cost_to_go(world_from_terrain(house.terrain)))
+    exact = exact_cost_to_go(house)
     scale = CostScale.of(exact)
     path, place = Path(path), f"({first.x}, {first.y}) facing {HEADING_NAMES[first.heading]}"
     estimates = {label: episode.frames.cost_to_go is not None for label, episode in episodes.items()}

@@ -9,9 +9,10 @@ from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dc2g_jax.inspection.figures import plain_axes, save_figure
+from dc2g_jax.inspection.figures import PAGE_WIDTH, plain_axes, save_figure
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+_MARKERS = ("o", "^", "s", "D", "v", "P", "X")
 _LINES = ("-", "--", "-.", ":")
 
 
@@ -42,13 +43,14 @@ def plot_sweep(path: str | Path, runs: Mapping[str, Sequence[Mapping[int, float]
     Returns:
       The files written: PNG and SVG.
     """
-    figure = Figure(figsize=(7.5, 4.6), layout="constrained")
+    figure = Figure(figsize=(PAGE_WIDTH, 4.4), layout="constrained")
     axes = figure.subplots()
     for number, (kind, logs) in enumerate(runs.items()):
-        colour, line = _COLOURS[number % len(_COLOURS)], _LINES[number // len(_COLOURS) % len(_LINES)]
+        place = number % len(_COLOURS)
+        style = {"color": _COLOURS[place], "marker": _MARKERS[place], "linestyle": _LINES[number % len(_LINES)]}
         steps = np.array(sorted(logs[0]))
         curves = np.array([[log[step] for step in steps] for log in logs])
-        draw_band(axes, steps, curves, color=colour, linestyle=line, marker="o", markersize=3, label=kind)
+        draw_band(axes, steps, curves, markersize=4, label=kind, **style)
     axes.set_xlabel("training steps")
     axes.set_ylabel("validation error (cells)")
     plain_axes(axes)

@@ -3,12 +3,14 @@
 import cv2
 import numpy as np
 import pytest
+from matplotlib import colormaps
 from matplotlib.colors import to_rgb
 from PIL import Image
 
 from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.inspection import animation
 from dc2g_jax.inspection.animation import animate, pictures, steps_shown
+from dc2g_jax.inspection.costs import exact_cost_to_go, highest_cost
 from dc2g_jax.inspection.figures import CLASS_COLOURS
 from tests.inspection import toy
 from tests.refusals import refusal
@@ -54,6 +56,30 @@ def test_cells_have_their_class_colours_and_pale_ones_before_they_are_seen(shown
     assert seen[_LAST, 6, 0]
 
 
+def test_the_legend_has_the_colours_of_all_classes_and_stays(shown):
+    _, height = animation._layout(3, *toy.HOUSE.terrain.shape).size
+    assert shown[0].shape[0] > height
+    legend = shown[0][height:]
+    np.testing.assert_array_equal(legend, shown[_LAST][height:])
+    for index in np.unique(toy.HOUSE.terrain):
+        colour = np.rint(255 * np.array(to_rgb(CLASS_COLOURS[CLASS_NAMES[index]])))
+        assert np.all(legend == colour, axis=-1).sum() >= 100
+    # All words end within the picture.
+    assert np.all(legend[:, -4:] == 255)
+
+
+def test_costs_have_the_colours_of_the_figure(shown):
+    layout = animation._layout(3, *toy.HOUSE.terrain.shape)
+    left, top = layout.corner(1)
+    frames, exact = toy.replayed()["dc2g"], exact_cost_to_go(toy.HOUSE)
+    high = highest_cost(toy.HOUSE, toy.replayed(), exact)
+    for x, y in ((6, 5), (5, 4)):  # beside the way
+        assert frames.seen[-1, y, x]
+        place = (top + y * layout.scale + layout.scale // 2, left + x * layout.scale + layout.scale // 2)
+        expected = colormaps["viridis_r"](exact[y, x] / high)[:3]
+        np.testing.assert_allclose(shown[_LAST][place] / 255, expected, atol=0.03)
+
+
 def test_a_robot_that_has_arrived_waits(shown):
     layout = animation._layout(3, *toy.HOUSE.terrain.shape)
     left, top = layout.corner(0)
@@ -87,29 +113,33 @@ def test_panels_fill_the_room(panels, shape, columns):
     assert len(set(corners)) == panels
 
 
-def test_a_gif_has_every_picture(shown, tmp_path):
+def test_a_gif_has_every_picture(shown, monkeypatch, tmp_path):
+    monkeypatch.setattr(animation, "_MOST_PICTURES", 8)
     path = animate(tmp_path / "new" / "toy.gif", toy.HOUSE, toy.replayed(), frames_per_second=10)
     with Image.open(path) as image:
+        assert image.n_frames == 9
         durations = []
-        for number in range(image.n_frames):
+        for number in range(9):
             image.seek(number)
             durations.append(image.info["duration"])
-            difference = np.abs(np.asarray(image.convert("RGB"), int) - shown[number])
+            difference = np.abs(np.asarray(image.convert("RGB"), int) - shown[3 * number])
             assert difference.mean() < 0.5
             assert np.median(difference) == 0
         assert image.info["loop"] == 0
-    assert durations == [100] * _LAST + [2500]
-    assert path.stat().st_size < 500_000
+    assert durations == [100] * 8 + [2500]
+    # Less than a byte for six pixels of all pictures: only what changes is stored.
+    assert path.stat().st_size < 9 * shown[0][..., 0].size / 6
 
 
-def test_an_mp4_has_every_picture_and_holds_the_last(shown, tmp_path):
-    path = animate(tmp_path / "toy.MP4", toy.HOUSE, toy.replayed(), frames_per_second=4)
+def test_an_mp4_has_every_picture_and_holds_the_last(shown, monkeypatch, tmp_path):
+    monkeypatch.setattr(animation, "_MOST_PICTURES", 3)
+    steps = [0, 8, 16, _LAST]
+    path = animate(tmp_path / "toy.MP4", toy.HOUSE, toy.replayed(), frames_per_second=2)
     found, frames_per_second = _video(path)
-    assert frames_per_second == pytest.approx(4)
-    assert len(found) == _LAST + 1 + 10
-    for number in (0, 12, _LAST, -1):
-        expected = shown[min(number, _LAST) if number >= 0 else _LAST]
-        assert np.abs(found[number].astype(int) - expected).mean() < 6
+    assert frames_per_second == pytest.approx(2)
+    assert len(found) == len(steps) + 5
+    for picture, step in zip(found, steps + [_LAST] * 5, strict=True):
+        assert np.abs(picture.astype(int) - shown[step]).mean() < 6
 
 
 def test_long_episodes_skip_steps_but_not_the_last(monkeypatch):

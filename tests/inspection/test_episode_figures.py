@@ -1,14 +1,27 @@
 """Figures of episodes show what was replayed, and cells of one size."""
 
+import itertools
+
 import cv2
 import numpy as np
 import pytest
+from matplotlib import colormaps
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 
-from dc2g_jax.grid.terrain import CLASS_NAMES, HOUSE
+from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, HOUSE, ROAD
 from dc2g_jax.inspection import episode_figures
-from dc2g_jax.inspection.episode_figures import moments, outcome, plot_episode, plot_trajectories, poses_along
+from dc2g_jax.inspection.costs import cost_image, exact_cost_to_go, highest_cost
+from dc2g_jax.inspection.episode_figures import (
+    goal_marks,
+    moments,
+    outcome,
+    plot_episode,
+    plot_trajectories,
+    poses_along,
+)
 from dc2g_jax.inspection.figures import CLASS_COLOURS, map_image
+from dc2g_jax.inspection.sheets import DPI, empty_sheet
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
 from tests.inspection import toy
 
@@ -81,7 +94,7 @@ def test_panels_show_what_was_known_at_each_moment(drawn_figure, tmp_path):
         np.testing.assert_allclose(_image(axes), map_image(toy.HOUSE.terrain, episodes[planner].seen[step]))
     everything = map_image(toy.HOUSE.terrain, np.ones(toy.HOUSE.terrain.shape, bool))
     for axes, extra in zip(ends, (0, 71), strict=True):
-        assert axes.get_title() == f"{extra} % extra steps"
+        assert axes.get_title() == f"extra steps: {extra} %"
         np.testing.assert_allclose(_image(axes), everything)
     # The toy estimator knows the truth: all that was observed in the end is shown in the colours of the exact panel.
     seen = episodes["dc2g"].seen[-1]
@@ -89,22 +102,78 @@ def test_panels_show_what_was_known_at_each_moment(drawn_figure, tmp_path):
     assert np.all(_image(panels[6])[~seen] == 1)
 
 
+def test_a_reached_goal_looks_out_from_under_the_robot_and_no_mark_is_cut_off(drawn_figure, tmp_path):
+    plot_trajectories(tmp_path / "ways", toy.HOUSE, toy.RESULTS)
+    for axes in drawn_figure[0].axes[: len(toy.RESULTS)]:
+        marks = {line.get_marker(): line for line in axes.lines if line.get_marker() != "None"}
+        assert set(marks) == {"*", "o", "^"}
+        star, robot = marks["*"], marks["^"]
+        # Both at the door, the robot over a star of twice its size.
+        assert (star.get_xdata(), star.get_ydata()) == (robot.get_xdata(), robot.get_ydata()) == ([4], [0])
+        assert star.get_markersize() > 2 * robot.get_markersize()
+        assert axes.lines.index(star) < axes.lines.index(robot)
+        assert star.get_zorder() == robot.get_zorder()
+        assert not any(mark.get_clip_on() for mark in marks.values())
+
+
+def test_marks_of_goals_are_one_a_door_and_move_to_a_robot_on_it():
+    terrain = np.full((5, 9), ROAD, np.uint8)
+    terrain[0, 0:3] = terrain[4, 7] = FRONT_DOOR
+    assert goal_marks(terrain, (5, 2)) == ([(1, 0), (7, 4)], False)
+    assert goal_marks(terrain, (2, 0)) == ([(7, 4), (2, 0)], True)
+    assert goal_marks(np.full((2, 2), ROAD, np.uint8), (0, 0)) == ([], False)
+
+
+def test_colours_of_costs_end_where_nearly_all_lies_below():
+    exact = exact_cost_to_go(toy.HOUSE)
+    frames = toy.replayed()["dc2g"]
+    seen = exact[frames.seen[-1] & np.isfinite(exact)]
+    assert 0.9 * seen.max() < highest_cost(toy.HOUSE, toy.replayed(), exact) <= seen.max()
+    # An estimate far beyond the truth stretches the scale; a planner without one does not matter.
+    beyond = frames.replace(cost_to_go=frames.cost_to_go + 100)
+    assert highest_cost(toy.HOUSE, {"dc2g": beyond}, exact) > 100
+    assert highest_cost(toy.HOUSE, {"frontier": toy.replayed()["frontier"]}, exact) == 1
+
+
+def test_costs_are_coloured_where_shown_and_grey_where_blocked():
+    shown, blocked = np.array([[True, True, False, False]]), np.array([[False, False, True, False]])
+    image = cost_image(np.array([[0.0, 7.0, np.inf, np.nan]]), shown, blocked)[0]
+    near, far = (np.array(colormaps["viridis"](end)[:3]) for end in (1.0, 0.0))
+    np.testing.assert_allclose(image, [near, far, to_rgb("#ececf1"), (1, 1, 1)])
+
+
+_TITLES = ["step 1432: at the goal", "extra steps: 1573 %", "step 0", ""]
+
+
+@pytest.mark.parametrize(("shape", "columns"), [((50, 50), 5), ((40, 120), 3), ((120, 30), 5), ((9, 6), 3)])
+def test_titles_of_neighbours_do_not_touch(shape, columns):
+    sheet = empty_sheet(shape, 2, columns, episode_figures._entries(toy.HOUSE.terrain), _TITLES)
+    panels = [sheet.panel(row, column, _TITLES[0]) for row in range(2) for column in range(columns)]
+    FigureCanvasAgg(sheet.figure)
+    boxes = [axes.title.get_window_extent() for axes in panels]
+    for left, right in itertools.pairwise(boxes[:columns]):
+        assert right.x0 - left.x1 > 0.05 * sheet.figure.dpi
+    for above, below in zip(panels[:columns], boxes[columns:], strict=True):
+        assert below.y1 < above.bbox.y0
+    assert boxes[0].y1 <= sheet.figure.bbox.y1
+
+
 @pytest.mark.parametrize("shape", [(50, 50), (9, 6), (6, 17), (90, 40)])
 @pytest.mark.parametrize("columns", [1, 3, 5])
 def test_cells_are_a_whole_number_of_pixels(shape, columns):
-    sheet = episode_figures._sheet(shape, 2, columns, episode_figures._entries(toy.HOUSE.terrain))
+    sheet = empty_sheet(shape, 2, columns, episode_figures._entries(toy.HOUSE.terrain), ["step 0"])
     for side, cells in zip((sheet.height, sheet.width), shape, strict=True):
-        pixels = side * episode_figures._DPI / cells
+        pixels = side * DPI / cells
         assert pixels == pytest.approx(round(pixels))
         assert round(pixels) >= 1
-    width, height = sheet.figure.get_size_inches() * episode_figures._DPI
+    width, height = sheet.figure.get_size_inches() * DPI
     assert (width, height) == (pytest.approx(round(width)), pytest.approx(round(height)))
-    assert width <= 7.2 * episode_figures._DPI
+    assert width <= 7.2 * DPI
 
 
 @pytest.mark.parametrize("shape", [(200, 300), (900, 3000), (3000, 900)])
 def test_large_maps_fill_the_page(shape):
-    sheet = episode_figures._sheet(shape, 1, 5, episode_figures._entries(toy.HOUSE.terrain))
+    sheet = empty_sheet(shape, 1, 5, episode_figures._entries(toy.HOUSE.terrain), ["step 0"])
     assert sheet.figure.get_figwidth() <= 7.2
     assert sheet.width / sheet.height == pytest.approx(shape[1] / shape[0])
     assert sheet.width == pytest.approx(1.31, abs=0.01) or sheet.height == pytest.approx(2.2)
@@ -114,4 +183,7 @@ def test_trajectories_are_written(tmp_path):
     files = plot_trajectories(tmp_path / "ways.v2", toy.HOUSE, toy.RESULTS)
     assert [path.name for path in files] == ["ways.v2.png", "ways.v2.svg"]
     assert cv2.imread(str(files[0])).shape[1] > 1000
-    assert files[1].read_text().count("<image") >= 2
+    drawing = files[1].read_text()
+    assert drawing.count("<image") >= 2
+    # Text is text.
+    assert ">DC2G: 14 steps (+0 %)</text>" in drawing

@@ -3,12 +3,14 @@
 import cv2
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
 from dc2g_jax.datasets.houses import House
+from dc2g_jax.evaluation import Summary
 from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS
 from dc2g_jax.inspection import contact_sheets, figures
 from dc2g_jax.inspection.contact_sheets import contact_pages, plot_contact_page
-from dc2g_jax.inspection.figures import plot_house_strips
+from dc2g_jax.inspection.figures import PLANNER_STYLES, plot_house_strips
 from tests.inspection import toy
 
 
@@ -78,7 +80,7 @@ def test_a_page_says_in_which_houses_no_episode_can_be_run(monkeypatch, tmp_path
     texts = [text.get_text() for text in drawn[0].texts]
     assert texts[:3] == ["three", "page 1 of 1", "test: 3"]
     below = [text for text in texts[3:] if text]
-    assert below == ["test001", "no front door", "toy", "walled", "no door within reach"]
+    assert below == ["test001", "no front door", "toy", "walled", "door cut off"]
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (9, 6), (50, 50), (200, 300), (10, 400)])
@@ -93,3 +95,24 @@ def test_houses_of_any_size_are_drawn_in_their_colours(shape, tmp_path):
     cell = max(side // max(shape), 1) if max(shape) <= side else side / max(shape)
     # The frames of the maps take their rims, the legend adds a patch.
     assert grass == pytest.approx(2 * height * width * cell**2, rel=0.25)
+
+
+def test_figures_are_a_page_wide_and_their_text_has_7_points_or_more(monkeypatch, tmp_path):
+    drawn = []
+    monkeypatch.setattr(figures, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
+    groups = ("train", "urban", "all")
+    table = {planner: dict.fromkeys(groups, Summary(9.5, 7.0, 1.0, 12.0, 1.0, 30)) for planner in PLANNER_STYLES}
+    figures.plot_extra_steps(tmp_path / "fig7", {"published": table, "paper": table}, "toy")
+    figures.plot_head_to_head(tmp_path / "pairs", {group: [(3.0, 1.0), (0.0, 250.0)] for group in groups})
+    names = {f"n{number:03}": "test" for number in range(25)}
+    plot_house_strips(tmp_path / "strips", _results(names), names)
+    assert len(drawn) == 3
+    for figure in drawn:
+        assert figure.get_figwidth() == pytest.approx(7.16)
+        written = [text for text in figure.findobj(Text) if text.get_text()]
+        assert len(written) > 10
+        assert min(text.get_fontsize() for text in written) >= 7
+    # Bars are told apart without their colours, too.
+    fills = [(patch.get_hatch(), patch.get_facecolor()) for patch in drawn[0].legends[0].get_patches()]
+    assert len(set(fills)) == len(PLANNER_STYLES) - 1
+    assert [hatch for hatch, _ in fills].count("") == 2

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.houses import procedural_dataset
+from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import networks
@@ -202,8 +202,8 @@ def test_training_is_the_same_with_and_without_a_recording(tmp_path):
     assert sorted(read(tmp_path / "training-001.rrd")["/loss", "Scalars:scalars"]) == [1, 2, 3, 4, 5, 6]
 
 
-def test_the_command_records_observed_parts_of_validation_houses(tmp_path):
-    dataset = procedural_dataset()
+def test_the_command_records_observed_parts_of_validation_houses(tmp_path, street):
+    dataset = HouseDataset("two", "folder", (House("a", "val", street), House("b", "val", street[:, ::-1].copy())))
     assert open_recording(Options(out=tmp_path), dataset) is None
     recording = open_recording(Options(out=tmp_path, record=True), dataset)
     recording.close()
