@@ -54,16 +54,16 @@ def share_out(
       All results, in the order of the pieces.
     """
     shares = [np.arange(worker, n_pieces, len(devices)) for worker in range(len(devices))]
-    finished = [0] * len(devices)
+    done = [0] * len(devices)
     reporting, compiled, stop = threading.Lock(), threading.Event(), threading.Event()
 
     def work(worker: int) -> Results:
-        def report(number: int) -> bool:
+        def report(finished: int) -> bool:
             compiled.set()
             with reporting:
-                finished[worker] = number
+                done[worker] = finished
                 if on_progress is not None:
-                    on_progress(sum(finished))
+                    on_progress(sum(done))
             return not stop.is_set()
 
         return serve(devices[worker], shares[worker], report)

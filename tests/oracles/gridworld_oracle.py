@@ -5,10 +5,11 @@ is (x, y, heading) with y growing downward and headings 0 = +x, 1 = +y, 2 = -x, 
 1 left (heading - 1), 2 right (heading + 1).
 """
 
+import functools
 import heapq
 import math
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Literal
 
 import numpy as np
@@ -43,18 +44,20 @@ def _in_wedge(dx: int, dy: int, heading: int) -> bool:
     return abs(sideways) < forward
 
 
-def sensing_offsets(radius: int, heading: int) -> list[Offset]:
+@functools.cache
+def sensing_offsets(radius: int, heading: int) -> tuple[Offset, ...]:
     """Offsets (dx, dy) from the robot of the cells it sees, its own included, in raster order."""
     span = range(-radius, radius + 1)
-    return [
+    return tuple(
         (dx, dy)
         for dy in span
         for dx in span
         if (dx, dy) == (0, 0) or (dx * dx + dy * dy <= radius * radius and _in_wedge(dx, dy, heading))
-    ]
+    )
 
 
-def expanding_offsets(radius: int, heading: int) -> list[Offset]:
+@functools.cache
+def expanding_offsets(radius: int, heading: int) -> tuple[Offset, ...]:
     """Offsets (dx, dy) from the robot to a frontier cell it expands, rules `reference`, in raster order."""
     span = range(-radius, radius + 1)
     wedge = {
@@ -64,7 +67,7 @@ def expanding_offsets(radius: int, heading: int) -> list[Offset]:
     kept = {(dx, dy) for dx, dy in wedge if all((dx + i, dy + j) in wedge for i, j in square)}
     ahead_x, ahead_y = STEPS[heading]
     kept |= {(cells * ahead_x, cells * ahead_y) for cells in (0, 1, 2)}
-    return sorted(kept, key=lambda offset: (offset[1], offset[0]))
+    return tuple(sorted(kept, key=lambda offset: (offset[1], offset[0])))
 
 
 def visible(pose: Pose, radius: int, shape: tuple[int, int]) -> Array:
@@ -107,7 +110,7 @@ def visible_past(opaque: Array, pose: Pose, radius: int) -> Array:
     return seen
 
 
-def _sources(cells: Array, offsets: list[Offset]) -> Array:
+def _sources(cells: Array, offsets: Sequence[Offset]) -> Array:
     """Cells from which at least one of `cells` lies at one of the offsets: bool [h w]."""
     height, width = cells.shape
     found = np.zeros_like(cells)
@@ -170,7 +173,7 @@ def frontier_expanding_complete(seen: Array, reachable: Array, pose: Pose, radiu
     return _expanding(wanted, reachable, pose, [sensing_offsets(radius, heading) for heading in range(4)])
 
 
-def _expanding(wanted: Array, reachable: Array, pose: Pose, kernels: list[list[Offset]]) -> Array:
+def _expanding(wanted: Array, reachable: Array, pose: Pose, kernels: Sequence[Sequence[Offset]]) -> Array:
     x, y, heading = pose
     poses = np.stack([reachable & _sources(wanted, kernel) for kernel in kernels])
     poses[heading, y, x] = False

@@ -1,0 +1,150 @@
+"""Does a circular footprint stay on the cells where it may be? Exact distances to whole cells, not to their centres."""
+
+import itertools
+import math
+
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int
+
+#: Clearance kept beyond the footprint, metres: more than single precision loses on the largest of maps.
+ROUNDING = 1e-3
+
+
+@struct.dataclass
+class Ground:
+    """Where a footprint may be. Beyond the map's edges it may not.
+
+    Attributes:
+      cells: may it be on this cell? Unknown cells are not among them.
+      cell_size: side of a cell, metres.
+    """
+
+    cells: Bool[Array, "h w"]
+    cell_size: float = struct.field(pytree_node=False)
+
+
+@struct.dataclass
+class Surroundings:
+    """The cells around one place where a footprint may not be.
+
+    Attributes:
+      blocked: which of the columns and rows around it, by column and row.
+      x: centres of those columns, metres.
+      y: centres of those rows, metres.
+      half: half the side of a cell, metres.
+    """
+
+    blocked: Bool[Array, "n n"]
+    x: Float[Array, "n"]
+    y: Float[Array, "n"]
+    half: float = struct.field(pytree_node=False)
+
+
+def cell_at(position: Float[Array, "*n 2"], cell_size: float) -> Int[Array, "*n 2"]:
+    """Column and row of the cells that these places lie in.
+
+    Args:
+      position: x and y, metres.
+      cell_size: side of a cell, metres.
+    """
+    return jnp.floor(position * jnp.array([1, -1], jnp.float32) / cell_size).astype(jnp.int32)
+
+
+def cell_centers(cells: Int[Array, "*n 2"], cell_size: float) -> Float[Array, "*n 2"]:
+    """Centres of cells in the world, metres.
+
+    Args:
+      cells: column and row.
+      cell_size: side of a cell, metres.
+    """
+    return (cells.astype(jnp.float32) + 0.5) * jnp.array([cell_size, -cell_size], jnp.float32)
+
+
+def contains(ground: Ground, cells: Int[Array, "*n 2"]) -> Bool[Array, "*n"]:
+    """Are these cells, column and row, ground where a footprint may be?"""
+    height, width = ground.cells.shape
+    column, row = cells[..., 0], cells[..., 1]
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    return inside & ground.cells[jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)]
+
+
+def surroundings(ground: Ground, position: Float[Array, "2"], reach: float) -> Surroundings:
+    """What is blocked within `reach` metres of a place, and somewhat further.
+
+    Args:
+      ground: where a footprint may be.
+      position: the place, metres.
+      reach: how far from the place matters, metres.
+    """
+    rings = math.ceil(reach / ground.cell_size)
+    offsets = jnp.arange(-rings, rings + 1)
+    middle = cell_at(position, ground.cell_size)
+    cells = jnp.stack(jnp.meshgrid(middle[0] + offsets, middle[1] + offsets, indexing="ij"), axis=-1)
+    centers = cell_centers(cells, ground.cell_size)
+    return Surroundings(
+        blocked=~contains(ground, cells), x=centers[:, 0, 0], y=centers[0, :, 1], half=ground.cell_size / 2
+    )
+
+
+def clearance(points: Float[Array, "*n 2"], around: Surroundings) -> Float[Array, "*n"]:
+    """Distance of each point to the nearest blocked cell, metres: 0 inside one, infinite where there is none.
+
+    Args:
+      points: x and y, metres.
+      around: what is blocked near them.
+    """
+    off_x = [jnp.maximum(jnp.abs(points[..., 0] - x) - around.half, 0) ** 2 for x in around.x]
+    off_y = [jnp.maximum(jnp.abs(points[..., 1] - y) - around.half, 0) ** 2 for y in around.y]
+    # Cell by cell: compilers make one pass of it over all points, which a reduction over the cells is not.
+    nearest = jnp.full(points.shape[:-1], jnp.inf, jnp.float32)
+    for column, row in itertools.product(range(len(off_x)), range(len(off_y))):
+        there = jnp.where(around.blocked[column, row], off_x[column] + off_y[row], jnp.inf)
+        nearest = jnp.minimum(nearest, there)
+    return jnp.sqrt(nearest)
+
+
+def free_straight(
+    position: Float[Array, "2"], offsets: Float[Array, "n 2"], around: Surroundings, radius: float, probes: int = 10
+) -> Bool[Array, "n"]:
+    """Does a footprint stay clear of blocked cells, straight from a place to others?
+
+    Args:
+      position: the place, metres.
+      offsets: to the others, metres.
+      around: what is blocked, at least that far away.
+      radius: of the footprint, metres.
+      probes: places where the clearance of each line is taken.
+    """
+    shares = (jnp.arange(probes + 1) / probes)[:, None, None]
+    clear = clearance(position + shares * offsets, around)
+    needed = needed_clearance(radius, jnp.linalg.norm(offsets, axis=-1) / probes, 0.0, clear[0, 0])
+    return jnp.all(clear >= needed, axis=0)
+
+
+def needed_clearance(
+    radius: float, travelled: Float[Array, "*n"], turned: Float[Array, "*n"] | float, now: Float[Array, "..."]
+) -> Float[Array, "*n"]:
+    """Clearance at both ends of an arc that keeps a footprint clear all along it, metres.
+
+    The arc is nowhere further from its chord than an eighth of its length times its turn, and a point of the chord
+    nowhere further from one of its ends than half its length.
+
+    Args:
+      radius: of the footprint, metres.
+      travelled: length of the arc, metres.
+      turned: its turn, radians.
+      now: clearance where the vehicle is. Where the footprint touches blocked ground already, for that has just been
+        found to be blocked, it must touch it nowhere more deeply: so it can get away.
+    """
+    bulge = travelled * jnp.abs(turned) / 8
+    needed = jnp.sqrt((radius + ROUNDING + bulge) ** 2 + (travelled / 2) ** 2)
+    return jnp.where(now < radius, jnp.minimum(needed, now), needed)
+
+
+def distance_to_segment(
+    point: Float[Array, "2"], begin: Float[Array, "2"], offset: Float[Array, "2"]
+) -> Float[Array, ""]:
+    """Distance of a point to the segment that begins here and leads so far, metres."""
+    along = jnp.dot(point - begin, offset) / jnp.maximum(jnp.dot(offset, offset), 1e-12)
+    return jnp.linalg.norm(point - begin - jnp.clip(along, 0, 1) * offset)

@@ -1,0 +1,132 @@
+"""Figures of the whole loop: what a robot with a camera saw, expected and planned, and what noise costs."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.markers import MarkerStyle
+from matplotlib.path import Path
+
+from dc2g_jax.driving.loop import believed
+from dc2g_jax.driving.trace import Moment
+from dc2g_jax.grid.terrain import TRAVERSABLE, UNKNOWN
+from dc2g_jax.inspection.costs import COST_COLOURS, cost_image
+from dc2g_jax.inspection.figures import class_patch, map_image, plain_axes, present_classes, save_figure
+
+#: Network -> label, colour, line and marker.
+_NETWORKS = {
+    "clean": ("network trained on clean maps", "#0072b2", "-", "o"),
+    "noisy": ("network trained with mapping noise", "#d55e00", "--", "s"),
+}
+
+#: The robot, facing along +x.
+_ARROW = Path([(1, 0), (-0.8, 0.65), (-0.4, 0), (-0.8, -0.65), (1, 0)], closed=True)
+
+
+def plot_noise(
+    path: str | FilePath, levels: Sequence[float], results: Mapping[str, Mapping[str, float]], caption: str
+) -> list[FilePath]:
+    """Draw extra time and success over the level of noise, a curve for each network.
+
+    Args:
+      path: where to write, without an ending.
+      levels: of noise.
+      results: `trained NETWORK, noise LEVEL` and `gridworld, SETTINGS` -> results, as in `experiments.noisy_mapping`.
+      caption: what was driven where.
+
+    Returns:
+      The files written: PNG and SVG.
+    """
+    figure = Figure(figsize=(7.5, 3.4), layout="constrained")
+    extra_axes, success_axes = figure.subplots(1, 2)
+    for network, (label, colour, line, marker) in _NETWORKS.items():
+        of_levels = [results.get(f"trained {network}, noise {level:g}") for level in levels]
+        rows = [row for row in of_levels if row is not None]
+        if not rows:
+            continue
+        style = {"color": colour, "linestyle": line, "marker": marker, "markersize": 5, "label": label}
+        extra_axes.plot(levels, [row["extra"] for row in rows], **style)
+        low, high = ([row[f"extra_{end}"] for row in rows] for end in ("low", "high"))
+        extra_axes.fill_between(levels, low, high, color=colour, alpha=0.17, linewidth=0)
+        success_axes.plot(levels, [100 * row["success"] for row in rows], **style)
+    if occluded := results.get("gridworld, occluded"):
+        extra_axes.axhline(occluded["extra"], color="#555555", linestyle=":", label="gridworld, with occlusion")
+    extra_axes.set_ylabel("extra time (%)")
+    extra_axes.set_ylim(bottom=0)
+    success_axes.set_ylabel("success (%)")
+    success_axes.set_ylim(0, 103)
+    for axes in (extra_axes, success_axes):
+        axes.set_xlabel("noise (1: as the paper's may have been)")
+        plain_axes(axes)
+    extra_axes.legend(frameon=False, fontsize=8)
+    figure.supxlabel(caption, fontsize=8, color="#555555")
+    return save_figure(figure, path)
+
+
+def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_size: float) -> list[FilePath]:
+    """Draw moments of a drive (Fig. 9): what the camera sees, the map, the predicted cost-to-go, and the planned path.
+
+    The map is the robot's own; its way, the path planned and the robot are drawn where it takes them to be.
+
+    Args:
+      path: where to write, without an ending.
+      drive: its moments, in order.
+      rows: how many of them are shown, evenly over the drive, the first and the last among them.
+      cell_size: side of a cell, metres.
+
+    Returns:
+      The files written: PNG and SVG.
+    """
+    numbers = np.unique(np.linspace(0, len(drive) - 1, rows).round().astype(int)).tolist()
+    chosen = [drive[number] for number in numbers]
+    way = np.array([_in_cells(believed(moment.robot).position, cell_size) for moment in drive])
+    height, width = chosen[0].robot.terrain.shape
+    figure = Figure(figsize=(10.5, 2.5 * len(chosen) + 0.9), layout="constrained")
+    panels = figure.subplots(len(chosen), 4, squeeze=False, width_ratios=(1.3, 1, 1, 1))
+    costs = [moment.cost_to_go for moment in chosen if moment.cost_to_go is not None]
+    known = [TRAVERSABLE[moment.robot.terrain] for moment in chosen]
+    shown = [cost[ground] for cost, ground in zip(costs, known, strict=True)] if costs else []
+    high = max(float(np.percentile(np.concatenate(shown), 99)), 1.0) if shown else 1.0
+    for row, (number, moment) in enumerate(zip(numbers, chosen, strict=True)):
+        view, semantic, expected, planned = panels[row]
+        view.imshow(moment.picture, aspect="equal")
+        view.set_ylabel(f"{moment.seconds:.0f} s", fontsize=8)
+        ground = TRAVERSABLE[moment.robot.terrain]
+        seen = moment.robot.terrain != UNKNOWN
+        semantic.imshow(map_image(moment.robot.terrain, np.ones_like(seen)), interpolation="nearest")
+        if moment.cost_to_go is not None:
+            image = cost_image(moment.cost_to_go / high, ground, seen & ~ground)
+            expected.imshow(image, interpolation="nearest")
+        planned.imshow(map_image(moment.robot.terrain, ground), interpolation="nearest")
+        ahead = np.array([_in_cells(point, cell_size) for point in moment.robot.path.points])
+        planned.plot(*way[: number + 1].T, color="black", linewidth=1)
+        planned.plot(*ahead.T, color="#0072b2", linewidth=2)
+        arrow = MarkerStyle(_ARROW).rotated(rad=float(believed(moment.robot).yaw))
+        for axes in (semantic, expected, planned):
+            axes.plot(*way[number], marker=arrow, color="black", markeredgecolor="white", markersize=10)
+            axes.set_xlim(-0.5, width - 0.5)
+            axes.set_ylim(height - 0.5, -0.5)
+        for axes in panels[row]:
+            axes.set_xticks([])
+            axes.set_yticks([])
+    for axes, name in zip(panels[0], ("camera", "semantic map", "predicted cost-to-go", "planned path"), strict=True):
+        axes.set_title(name, fontsize=9)
+    scale = ScalarMappable(Normalize(0, high), COST_COLOURS)
+    figure.colorbar(scale, ax=panels[:, 2], location="bottom", label="cells", shrink=0.9, extend="max", aspect=30)
+    classes = present_classes(np.stack([moment.robot.terrain for moment in chosen]))
+    entries: list[Any] = [class_patch(index) for index in classes]
+    for label, colour in (("driven", "black"), ("planned", "#0072b2")):
+        entries.append(Line2D([], [], color=colour, linewidth=2, label=label))
+    figure.legend(handles=entries, loc="outside lower center", ncols=8, fontsize=7, frameon=False)
+    return save_figure(figure, path)
+
+
+def _in_cells(position: Float[Any, "2"], cell_size: float) -> tuple[float, float]:
+    """Where a place lies on a map's picture."""
+    return float(position[0]) / cell_size - 0.5, -float(position[1]) / cell_size - 0.5

@@ -1,0 +1,100 @@
+"""Robots that drive by camera, for commands: what they are made of, and where they set out."""
+
+import dataclasses
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from dc2g_jax.control.vehicle import VehicleLimits
+from dc2g_jax.datasets.houses import House
+from dc2g_jax.datasets.starts import Start
+from dc2g_jax.driving.fleet import Drives, drive_all, sites_of
+from dc2g_jax.driving.loop import Equipment
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.estimators import Estimator
+from dc2g_jax.evaluation import episodes_from, make_planner
+from dc2g_jax.grid.sensing import line_of_sight
+from dc2g_jax.mapping.camera import intrinsics
+from dc2g_jax.mapping.noise import PAPER_LIKE, scaled
+from dc2g_jax.mapping.scene import CELL_SIZE
+from dc2g_jax.mapping.semantic_map import MapSettings
+from dc2g_jax.planning.rules import complete_rules
+
+#: Cells that the camera sees ahead, as far as the planner is concerned, and its field of view.
+_SENSING_RANGE, _FIELD_OF_VIEW_DEGREES = 8, 90.0
+
+#: Seconds after which an episode ends without success: on the published maps, one for each of the gridworld's steps.
+TIME_LIMIT = 500.0
+
+
+@dataclasses.dataclass(frozen=True)
+class DrivingOptions:
+    """How robots drive.
+
+    Attributes:
+      pedestrians: people who walk on the sidewalks around each robot.
+      image_size: columns and rows of the camera's images.
+    """
+
+    pedestrians: int = 0
+    image_size: Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")] = (160, 120)
+
+    def __post_init__(self) -> None:
+        if self.pedestrians < 0:
+            raise InputError(f"--pedestrians {self.pedestrians}: give 0 or more")
+        if min(self.image_size) < 8:
+            raise InputError(f"--image-size {self.image_size[0]} {self.image_size[1]}: give at least 8 by 8 pixels")
+
+
+def equipment(
+    planner: str, estimator: Estimator | None, size: tuple[int, int], noise: float, options: DrivingOptions
+) -> Equipment:
+    """A robot's planner, camera and vehicle.
+
+    Args:
+      planner: its name.
+      estimator: what the planner goes by, if it goes by one.
+      size: rows and columns of the map.
+      noise: level of noise: 0 for none, 1 for as much as the paper's maps may have had.
+      options: of the command.
+    """
+    rules = complete_rules(_SENSING_RANGE, line_of_sight)
+    width, height = options.image_size
+    return Equipment(
+        planner=make_planner(planner, rules, estimator),
+        sensing=rules.sensing,
+        camera=intrinsics(_FIELD_OF_VIEW_DEGREES, height, width),
+        mapping=MapSettings(*size, cell_size=CELL_SIZE),
+        noise=scaled(PAPER_LIKE, np.float32(noise)),
+        limits=VehicleLimits(),
+    )
+
+
+def drive(
+    name: str, houses: Sequence[House], starts: Sequence[Start], robot: Equipment, seed: int, options: DrivingOptions
+) -> Drives:
+    """Drive from every start; an oracle knows the map beforehand.
+
+    Args:
+      name: what the progress bar says.
+      houses: where the starts are; all of one size.
+      starts: first poses.
+      robot: what the robots are made of.
+      seed: of noise and pedestrians.
+      options: of the command.
+    """
+    episodes = episodes_from(starts, {house.name: number for number, house in enumerate(houses)})
+    sites = sites_of([house.terrain for house in houses])
+    with tqdm(total=len(starts), desc=f"{name:>16}", unit="episode", file=sys.stderr) as bar:
+
+        def show(ended: int) -> None:
+            bar.update(ended - bar.n)
+
+        return drive_all(
+            robot, sites, episodes, seed=seed, pedestrians=options.pedestrians, knows_map=name == "oracle",
+            time_limit=TIME_LIMIT, on_progress=show,
+        )  # fmt: skip

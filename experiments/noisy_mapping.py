@@ -1,0 +1,165 @@
+"""The whole loop from camera to door, with more and more noise: `python -m experiments.noisy_mapping`."""
+
+import csv
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tyro
+
+from dc2g_jax.datasets.houses import open_dataset
+from dc2g_jax.datasets.starts import Start, sample_starts
+from dc2g_jax.driving.fleet import Drives
+from dc2g_jax.driving.loop import STATUS_NAMES
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.estimators import Estimator
+from dc2g_jax.evaluation import Runner
+from dc2g_jax.inspection.driving_figures import plot_noise
+from dc2g_jax.planning.rules import SETTINGS
+from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from experiments.driving import DrivingOptions, drive, equipment
+from experiments.episodes import EpisodeProgress, EpisodeTable
+from experiments.outputs import output_folder
+
+_COLUMNS = ("house", "x", "y", "heading", "seconds", "status", "off_ground", "touched")
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(DrivingOptions):
+    """Drive vehicles with cameras to front doors (section IV-D), with noise on depth, classes, pixels and pose.
+
+    Extra time is measured against a vehicle that knows the map, and put beside the extra steps of a gridworld robot
+    from the same starts, with and without occlusion.
+
+    Attributes:
+      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
+      split: houses to drive in: choose on validation houses (`val`), report on `test`.
+      starts_per_house: sampled starts in each house.
+      levels: noise levels: 0 is none, 1 as much as the paper's maps may have had.
+      network: folder of the trained network; the shipped one where not given.
+      noisy_network: folder of a network that was trained with mapping noise, to be compared with the other.
+      seed: of starts, noise and pedestrians.
+      out: folder to write to; a new one below outputs/ where not given.
+      resume: go on with the run in `out`, begun with the same options, where it stopped.
+    """
+
+    dataset: DatasetOption = None
+    split: Literal["train", "val", "test"] = "test"
+    starts_per_house: int = 3
+    levels: tuple[float, ...] = (0.0, 0.5, 1.0, 2.0)
+    network: NetworkOption = None
+    noisy_network: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
+    seed: int = 0
+    out: OutOption = None
+    resume: bool = False
+
+
+class DriveTable:
+    """One CSV file a run, `drives/NAME.csv`; a run that has its file is not driven again."""
+
+    def __init__(self, folder: Path, starts: Sequence[Start]):
+        self._folder, self._starts = folder, starts
+        folder.mkdir(exist_ok=True)
+
+    def run(self, name: str, drive_it: Any) -> Drives:
+        """The drives of a run, from its file where there is one."""
+        path = self._folder / f"{name}.csv"
+        if not path.exists():
+            self._write(path, drive_it())
+        with path.open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        columns = {name: np.array([float(row[name]) for row in rows]) for name in ("seconds", "off_ground", "touched")}
+        status = np.array([STATUS_NAMES.index(row["status"]) for row in rows])
+        return Drives(status=status, **columns)
+
+    def _write(self, path: Path, drives: Drives) -> None:
+        unfinished = path.with_suffix(".unfinished")
+        with unfinished.open("w", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(_COLUMNS)
+            for number, start in enumerate(self._starts):
+                times = (round(float(values[number]), 2) for values in (drives.off_ground, drives.touched))
+                place = (start.house, start.x, start.y, start.heading)
+                writer.writerow(
+                    (*place, round(float(drives.seconds[number]), 2), STATUS_NAMES[drives.status[number]], *times)
+                )
+        unfinished.replace(path)
+
+
+def summary(drives: Drives, oracle: Drives, houses: Sequence[str]) -> dict[str, float]:
+    """What a run comes to.
+
+    Args:
+      drives: of the run.
+      oracle: from the same starts, with the map known.
+      houses: name of the house of each start.
+    """
+    extra = 100 * (drives.seconds / oracle.seconds - 1)
+    by_house = [np.mean(extra[np.array(houses) == house]) for house in sorted(set(houses))]
+    draws = np.random.default_rng(0).choice(by_house, (2000, len(by_house))).mean(axis=1)
+    low, high = np.percentile(draws, (2.5, 97.5))
+    return {
+        "extra": float(np.mean(extra)),
+        "extra_low": float(low),
+        "extra_high": float(high),
+        "median_extra": float(np.median(extra)),
+        "success": float(np.mean(drives.success)),
+        "seconds_off_ground": float(np.mean(drives.off_ground)),
+        "seconds_touching_people": float(np.mean(drives.touched)),
+    }
+
+
+def tell(results: Mapping[str, Mapping[str, float]]) -> None:
+    """Print the table."""
+    columns = ("extra", "median_extra", "success", "seconds_off_ground", "seconds_touching_people")
+    heads = ("extra time %", "median %", "success %", "s off ground", "s touching")
+    print(f"{'':28}" + "".join(f"{head:>14}" for head in heads))
+    for name, result in results.items():
+        values = [result.get(column, float("nan")) * (100 if column == "success" else 1) for column in columns]
+        print(f"{name:28}" + "".join(f"{'' if np.isnan(value) else format(value, '.1f'):>14}" for value in values))
+
+
+def main(options: Options) -> None:
+    """Drive in the gridworld, then on wheels, level by level."""
+    if not options.levels or min(options.levels) < 0:
+        raise InputError(f"--levels {' '.join(map(str, options.levels))}: give one at least, none negative")
+    dataset = open_dataset(options.dataset)
+    networks: dict[str, Estimator] = {"clean": open_network(options.network)}
+    if options.noisy_network is not None:
+        networks["noisy"] = open_network(options.noisy_network)
+    houses = dataset.split(options.split)
+    starts = sample_starts(houses, options.starts_per_house, seed=options.seed)
+    if not starts:
+        raise InputError(f"{dataset.name}: no episode can be run in its {options.split} houses; give another --split")
+    out = output_folder(options, "noisy_mapping")
+    names = [start.house for start in starts]
+    results: dict[str, dict[str, float]] = {}
+    for settings in ("paper", "occluded"):
+        runner = Runner(dataset, SETTINGS[settings], progress=EpisodeProgress())
+        (*grid,) = EpisodeTable(out / f"gridworld_{settings}.csv").run(runner, starts, ["dc2g"], networks["clean"])
+        extra, success = [one.extra for one in grid], [one.success for one in grid]
+        results[f"gridworld, {settings}"] = {
+            "extra": float(np.mean(extra)), "median_extra": float(np.median(extra)), "success": float(np.mean(success)),
+        }  # fmt: skip
+    table = DriveTable(out / "drives", starts)
+    size = houses[0].terrain.shape
+    knowing = equipment("oracle", None, size, 0.0, options)
+    oracle = table.run("oracle", lambda: drive("oracle", houses, starts, knowing, options.seed, options))
+    for trained, network in networks.items():
+        for level in options.levels:
+            name = f"{trained}_{level:g}"
+            robot = equipment("dc2g", network, size, level, options)
+            run = lambda name=name, robot=robot: drive(name, houses, starts, robot, options.seed, options)  # noqa: E731
+            drives = table.run(name, run)
+            results[f"trained {trained}, noise {level:g}"] = summary(drives, oracle, names)
+    (out / "results.json").write_text(json.dumps(results, indent=2) + "\n")
+    tell(results)
+    files = plot_noise(out / "noisy_mapping", options.levels, results, f"{len(starts)} starts in {dataset.name}")
+    print(f"Written to {out}: {', '.join(str(path.name) for path in files)}, results.json, drives/")
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

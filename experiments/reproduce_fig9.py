@@ -1,0 +1,91 @@
+"""The paper's Fig. 9: from camera to door, `python -m experiments.reproduce_fig9`."""
+
+import dataclasses
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import jax
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from dc2g_jax.datasets.houses import open_dataset
+from dc2g_jax.datasets.starts import sample_starts
+from dc2g_jax.driving.fleet import sites_of
+from dc2g_jax.driving.loop import STATUS_NAMES, Equipment, set_out
+from dc2g_jax.driving.trace import Moment, moments
+from dc2g_jax.errors import InputError
+from dc2g_jax.grid.poses import make_pose
+from dc2g_jax.inspection.camera_recording import CameraRecording, MappedFrame
+from dc2g_jax.inspection.driving_figures import plot_moments
+from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from experiments.driving import TIME_LIMIT, DrivingOptions, equipment
+from experiments.map_options import StartOption, start_in
+from experiments.outputs import output_folder
+
+#: Moments that the figure shows.
+_ROWS = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(DrivingOptions):
+    """Drive one vehicle with a camera to a front door (section IV-D): a figure, and a recording of every frame.
+
+    Attributes:
+      house: name of the house; the first test house in which an episode can be run where not given.
+      start: column, row (growing downward) and heading (0 right, 1 down, 2 left, 3 up); sampled where not given.
+      noise: level of noise: 0 is none, 1 as much as the paper's maps may have had.
+      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
+      network: folder of the trained network; the shipped one where not given.
+      seed: of the sampled start, noise and pedestrians.
+      out: folder to write to; a new one below outputs/ where not given.
+    """
+
+    house: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    start: StartOption = None
+    noise: float = 1.0
+    dataset: DatasetOption = None
+    network: NetworkOption = None
+    seed: int = 0
+    out: OutOption = None
+
+
+def record(file: Path, drive: list[Moment], robot: Equipment, name: str) -> None:
+    """Write the recording."""
+    way = np.stack([np.asarray(moment.frame.pose.position) for moment in drive])
+    with CameraRecording(file, camera=robot.camera, settings=robot.mapping, way=way, name=name) as recording:
+        for moment in tqdm(drive, desc="recording", unit="frame", file=sys.stderr):
+            _, encoded = cv2.imencode(".png", moment.picture[..., ::-1])
+            recording.add(MappedFrame(moment.frame, encoded.tobytes(), moment.robot.map, moment.robot.terrain))
+
+
+def main(options: Options) -> None:
+    """Drive, draw, record."""
+    if options.noise < 0:
+        raise InputError(f"--noise {options.noise:g}: give 0 or more")
+    dataset = open_dataset(options.dataset)
+    if options.house is None:
+        house = dataset.house(sample_starts(dataset.split("test"), 1, seed=options.seed)[0].house)
+    else:
+        house = dataset.house(options.house)
+    start = start_in(house.name, house, options.start, options.seed)
+    out = output_folder(options, "reproduce_fig9")
+    robot = equipment("dc2g", open_network(options.network), house.terrain.shape, options.noise, options)
+    site = jax.tree.map(lambda leaf: leaf[0], sites_of([house.terrain]))
+    pose = make_pose(start.x, start.y, start.heading)
+    first = set_out(jax.random.key(options.seed), pose, site, robot, pedestrians=options.pedestrians)
+    drive = list(tqdm(moments(first, site, robot, TIME_LIMIT), desc="driving", unit="frame", file=sys.stderr))
+    last = drive[-1].robot
+    plot_moments(out / "fig9", drive, _ROWS, robot.mapping.cell_size)
+    record(out / "fig9.rrd", drive, robot, house.name)
+    known = last.terrain != 0
+    right = 100 * np.mean((last.terrain == house.terrain)[known])
+    print(f"{house.name}: {STATUS_NAMES[int(last.status)]} after {int(last.periods) / 10:.1f} s, {len(drive)} frames")
+    print(f"of {np.sum(known):,} cells known in the end, {right:.1f} % are as in the house")
+    print(f"Written to {out}: fig9.png, fig9.svg, fig9.rrd (open it with: rerun {out / 'fig9.rrd'})")
+
+
+if __name__ == "__main__":
+    command_line(Options, main)
