@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
-from dc2g_jax.control.vehicle import CONTROL_PERIOD
-from dc2g_jax.driving.loop import UNDER_WAY, Equipment, Robot, Site, camera_pose, sensed, step
+from dc2g_jax.control.vehicle import CONTROL_PERIOD, VehicleState
+from dc2g_jax.driving.loop import UNDER_WAY, Equipment, Robot, Site, believed, camera_pose, sensed, step
 from dc2g_jax.mapping.camera import Frame
 from dc2g_jax.mapping.simulator import picture
 from dc2g_jax.planning.planners import ExplorationState
@@ -23,6 +23,7 @@ class Moment(NamedTuple):
       picture: what the camera sees, in colour.
       frame: what it delivers.
       robot: after it.
+      believed: where it then takes itself to be.
       cost_to_go: what the planner expects of each cell, in cells; `None` where it expects nothing.
     """
 
@@ -30,16 +31,17 @@ class Moment(NamedTuple):
     picture: UInt8[np.ndarray, "height width 3"]
     frame: Frame
     robot: Robot
+    believed: VehicleState
     cost_to_go: Float[np.ndarray, "h w"] | None
 
 
 @jax.jit
-def _next(robot: Robot, site: Site, equipment: Equipment) -> tuple[Robot, Frame, Array]:
-    """The robot at the next frame, the frame before that, and its picture."""
+def _next(robot: Robot, site: Site, equipment: Equipment) -> tuple[Robot, VehicleState, Frame, Array]:
+    """The robot at the next frame, where it thinks that it is, the frame before that, and its picture."""
     frame, _ = sensed(robot, site, equipment)
     seen = picture(site.scene, equipment.camera, camera_pose(robot.vehicle))
     after = jax.lax.fori_loop(0, equipment.frame_periods, lambda _, now: step(now, site, equipment), robot)
-    return after, frame, seen
+    return after, believed(after), frame, seen
 
 
 def moments(robot: Robot, site: Site, equipment: Equipment, time_limit: float) -> Iterator[Moment]:
@@ -53,7 +55,7 @@ def moments(robot: Robot, site: Site, equipment: Equipment, time_limit: float) -
     """
     while int(robot.status) == UNDER_WAY and int(robot.periods) < time_limit / CONTROL_PERIOD:
         seconds = float(robot.periods) * CONTROL_PERIOD
-        robot, frame, seen = _next(robot, site, equipment)
+        robot, place, frame, seen = _next(robot, site, equipment)
         state = robot.planner_state
         cost_to_go = jnp.mean(state.estimates, axis=(0, 1)) if isinstance(state, ExplorationState) else None
-        yield Moment(seconds, *jax.device_get((seen, frame, robot, cost_to_go)))
+        yield Moment(seconds, *jax.device_get((seen, frame, robot, place, cost_to_go)))

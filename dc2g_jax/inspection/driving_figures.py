@@ -13,7 +13,6 @@ from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
 from matplotlib.path import Path
 
-from dc2g_jax.driving.loop import believed
 from dc2g_jax.driving.trace import Moment
 from dc2g_jax.grid.terrain import TRAVERSABLE, UNKNOWN
 from dc2g_jax.inspection.costs import COST_COLOURS, cost_image
@@ -85,7 +84,7 @@ def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_
     """
     numbers = np.unique(np.linspace(0, len(drive) - 1, rows).round().astype(int)).tolist()
     chosen = [drive[number] for number in numbers]
-    way = np.array([_in_cells(believed(moment.robot).position, cell_size) for moment in drive])
+    way = np.array([_in_cells(moment.believed.position, cell_size) for moment in drive])
     height, width = chosen[0].robot.terrain.shape
     figure = Figure(figsize=(10.5, 2.5 * len(chosen) + 0.9), layout="constrained")
     panels = figure.subplots(len(chosen), 4, squeeze=False, width_ratios=(1.3, 1, 1, 1))
@@ -107,7 +106,7 @@ def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_
         ahead = np.array([_in_cells(point, cell_size) for point in moment.robot.path.points])
         planned.plot(*way[: number + 1].T, color="black", linewidth=1)
         planned.plot(*ahead.T, color="#0072b2", linewidth=2)
-        arrow = MarkerStyle(_ARROW).rotated(rad=float(believed(moment.robot).yaw))
+        arrow = MarkerStyle(_ARROW).rotated(rad=float(moment.believed.yaw))
         for axes in (semantic, expected, planned):
             axes.plot(*way[number], marker=arrow, color="black", markeredgecolor="white", markersize=10)
             axes.set_xlim(-0.5, width - 0.5)

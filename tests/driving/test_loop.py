@@ -10,7 +10,7 @@ import pytest
 from dc2g_jax.control.vehicle import VehicleLimits
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.driving import fleet, trace
-from dc2g_jax.driving.loop import ARRIVED, NOTHING_LEFT, UNDER_WAY, Equipment, believed, set_out, step
+from dc2g_jax.driving.loop import ARRIVED, NOTHING_LEFT, UNDER_WAY, Equipment, set_out, step
 from dc2g_jax.evaluation import episodes_from
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.sensing import line_of_sight
@@ -87,9 +87,8 @@ def test_what_it_knows_is_what_is_there(explored):
 
 def test_without_noise_it_knows_where_it_is(explored):
     for moment in explored[::10]:
-        believes = believed(jax.tree.map(jnp.asarray, moment.robot))
-        np.testing.assert_allclose(believes.position, moment.robot.vehicle.position)
-        np.testing.assert_allclose(believes.yaw, moment.robot.vehicle.yaw, atol=1e-6)
+        np.testing.assert_allclose(moment.believed.position, moment.robot.vehicle.position)
+        np.testing.assert_allclose(moment.believed.yaw, moment.robot.vehicle.yaw, atol=1e-6)
 
 
 def test_a_vehicle_keeps_its_limits_and_its_time(explored):
