@@ -1,5 +1,6 @@
 """The interface planners see: a partial map in, costs-to-go of every cell out, lower is better."""
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -13,9 +14,14 @@ from dc2g_jax.estimation import images, networks, translator
 from dc2g_jax.estimation.networks import Architecture
 from dc2g_jax.estimation.translator import TranslatorArchitecture
 from dc2g_jax.grid import bitboard, search
+from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.sampling import resize_nearest
 from dc2g_jax.grid.world import World, unpack_classes
 from dc2g_jax.gridworld import Belief
+
+#: Estimates as a planner keeps them; and what makes them of a grid of observed class indices.
+Estimates = Float[Array, "kept h w *batch"]
+Ask = Callable[[UInt8[Array, "h w *batch"]], Estimates]
 
 
 class Estimator(Protocol):
@@ -34,6 +40,50 @@ class Estimator(Protocol):
         ...
 
 
+class Extent(Protocol):
+    """Which part of the map an estimator is asked about, where it is not to be asked about the whole of it.
+
+    An estimator may have one as its attribute `extent`; a planner that knows where its robot is then asks through it.
+    Hashable, so a static value under `jit`.
+    """
+
+    @property
+    def prior(self) -> float:
+        """What a cell costs of which no estimate has ever been made."""
+        ...
+
+    def update(self, ask: Ask, terrain: UInt8[Array, "h w *batch"], pose: Pose, before: Estimates) -> Estimates:
+        """The new estimates of every cell.
+
+        Args:
+          ask: gives the estimate of any grid of observed class indices.
+          terrain: observed class indices (0 = not observed).
+          pose: where the robot is.
+          before: the old estimates.
+        """
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class WholeMap:
+    """All of it: what an estimator without an extent of its own is asked about (the paper's planner)."""
+
+    prior: float = 0.0
+
+    def update(self, ask: Ask, terrain: UInt8[Array, "h w *batch"], pose: Pose, before: Estimates) -> Estimates:
+        """The answer to the whole map."""
+        del pose, before
+        return ask(terrain)
+
+
+WHOLE_MAP = WholeMap()
+
+
+def extent_of(estimator: Estimator) -> Extent:
+    """The part of the map that an estimator is to be asked about."""
+    return getattr(estimator, "extent", WHOLE_MAP)
+
+
 def _call_sizes(n_robots: int) -> list[int]:
     """Numbers of maps that an estimator is given at a time: the four largest powers of two up to half the robots.
 
@@ -49,6 +99,7 @@ def update_estimates(
     belief: Belief,
     state: Any,
     estimates: Float[Array, "outcomes h w *batch"],
+    extent: Extent = WHOLE_MAP,
 ) -> Float[Array, "outcomes h w *batch"]:
     """Ask the estimator for the wanted robots alone, a few at a time, and keep the other robots' old estimates.
 
@@ -58,13 +109,14 @@ def update_estimates(
       belief: what the robots know.
       state: the estimator's state.
       estimates: the old estimates.
+      extent: which part of the map to ask about.
     """
     batch_axes = wanted.ndim
 
     def flat(leaf: Array) -> Array:
         return leaf.reshape(*leaf.shape[: leaf.ndim - batch_axes], -1)
 
-    wanted, classes, old, state = jax.tree.map(flat, (wanted, belief.classes, estimates, state))
+    wanted, classes, pose, old, state = jax.tree.map(flat, (wanted, belief.classes, belief.pose, estimates, state))
     n_robots = wanted.shape[0]
     sizes = _call_sizes(n_robots)
     # Indices of the wanted robots first; the rest lie beyond the batch, where nothing is written.
@@ -78,8 +130,10 @@ def update_estimates(
         robots = jax.lax.dynamic_slice_in_dim(queue, asked, at_a_time)
         # Where the queue has run out the map is unknown throughout.
         own_terrain = terrain.at[robots].get(mode="fill", fill_value=0)
-        own_state = jax.tree.map(lambda leaf: leaf.at[..., robots].get(mode="clip"), state)
-        answer = estimate(jnp.moveaxis(own_terrain, 0, -1), own_state)
+        own_pose, own_state = jax.tree.map(lambda leaf: leaf.at[..., robots].get(mode="clip"), (pose, state))
+        before = jnp.moveaxis(answers.at[robots].get(mode="clip"), 0, -1)
+        own_terrain = jnp.moveaxis(own_terrain, 0, -1)
+        answer = extent.update(lambda part: estimate(part, own_state), own_terrain, own_pose, before)
         answer = jnp.moveaxis(answer, -1, 0).astype(answers.dtype)
         return asked + at_a_time, answers.at[robots].set(answer, mode="drop")
 

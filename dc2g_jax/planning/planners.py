@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float, Int, UInt8
 
-from dc2g_jax.estimation.estimators import Estimator, update_estimates
+from dc2g_jax.estimation.estimators import Estimator, extent_of, update_estimates
 from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.poses import PoseSet, every_heading
@@ -164,7 +164,7 @@ class DC2G:
         estimate = jax.eval_shape(self.estimate, world.terrain, (view, estimator_state))
         return ExplorationState(
             reachable=nothing,
-            estimates=jnp.zeros((len(self.views), *estimate.shape), jnp.float32),
+            estimates=jnp.full((len(self.views), *estimate.shape), extent_of(self.estimator).prior, jnp.float32),
             estimated_from=nothing,
             view=view,
             estimator=estimator_state,
@@ -208,7 +208,8 @@ class DC2G:
         # An estimate stands until something new is seen; robots that do not explore ask for none.
         outdated = undecided & ~bitboard.is_empty(belief.seen ^ state.estimated_from)
         asked_about = state.view, state.estimator
-        latest = update_estimates(self.estimate, outdated, belief, asked_about, state.estimates[0])[None]
+        extent = extent_of(self.estimator)
+        latest = update_estimates(self.estimate, outdated, belief, asked_about, state.estimates[0], extent)[None]
         first = bitboard.is_empty(state.estimated_from)
         estimates = jnp.where(outdated, jnp.concatenate([latest, state.estimates[:-1]]), state.estimates)
         # The first answer stands for all views.

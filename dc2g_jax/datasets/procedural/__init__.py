@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from dc2g_jax.datasets.procedural.city import draw_city
-from dc2g_jax.datasets.procedural.suburbs import SUBURBS, draw_suburb
+from dc2g_jax.datasets.procedural.suburbs import SUBURBS, draw_row, draw_suburb
 from dc2g_jax.grid.sampling import ClassImage, sample_grid
 from dc2g_jax.grid.terrain import FRONT_DOOR, ROAD, TRAVERSABLE
 
@@ -65,14 +65,15 @@ def _paired(seed: int, index: int) -> int:
     return (seed << 32) | index
 
 
-def is_usable(classes: ClassImage, min_road_cells: int = MIN_ROAD_CELLS) -> bool:
-    """Can a front door be reached, 4-connected, from enough road cells of the map's 50x50 grid?
+def is_usable(classes: ClassImage, min_road_cells: int = MIN_ROAD_CELLS, cells: int = 50) -> bool:
+    """Can a front door be reached, 4-connected, from enough road cells of the map's grid?
 
     Args:
         classes: class indices, uint8 [H W].
         min_road_cells: how many road cells are enough.
+        cells: side of the grid.
     """
-    grid = sample_grid(classes)
+    grid = sample_grid(classes, cells)
     _, component = cv2.connectedComponents(TRAVERSABLE[grid].astype(np.uint8), connectivity=4)
     with_door = np.unique(component[grid == FRONT_DOOR])
     return int(np.isin(component[grid == ROAD], with_door).sum()) >= min_road_cells
@@ -100,6 +101,36 @@ def draw_house(seed: int, style: str) -> ClassImage:
         if classes is not None and is_usable(classes):
             return classes
     raise RuntimeError(f"no usable {style} house within {_ATTEMPTS} drawings of seed {seed}")
+
+
+def draw_neighbourhood(seed: int, style: str, cells: int, doors: int) -> ClassImage:
+    """Houses in rows along streets, the same for a seed everywhere.
+
+    Args:
+        seed: any integer from 0 on.
+        style: one of `SUBURBS`.
+        cells: side of the grid, whose cells are as large as those of a single house's map; some 350 at most, since
+            the streets end somewhere.
+        doors: houses that have a front door, at most.
+
+    Returns:
+        Class indices of the grid, uint8 [cells cells]; a front door can be reached from the road.
+
+    Raises:
+        ValueError: if there is no such style, or a number is out of range.
+        RuntimeError: if 100 drawings in a row turn out unusable.
+    """
+    if style not in SUBURBS:
+        raise ValueError(f"no style {style!r}; there are {', '.join(SUBURBS)}")
+    if cells < 50 or doors < 1:
+        raise ValueError(f"{cells} cells and {doors} doors; give at least 50 cells and a door")
+    for attempt in range(_ATTEMPTS):
+        key = (len(STYLES) + STYLES.index(style), attempt)
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+        classes = draw_row(rng, SUBURBS[style], cells, doors)
+        if is_usable(classes, cells=cells):
+            return sample_grid(classes, cells)
+    raise RuntimeError(f"no usable {style} neighbourhood within {_ATTEMPTS} drawings of seed {seed}")
 
 
 def procedural_houses(seed: int = 0) -> list[tuple[str, str, ClassImage]]:

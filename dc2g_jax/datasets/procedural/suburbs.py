@@ -4,10 +4,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dc2g_jax.datasets.procedural.drawing import Frame, Range, Shape, Sketch, choose, rectangle, uniform, view_around
-from dc2g_jax.datasets.procedural.lots import LotStyle, build_lot, car
-from dc2g_jax.datasets.procedural.streets import Kerb, Sidewalks, Streets, lay_streets
+from dc2g_jax.datasets.procedural.drawing import (
+    Frame,
+    Range,
+    Shape,
+    Sketch,
+    View,
+    choose,
+    rectangle,
+    travelled,
+    uniform,
+    view_around,
+)
+from dc2g_jax.datasets.procedural.lots import Lot, LotStyle, build_lot, car
+from dc2g_jax.datasets.procedural.streets import Kerb, Sidewalks, Streets, lay_streets, wander
 from dc2g_jax.grid.sampling import ClassImage
+
+#: Cells a side of a single house's map, and pixels a side of each cell of a larger one.
+_HOUSE_CELLS, _PIXELS_A_CELL = 50, 4
+
+#: Streets that houses stand in rows along.
+_THROUGH = {"straight": 0.5, "fork": 0.5}
 
 
 @dataclass(frozen=True)
@@ -121,15 +138,7 @@ def draw_suburb(rng: np.random.Generator, suburb: Suburb) -> ClassImage | None:
     streets = lay_streets(rng, suburb.streets, suburb.road_width, lot_width)
     sidewalks = _choose_sidewalks(rng, suburb)
     lot = build_lot(rng, suburb.lots, streets.kerbs[0], sidewalks is not None)
-    sketch = Sketch(
-        view_around(
-            rng,
-            _framing(rng, suburb, streets, lot.essentials),
-            _turn(rng),
-            suburb.margins,
-            suburb.pixels_per_metre,
-        )
-    )
+    sketch = Sketch(_view(rng, suburb, streets, lot))
     streets.draw(sketch, sidewalks, rng)
     if not _fits(sketch, lot.shapes):
         return None
@@ -142,6 +151,73 @@ def draw_suburb(rng: np.random.Generator, suburb: Suburb) -> ClassImage | None:
     if rng.random() < suburb.street_cars:
         sketch.add_clear("car", _street_cars(rng, streets))
     return sketch.classes()
+
+
+def draw_row(rng: np.random.Generator, suburb: Suburb, cells: int, doors: int) -> ClassImage:
+    """One picture of houses in rows along a street and its side streets, uint8 [H W] of class indices, a square.
+
+    Args:
+        rng: decides everything else.
+        suburb: what the houses and streets are like.
+        cells: side of the grid that the picture is for, whose cells are as large as a single house's of 50 x 50.
+        doors: houses that have a front door, at most; the walkways of the others end at a wall.
+    """
+    lot_width = uniform(rng, suburb.lots.width)
+    streets = lay_streets(rng, _THROUGH, suburb.road_width, lot_width)
+    sidewalks = _choose_sidewalks(rng, suburb)
+    lot = build_lot(rng, suburb.lots, streets.kerbs[0], sidewalks is not None)
+    view = _widened(_view(rng, suburb, streets, lot), cells)
+    _add_side_streets(rng, streets, 2 * lot_width, view.width / view.scale)
+    sketch = Sketch(view)
+    streets.draw(sketch, sidewalks, rng)
+    lots = []
+    for kerb in _all_along(rng, streets, lot_width):
+        lot = build_lot(rng, suburb.lots, kerb, sidewalks is not None)
+        driveway, house = (sketch.mask(lot.shapes[layer]) for layer in ("driveway", "house"))
+        clear = house.any() and sketch.overlap(driveway, "driveway") < 0.05
+        if clear and rng.random() < suburb.neighbours and _fits(sketch, lot.shapes):
+            sketch.add_all({layer: shape for layer, shape in lot.shapes.items() if layer != "door"})
+            lots.append(lot)
+    for number in rng.permutation(len(lots))[:doors]:
+        sketch.add("door", lots[number].shapes["door"])
+    if rng.random() < suburb.street_cars:
+        sketch.add_clear("car", _street_cars(rng, streets))
+    return sketch.classes()
+
+
+def _widened(view: View, cells: int) -> View:
+    """A square around a picture's middle, so large that its cells are those of the picture on a 50 x 50 grid."""
+    sides = np.array([view.width, view.height]) / view.scale
+    cell = float(np.sqrt(sides.prod())) / _HOUSE_CELLS
+    corner = view.corner + (sides - cells * cell) / 2
+    return View(view.angle, corner, _PIXELS_A_CELL / cell, cells * _PIXELS_A_CELL, cells * _PIXELS_A_CELL)
+
+
+def _add_side_streets(rng: np.random.Generator, streets: Streets, apart: float, reach: float) -> None:
+    """Streets that leave the first one to either side, so many metres apart at least, as far as `reach` along it."""
+    main, half_widths = streets.roads[0]
+    along = travelled(main) - travelled(main)[len(main) // 2]
+    for side in (-1, 1):
+        place = -reach / 2 + uniform(rng, (0, 2 * apart))
+        while place < reach / 2:
+            at = int(np.searchsorted(along, place))
+            if 0 < at < len(main) - 1:
+                ahead = main[at + 1] - main[at]
+                heading = float(np.arctan2(ahead[1], ahead[0])) + side * np.pi / 2 * uniform(rng, (0.85, 1.15))
+                half = float(half_widths.mean()) * uniform(rng, (0.75, 1.1))
+                streets.add_road(wander(rng, heading, 0.25) + main[at], half)
+            place += apart * uniform(rng, (1.0, 2.5))
+
+
+def _all_along(rng: np.random.Generator, streets: Streets, lot_width: float) -> list[Kerb]:
+    """Places for houses along all kerbs, from one end to the other."""
+    places = []
+    for kerb in streets.kerbs:
+        position, end = uniform(rng, (0, lot_width)), float(travelled(kerb.line)[-1])
+        while position < end:
+            places.append(Kerb(kerb.line, position))
+            position += lot_width * uniform(rng, (0.9, 1.15))
+    return places
 
 
 def _turn(rng: np.random.Generator) -> float:
@@ -162,6 +238,12 @@ def _choose_sidewalks(rng: np.random.Generator, suburb: Suburb) -> Sidewalks | N
         right=sides != "left",
         over_driveways=bool(rng.random() < 0.12),
     )
+
+
+def _view(rng: np.random.Generator, suburb: Suburb, streets: Streets, lot: Lot) -> View:
+    """The frame of a picture around one lot."""
+    framing = _framing(rng, suburb, streets, lot.essentials)
+    return view_around(rng, framing, _turn(rng), suburb.margins, suburb.pixels_per_metre)
 
 
 def _framing(rng: np.random.Generator, suburb: Suburb, streets: Streets, essentials: Shape) -> Shape:

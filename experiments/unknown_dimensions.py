@@ -1,0 +1,206 @@
+"""What it costs not to know how large the map is: `python -m experiments.unknown_dimensions`.
+
+DC2G asks its network about the whole map, about what has been observed, cropped and rescaled, or about a window around
+the robot; everything else, the starts included, is the same.
+"""
+
+import dataclasses
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, UInt8
+
+from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
+from dc2g_jax.datasets.procedural import draw_neighbourhood
+from dc2g_jax.datasets.procedural.suburbs import SUBURBS
+from dc2g_jax.datasets.starts import Start, sample_starts
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.estimators import Estimator, extent_of
+from dc2g_jax.estimation.extents import CroppedEstimator, Window, WindowedEstimator
+from dc2g_jax.evaluation import EpisodeResult, Runner, summarize
+from dc2g_jax.grid.poses import make_pose
+from dc2g_jax.grid.terrain import UNKNOWN
+from dc2g_jax.planning.rules import SETTINGS
+from dc2g_jax.training_data import drawn_houses, usable
+from experiments.benchmarks.timing import measure
+from experiments.common import DatasetOption, NetworkOption, OutOption, StepLimitOption, command_line, open_network
+from experiments.episodes import EpisodeProgress, EpisodeTable
+from experiments.outputs import output_folder
+
+#: Seeds of the drawn houses and neighbourhoods of a split; those of training are below.
+SEEDS = {"val": 10_000, "test": 10_001}
+
+#: Cells of unknown ground around a house whose surroundings are not known to end with its map.
+OPEN_MARGIN = 24
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Compare what DC2G's network may be asked about: the whole map, a rescaled crop, a window around the robot.
+
+    Attributes:
+      split: `val`, or `test` for the final figure.
+      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
+      network: folder of a trained network; the shipped one where not given.
+      starts_per_house: sampled starts in each of the dataset's houses.
+      drawn: further, procedural houses, with two sampled starts in each.
+      rows: maps of several houses in a row, with two sampled starts in each; for each number of `doors`.
+      cells: side of the maps of several houses.
+      doors: houses of those maps that have a front door, at most.
+      windows: sides of the windows around the robot, in cells.
+      seed: of the sampled starts.
+      step_limit: actions after which an episode ends without success; where not given, 500, and on maps of over 50 x 50
+        cells one for every five cells.
+      out: folder to write to; a new one below outputs/ where not given.
+      resume: go on with the run in `out`, begun with the same options, where it stopped.
+    """
+
+    split: Literal["val", "test"] = "val"
+    dataset: DatasetOption = None
+    network: NetworkOption = None
+    starts_per_house: int = 10
+    drawn: int = 32
+    rows: int = 6
+    cells: int = 200
+    doors: tuple[int, ...] = (100, 4)
+    windows: tuple[int, ...] = (50,)
+    seed: int = 0
+    step_limit: StepLimitOption = None
+    out: OutOption = None
+    resume: bool = False
+
+
+class Worlds(NamedTuple):
+    """Maps of one size, and where episodes start in them."""
+
+    houses: list[House]
+    starts: list[Start]
+
+
+def estimators_by_planner(network: Estimator, windows: Iterable[int]) -> dict[str, Estimator]:
+    """What DC2G is called with each extent, and its estimator."""
+    windowed = {f"dc2g_window_{side}": WindowedEstimator(network, Window(side, prior=float(side))) for side in windows}
+    return {"dc2g": network, "dc2g_crop": CroppedEstimator(network), **windowed}
+
+
+class ExtentRunner(Runner):
+    """Runs DC2G under several names, each with an estimator of its own; see `Runner` for what else it takes."""
+
+    def __init__(self, estimators: Mapping[str, Estimator], *arguments: Any, **options: Any):
+        super().__init__(*arguments, **options)
+        self._estimators = estimators
+
+    def run(
+        self, starts: Sequence[Start], planners: Iterable[str], estimator: Estimator | None = None
+    ) -> list[EpisodeResult]:
+        """See `Runner.run`; `estimator` is that of planners that have none of their own."""
+        results = []
+        for planner in planners:
+            if planner in self._estimators:
+                own = super().run(starts, ["dc2g"], self._estimators[planner])
+                results += [result._replace(planner=planner) for result in own]
+            else:
+                results += super().run(starts, [planner], estimator)
+        return results
+
+
+def open_ended(worlds: Worlds) -> Worlds:
+    """The same houses and starts in larger maps, in which nothing comes to light around the house."""
+    houses = [
+        House(f"{house.name}_open", house.split, np.pad(house.terrain, OPEN_MARGIN, constant_values=UNKNOWN))
+        for house in worlds.houses
+    ]
+    starts = [
+        start._replace(house=f"{start.house}_open", x=start.x + OPEN_MARGIN, y=start.y + OPEN_MARGIN)
+        for start in worlds.starts
+    ]
+    return Worlds(houses, starts)
+
+
+def neighbourhoods(options: Options, doors: int) -> Worlds:
+    """Maps of several houses in a row, all suburban styles in turn."""
+    styles, seed = list(SUBURBS), SEEDS[options.split] << 32
+    houses = [
+        House(f"row{number:03d}d{doors}", options.split, draw_neighbourhood(seed + number, style, options.cells, doors))
+        for number, style in ((number, styles[number % len(styles)]) for number in range(options.rows))
+    ]
+    return Worlds(houses, sample_starts(houses, 2, seed=options.seed))
+
+
+def all_worlds(options: Options, dataset: HouseDataset) -> dict[str, Worlds]:
+    """Everything that planners are compared on, by name."""
+    own = usable(dataset, options.split)
+    drawn = drawn_houses("v", options.split, options.drawn, SEEDS[options.split], own[0].terrain.shape[0])
+    worlds = {
+        "houses": Worlds(own, sample_starts(own, options.starts_per_house, seed=options.seed)),
+        "drawn": Worlds(drawn, sample_starts(drawn, 2, seed=options.seed)),
+    }
+    worlds |= {f"{name}_open": open_ended(one) for name, one in worlds.items()}
+    worlds |= {f"rows_{doors}_doors": neighbourhoods(options, doors) for doors in options.doors}
+    return {name: one for name, one in worlds.items() if one.starts}
+
+
+@jax.jit
+def _ask(estimator: Estimator, terrain: UInt8[Array, "h w"], before: Float[Array, "1 h w"]) -> Float[Array, "1 h w"]:
+    """One estimate of a robot in the middle of a map, the mean of the outcomes."""
+    pose = make_pose(terrain.shape[1] // 2, terrain.shape[0] // 2, 0)
+
+    def mean(part: UInt8[Array, "h w"]) -> Float[Array, "1 h w"]:
+        return jnp.mean(estimator.estimate(part, ()), axis=0, keepdims=True)
+
+    return extent_of(estimator).update(mean, terrain, pose, before)
+
+
+def milliseconds(estimators: Mapping[str, Estimator], house: House) -> dict[str, float]:
+    """Of one estimate on a map of which the middle has been observed, one map at a time."""
+    rows, columns = house.terrain.shape
+    terrain = np.zeros_like(house.terrain)
+    middle = slice(rows // 4, -rows // 4), slice(columns // 4, -columns // 4)
+    terrain[middle] = house.terrain[middle]
+    before = jnp.zeros((1, rows, columns))
+    timings = {name: measure(lambda: _ask(one, terrain, before), repeats=9) for name, one in estimators.items()}  # noqa: B023
+    return {name: round(1e3 * measured.timing.median, 2) for name, measured in timings.items()}
+
+
+def main(options: Options) -> None:
+    """Run all planners on all maps, print and write tables."""
+    if min(options.starts_per_house, *options.doors, *options.windows) < 1 or options.cells < 50:
+        raise InputError("give --starts-per-house, --doors and --windows of at least 1, and --cells of at least 50")
+    if min(options.drawn, options.rows) < 0:
+        raise InputError(f"--drawn {options.drawn}, --rows {options.rows}: give 0 or more maps")
+    network = open_network(options.network)
+    estimators = estimators_by_planner(network, options.windows)
+    worlds = all_worlds(options, open_dataset(options.dataset))
+    out = output_folder(options, "unknown_dimensions")
+    table, planners = EpisodeTable(out / "episodes.csv"), ("frontier", *estimators)
+    facts: dict[str, dict[str, Any]] = {}
+    for name, (houses, starts) in worlds.items():
+        maps = HouseDataset(name, "folder", tuple(houses))
+        runner = ExtentRunner(
+            estimators, maps, SETTINGS["paper"], step_limit=options.step_limit, progress=EpisodeProgress()
+        )
+        results = table.run(runner, starts, planners)
+        rows, columns = houses[0].terrain.shape
+        print(f"\n{name}: {len(starts)} episodes in {len(houses)} maps of {columns} x {rows} cells, {options.split}")
+        taken = milliseconds(estimators, houses[0])
+        facts[name] = {}
+        for planner in planners:
+            own = [result for result in results if result.planner == planner]
+            summary = summarize([result.extra for result in own], [result.success for result in own])
+            facts[name][planner] = {**summary._asdict(), "milliseconds": taken.get(planner)}
+            estimate = f", an estimate {taken[planner]} ms" if planner in taken else ""
+            print(
+                f"{planner:>16}: mean extra steps {summary.mean_extra:7.1f} %, median {summary.median_extra:7.1f} %, "
+                f"success {100 * summary.success:.1f} %{estimate}",
+                flush=True,
+            )
+    (out / "results.json").write_text(json.dumps({"split": options.split, "worlds": facts}, indent=2) + "\n")
+    print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+
+
+if __name__ == "__main__":
+    command_line(Options, main)
