@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, UInt8
 
 from dc2g_jax.datasets.houses import House, HouseDataset, stack_worlds
 from dc2g_jax.datasets.pairs import Pair, TrainingSet, draw_pairs
@@ -19,6 +20,7 @@ from dc2g_jax.estimation.training import DrawBatch
 from dc2g_jax.evaluation import Runner, episodes_from, make_planner
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.sampling import sample_grid
+from dc2g_jax.mapping.noise import IN_MAPS, noisy_map, scaled
 from dc2g_jax.mask_collection import LEADERS, Masks, collect_masks, concatenate_masks, leading_planners
 from dc2g_jax.planning.planners import Planner
 from dc2g_jax.planning.rules import SETTINGS, Rules, complete_rules
@@ -28,6 +30,12 @@ _VALIDATION_SEED = 10_000
 
 #: Worlds whose labels are computed at a time.
 _LABELS_AT_A_TIME = 128
+
+
+def _with_noise(key: Array, terrain: UInt8[Array, "h w"], highest: float) -> UInt8[Array, "h w"]:
+    """A map as a camera's noise may leave it, at a random level."""
+    level_key, noise_key = jax.random.split(key)
+    return noisy_map(noise_key, terrain, scaled(IN_MAPS, jax.random.uniform(level_key, maxval=highest)))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,7 +99,7 @@ class DataConfig:
             half_weight_cost=self.half_weight_cost,
             jitter=self.jitter,
             whole_share=self.whole_share,
-            map_noise=self.map_noise,
+            degrade=functools.partial(_with_noise, highest=self.map_noise) if self.map_noise else None,
         )
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import math
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +11,9 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
 
 from dc2g_jax.grid import bitboard
-from dc2g_jax.mapping.noise import IN_MAPS, noisy_map, scaled
+
+#: `(key, observed map) ->` the map as it might have been observed.
+Degrade = Callable[[Array, UInt8[Array, "h w"]], UInt8[Array, "h w"]]
 
 #: Number of ways to turn and mirror a square map.
 SYMMETRIES = 8
@@ -138,13 +141,6 @@ def jittered(key: Array, pair: Pair, jitter: float) -> Pair:
     return jax.tree.map(lambda new, old: jnp.where(change, new, old), changed, pair)
 
 
-def _with_noise(key: Array, pair: Pair, highest: float) -> Pair:
-    """A pair whose map is as a camera's noise may leave it, at a random level; the target stays what it is."""
-    level_key, noise_key = jax.random.split(key)
-    levels = scaled(IN_MAPS, jax.random.uniform(level_key, maxval=highest))
-    return dataclasses.replace(pair, terrain=noisy_map(noise_key, pair.terrain, levels))
-
-
 def draw_pairs(
     key: Array,
     data: TrainingSet,
@@ -155,7 +151,7 @@ def draw_pairs(
     jitter: float,
     whole_share: float,
     half_weight_cost: float = math.inf,
-    map_noise: float = 0.0,
+    degrade: Degrade | None = None,
 ) -> Pair:
     """A random batch of training pairs, each in a random symmetry (Algorithm 1, line 9).
 
@@ -169,7 +165,7 @@ def draw_pairs(
       jitter: see `jittered`; 0 for none.
       whole_share: probability that all of a map is observed.
       half_weight_cost: see `make_pair`.
-      map_noise: highest level of the noise in maps, see `dc2g_jax.mapping.noise.IN_MAPS`; 0 for none.
+      degrade: what becomes of each observed map, as a camera may make it out; `None` for nothing.
     """
     which, place, turn, change, lift = jax.random.split(key, 5)
     own = jax.random.uniform(which, (batch_size,)) < own_share
@@ -180,9 +176,9 @@ def draw_pairs(
     whole = jax.random.bernoulli(lift, whole_share, (batch_size,))
     make = functools.partial(make_pair, data, edge_weight=edge_weight, half_weight_cost=half_weight_cost)
     pairs = jax.vmap(make)(index, symmetry, whole)
-    if map_noise:
+    if degrade is not None:
         keys = jax.random.split(jax.random.fold_in(key, 1), batch_size)
-        pairs = jax.vmap(functools.partial(_with_noise, highest=map_noise))(keys, pairs)
+        pairs = dataclasses.replace(pairs, terrain=jax.vmap(degrade)(keys, pairs.terrain))
     if not jitter:
         return pairs
     return jax.vmap(functools.partial(jittered, jitter=jitter))(jax.random.split(change, batch_size), pairs)
