@@ -23,8 +23,8 @@ OutOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior
 #: Actions after which an episode ends without success; where not given, as many as suit the size of the map.
 StepLimitOption = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
 
-#: The trained network that comes with the package.
-SHIPPED_NETWORK = "weights/compact_unet"
+#: The trained networks that come with the package: for maps without errors, and for maps that a camera has made.
+SHIPPED_NETWORK, SHIPPED_NOISY_NETWORK = "weights/compact_unet", "weights/compact_unet_noisy"
 
 
 def command_line(options: type[_Options], main: Callable[[_Options], None]) -> None:
@@ -51,6 +51,6 @@ def keep_compiled_programs() -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
-def open_network(folder: Path | None) -> TrainedNetwork:
-    """The network in a folder, or the one that comes with the package."""
-    return load_network(shipped(SHIPPED_NETWORK) if folder is None else folder)
+def open_network(folder: Path | None, otherwise: str = SHIPPED_NETWORK) -> TrainedNetwork:
+    """The network in a folder, or one that comes with the package."""
+    return load_network(shipped(otherwise) if folder is None else folder)

@@ -5,10 +5,9 @@ import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-import tyro
 
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import Start, sample_starts
@@ -19,7 +18,14 @@ from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.evaluation import Runner
 from dc2g_jax.inspection.driving_figures import plot_noise
 from dc2g_jax.planning.rules import SETTINGS
-from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from experiments.common import (
+    SHIPPED_NOISY_NETWORK,
+    DatasetOption,
+    NetworkOption,
+    OutOption,
+    command_line,
+    open_network,
+)
 from experiments.driving import DrivingOptions, drive, equipment
 from experiments.episodes import EpisodeProgress, EpisodeTable
 from experiments.outputs import output_folder
@@ -39,8 +45,8 @@ class Options(DrivingOptions):
       split: houses to drive in: choose on validation houses (`val`), report on `test`.
       starts_per_house: sampled starts in each house.
       levels: noise levels: 0 is none, 1 as much as the paper's maps may have had.
-      network: folder of the trained network; the shipped one where not given.
-      noisy_network: folder of a network that was trained with mapping noise, to be compared with the other.
+      network: folder of a network that was trained on clean maps; the shipped one where not given.
+      noisy_network: folder of a network that was trained with mapping noise; the shipped one where not given.
       seed: of starts, noise and pedestrians.
       out: folder to write to; a new one below outputs/ where not given.
       resume: go on with the run in `out`, begun with the same options, where it stopped.
@@ -51,7 +57,7 @@ class Options(DrivingOptions):
     starts_per_house: int = 3
     levels: tuple[float, ...] = (0.0, 0.5, 1.0, 2.0)
     network: NetworkOption = None
-    noisy_network: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
+    noisy_network: NetworkOption = None
     seed: int = 0
     out: OutOption = None
     resume: bool = False
@@ -127,9 +133,10 @@ def main(options: Options) -> None:
     if not options.levels or min(options.levels) < 0:
         raise InputError(f"--levels {' '.join(map(str, options.levels))}: give one at least, none negative")
     dataset = open_dataset(options.dataset)
-    networks: dict[str, Estimator] = {"clean": open_network(options.network)}
-    if options.noisy_network is not None:
-        networks["noisy"] = open_network(options.noisy_network)
+    networks: dict[str, Estimator] = {
+        "clean": open_network(options.network),
+        "noisy": open_network(options.noisy_network, SHIPPED_NOISY_NETWORK),
+    }
     houses = dataset.split(options.split)
     starts = sample_starts(houses, options.starts_per_house, seed=options.seed)
     if not starts:

@@ -20,7 +20,14 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.inspection.camera_recording import CameraRecording, MappedFrame
 from dc2g_jax.inspection.driving_figures import plot_moments
-from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from experiments.common import (
+    SHIPPED_NOISY_NETWORK,
+    DatasetOption,
+    NetworkOption,
+    OutOption,
+    command_line,
+    open_network,
+)
 from experiments.driving import TIME_LIMIT, DrivingOptions, equipment
 from experiments.map_options import StartOption, start_in
 from experiments.outputs import output_folder
@@ -38,7 +45,7 @@ class Options(DrivingOptions):
       start: column, row (growing downward) and heading (0 right, 1 down, 2 left, 3 up); sampled where not given.
       noise: level of noise: 0 is none, 1 as much as the paper's maps may have had.
       dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
-      network: folder of the trained network; the shipped one where not given.
+      network: folder of the trained network; where not given, the shipped one that was trained with mapping noise.
       seed: of the sampled start, noise and pedestrians.
       out: folder to write to; a new one below outputs/ where not given.
     """
@@ -72,7 +79,9 @@ def main(options: Options) -> None:
         house = dataset.house(options.house)
     start = start_in(house.name, house, options.start, options.seed)
     out = output_folder(options, "reproduce_fig9")
-    robot = equipment("dc2g", open_network(options.network), house.terrain.shape, options.noise, options)
+    robot = equipment(
+        "dc2g", open_network(options.network, SHIPPED_NOISY_NETWORK), house.terrain.shape, options.noise, options
+    )
     site = jax.tree.map(lambda leaf: leaf[0], sites_of([house.terrain]))
     pose = make_pose(start.x, start.y, start.heading)
     first = set_out(jax.random.key(options.seed), pose, site, robot, pedestrians=options.pedestrians)

@@ -45,7 +45,7 @@ def _unpatched(features: Float[Array, "b h2 w2 c4"]) -> Float[Array, "b h w c"]:
     return split.reshape(batch, 2 * height, 2 * width, channels // 4)
 
 
-class _Residual(nnx.Module):
+class Residual(nnx.Module):
     """Two 3x3 convolutions beside an identity."""
 
     def __init__(self, width: int, *, rngs: nnx.Rngs):
@@ -56,23 +56,23 @@ class _Residual(nnx.Module):
         return features + self.second(nnx.relu(self.first(nnx.relu(features))))
 
 
-class _Down(nnx.Module):
+class Down(nnx.Module):
     """Halve the resolution."""
 
     def __init__(self, width_in: int, width_out: int, *, rngs: nnx.Rngs):
         self.halve = nnx.Conv(width_in, width_out, (3, 3), strides=(2, 2), rngs=rngs)
-        self.residual = _Residual(width_out, rngs=rngs)
+        self.residual = Residual(width_out, rngs=rngs)
 
     def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h2 w2 d"]:
         return self.residual(self.halve(nnx.relu(features)))
 
 
-class _Up(nnx.Module):
+class Up(nnx.Module):
     """Double the resolution and join what the encoder saw at that scale (the U-Net's skip connection)."""
 
     def __init__(self, width_in: int, width_out: int, *, rngs: nnx.Rngs):
         self.narrow = nnx.Linear(width_in, width_out, rngs=rngs)
-        self.residual = _Residual(width_out, rngs=rngs)
+        self.residual = Residual(width_out, rngs=rngs)
 
     def __call__(
         self, features: Float[Array, "b h w c"], skipped: Float[Array, "b h2 w2 d"]
@@ -101,14 +101,14 @@ class CompactUNet(nnx.Module):
             raise ValueError(f"quantiles {levels}: give ascending levels between 0 and 1, one at least")
         self.architecture = architecture
         self.embed = nnx.Linear(4 * len(CLASS_NAMES), widths[0], rngs=rngs)
-        self.local = _Residual(widths[0], rngs=rngs)
-        self.down1 = _Down(widths[0], widths[1], rngs=rngs)
-        self.down2 = _Down(widths[1], widths[2], rngs=rngs)
-        self.down3 = _Down(widths[2], widths[3], rngs=rngs)
-        self.context = _Residual(widths[3], rngs=rngs)
-        self.up3 = _Up(widths[3], widths[2], rngs=rngs)
-        self.up2 = _Up(widths[2], widths[1], rngs=rngs)
-        self.up1 = _Up(widths[1], widths[0], rngs=rngs)
+        self.local = Residual(widths[0], rngs=rngs)
+        self.down1 = Down(widths[0], widths[1], rngs=rngs)
+        self.down2 = Down(widths[1], widths[2], rngs=rngs)
+        self.down3 = Down(widths[2], widths[3], rngs=rngs)
+        self.context = Residual(widths[3], rngs=rngs)
+        self.up3 = Up(widths[3], widths[2], rngs=rngs)
+        self.up2 = Up(widths[2], widths[1], rngs=rngs)
+        self.up1 = Up(widths[1], widths[0], rngs=rngs)
         self.head = nnx.Linear(widths[0], 4 * len(levels), rngs=rngs)
 
     def __call__(self, terrain: UInt8[Array, "b h w"]) -> Float[Array, "b h w quantiles"]:

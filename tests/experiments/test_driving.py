@@ -43,12 +43,8 @@ def test_noise_is_swept_and_a_run_goes_on_where_it_stopped(street, tmp_path, cap
     )
     noisy_mapping.main(options)
     results = json.loads((out / "results.json").read_text())
-    assert set(results) == {
-        "gridworld, paper",
-        "gridworld, occluded",
-        "trained clean, noise 0",
-        "trained clean, noise 2",
-    }
+    runs = {f"trained {network}, noise {level}" for network in ("clean", "noisy") for level in (0, 2)}
+    assert set(results) == {"gridworld, paper", "gridworld, occluded", *runs}
     clean = results["trained clean, noise 0"]
     assert clean["success"] == 1
     assert clean["extra_low"] <= clean["extra"] <= clean["extra_high"]
