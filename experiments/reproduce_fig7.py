@@ -43,7 +43,7 @@ class Options:
       starts_per_house: sampled starts in each test house.
       seed: of the sampled starts.
       step_limit: actions after which an episode from a sampled start ends without success; where not given, 500, and on
-        maps of over 50 x 50 cells one for every five cells.
+        maps of over 50 x 50 cells one action for every five cells of the map.
       network: folder of a trained network for `dc2g` and `dc2g_uncertain`; the shipped one where not given.
       record: write rerun recordings (.rrd) and figures of this many episodes of each setting, spread over those run.
       out: folder to write to; a new one below outputs/ where not given.

@@ -85,6 +85,7 @@ def main(options: Options) -> None:
     site = jax.tree.map(lambda leaf: leaf[0], sites_of([house.terrain]))
     pose = make_pose(start.x, start.y, start.heading)
     first = set_out(jax.random.key(options.seed), pose, site, robot, pedestrians=options.pedestrians)
+    print("Compiling, half a minute or so; then it drives.", file=sys.stderr)
     drive = list(tqdm(moments(first, site, robot, TIME_LIMIT), desc="driving", unit="frame", file=sys.stderr))
     last = drive[-1].robot
     plot_moments(out / "fig9", drive, _ROWS, robot.mapping.cell_size)

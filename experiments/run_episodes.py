@@ -30,8 +30,8 @@ class Options:
         but houses, trees and other tall things hide what is behind them. A range in the file wins.
       dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
       network: folder of a trained network for `dc2g` and `dc2g_uncertain`; the shipped one where not given.
-      step_limit: actions after which an episode ends without success; where not given, 500, and on maps of over 50 x 50
-        cells one for every five cells.
+      step_limit: actions after which an episode ends without success; where not given, 500, and on
+        maps of over 50 x 50 cells one action for every five cells of the map.
       out: folder to write to; a new one below outputs/ where not given.
       resume: go on with the run in `out`, begun with the same options, where it stopped.
     """

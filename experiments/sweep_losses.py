@@ -53,7 +53,7 @@ class Options:
       steps: optimiser steps of each run.
       batch_size: pairs a step of each run.
       validate_every: steps between validations on pairs; the last step is one too. 0 for the last only.
-      episodes: run the planner in validation houses with every network in the end.
+      episodes: the planner is run in validation houses with every network in the end; `--no-episodes` leaves that out.
       minutes_per_checkpoint: how often to save, in minutes.
       resume: go on with the run in `out`, begun with the same options, where it stopped.
     """

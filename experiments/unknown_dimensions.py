@@ -54,7 +54,7 @@ class Options:
       windows: sides of the windows around the robot, in cells.
       seed: of the sampled starts.
       step_limit: actions after which an episode ends without success; where not given, 500, and on maps of over 50 x 50
-        cells one for every five cells.
+        cells one action for every five cells of the map.
       out: folder to write to; a new one below outputs/ where not given.
       resume: go on with the run in `out`, begun with the same options, where it stopped.
     """

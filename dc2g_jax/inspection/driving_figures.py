@@ -11,11 +11,12 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
+from matplotlib.patches import Patch
 from matplotlib.path import Path
 
 from dc2g_jax.driving.trace import Moment
-from dc2g_jax.grid.terrain import TRAVERSABLE, UNKNOWN
-from dc2g_jax.inspection.costs import COST_COLOURS, cost_image
+from dc2g_jax.grid.terrain import CLASS_NAMES, TRAVERSABLE, UNKNOWN
+from dc2g_jax.inspection.costs import BLOCKED_COLOUR, COST_COLOURS, UNSEEN_COLOUR, cost_image
 from dc2g_jax.inspection.figures import class_patch, map_image, plain_axes, present_classes, save_figure
 
 #: Network -> label, colour, line and marker.
@@ -117,9 +118,14 @@ def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_
     for axes, name in zip(panels[0], ("camera", "semantic map", "predicted cost-to-go", "planned path"), strict=True):
         axes.set_title(name, fontsize=9)
     scale = ScalarMappable(Normalize(0, high), COST_COLOURS)
-    figure.colorbar(scale, ax=panels[:, 2], location="bottom", label="cells", shrink=0.9, extend="max", aspect=30)
+    figure.colorbar(
+        scale, ax=panels[:, 2], location="bottom", label="cost-to-go (cells)", shrink=0.9, extend="max", aspect=30
+    )
     classes = present_classes(np.stack([moment.robot.terrain for moment in chosen]))
-    entries: list[Any] = [class_patch(index) for index in classes]
+    # The robot's own cell, before it has looked at it, is ground of no particular class.
+    entries: list[Any] = [class_patch(index) for index in classes if CLASS_NAMES[index] != "traversable"]
+    for label, colour in (("nothing predicted", UNSEEN_COLOUR), ("not traversable", BLOCKED_COLOUR)):
+        entries.append(Patch(facecolor=colour, edgecolor="#777777", linewidth=0.4, label=label))
     for label, colour in (("driven", "black"), ("planned", "#0072b2")):
         entries.append(Line2D([], [], color=colour, linewidth=2, label=label))
     figure.legend(handles=entries, loc="outside lower center", ncols=8, fontsize=7, frameon=False)
