@@ -62,7 +62,7 @@ def share_out(
             compiled.set()
             with reporting:
                 done[worker] = finished
-                if on_progress is not None:
+                if on_progress is not None and not stop.is_set():
                     on_progress(sum(done))
             return not stop.is_set()
 

@@ -7,6 +7,7 @@ from typing import Annotated, TypeVar
 
 import jax
 import tyro
+from tqdm import tqdm
 
 from dc2g_jax.datasets.download import cache_folder
 from dc2g_jax.errors import InputError
@@ -38,6 +39,9 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
+        # Or they would be drawn once more, below the line.
+        for bar in list(getattr(tqdm, "_instances", ())):
+            bar.close()
         kept = "; what is done is kept: the same command with --resume goes on" if hasattr(parsed, "resume") else ""
         print(f"interrupted{kept}", file=sys.stderr)
         sys.exit(130)
