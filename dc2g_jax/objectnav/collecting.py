@@ -1,0 +1,261 @@
+"""Training sets: distances in houses, journeys through them, and the features of what robots saw on the way."""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Float16, Int, Int16, UInt8, UInt16
+
+from dc2g_jax.devices import Report, every_device, share_out
+from dc2g_jax.errors import InputError
+from dc2g_jax.mapping.camera import level_camera
+from dc2g_jax.mapping.scene import Scene
+from dc2g_jax.objectnav.agent import CAMERA_HEIGHT, CAMERA_PITCH
+from dc2g_jax.objectnav.cost_maps import distance_for_vehicle
+from dc2g_jax.objectnav.data import (
+    TrainingSet,
+    cell_codes,
+    drive_to_goals,
+    in_millimetres,
+    with_tight_cells,
+)
+from dc2g_jax.objectnav.exploring import NEVER, Journey, explore
+from dc2g_jax.objectnav.houses import IndoorHouse
+from dc2g_jax.objectnav.midlevel import ImageEncoder, View, painted, view
+from dc2g_jax.objectnav.starts import ROBOT_RADIUS, components, passable
+from dc2g_jax.objectnav.worlds import IndoorWorld, pad_world, scene
+
+#: Places that a robot visits at most, one after the other.
+_STAGES = 12
+
+
+@dataclasses.dataclass(frozen=True)
+class CollectionConfig:
+    """How many samples to make, and of what.
+
+    Attributes:
+      journeys: robots a house.
+      views: moments of each of them, every fourth step of 0.1 s, at most 254.
+      places: random places a house that robots are sent to, besides the goals.
+      largest: cells along the side of the largest house to use.
+      data_seed: of the journeys.
+    """
+
+    journeys: int = 8
+    views: int = 48
+    places: int = 3
+    largest: int = 200
+    data_seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.views < NEVER or min(self.journeys, self.places) < 1:
+            raise InputError(
+                f"{self.journeys} journeys of {self.views} views to {self.places} places: give at least 1, and at most "
+                f"{NEVER - 1} views"
+            )
+
+
+class _House(NamedTuple):
+    """What is made of one house; the leaves of `TrainingSet` but for the number of the house."""
+
+    cells: UInt8[np.ndarray, "h w"]
+    distance: UInt16[np.ndarray, "goal h w"]
+    first_seen: UInt8[np.ndarray, "journey h w"]
+    places: Int16[np.ndarray, "journey view 2"]
+    headings: Float[np.ndarray, "journey view"]
+    features: Float16[np.ndarray, "journey view 2 f"]
+
+
+def usable(houses: Sequence[IndoorHouse], largest: int) -> list[IndoorWorld]:
+    """The worlds of the houses that are not too large, padded to one size.
+
+    Args:
+      houses: to choose from.
+      largest: cells along a side.
+
+    Raises:
+      InputError: there is none.
+    """
+    worlds = [house.world for house in houses if max(house.world.free.shape) <= largest]
+    if not worlds:
+        raise InputError(f"none of {len(houses)} houses has sides of at most {largest} cells; allow larger ones")
+    rows, columns = np.max([world.free.shape for world in worlds], axis=0).tolist()
+    rooms, objects = (
+        max(len(leaf) for leaf in leaves)
+        for leaves in ([w.room_kinds for w in worlds], [w.objects.classes for w in worlds])
+    )
+    return [pad_world(world, rows, columns, rooms, objects) for world in worlds]
+
+
+def random_places(world: IndoorWorld, count: int, rng: np.random.Generator) -> Int[np.ndarray, "place 2"]:
+    """Rows and columns of random cells in the largest part of a house that a robot can drive about.
+
+    Args:
+      world: one house.
+      count: how many.
+      rng: where chance comes from.
+
+    Raises:
+      InputError: the robot fits nowhere.
+    """
+    piece = components(passable(np.asarray(world.free), float(world.cell_size)))
+    sizes = np.bincount(piece.ravel())
+    sizes[0] = 0
+    cells = np.argwhere((piece == sizes.argmax()) & (piece > 0))
+    if not len(cells):
+        raise InputError("a robot fits nowhere in a house; give houses with wider rooms")
+    return cells[rng.integers(len(cells), size=count)].astype(np.int32)
+
+
+@functools.partial(jax.jit, static_argnames="cell_size")
+def _distances(
+    free: Bool[Array, "h w"], classes: UInt8[Array, "h w"], places: Int[Array, "place 2"], cell_size: float
+) -> tuple[UInt16[Array, "goal h w"], Float[Array, "way h w"]]:
+    """Labels of a house, and what its robots are led by: distances to places, then to goals."""
+
+    def drive_to(place: Int[Array, "2"]) -> Float[Array, "h w"]:
+        goal = jnp.zeros(free.shape, bool).at[place[0], place[1]].set(True)
+        return distance_for_vehicle(~free, goal, ROBOT_RADIUS, cell_size)
+
+    to_goals = drive_to_goals(free, classes, cell_size)
+    labels = jax.lax.map(lambda distance: in_millimetres(with_tight_cells(distance, free, cell_size)), to_goals)
+    return labels, jnp.concatenate([jax.lax.map(drive_to, places), to_goals])
+
+
+@functools.partial(jax.jit, static_argnames=("cell_size", "views"))
+def _journeys(
+    heights: Float[Array, "h w"],
+    cell_size: float,
+    distances: Float[Array, "way h w"],
+    starts: Int[Array, "journey 2"],
+    key: Array,
+    views: int,
+) -> Journey:
+    """Journeys to places and goals in random order."""
+
+    def one(robot: tuple[Array, Array]) -> Journey:
+        start, own_key = robot
+        order_key, way_key = jax.random.split(own_key)
+        places = jax.random.randint(order_key, (_STAGES,), 0, len(distances))
+        return explore(heights, cell_size, distances, start, places, way_key, views=views)
+
+    return jax.lax.map(one, (starts, jax.random.split(key, len(starts))))
+
+
+@jax.jit
+def _views(scene_and_paint: tuple[Scene, Array], cells: Int[Array, "n 2"], headings: Float[Array, "n"]) -> View:
+    """What robots' cameras see of one house."""
+    house, paint = scene_and_paint
+
+    def one(pose: tuple[Array, Array]) -> View:
+        (row, column), heading = (pose[0] + 0.5) * house.tile_size, pose[1]
+        return view(house, paint, level_camera(column, -row, CAMERA_HEIGHT, heading, CAMERA_PITCH))
+
+    return jax.lax.map(one, (cells, headings))
+
+
+@jax.jit
+def _features(encoder: ImageEncoder, images: UInt8[Array, "n h w 3"]) -> Float16[Array, "n 2 f"]:
+    """Features of pictures and of their mirror images."""
+    both = [encoder.encode(images), encoder.encode(images[:, :, ::-1])]
+    return jnp.stack(both, axis=1).astype(jnp.float16)
+
+
+def _collect_house(world: IndoorWorld, encoder: ImageEncoder, config: CollectionConfig, number: int) -> _House:
+    rng = np.random.default_rng((config.data_seed, number))
+    free, classes = jnp.asarray(world.free), jnp.asarray(world.classes)
+    places = random_places(world, config.places + config.journeys, rng)
+    # The nearest float to the size that was asked for, not to its 32 bits.
+    cell_size = float(str(np.float32(world.cell_size)))
+    labels, ways = _distances(free, classes, places[: config.places], cell_size)
+    key = jax.random.fold_in(jax.random.key(config.data_seed), number)
+    journeys = _journeys(
+        jnp.asarray(world.heights),
+        cell_size,
+        ways,
+        places[config.places :],
+        key,
+        views=config.views,
+    )
+    cells, headings = journeys.cells.reshape(-1, 2), journeys.headings.reshape(-1)
+    views = _views((scene(world), jnp.asarray(painted(world, rng))), cells, headings)
+    features = _features(encoder, views.image)
+    return _House(
+        cells=np.asarray(cell_codes(world)),
+        distance=np.asarray(labels),
+        first_seen=np.asarray(journeys.first_seen),
+        places=np.asarray(journeys.cells, np.int16),
+        headings=np.asarray(journeys.headings),
+        features=np.asarray(features).reshape(*journeys.headings.shape, 2, -1),
+    )
+
+
+def collect(
+    houses: Sequence[IndoorHouse],
+    encoder: ImageEncoder,
+    config: CollectionConfig,
+    on_progress: Callable[[int], None] | None = None,
+) -> TrainingSet:
+    """Send robots through houses, on every device at once; the same for the same seed.
+
+    Args:
+      houses: those larger than the configuration allows are left out.
+      encoder: what makes features of what robots see.
+      config: how many samples.
+      on_progress: called with the number of houses that are done.
+
+    Raises:
+      InputError: no house can be used.
+    """
+    worlds = usable(houses, config.largest)
+    devices = every_device()[: len(worlds)]
+
+    def serve(device: jax.Device, own: Int[np.ndarray, "own"], report: Report) -> _House:
+        done = []
+        with jax.default_device(device):
+            for number in own.tolist():
+                done.append(_collect_house(worlds[number], encoder, config, number))
+                if not report(len(done)):
+                    break
+        return jax.tree.map(lambda *leaves: np.stack(leaves), *done)
+
+    made = share_out(len(worlds), devices, serve, on_progress)
+
+    def by_journey(leaf: np.ndarray) -> np.ndarray:
+        return leaf.reshape(-1, *leaf.shape[2:])
+
+    return TrainingSet(
+        cells=made.cells,
+        distance=made.distance,
+        house=np.repeat(np.arange(len(worlds), dtype=np.int32), config.journeys),
+        first_seen=by_journey(made.first_seen),
+        places=by_journey(made.places),
+        headings=by_journey(made.headings),
+        features=by_journey(made.features),
+    )
+
+
+def random_views(houses: Sequence[IndoorHouse], count: int, seed: int, largest: int = CollectionConfig.largest) -> View:
+    """Pictures from random places in random directions, to train an encoder on.
+
+    Args:
+      houses: those larger than allowed are left out.
+      count: pictures a house.
+      seed: where chance comes from.
+      largest: cells along the side of the largest house to use.
+
+    Raises:
+      InputError: no house can be used.
+    """
+    taken = []
+    for number, world in enumerate(usable(houses, largest)):
+        rng = np.random.default_rng((seed, number))
+        cells = jnp.asarray(random_places(world, count, rng))
+        headings = jnp.asarray(rng.uniform(-np.pi, np.pi, count), jnp.float32)
+        views = _views((scene(world), jnp.asarray(painted(world, rng))), cells, headings)
+        taken.append(jax.tree.map(np.asarray, views))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *taken)

@@ -1,0 +1,177 @@
+"""Guides: what tells a robot which way an object may be (`dc2g_jax.objectnav.agent`).
+
+The goal reacher goes around any of the others: it takes over as soon as the robot has seen what it looks for.
+"""
+
+from collections.abc import Callable
+from typing import Protocol
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, Key, UInt32
+
+from dc2g_jax.grid.fast_marching import geodesic_distance
+from dc2g_jax.mapping.camera import Frame
+from dc2g_jax.mapping.scene import Scene
+from dc2g_jax.objectnav.agent import Agent, Guidance, Guide, Robot, Site
+from dc2g_jax.objectnav.classes import GOALS
+from dc2g_jax.objectnav.cost_maps import inflated
+from dc2g_jax.objectnav.goal_reacher import distance_to_object, without_specks
+from dc2g_jax.objectnav.mapping import EXPLORED, OBSTACLE, has, has_any_class, network_input, window
+
+#: A way counts as the robot's if it begins within so many cells of the robot, to every side: one that has run into
+#: something stands where it does not fit.
+_NEAR = 2
+
+
+class CostEstimator(Protocol):
+    """Predicts costs from what has been seen: a pytree."""
+
+    def estimate(
+        self,
+        maps: Float[Array, "36 n n"],
+        target: Int[Array, ""],
+        features: Float[Array, " feature"],
+        heading: Float[Array, ""],
+    ) -> tuple[Float[Array, "n n"], Float[Array, "n n"]]:
+        """Predict for one robot.
+
+        Args:
+          maps: see `dc2g_jax.objectnav.mapping.network_input`.
+          target: what it looks for, an index into `GOALS`.
+          features: mid-level features of what it sees.
+          heading: where its camera looks, counter-clockwise from +x, radians.
+
+        Returns:
+          Of each cell of the local map, the probability that it is no free floor, and the navigation cost.
+        """
+        ...
+
+
+@struct.dataclass
+class TrueCost:
+    """Knows the way to the nearest object (the paper's agent "MPC with GT cost map")."""
+
+    def guide(self, key: Key[Array, ""], robot: Robot, site: Site, agent: Agent) -> Guidance:
+        """See `Guide`."""
+        del key
+        return Guidance(true_distance(robot, site, agent), jnp.bool_(True))
+
+
+def true_distance(robot: Robot, site: Site, agent: Agent) -> Float[Array, "n n"]:
+    """What is left of the way to the nearest object from each cell of the local map, metres."""
+    side = agent.mapping.local
+    rows, columns = (robot.local_middle - side // 2)[:, None] + jnp.arange(side)
+    height, width = site.free.shape
+    inside = ((rows >= 0) & (rows < height))[:, None] & (columns >= 0) & (columns < width)
+    return jnp.where(inside, site.distances[robot.target, rows[:, None], columns], jnp.inf)
+
+
+@struct.dataclass
+class NoIdea:
+    """Knows nothing: for steering that does not ask."""
+
+    def guide(self, key: Key[Array, ""], robot: Robot, site: Site, agent: Agent) -> Guidance:
+        """See `Guide`."""
+        del key, robot, site
+        side = agent.mapping.local
+        return Guidance(jnp.full((side, side), jnp.inf, jnp.float32), jnp.bool_(False))
+
+
+@struct.dataclass
+class Frontier:
+    """Goes where the nearest floor is that has not been seen: on the local map, and if nothing is left there on all."""
+
+    def guide(self, key: Key[Array, ""], robot: Robot, site: Site, agent: Agent) -> Guidance:
+        """See `Guide`."""
+        del key, site
+        side, cells = agent.mapping.local, robot.map.cells.shape[0]
+        near = self._distance(window(robot.map, robot.local_middle, side), agent)
+
+        def far() -> Float[Array, "n n"]:
+            margin = (cells - side) // 2
+            whole = self._distance(window(robot.map, robot.local_middle, cells), agent)
+            return jax.lax.slice(whole, (margin, margin), (margin + side, margin + side))
+
+        return Guidance(jax.lax.cond(_begins_here(near), lambda: near, far), jnp.bool_(False))
+
+    @staticmethod
+    def _distance(cells: UInt32[Array, "n n"], agent: Agent) -> Float[Array, "n n"]:
+        """What is left of the way to a cell that has not been seen, from the cells that have."""
+        known = has(cells, EXPLORED)
+        passable = ~inflated(has(cells, OBSTACLE), agent.controller.limits.radius, agent.mapping.cell_size)
+        ground = known & passable
+        return geodesic_distance(ground, _beside(ground) & passable & ~known, agent.mapping.cell_size)
+
+
+@struct.dataclass
+class Predicted:
+    """Goes by the costs that a network predicts (section II-B), but not through what it has seen to be in the way.
+
+    Attributes:
+      estimator: predicts them.
+      encode: gives the mid-level features of what the camera sees, from the house as a scene and the last frame.
+      metres: of way, for a cost of 1.
+      threshold: a cell that is occupied with more than this probability is left out (the paper's theta_occ).
+    """
+
+    estimator: CostEstimator
+    encode: Callable[[Scene, Frame], Float[Array, " feature"]] = struct.field(pytree_node=False)
+    metres: float = 10.0
+    threshold: float = 0.5
+
+    def guide(self, key: Key[Array, ""], robot: Robot, site: Site, agent: Agent) -> Guidance:
+        """See `Guide`."""
+        del key
+        vehicle, mapping = robot.vehicle, agent.mapping
+        maps = network_input(robot.map, vehicle.position, mapping)
+        features = self.encode(site.scene, robot.frame)
+        occupied, cost = self.estimator.estimate(maps, robot.target, features, vehicle.yaw)
+        in_the_way = has(window(robot.map, robot.local_middle, mapping.local), OBSTACLE)
+        closed = inflated(in_the_way, agent.controller.limits.radius, mapping.cell_size) | (occupied > self.threshold)
+        return Guidance(jnp.where(closed, jnp.inf, self.metres * cost), jnp.bool_(False))
+
+
+@struct.dataclass
+class GoalReacher:
+    """Goes to an object of the wanted class once one has been seen and as long as a way may lead to it (section II-D).
+
+    What has not been seen counts as free. Where no way is left, the other guide goes on.
+
+    Attributes:
+      explorer: guides the robot until then.
+    """
+
+    explorer: Guide
+
+    def guide(self, key: Key[Array, ""], robot: Robot, site: Site, agent: Agent) -> Guidance:
+        """See `Guide`."""
+        cells = window(robot.map, robot.local_middle, agent.mapping.local)
+        goals = without_specks(has(cells, jnp.asarray(GOALS)[robot.target] - 1))
+        obstacles = has(cells, OBSTACLE)
+
+        def to_goals() -> Float[Array, "n n"]:
+            radius, cell_size = agent.controller.limits.radius, agent.mapping.cell_size
+            walls = obstacles & ~has_any_class(cells)
+            return distance_to_object(obstacles | goals, walls, goals, radius=radius, cell_size=cell_size)
+
+        distance = jax.lax.cond(jnp.any(goals), to_goals, lambda: jnp.full(goals.shape, jnp.inf, jnp.float32))
+        return jax.lax.cond(
+            _begins_here(distance),
+            lambda: Guidance(distance, jnp.bool_(True)),
+            lambda: self.explorer.guide(key, robot, site, agent),
+        )
+
+
+def _begins_here(distance: Float[Array, "n n"]) -> Bool[Array, ""]:
+    """Is there a way from where the robot is, in the middle of the local map?"""
+    middle = distance.shape[0] // 2
+    near = slice(middle - _NEAR, middle + _NEAR + 1)
+    return jnp.any(jnp.isfinite(distance[near, near]))
+
+
+def _beside(cells: Bool[Array, "n n"]) -> Bool[Array, "n n"]:
+    """Cells with one of the set above, below or beside them."""
+    padded = jnp.pad(cells, 1)
+    return padded[:-2, 1:-1] | padded[2:, 1:-1] | padded[1:-1, :-2] | padded[1:-1, 2:]

@@ -1,0 +1,119 @@
+"""What the network that predicts cost maps is trained with (section II-C, equations 1 to 4). For one map each."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from dc2g_jax.objectnav.networks import Prediction
+
+
+class LossWeights(NamedTuple):
+    """Weights of the three losses; defaults as in the paper.
+
+    Attributes:
+      occupancy: of equation (1).
+      cost: of equation (2).
+      direction: of equation (3).
+    """
+
+    occupancy: float = 1.0
+    cost: float = 1.5
+    direction: float = 1.0
+
+
+def occupancy_loss(logits: Float[Array, "h w"], occupied: Bool[Array, "h w"]) -> Float[Array, ""]:
+    """Mean binary cross entropy of the occupancy, in nats (equation 1).
+
+    Args:
+      logits: predicted log-odds of being occupied.
+      occupied: truth.
+    """
+    return jnp.mean(jax.nn.softplus(logits) - jnp.where(occupied, logits, 0))
+
+
+def cost_loss(
+    predicted: Float[Array, "h w"], true: Float[Array, "h w"], navigable: Bool[Array, "h w"]
+) -> Float[Array, ""]:
+    """Absolute error of the cost of navigable cells, summed, by the number of all cells (equation 2).
+
+    Args:
+      predicted: navigation cost.
+      true: navigation cost; may be infinite on other cells.
+      navigable: free cells with a way to the goal.
+    """
+    return jnp.mean(jnp.where(navigable, jnp.abs(predicted - jnp.where(navigable, true, 0)), 0))
+
+
+def gradient(costs: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Float[Array, "2 h w"]:
+    """Gradient of a cost map on navigable cells, from navigable cells only: down the rows, and along them, by the cell.
+
+    Half the difference of the two neighbours where both are navigable, the difference to the one that is, 0 where
+    neither is and on all other cells.
+
+    Args:
+      costs: finite on navigable cells.
+      navigable: see above.
+    """
+    values = jnp.where(navigable, costs, 0)
+
+    def along(axis: int) -> Float[Array, "h w"]:
+        ahead, behind = _next(navigable, -1, axis) & navigable, _next(navigable, 1, axis) & navigable
+        rise = jnp.where(ahead, _next(values, -1, axis) - values, 0) + jnp.where(
+            behind, values - _next(values, 1, axis), 0
+        )
+        return jnp.where(ahead & behind, rise / 2, rise)
+
+    return jnp.stack([along(0), along(1)])
+
+
+def _next(cells: Array, shift: int, axis: int) -> Array:
+    """The neighbours of all cells on one side, 0 off the map: of the cell below or to the right where shift is -1."""
+    moved = jnp.roll(cells, shift, axis)
+    place = jnp.arange(cells.shape[axis]) == (cells.shape[axis] - 1 if shift < 0 else 0)
+    return jnp.where(place[:, None] if axis == 0 else place, jnp.zeros((), cells.dtype), moved)
+
+
+def direction_loss(
+    predicted: Float[Array, "h w"], true: Float[Array, "h w"], navigable: Bool[Array, "h w"], epsilon: float = 1e-8
+) -> Float[Array, ""]:
+    """1 - cosine between the gradients, summed over navigable cells, by the number of all cells (equation 3).
+
+    Cells at which the true cost is level have no direction and do not count.
+
+    Args:
+      predicted: navigation cost.
+      true: navigation cost; may be infinite on other cells.
+      navigable: free cells with a way to the goal.
+      epsilon: added to a squared length, so that a level prediction has a gradient of its own.
+    """
+    ours, theirs = gradient(predicted, navigable), gradient(true, navigable)
+    length = jnp.sqrt(jnp.sum(theirs**2, axis=0))
+    slopes = length > 0
+    ours_length = jnp.sqrt(jnp.sum(ours**2, axis=0) + epsilon)
+    cosine = jnp.sum(ours * theirs, axis=0) / (ours_length * jnp.where(slopes, length, 1))
+    return jnp.mean(jnp.where(slopes, 1 - cosine, 0))
+
+
+def total_loss(
+    prediction: Prediction,
+    occupied: Bool[Array, "h w"],
+    cost: Float[Array, "h w"],
+    weights: LossWeights,
+) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
+    """The weighted sum of the three losses (equation 4), and each of them.
+
+    Args:
+      prediction: the network's answer.
+      occupied: truth.
+      cost: true navigation cost, infinite where no way leads to the goal.
+      weights: of the losses.
+    """
+    navigable = ~occupied & jnp.isfinite(cost)
+    losses = {
+        "occupancy": occupancy_loss(prediction.occupancy_logits, occupied),
+        "cost": cost_loss(prediction.cost, cost, navigable),
+        "direction": direction_loss(prediction.cost, cost, navigable),
+    }
+    return sum((weight * losses[name] for name, weight in weights._asdict().items()), jnp.float32(0)), losses

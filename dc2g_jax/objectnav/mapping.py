@@ -1,0 +1,275 @@
+"""The map that a robot makes of a house as it goes: what of 16 classes stands in a cell, what is in the way, what has
+been seen (section II-A of the paper on dense cost maps).
+
+Depth and class of every pixel are points in the world; a cell has every class that one of its points had, is an
+obstacle as soon as one lay where the robot could hit it, and is explored as soon as there was any, or its floor was in
+view. That is 18 channels of yes or no, kept as the bits of one number a cell and spread out when they are asked for:
+0.7 MB for 420 x 420 cells, where 18 channels of floats would take 12.7 MB.
+
+The map's cells are those of the world's grid (`dc2g_jax.objectnav.worlds`), and the robot starts in its middle. It does
+not turn with the robot: north stays above. All functions are for one robot; `jax.vmap` makes them take many.
+"""
+
+import dataclasses
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int, UInt32
+
+from dc2g_jax.control.footprint import cell_at
+from dc2g_jax.errors import InputError
+from dc2g_jax.mapping.camera import Frame, Intrinsics, check_shapes, points, rays
+from dc2g_jax.objectnav.classes import SEMANTIC_CLASSES
+
+#: Channels of a map: the classes (class index 1 + channel), then what is an obstacle, then what is explored.
+OBSTACLE, EXPLORED = SEMANTIC_CLASSES, SEMANTIC_CLASSES + 1
+CHANNELS = SEMANTIC_CLASSES + 2
+
+
+@struct.dataclass
+class MapSettings:
+    """What a map covers. Known when programs are compiled.
+
+    Attributes:
+      cells: along each side of the map. The paper has 420.
+      local: along each side of the part of it around the robot, a divisor of `cells`. The paper has 140.
+      cell_size: metres. The paper's maps, of cells of 5 cm, are 21 m wide; ProcTHOR's largest houses are 28 m long, so
+        that cells of 10 cm are the default here and the map is 42 m wide.
+      reach: returns from farther away than this (metres from the camera) are skipped.
+      lowest: what is lower than this above the floor (metres) is no obstacle.
+      highest: what is higher than this (metres) is none either: the robot's height.
+      inset: a return that is nearer than this to the cell behind it counts for that one, metres.
+
+    Raises:
+      InputError: a value out of its range.
+    """
+
+    cells: int = struct.field(pytree_node=False, default=420)
+    local: int = struct.field(pytree_node=False, default=140)
+    cell_size: float = struct.field(pytree_node=False, default=0.1)
+    reach: float = struct.field(pytree_node=False, default=5.0)
+    lowest: float = struct.field(pytree_node=False, default=0.1)
+    highest: float = struct.field(pytree_node=False, default=1.5)
+    inset: float = struct.field(pytree_node=False, default=0.001)
+
+    def __post_init__(self) -> None:
+        for name, sound, remedy in (
+            ("local", self.local >= 1, "give 1 or more"),
+            ("cells", self.cells >= self.local and self.cells % self.local == 0, f"give a multiple of {self.local}"),
+            ("cell_size", 0 < self.cell_size < math.inf, "give metres above 0"),
+            ("reach", 0 < self.reach < math.inf, "give metres above 0"),
+            ("highest", self.highest > self.lowest, f"give metres above {self.lowest}"),
+        ):
+            if not sound:
+                raise InputError(f"{name} of the indoor map is {getattr(self, name)}; {remedy}")
+
+    @property
+    def window(self) -> int:
+        """Cells along the sides of the part of the map that one frame can touch."""
+        return min(2 * math.ceil((self.reach + self.inset) / self.cell_size) + 1, self.cells)
+
+
+@struct.dataclass
+class IndoorMap:
+    """What a robot knows of a house.
+
+    Attributes:
+      cells: the channels of each cell, one bit each, channel 0 the lowest.
+      origin: row and column of the first cell in the world's grid; they may be negative.
+    """
+
+    cells: UInt32[Array, "h w"]
+    origin: Int[Array, "2"]
+
+
+def empty_map(position: Float[Array, "2"], settings: MapSettings) -> IndoorMap:
+    """A map of which nothing has been seen, around the place where a robot starts (x and y, metres)."""
+    origin = grid_cell(position, settings.cell_size) - settings.cells // 2
+    return IndoorMap(cells=jnp.zeros((settings.cells, settings.cells), jnp.uint32), origin=origin)
+
+
+def grid_cell(position: Float[Array, "2"], cell_size: float) -> Int[Array, "2"]:
+    """Row and column of the cell that a place (x and y, metres) lies in."""
+    return cell_at(position, cell_size)[::-1]
+
+
+def has(cells: UInt32[Array, "h w"], channel: ArrayLike) -> Bool[Array, "h w"]:
+    """One channel of some cells."""
+    return (cells >> jnp.asarray(channel, jnp.uint32)) & 1 == 1
+
+
+def has_any_class(cells: UInt32[Array, "h w"]) -> Bool[Array, "h w"]:
+    """Cells of which any class has been seen. Obstacles without one are walls."""
+    return cells & jnp.uint32((1 << SEMANTIC_CLASSES) - 1) > 0
+
+
+def integrate(indoor_map: IndoorMap, frame: Frame, intrinsics: Intrinsics, settings: MapSettings) -> IndoorMap:
+    """The map after one more frame. Pixels without a return, or with one from out of reach, say nothing.
+
+    Where the floor is in view, and nothing that the robot could hit, there is none: so what has been booked to the cell
+    beside its own is forgotten.
+
+    Args:
+      indoor_map: so far.
+      frame: depth, classes and pose of the camera.
+      intrinsics: of the camera.
+      settings: those the map was made with.
+
+    Raises:
+      InputError: frame and intrinsics are of different sizes.
+    """
+    check_shapes(frame, intrinsics)
+    side = settings.window
+    middle = grid_cell(frame.pose.position[:2], settings.cell_size) - indoor_map.origin
+    corner = jnp.clip(middle - side // 2, 0, settings.cells - side)
+    lengths = jnp.linalg.norm(rays(intrinsics, frame.pose), axis=-1)
+    usable = (frame.depth > 0) & (frame.depth * lengths <= settings.reach)
+    found = _found(frame, intrinsics, usable, corner + indoor_map.origin, settings)
+    floor = _floor_in_view(frame, intrinsics, usable, corner + indoor_map.origin, settings)
+    before = jax.lax.dynamic_slice(indoor_map.cells, corner, (side, side))
+    kept = jnp.where(floor & ~has(found, OBSTACLE), jnp.uint32(0), before)
+    after = kept | found | (floor.astype(jnp.uint32) << EXPLORED)
+    return dataclasses.replace(indoor_map, cells=jax.lax.dynamic_update_slice(indoor_map.cells, after, corner))
+
+
+def _found(
+    frame: Frame, intrinsics: Intrinsics, usable: Bool[Array, "height width"], corner: Int[Array, "2"],
+    settings: MapSettings,
+) -> UInt32[Array, "n n"]:  # fmt: skip
+    """The channels that a frame's points give the cells of the window that begins at a corner of the world's grid."""
+    side = settings.window
+    shown = points(frame.depth, intrinsics, frame.pose)
+    row, column = _booked(shown, frame.pose.position, settings) - corner[:, None, None]
+    z = shown[..., 2]
+    inside = usable & (row >= 0) & (row < side) & (column >= 0) & (column < side)
+    hits = (z > settings.lowest) & (z < settings.highest)
+    label = jnp.where(frame.classes <= SEMANTIC_CLASSES, frame.classes, 0).astype(jnp.int32)
+    # One scatter of single bytes: whether a cell has a point of this class, apart for those that would be hit.
+    kinds = (2, SEMANTIC_CLASSES + 1, side, side)
+    place = jnp.ravel_multi_index((hits.astype(jnp.int32), label, row, column), kinds, mode="clip")
+    found = jnp.zeros(math.prod(kinds), bool).at[jnp.where(inside, place, math.prod(kinds))].set(True, mode="drop")
+    found = found.reshape(kinds)
+    classes, obstacle = jnp.any(found, axis=0), jnp.any(found[1], axis=0)
+    bits = enumerate([*classes[1:], obstacle, jnp.any(classes, axis=0)])
+    return functools.reduce(jnp.bitwise_or, (cells.astype(jnp.uint32) << number for number, cells in bits))
+
+
+def _booked(
+    shown: Float[Array, "height width 3"], origin: Float[Array, "3"], settings: MapSettings
+) -> Int[Array, "2 height width"]:
+    """Row and column of the cell that each point counts for.
+
+    A surface between two cells belongs to the one behind it, seen from the camera. Only across the border that a point
+    is nearest to it is moved over: along its ray, one at the edge of a wall would get past the wall's end.
+
+    Args:
+      shown: the points, metres.
+      origin: of the rays they were seen along, metres.
+      settings: of the map.
+    """
+    scale = jnp.array([-1, 1], jnp.float32) / settings.cell_size
+    place = shown[..., 1::-1] * scale
+    behind = jnp.sign(place - origin[1::-1] * scale) * (settings.inset / settings.cell_size)
+    off_border = jnp.abs(place - jnp.round(place))
+    across = off_border <= off_border[..., ::-1]
+    return jnp.moveaxis(jnp.floor(place + jnp.where(across, behind, 0)).astype(jnp.int32), -1, 0)
+
+
+def _floor_in_view(
+    frame: Frame, intrinsics: Intrinsics, usable: Bool[Array, "height width"], corner: Int[Array, "2"],
+    settings: MapSettings,
+) -> Bool[Array, "n n"]:  # fmt: skip
+    """Cells of the window in whose middle the floor is seen.
+
+    Far away, rows of pixels are several cells apart. A cell is seen if the pixel above its middle shows something
+    behind it.
+    """
+    along = jnp.arange(settings.window)
+    x = (along + corner[1] + 0.5) * settings.cell_size - frame.pose.position[0]
+    y = -(along[:, None] + corner[0] + 0.5) * settings.cell_size - frame.pose.position[1]
+    right, down, forward = (
+        x * axis[0] + y * axis[1] - frame.pose.position[2] * axis[2] for axis in frame.pose.rotation.T
+    )
+    column = jnp.round(right / forward * intrinsics.focal_x + intrinsics.center_x)
+    row = jnp.floor(down / forward * intrinsics.focal_y + intrinsics.center_y)
+    in_view = (column >= 0) & (column < intrinsics.width) & (row >= 0) & (row < intrinsics.height) & (forward > 0)
+    row, column = (jnp.where(in_view, place, 0).astype(jnp.int32) for place in (row, column))
+    return in_view & usable[row, column] & (frame.depth[row, column] >= forward)
+
+
+def stood_on(indoor_map: IndoorMap, position: Float[Array, "2"], radius: float, settings: MapSettings) -> IndoorMap:
+    """The map of a robot that knows that there is floor where it stands.
+
+    Args:
+      indoor_map: so far.
+      position: x and y of the robot, metres.
+      radius: of the robot, metres.
+      settings: those the map was made with.
+    """
+    rings = math.ceil(radius / settings.cell_size)
+    offsets = jnp.stack(jnp.meshgrid(*2 * (jnp.arange(-rings, rings + 1),), indexing="ij"), axis=-1)
+    cells = grid_cell(position, settings.cell_size) + offsets
+    middles = (cells[..., ::-1] + 0.5) * jnp.array([1, -1], jnp.float32) * settings.cell_size
+    covered = jnp.linalg.norm(middles - position, axis=-1) <= radius
+    row, column = jnp.moveaxis(cells - indoor_map.origin, -1, 0)
+    inside = covered & (row >= 0) & (column >= 0)
+    before = indoor_map.cells.at[row, column].get(mode="clip")
+    return dataclasses.replace(
+        indoor_map,
+        cells=indoor_map.cells.at[jnp.where(inside, row, settings.cells), column].set(
+            before | jnp.uint32(1 << EXPLORED), mode="drop"
+        ),
+    )
+
+
+def window(indoor_map: IndoorMap, middle: Int[Array, "2"], side: int) -> UInt32[Array, "side side"]:
+    """A square of cells around a cell of the world's grid, which comes to lie at `side // 2`. Off the map: 0.
+
+    Args:
+      indoor_map: the map.
+      middle: row and column in the world's grid.
+      side: of the square, cells.
+    """
+    height, width = indoor_map.cells.shape
+    first = middle - side // 2 - indoor_map.origin
+    rows, columns = first[0] + jnp.arange(side), first[1] + jnp.arange(side)
+    cells = indoor_map.cells.at[rows[:, None], columns].get(mode="clip")
+    inside = ((rows >= 0) & (rows < height))[:, None] & (columns >= 0) & (columns < width)
+    return jnp.where(inside, cells, jnp.uint32(0))
+
+
+def channels(cells: UInt32[Array, "h w"]) -> Float[Array, "18 h w"]:
+    """The 18 channels of some cells, 0 or 1: the classes, obstacle, explored."""
+    return ((cells >> jnp.arange(CHANNELS, dtype=jnp.uint32)[:, None, None]) & 1).astype(jnp.float32)
+
+
+def local_crop(
+    indoor_map: IndoorMap, position: Float[Array, "2"], settings: MapSettings
+) -> Float[Array, "18 local local"]:
+    """The channels of the map around a robot (x and y, metres), not turned: the paper's local map."""
+    return channels(window(indoor_map, grid_cell(position, settings.cell_size), settings.local))
+
+
+def global_pooled(
+    indoor_map: IndoorMap, position: Float[Array, "2"], settings: MapSettings
+) -> Float[Array, "18 local local"]:
+    """The channels of the whole map, averaged to the size of the local one: the paper's global map.
+
+    It has the robot (x and y, metres) in the middle like the local map, so that both show the same place there.
+    """
+    local, pool = settings.local, settings.cells // settings.local
+    cells = window(indoor_map, grid_cell(position, settings.cell_size), settings.cells)
+    squares = cells.reshape(local, pool, local, pool)
+    bits = (squares >> jnp.arange(CHANNELS, dtype=jnp.uint32)[:, None, None, None, None]) & 1
+    return jnp.sum(bits, axis=(2, 4), dtype=jnp.uint32).astype(jnp.float32) / pool**2
+
+
+def network_input(
+    indoor_map: IndoorMap, position: Float[Array, "2"], settings: MapSettings
+) -> Float[Array, "36 local local"]:
+    """What the network is shown of the map (section II-B): the channels of the local map, then of the global one."""
+    return jnp.concatenate([local_crop(indoor_map, position, settings), global_pooled(indoor_map, position, settings)])

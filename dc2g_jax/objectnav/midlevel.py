@@ -1,0 +1,345 @@
+"""Mid-level features of what the robot sees (section II-B): pictures, the interface, and two encoders behind it.
+
+The paper takes pretrained encoders for semantic segmentation, object classification and depth. The default here is one
+small network trained for these three tasks at once on the simulator's own pictures: what it knows about a picture, it
+has to say in one vector. Others are read from a file.
+
+A simulated house has no more looks than its classes have colours, so each house is painted: its objects in the colours
+of their classes, each a little different, and its floors by the type of room, since kitchens and bathrooms have other
+floors than bedrooms have. Walls tell nothing.
+"""
+
+import dataclasses
+import functools
+import json
+import math
+from pathlib import Path
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from flax import nnx, struct
+from jaxtyping import Array, Float, UInt8
+
+from dc2g_jax.errors import InputError
+from dc2g_jax.mapping.camera import CameraPose, intrinsics, rays
+from dc2g_jax.mapping.scene import Scene
+from dc2g_jax.mapping.simulator import FACE_TOP, FACE_X, cast
+from dc2g_jax.objectnav.agent import FIELD_OF_VIEW
+from dc2g_jax.objectnav.classes import BATHROOM, BEDROOM, CLASS_COLORS, CLASS_NAMES, KITCHEN, LIVING_ROOM
+from dc2g_jax.objectnav.weights import flattened, read_safetensors, read_weights, write_safetensors
+from dc2g_jax.objectnav.worlds import IndoorWorld
+
+#: Rows and columns of a picture, and of what the encoder is asked about it.
+IMAGE_SIZE = (48, 64)
+_BLOCK = 4
+_ASKED = (IMAGE_SIZE[0] // _BLOCK, IMAGE_SIZE[1] // _BLOCK)
+
+#: Pixels that an object's class must have to be in a picture, and the farthest depth that is told apart, metres.
+_PRESENT, _FAR = 12, 10.0
+
+#: Floors by type of room, walls, and where a ray meets nothing.
+_FLOORS = {BEDROOM: (196, 170, 140), BATHROOM: (170, 196, 206), KITCHEN: (206, 200, 182), LIVING_ROOM: (158, 120, 88)}
+_WALL, _NOTHING = (226, 224, 218), (245, 245, 242)
+
+#: Brightness of faces that look along x, along y and up.
+_LIGHT = (0.82, 0.7, 1.0)
+
+
+@struct.dataclass
+class View:
+    """What a camera sees.
+
+    Attributes:
+      image: colours.
+      depth: along the optical axis, metres; 0 where there is nothing.
+      classes: of objects; 0 for floor and walls.
+    """
+
+    image: UInt8[Array, "*b 48 64 3"]
+    depth: Float[Array, "*b 48 64"]
+    classes: UInt8[Array, "*b 48 64"]
+
+
+class ImageEncoder(Protocol):
+    """Makes a vector of mid-level features of a picture."""
+
+    @property
+    def size(self) -> int:
+        """Length of the vector."""
+        ...
+
+    def encode(self, images: UInt8[Array, "b h w 3"]) -> Float[Array, "b f"]:
+        """The features of pictures."""
+        ...
+
+
+def painted(world: IndoorWorld, rng: np.random.Generator) -> UInt8[np.ndarray, "h w 3"]:
+    """The colour of what is highest in each cell of a house.
+
+    Args:
+      world: one house.
+      rng: where chance comes from: no two chairs have the same colour.
+    """
+    objects = np.append(CLASS_COLORS[np.asarray(world.objects.classes)], [_WALL], axis=0)
+    objects = objects + rng.normal(0, 14, objects.shape)
+    kinds = np.asarray(world.room_kinds)
+    floors = np.array([_FLOORS.get(int(kind), _NOTHING) for kind in kinds]) + rng.normal(0, 10, (len(kinds), 3))
+    cells = np.where(
+        np.asarray(world.obstacle)[..., None], objects[np.asarray(world.instances)], floors[np.asarray(world.rooms)]
+    )
+    return np.clip(np.round(cells), 0, 255).astype(np.uint8)
+
+
+def view(scene: Scene, paint: UInt8[Array, "h w 3"], pose: CameraPose) -> View:
+    """What the camera of a robot sees of a house, as far as it reaches.
+
+    Args:
+      scene: the house.
+      paint: colour of each cell, see `painted`.
+      pose: of the camera.
+    """
+    to_hit = jax.vmap(jax.vmap(lambda ray: cast(scene, pose.position, ray, jnp.float32(math.inf))))
+    hits = to_hit(rays(intrinsics(FIELD_OF_VIEW, *IMAGE_SIZE), pose))
+    met = hits.distance > 0
+    light = jnp.asarray(_LIGHT, jnp.float32)[jnp.where(hits.face == FACE_TOP, 2, jnp.where(hits.face == FACE_X, 0, 1))]
+    colours = paint.at[hits.row, hits.column].get(mode="clip") * light[..., None]
+    return View(
+        image=jnp.where(met[..., None], colours, jnp.asarray(_NOTHING, jnp.float32)).astype(jnp.uint8),
+        depth=hits.distance,
+        classes=jnp.where(met, scene.classes.at[hits.row, hits.column].get(mode="clip"), 0).astype(jnp.uint8),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class EncoderArchitecture:
+    """What it takes to build the default encoder again.
+
+    Attributes:
+      widths: channels at 1/4, 1/8 and 1/16 of the picture's resolution.
+      features: length of the vector.
+    """
+
+    widths: tuple[int, int, int] = (24, 32, 48)
+    features: int = 64
+
+
+class Answers(struct.PyTreeNode):
+    """What the default encoder's vector says about a picture, in blocks of 4 x 4 pixels.
+
+    Attributes:
+      classes: log-odds of the class of each block.
+      presence: log-odds that a class of objects is anywhere in the picture.
+      depth: of each block, tens of metres.
+    """
+
+    classes: Float[Array, "b 12 16 17"]
+    presence: Float[Array, "b 17"]
+    depth: Float[Array, "b 12 16"]
+
+
+class SmallEncoder(nnx.Module):
+    """Three layers, each coarser than the last, to one vector, and from that alone the answers to the three tasks."""
+
+    def __init__(self, architecture: EncoderArchitecture, *, rngs: nnx.Rngs):
+        first, second, third = architecture.widths
+        rows, columns = _ASKED[0] // 4, _ASKED[1] // 4
+        self.take = nnx.Linear(3 * _BLOCK**2, first, rngs=rngs)
+        self.halve = nnx.Conv(first, second, (3, 3), strides=(2, 2), rngs=rngs)
+        self.halve_again = nnx.Conv(second, third, (3, 3), strides=(2, 2), rngs=rngs)
+        self.vector = nnx.Linear(rows * columns * third, architecture.features, rngs=rngs)
+        self.widen = nnx.Linear(architecture.features, _ASKED[0] * _ASKED[1] * 8, rngs=rngs)
+        self.smooth = nnx.Conv(8, 32, (3, 3), rngs=rngs)
+        self.blocks = nnx.Linear(32, len(CLASS_NAMES) + 1, rngs=rngs)
+        self.presence = nnx.Linear(architecture.features, len(CLASS_NAMES), rngs=rngs)
+
+    def encode(self, images: UInt8[Array, "b 48 64 3"]) -> Float[Array, "b f"]:
+        """The features of pictures, from -1 to 1."""
+        blocks = images.reshape(len(images), _ASKED[0], _BLOCK, _ASKED[1], _BLOCK, 3).transpose(0, 1, 3, 2, 4, 5)
+        at = blocks.reshape(len(images), *_ASKED, -1).astype(jnp.float32) / 127.5 - 1
+        for layer in (self.take, self.halve, self.halve_again):
+            at = nnx.relu(layer(at))
+        return jnp.tanh(self.vector(at.reshape(len(at), -1)))
+
+    def answer(self, features: Float[Array, "b f"]) -> Answers:
+        """What features say about their pictures."""
+        blocks = nnx.relu(self.widen(features)).reshape(len(features), *_ASKED, 8)
+        found = self.blocks(nnx.relu(self.smooth(blocks)))
+        return Answers(found[..., 1:], self.presence(features), found[..., 0])
+
+
+def init_encoder(architecture: EncoderArchitecture, key: Array) -> dict[str, Any]:
+    """Fresh weights: a nested dictionary of float32 arrays."""
+    return nnx.to_pure_dict(nnx.split(SmallEncoder(architecture, rngs=nnx.Rngs(key)))[1])
+
+
+def build_encoder(architecture: EncoderArchitecture, weights: dict[str, Any]) -> SmallEncoder:
+    """The network with these weights."""
+    graph, state = nnx.split(nnx.eval_shape(lambda: SmallEncoder(architecture, rngs=nnx.Rngs(0))))
+    nnx.replace_by_pure_dict(state, weights)
+    return nnx.merge(graph, state)
+
+
+@struct.dataclass
+class TrainedEncoder:
+    """The default encoder, see `ImageEncoder`.
+
+    Attributes:
+      weights: of `SmallEncoder`.
+      architecture: of it.
+    """
+
+    weights: Any
+    architecture: EncoderArchitecture = struct.field(pytree_node=False)
+
+    @property
+    def size(self) -> int:
+        """Length of the vector."""
+        return self.architecture.features
+
+    def encode(self, images: UInt8[Array, "b 48 64 3"]) -> Float[Array, "b f"]:
+        """The features of pictures."""
+        return build_encoder(self.architecture, self.weights).encode(images)
+
+
+@struct.dataclass
+class ConvolutionEncoder:
+    """Someone else's encoder, see `ImageEncoder`: convolutions with rectifiers, and what comes out as one vector.
+
+    Attributes:
+      kernels: of each layer, output channels first, as PyTorch has them.
+      biases: of each layer.
+      stride: of every layer.
+    """
+
+    kernels: tuple[Float[Array, "out in rows columns"], ...]
+    biases: tuple[Float[Array, "out"], ...]
+    stride: int = struct.field(pytree_node=False, default=2)
+
+    @property
+    def size(self) -> int:
+        """Length of the vector."""
+        image = jax.ShapeDtypeStruct((1, *IMAGE_SIZE, 3), jnp.uint8)
+        return jax.eval_shape(lambda images: self.encode(images), image).shape[1]
+
+    def encode(self, images: UInt8[Array, "b h w 3"]) -> Float[Array, "b f"]:
+        """The features of pictures. They are given to the first layer from -1 to 1, and padded by half a kernel."""
+        at = images.astype(jnp.float32).transpose(0, 3, 1, 2) / 127.5 - 1
+        for kernel, bias in zip(self.kernels, self.biases, strict=True):
+            padding = [(size // 2, size // 2) for size in kernel.shape[2:]]
+            at = jax.lax.conv_general_dilated(at, kernel, (self.stride, self.stride), padding)
+            at = nnx.relu(at + bias[:, None, None])
+        return at.reshape(len(at), -1)
+
+
+def save_encoder(path: str | Path, encoder: TrainedEncoder, facts: dict[str, str]) -> None:
+    """Write the default encoder to a safetensors file, in half precision.
+
+    Args:
+      path: the file; replaced if there is one.
+      encoder: what to save.
+      facts: what to know about it.
+    """
+    tensors = {name: np.asarray(leaf, np.float16) for name, leaf in flattened(encoder.weights).items()}
+    architecture = json.dumps(dataclasses.asdict(encoder.architecture))
+    write_safetensors(path, tensors, {**facts, "encoder": "small", "architecture": architecture})
+
+
+def load_encoder(path: str | Path) -> TrainedEncoder | ConvolutionEncoder:
+    """Read an encoder from a safetensors file.
+
+    It is the default encoder if it was written by `save_encoder`. Else it has to be a `ConvolutionEncoder`: arrays
+    `layers.0.weight` [out in rows columns], `layers.0.bias` [out], `layers.1.weight` and so on, and in the metadata the
+    stride of its layers, 2 if it says nothing. What is built otherwise needs an `ImageEncoder` of its own.
+
+    Raises:
+      InputError: the file cannot be read, or is no encoder.
+    """
+    tensors, facts = read_safetensors(path)
+    remedy = "give a file of convolutions layers.0.weight, layers.0.bias, layers.1.weight and so on"
+    if facts.get("encoder") == "small":
+        try:
+            known = json.loads(facts["architecture"])
+            architecture = EncoderArchitecture(tuple(known["widths"]), int(known["features"]))
+            shapes = jax.eval_shape(lambda: init_encoder(architecture, jax.random.key(0)))
+        except (KeyError, TypeError, ValueError):
+            raise InputError(f"{path}: its metadata name no architecture; write the encoder again") from None
+        return TrainedEncoder(weights=read_weights(path, shapes, tensors), architecture=architecture)
+    names = [f"layers.{layer}.{part}" for layer in range(len(tensors) // 2) for part in ("weight", "bias")]
+    if not names or sorted(names) != sorted(tensors):
+        raise InputError(f"{path}: has arrays {', '.join(sorted(tensors)[:4]) or 'none'}; {remedy}")
+    arrays = [jnp.asarray(tensors[name], jnp.float32) for name in names]
+    kernels, biases = tuple(arrays[::2]), tuple(arrays[1::2])
+    channels = 3
+    for layer, (kernel, bias) in enumerate(zip(kernels, biases, strict=True)):
+        if kernel.ndim != 4 or kernel.shape[1] != channels or bias.shape != kernel.shape[:1]:
+            raise InputError(
+                f"{path}: layer {layer} has a weight {kernel.shape} and a bias {bias.shape}, but {channels} channels "
+                f"come to it; {remedy}"
+            )
+        channels = kernel.shape[0]
+    stride = facts.get("stride", "2")
+    if not stride.isdecimal() or int(stride) < 1:
+        raise InputError(f"{path}: the stride is {stride!r}; write a whole number above 0 in its metadata")
+    return ConvolutionEncoder(kernels=kernels, biases=biases, stride=int(stride))
+
+
+def task_losses(answers: Answers, views: View) -> dict[str, Float[Array, ""]]:
+    """Mean losses of the three tasks over a batch: cross entropies in nats, error of the depth in tens of metres."""
+    classes = views.classes[:, _BLOCK // 2 :: _BLOCK, _BLOCK // 2 :: _BLOCK]
+    depth = views.depth[:, _BLOCK // 2 :: _BLOCK, _BLOCK // 2 :: _BLOCK]
+    present = jnp.sum(jax.nn.one_hot(views.classes, len(CLASS_NAMES)), axis=(1, 2)) >= _PRESENT
+    error = jnp.abs(answers.depth - jnp.minimum(depth, _FAR) / 10)
+    return {
+        "segmentation": jnp.mean(optax.softmax_cross_entropy_with_integer_labels(answers.classes, classes)),
+        "presence": jnp.mean(optax.sigmoid_binary_cross_entropy(answers.presence, present)),
+        "depth": jnp.sum(jnp.where(depth > 0, error, 0)) / jnp.maximum(jnp.sum(depth > 0), 1),
+    }
+
+
+def train_encoder(
+    architecture: EncoderArchitecture, views: View, *, steps: int, batch_size: int = 64, seed: int = 0
+) -> tuple[TrainedEncoder, list[dict[str, float]]]:
+    """Train the default encoder on pictures; the same bits for the same seed.
+
+    Args:
+      architecture: of the encoder.
+      views: all pictures.
+      steps: optimiser steps.
+      batch_size: pictures a step.
+      seed: of weights and batches.
+
+    Returns:
+      The encoder, and the mean losses of each tenth of the steps.
+    """
+    optimizer = optax.adam(optax.cosine_decay_schedule(2e-3, max(steps, 1)))
+    weights = init_encoder(architecture, jax.random.key(seed))
+    state = optimizer.init(weights)
+
+    @functools.partial(jax.jit, donate_argnums=(0, 1))
+    def step(weights: Any, state: Any, views: View, number: Array) -> tuple[Any, Any, dict[str, Array]]:
+        key = jax.random.fold_in(jax.random.key(seed + 1), number)
+        chosen = jax.random.randint(key, (batch_size,), 0, len(views.image))
+        batch = jax.tree.map(lambda leaf: leaf[chosen], views)
+
+        def loss(weights: Any) -> tuple[Array, dict[str, Array]]:
+            network = build_encoder(architecture, weights)
+            losses = task_losses(network.answer(network.encode(batch.image)), batch)
+            return sum(losses.values(), jnp.float32(0)), losses
+
+        (_, losses), gradients = jax.value_and_grad(loss, has_aux=True)(weights)
+        updates, state = optimizer.update(gradients, state, weights)
+        return optax.apply_updates(weights, updates), state, losses
+
+    history = []
+    for number in range(steps):
+        weights, state, losses = step(weights, state, views, jnp.int32(number))
+        history.append(losses)
+    size = max(steps // 10, 1)
+    means = [
+        {name: float(np.mean([np.asarray(one[name]) for one in part])) for name in part[0]}
+        for part in (history[first : first + size] for first in range(0, len(history), size))
+    ]
+    return TrainedEncoder(weights=weights, architecture=architecture), means

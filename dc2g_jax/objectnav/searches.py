@@ -1,0 +1,183 @@
+"""Many searches for objects at once: where they begin, and what the robots do.
+
+What comes of them is judged in `dc2g_jax.objectnav.evaluation`.
+"""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int
+
+from dc2g_jax.devices import Report, every_device, share_out
+from dc2g_jax.errors import InputError
+from dc2g_jax.objectnav.agent import DECLARED, Agent, Robot, Site, leg, set_out, site_of, under_way
+from dc2g_jax.objectnav.classes import CLASS_NAMES, GOALS
+from dc2g_jax.objectnav.houses import IndoorHouse
+from dc2g_jax.objectnav.starts import sample_starts
+from dc2g_jax.objectnav.worlds import pad_world
+
+#: Control periods of an episode: 50 s (section III-C).
+TIME_LIMIT = 500
+
+#: Legs of a robot between two reports of progress.
+_LEGS_PER_CALL = 5
+
+
+class Episode(NamedTuple):
+    """A search to be made.
+
+    Attributes:
+      house: name of the house.
+      target: name of the wanted class.
+      x: of the start, metres.
+      y: of the start, metres.
+      yaw: where the robot faces there, radians.
+    """
+
+    house: str
+    target: str
+    x: float
+    y: float
+    yaw: float
+
+
+@struct.dataclass
+class Searches:
+    """What robots did, in the order of the episodes.
+
+    Attributes:
+      track: see `dc2g_jax.objectnav.agent.Robot`.
+      declared: did the robot say that it was there?
+      steps: control periods.
+      bumps: of these, those in which it ran into something.
+    """
+
+    track: Float[np.ndarray, "episodes time 5"]
+    declared: Bool[np.ndarray, "episodes"]
+    steps: Int[np.ndarray, "episodes"]
+    bumps: Int[np.ndarray, "episodes"]
+
+
+def sample_episodes(houses: Sequence[IndoorHouse], per_house: int, *, seed: int = 0) -> list[Episode]:
+    """Random starts with a random target each, of the classes that can be reached in the house (section III-C).
+
+    Houses in which no object of any class can be reached are passed over.
+
+    Args:
+      houses: where.
+      per_house: episodes in each.
+      seed: of starts and targets; what is drawn in a house does not depend on the others.
+
+    Raises:
+      InputError: there is no episode at all.
+    """
+    episodes: list[Episode] = []
+    for house in houses:
+        rng = np.random.default_rng([seed, *house.name.encode()])
+        drawn = {goal: sample_starts(house.world, goal, per_house, rng=rng) for goal in GOALS}
+        goals = [goal for goal in GOALS if len(drawn[goal])]
+        for number, goal in enumerate(rng.choice(goals, per_house).tolist() if goals else []):
+            x, y, yaw = drawn[goal][number].tolist()
+            episodes.append(Episode(house.name, CLASS_NAMES[goal], x, y, yaw))
+    if not episodes:
+        raise InputError(f"no object can be searched for in {len(houses)} houses; give others, or more of them")
+    return episodes
+
+
+def search_all(
+    agent: Agent,
+    houses: Sequence[IndoorHouse],
+    episodes: Sequence[Episode],
+    *,
+    limit: int = TIME_LIMIT,
+    seed: int = 0,
+    on_progress: Callable[[int], None] | None = None,
+) -> Searches:
+    """Run every episode to its end, on all cores or accelerators.
+
+    Args:
+      agent: what the robots are made of.
+      houses: those of the episodes; cells as large as those of the agent's map.
+      episodes: at least one.
+      limit: control periods after which an episode ends.
+      seed: of all random numbers of the robots.
+      on_progress: called now and then with the number of episodes that have ended.
+
+    Raises:
+      InputError: the houses' cells are not those of the agent's map.
+    """
+    sites, site_numbers = _sites(agent, houses)
+    keys = jax.random.split(jax.random.key(seed), len(episodes))
+    where = np.array([site_numbers[episode.house] for episode in episodes], np.int32)
+    starts = np.array([(episode.x, episode.y, episode.yaw) for episode in episodes], np.float32)
+    targets = np.array([GOALS.index(CLASS_NAMES.index(episode.target)) for episode in episodes], np.int32)
+
+    def serve(device: jax.Device, own: Int[np.ndarray, "own"], report: Report) -> Searches:
+        on_device = functools.partial(jax.device_put, device=device)
+        own_agent, own_sites, own_where = on_device((agent, sites, where[own]))
+        one_by_one = device.platform == "cpu"
+        robots = _set_out(*on_device((keys[own], starts[own], targets[own])), own_agent, limit=limit)
+        go_on = functools.partial(_go_on, own_where, own_sites, own_agent, one_by_one=one_by_one)
+        # Drives no leg: this is where the program is compiled.
+        robots = jax.block_until_ready(go_on(robots, legs=jnp.int32(0)))
+        left, goes_on = len(own), report(0)
+        while left and goes_on:
+            robots = go_on(robots, legs=jnp.int32(_LEGS_PER_CALL))
+            left = int(np.sum(_under_way(robots)))
+            goes_on = report(len(own) - left)
+        return Searches(
+            track=np.asarray(robots.track),
+            declared=np.asarray(robots.status == DECLARED),
+            steps=np.asarray(robots.periods),
+            bumps=np.asarray(robots.bumps),
+        )
+
+    return share_out(len(episodes), every_device()[: len(episodes)], serve, on_progress)
+
+
+def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[Site, dict[str, int]]:
+    """Houses of one size as sites, stacked, and the number of each by its name."""
+    size = agent.mapping.cell_size
+    for house in houses:
+        if abs(float(house.world.cell_size) - size) > 1e-6:
+            own = float(house.world.cell_size)
+            raise InputError(f"{house.name} has cells of {own:g} m, the agent's map of {size:g} m; make them alike")
+    worlds = [house.world for house in houses]
+    rows, columns = (max(world.free.shape[axis] for world in worlds) for axis in (0, 1))
+    padded = [pad_world(world, rows, columns, len(world.room_kinds), len(world.objects.classes)) for world in worlds]
+    sites = [site_of(world, agent.controller.limits.radius) for world in padded]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sites), {house.name: n for n, house in enumerate(houses)}
+
+
+@functools.partial(jax.jit, static_argnames=("limit",))
+def _set_out(keys: Array, starts: Array, targets: Array, agent: Agent, *, limit: int) -> Robot:
+    return jax.vmap(lambda key, start, target: set_out(key, start, target, agent, limit))(keys, starts, targets)
+
+
+@jax.jit
+def _under_way(robots: Robot) -> Bool[Array, "robots"]:
+    return jax.vmap(under_way)(robots)
+
+
+@functools.partial(jax.jit, static_argnames=("one_by_one",), donate_argnums=(3,))
+def _go_on(where: Array, sites: Site, agent: Agent, robots: Robot, *, legs: Array, one_by_one: bool) -> Robot:
+    """Every robot that is under way some legs later.
+
+    On a CPU one robot after the other, so that a branch not taken is not computed; on accelerators all together.
+    """
+
+    def one(number: Int[Array, ""], robot: Robot) -> Robot:
+        site = jax.tree.map(lambda leaf: leaf[number], sites)
+        until = robot.periods + legs * agent.renewal
+        return jax.lax.while_loop(
+            lambda robot: under_way(robot) & (robot.periods < until), lambda robot: leg(robot, site, agent), robot
+        )
+
+    if one_by_one:
+        return jax.lax.map(lambda args: one(*args), (where, robots))
+    return jax.vmap(one)(where, robots)

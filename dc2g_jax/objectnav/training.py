@@ -1,0 +1,211 @@
+"""Training the network that predicts cost maps: recipes, one step, and how good it is on houses it does not know."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float
+
+from dc2g_jax.estimation.training import TrainingState
+from dc2g_jax.objectnav import networks
+from dc2g_jax.objectnav.data import (
+    ALL_SYMMETRIES,
+    NORMALISATIONS,
+    PAPER_ROTATIONS,
+    UPRIGHT,
+    Samples,
+    TrainingSet,
+    draw_samples,
+)
+from dc2g_jax.objectnav.losses import LossWeights, total_loss
+from dc2g_jax.objectnav.metrics import FIVE_ACTIONS, NINE_ACTIONS, action_accuracy, confusion, occupancy_scores
+from dc2g_jax.objectnav.networks import CostMapArchitecture, CostMapEstimator, fused_cost
+
+
+@dataclasses.dataclass(frozen=True)
+class Recipe:
+    """How a network is optimised.
+
+    Attributes:
+      optimizer: a name of `OPTIMIZERS`.
+      peak: learning rate after the warm-up.
+      last: learning rate in the end, after a cosine decay.
+      warmup: share of the steps over which the rate rises to its peak.
+      weight_decay: of the weights, see the optimisers.
+      symmetries: chance of each of `dc2g_jax.objectnav.data.SYMMETRIES`.
+      normalisation: a name of `NORMALISATIONS`.
+      average_decay: decay of the running average of the weights, which is what is kept; 0 keeps the weights themselves.
+    """
+
+    optimizer: str
+    peak: float
+    last: float
+    warmup: float
+    weight_decay: float
+    symmetries: tuple[float, ...]
+    normalisation: str
+    average_decay: float
+
+
+def _sgd(rate: optax.Schedule, weight_decay: float) -> optax.GradientTransformation:
+    """Stochastic gradient descent; the decay is part of the gradient. The paper names no momentum; 0.9 is usual."""
+    return optax.chain(optax.add_decayed_weights(weight_decay), optax.sgd(rate, momentum=0.9))
+
+
+def _adamw(rate: optax.Schedule, weight_decay: float) -> optax.GradientTransformation:
+    """AdamW with clipped gradients and decoupled decay."""
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate, weight_decay=weight_decay))
+
+
+#: Optimisers by name: `(learning rate by step, weight decay) -> optimiser`.
+OPTIMIZERS: dict[str, Callable[[optax.Schedule, float], optax.GradientTransformation]] = {"sgd": _sgd, "adamw": _adamw}
+
+#: Section III-D; 25 of 200 epochs are warm-up.
+PAPER_RECIPE = Recipe("sgd", 15e-5, 1e-5, 0.125, 0.01, PAPER_ROTATIONS, "share", 0.0)
+
+#: The one that does better within minutes: costs in metres, all symmetries.
+BETTER_RECIPE = Recipe("adamw", 1.5e-3, 1e-5, 0.05, 0.01, ALL_SYMMETRIES, "relative", 0.998)
+
+RECIPES = {"better": BETTER_RECIPE, "paper": PAPER_RECIPE}
+
+
+@dataclasses.dataclass(frozen=True)
+class CostMapConfig:
+    """How to train a network.
+
+    Attributes:
+      architecture: the network.
+      recipe: how it is optimised.
+      loss_weights: of the three losses.
+      steps: optimiser steps in all.
+      batch_size: samples a step.
+      seed: of weights and batches.
+    """
+
+    architecture: CostMapArchitecture = dataclasses.field(default_factory=CostMapArchitecture)
+    recipe: Recipe = BETTER_RECIPE
+    loss_weights: LossWeights = dataclasses.field(default_factory=LossWeights)
+    steps: int = 4000
+    batch_size: int = 16
+    seed: int = 0
+
+
+def optimizer(config: CostMapConfig) -> optax.GradientTransformation:
+    """The recipe's optimiser with its learning rate over the steps."""
+    recipe = config.recipe
+    warmup = round(recipe.warmup * config.steps)
+    rate = optax.warmup_cosine_decay_schedule(0.0, recipe.peak, warmup, max(config.steps, warmup + 1), recipe.last)
+    return OPTIMIZERS[recipe.optimizer](rate, recipe.weight_decay)
+
+
+def first_state(config: CostMapConfig) -> TrainingState:
+    """The state before the first step."""
+    weights = networks.init_weights(config.architecture, jax.random.key(config.seed))
+    return TrainingState(
+        step=jnp.int32(0),
+        weights=weights,
+        average=jax.tree.map(jnp.array, weights),
+        optimizer=optimizer(config).init(weights),
+    )
+
+
+def mean_loss(config: CostMapConfig, weights: Any, samples: Samples) -> tuple[Float[Array, ""], dict[str, Array]]:
+    """Mean over a batch of equation (4), and of each of its losses."""
+    prediction = networks.apply(
+        config.architecture, weights, samples.maps, samples.target, samples.heading, samples.features
+    )
+    of_map = functools.partial(total_loss, weights=config.loss_weights)
+    return jax.tree.map(jnp.mean, jax.vmap(of_map)(prediction, samples.occupied, samples.cost))
+
+
+@functools.partial(jax.jit, static_argnames="config", donate_argnames="state")
+def train_step(
+    state: TrainingState, data: TrainingSet, *, config: CostMapConfig
+) -> tuple[TrainingState, Float[Array, ""]]:
+    """Take one optimiser step; the old state is used up.
+
+    The batch depends on the seed and the number of the step alone, so training that was interrupted and resumed gives
+    the same weights as training that was not.
+
+    Returns:
+      The new state and the loss.
+    """
+    recipe = config.recipe
+    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(config.seed), 1), state.step)
+    samples = draw_samples(
+        key,
+        data,
+        batch_size=config.batch_size,
+        symmetries=recipe.symmetries,
+        normalise=NORMALISATIONS[recipe.normalisation],
+    )
+    (loss, _), gradient = jax.value_and_grad(lambda weights: mean_loss(config, weights, samples), has_aux=True)(
+        state.weights
+    )
+    updates, optimizer_state = optimizer(config).update(gradient, state.optimizer, state.weights)
+    weights = optax.apply_updates(state.weights, updates)
+    # Early on the average is of the steps so far, later exponential.
+    decay = jnp.minimum(recipe.average_decay, (1.0 + state.step) / (10.0 + state.step))
+    average = jax.tree.map(lambda a, w: decay * a + (1 - decay) * w, state.average, weights)
+    return TrainingState(step=state.step + 1, weights=weights, average=average, optimizer=optimizer_state), loss
+
+
+@functools.partial(jax.jit, static_argnames="config")
+def _examine(weights: Any, samples: Samples, config: CostMapConfig) -> dict[str, Array]:
+    """Losses, confusion matrix and accuracies of actions on a batch."""
+    prediction = networks.apply(
+        config.architecture, weights, samples.maps, samples.target, samples.heading, samples.features
+    )
+    of_map = functools.partial(total_loss, weights=config.loss_weights)
+    loss, losses = jax.tree.map(jnp.mean, jax.vmap(of_map)(prediction, samples.occupied, samples.cost))
+    costs = fused_cost(prediction)
+
+    def accuracy(actions: tuple[tuple[int, int], ...]) -> Array:
+        return jnp.mean(jax.vmap(functools.partial(action_accuracy, actions=actions))(costs, samples.cost))
+
+    return {
+        "loss": loss,
+        **losses,
+        "confusion": jnp.sum(jax.vmap(confusion)(prediction.occupancy > 0.5, samples.occupied), axis=0),
+        "aAP5": accuracy(FIVE_ACTIONS),
+        "aAP9": accuracy(NINE_ACTIONS),
+    }
+
+
+def validation_samples(data: TrainingSet, config: CostMapConfig, count: int) -> list[Samples]:
+    """The same samples in every validation, as they are, in batches as large as those of training."""
+    draw = jax.jit(
+        functools.partial(
+            draw_samples,
+            batch_size=config.batch_size,
+            symmetries=UPRIGHT,
+            normalise=NORMALISATIONS[config.recipe.normalisation],
+        )
+    )
+    keys = jax.random.split(jax.random.key(0), max(count // config.batch_size, 1))
+    return [draw(key, data) for key in keys]
+
+
+def figures(estimator: CostMapEstimator, batches: list[Samples], config: CostMapConfig) -> dict[str, float]:
+    """Losses and metrics of section III-B on samples; metrics in percent.
+
+    Args:
+      estimator: the network.
+      batches: what to try it on.
+      config: how it was trained.
+    """
+    found = [jax.tree.map(np.asarray, _examine(estimator.weights, batch, config)) for batch in batches]
+    counts = sum(batch["confusion"].astype(np.float64) for batch in found)
+    scores = occupancy_scores(jnp.asarray(counts, jnp.float32))
+    mean = {name: float(np.mean([batch[name] for batch in found])) for name in found[0] if name != "confusion"}
+    percent: dict[str, Any] = {"MPA": scores.accuracy, "mF1": scores.f1, "mIoU": scores.iou}
+    percent |= {name: mean.pop(name) for name in ("aAP5", "aAP9")}
+    return {
+        **{name: round(value, 4) for name, value in mean.items()},
+        **{name: round(100 * float(value), 2) for name, value in percent.items()},
+    }

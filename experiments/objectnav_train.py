@@ -1,0 +1,216 @@
+"""Train the network that predicts cost maps indoors: `python -m experiments.objectnav_train --out checkpoints/indoors`.
+
+Interrupted or killed, it goes on where it was when run again with --resume.
+"""
+
+import dataclasses
+import functools
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from dc2g_jax.datasets.houses import PROCEDURAL
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax.estimation.training import TrainingState
+from dc2g_jax.objectnav.collecting import CollectionConfig, collect, random_views
+from dc2g_jax.objectnav.data import TrainingSet
+from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
+from dc2g_jax.objectnav.mapping import MapSettings
+from dc2g_jax.objectnav.midlevel import EncoderArchitecture, ImageEncoder, load_encoder, save_encoder, train_encoder
+from dc2g_jax.objectnav.networks import ABLATIONS, CostMapArchitecture, CostMapEstimator, save_estimator
+from dc2g_jax.objectnav.training import (
+    RECIPES,
+    CostMapConfig,
+    Recipe,
+    figures,
+    first_state,
+    train_step,
+    validation_samples,
+)
+from experiments.common import OutOption, command_line
+from experiments.outputs import command_written, commit, output_folder
+from experiments.training_loop import FiniteLoss, run_steps
+
+#: The encoder that is trained where none is given: houses of the training split, pictures of each.
+_ENCODER_HOUSES, _PICTURES_A_HOUSE = 200, 40
+
+#: The journeys of validation houses have another seed.
+_VALIDATION_SEED = 1_000_003
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Train the network that predicts cost maps for object goals indoors (section II), training houses only.
+
+    Attributes:
+      out: folder for checkpoints, the network and the log.
+      houses: `procedural`, or a folder of houses in ProcTHOR's format.
+      count: training houses; all of a folder's where not given, 300 procedural ones.
+      validation_houses: houses of the validation split to try the network on.
+      cell_size: side of a map's cell, metres.
+      collection: what to collect in the houses.
+      encoder: safetensors file with an encoder of pictures; where not given one is trained first and written to `out`.
+      encoder_steps: optimiser steps of that encoder.
+      recipe: `paper` for the paper's, `better` for the one that does better in minutes.
+      learning_rate: the highest one, where it is to be another than the recipe's.
+      inputs: what the network is shown: semantic classes, mid-level features, or both (Table II).
+      patch: side of the square of cells that the network's first layer takes as one.
+      widths: channels of the network, from the first layer down to the bottleneck.
+      steps: optimiser steps.
+      batch_size: samples a step.
+      seed: of weights and batches.
+      validate_every: steps between validations; the last step is one too.
+      validation_samples: how many samples to validate on.
+      minutes_per_checkpoint: how often to save, in minutes.
+      resume: go on with the run in `out`, begun with the same options, where it stopped.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    houses: str = PROCEDURAL
+    count: Annotated[int | None, tyro.conf.arg(help_behavior_hint="")] = None
+    validation_houses: int = 20
+    cell_size: float = MapSettings.cell_size
+    collection: tyro.conf.OmitArgPrefixes[CollectionConfig] = dataclasses.field(default_factory=CollectionConfig)
+    encoder: OutOption = None
+    encoder_steps: int = 3000
+    recipe: Literal["better", "paper"] = "better"
+    learning_rate: Annotated[float | None, tyro.conf.arg(help_behavior_hint="")] = None
+    inputs: Literal["both", "semantic", "midlevel"] = "both"
+    patch: int = CostMapArchitecture.patch
+    widths: tuple[int, ...] = CostMapArchitecture.widths
+    steps: int = CostMapConfig.steps
+    batch_size: int = CostMapConfig.batch_size
+    seed: int = 0
+    validate_every: int = 1000
+    validation_samples: int = 512
+    minutes_per_checkpoint: float = 2.0
+    resume: bool = False
+
+    def training(self, features: int) -> CostMapConfig:
+        """How to train a network that is given so many mid-level features.
+
+        Raises:
+          InputError: a number makes no sense.
+        """
+        try:
+            architecture = CostMapArchitecture(
+                patch=self.patch, widths=self.widths, features=features, inputs=ABLATIONS[self.inputs]
+            )
+        except ValueError as error:
+            raise InputError(f"--widths or --patch: {error}") from None
+        recipe: Recipe = RECIPES[self.recipe]
+        if self.learning_rate is not None:
+            recipe = dataclasses.replace(recipe, peak=self.learning_rate)
+        return CostMapConfig(architecture, recipe, steps=self.steps, batch_size=self.batch_size, seed=self.seed)
+
+
+def open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
+    """The encoder that is named, or the one that was trained for this run, or is now."""
+    own = options.out / "encoder.safetensors"
+    if options.encoder is not None or own.exists():
+        return load_encoder(options.encoder or own)
+    views = random_views(
+        houses[:_ENCODER_HOUSES], _PICTURES_A_HOUSE, options.collection.data_seed, options.collection.largest
+    )
+    encoder, losses = train_encoder(EncoderArchitecture(), views, steps=options.encoder_steps, seed=options.seed)
+    save_encoder(own, encoder, {"losses": json.dumps(losses[-1]), "command": command_written(), "commit": commit()})
+    # From the file, in half precision: as it will be used.
+    return load_encoder(own)
+
+
+def kept(path: Path, make: Callable[[Callable[[int], None]], TrainingSet], houses: int) -> TrainingSet:
+    """A training set from a file, collected and kept there the first time.
+
+    Args:
+      path: the file.
+      make: collects it; given a function to tell how many houses are done.
+      houses: how many there are.
+    """
+    names = [field.name for field in dataclasses.fields(TrainingSet)]
+    if path.exists():
+        try:
+            with np.load(path) as file:
+                return TrainingSet(**{name: jnp.asarray(file[name]) for name in names})
+        except (OSError, ValueError, KeyError) as error:
+            raise InputError(f"{path}: cannot be read ({error}); delete it to collect samples anew") from None
+    with tqdm(total=houses, desc=path.stem, unit="house", file=sys.stderr) as bar:
+        data = make(lambda done: bar.update(done - bar.n))
+    unfinished = path.with_suffix(".partial.npz")
+    np.savez(unfinished, **{name: getattr(data, name) for name in names})
+    unfinished.rename(path)
+    return jax.tree.map(jnp.asarray, data)
+
+
+def train(options: Options, config: CostMapConfig, data: TrainingSet, validation: TrainingSet) -> None:
+    """Train to the end, saving now and then, and at Ctrl-C."""
+    facts = {name: str(getattr(options, name)) for name in ("houses", "count", "cell_size", "collection")}
+    checkpoints = TrainingCheckpoints(options.out, config, facts, first_state=first_state)
+    batches = validation_samples(validation, config, options.validation_samples)
+    loss = FiniteLoss(options.out)
+
+    def validate(state: TrainingState, step: int) -> None:
+        weights = state.average if config.recipe.average_decay else state.weights
+        estimator = CostMapEstimator(weights=weights, architecture=config.architecture)
+        found = {"step": step, "training_loss": round(loss.latest, 4), **figures(estimator, batches, config)}
+        card: dict[str, Any] = {
+            "houses": options.houses,
+            "cell_size": options.cell_size,
+            "recipe": dataclasses.asdict(config.recipe),
+            "command": command_written(),
+            "commit": commit(),
+            "validation": found,
+        }
+        save_estimator(options.out / "network.safetensors", estimator, card)
+        line = json.dumps(found)
+        with (options.out / "log.jsonl").open("a") as log:
+            log.write(line + "\n")
+        tqdm.write(line, file=sys.stderr)
+
+    try:
+        state = checkpoints.restore() or first_state(config)
+        run_steps(
+            state,
+            int(state.step),
+            config.steps,
+            take_step=lambda state: train_step(state, data, config=config),
+            look=loss,
+            validate=validate,
+            validate_every=options.validate_every,
+            save=checkpoints.save,
+            minutes_per_checkpoint=options.minutes_per_checkpoint,
+            description="train",
+        )
+    finally:
+        checkpoints.close()
+
+
+def main(options: Options) -> None:
+    """Collect, train, save and validate."""
+    options.training(1)  # refused before anything is written
+    if min(options.steps, options.batch_size, options.validation_samples) < 1 or options.validate_every < 0:
+        raise InputError("--steps, --batch-size and --validation-samples: give at least 1, --validate-every at least 0")
+    output_folder(options, "objectnav_train", free=("validate_every", "minutes_per_checkpoint", "validation_samples"))
+    count = options.count or (300 if options.houses == PROCEDURAL else None)
+    houses = indoor_houses(options.houses, "train", count=count, cell_size=options.cell_size)
+    unknown = indoor_houses(options.houses, "val", cell_size=options.cell_size)[: options.validation_houses]
+    encoder = open_encoder(options, houses)
+    collection = options.collection
+    data = kept(options.out / "data.npz", functools.partial(collect, houses, encoder, collection), len(houses))
+    apart = dataclasses.replace(collection, data_seed=collection.data_seed + _VALIDATION_SEED)
+    validation = kept(options.out / "validation.npz", functools.partial(collect, unknown, encoder, apart), len(unknown))
+    print(f"Training on {data.headings.size} samples of {len(data.cells)} houses, {len(validation.cells)} to validate")
+    train(options, options.training(encoder.size), data, validation)
+    print(f"Trained: {options.out / 'network.safetensors'}")
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

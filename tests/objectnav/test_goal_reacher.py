@@ -1,0 +1,70 @@
+"""The way to an object that has been seen, against plain loops and values known by hand."""
+
+from collections import deque
+
+import jax.numpy as jnp
+import numpy as np
+
+from dc2g_jax.objectnav.goal_reacher import distance_to_object, within_arm, without_specks
+
+
+def distances(obstacles, walls, goals):
+    cells = (jnp.asarray(one) for one in (obstacles, walls, goals))
+    return np.asarray(distance_to_object(*cells, radius=0.2, cell_size=0.1))
+
+
+def test_specks_go_and_objects_stay():
+    cells = np.random.default_rng(1).random((20, 30)) < 0.06
+    kept = np.asarray(without_specks(jnp.asarray(cells), 3))
+    for row, column in np.ndindex(cells.shape):
+        around = cells[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3].sum()
+        assert kept[row, column] == (cells[row, column] and around >= 3)
+    assert 0 < kept.sum() < cells.sum()
+
+
+def test_an_arm_reaches_over_furniture_and_not_through_walls():
+    goals, walls = np.zeros((2, 30, 30), bool)
+    goals[15, 10] = walls[5:25, 13] = True
+    reached = np.asarray(within_arm(jnp.asarray(goals), jnp.asarray(walls), 0.1, 0.7))
+    straight = np.hypot(*(np.mgrid[:30, :30] - np.array([15, 10])[:, None, None]))
+    left = np.arange(30) < 13
+    assert reached[(straight <= 7) & left].all()
+    assert not reached[straight > 7 * 1.09].any()
+    assert not reached[:, 13:].any()
+
+
+def test_the_way_ends_at_arms_length_from_a_plant_on_a_table():
+    obstacles, goals = np.zeros((2, 40, 60), bool)
+    obstacles[15:25, 30:40] = True
+    goals[19:21, 34:36] = True
+    nothing = np.zeros_like(goals)
+    distance = distances(obstacles, nothing, goals)
+    # The nearest place to stand is two cells off the table, 6 off the plant, which is within 7.
+    assert distance[20, 27] == 0 < distance[20, 26]
+    np.testing.assert_allclose(distance[20, 10], 1.7, atol=0.15)
+    assert np.isinf(distance[18, 31])
+    walled = distances(obstacles, obstacles & ~goals, goals)
+    assert np.isinf(walled).all()
+
+
+def test_ways_lead_everywhere_that_a_queue_finds():
+    rng = np.random.default_rng(3)
+    obstacles = rng.random((40, 40)) < 0.03
+    goals = np.zeros_like(obstacles)
+    goals[20:23, 20:23] = True
+    obstacles |= goals
+    found = distances(obstacles, obstacles & ~goals, goals)
+    queue = deque([tuple(cell) for cell in np.argwhere(found == 0)])
+    reached = set(queue)
+    offsets = np.argwhere(obstacles)
+    gap = np.array(
+        [[np.hypot(*np.maximum(np.abs(offsets - (r, c)) - 0.5, 0).T).min() for c in range(40)] for r in range(40)]
+    )
+    while queue:
+        row, column = queue.popleft()
+        for beside in ((row, column + 1), (row + 1, column), (row, column - 1), (row - 1, column)):
+            if beside not in reached and min(beside) >= 0 and max(beside) < 40 and gap[beside] >= 2:
+                reached.add(beside)
+                queue.append(beside)
+    assert reached == {tuple(cell) for cell in np.argwhere(np.isfinite(found))}
+    assert 100 < len(reached) < 1500

@@ -1,0 +1,124 @@
+"""Training of the network that predicts cost maps: it learns, and is a function of its configuration alone."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax.objectnav.data import TrainingSet
+from dc2g_jax.objectnav.networks import CostMapArchitecture, CostMapEstimator
+from dc2g_jax.objectnav.training import (
+    BETTER_RECIPE,
+    PAPER_RECIPE,
+    CostMapConfig,
+    figures,
+    first_state,
+    optimizer,
+    train_step,
+    validation_samples,
+)
+
+CONFIG = CostMapConfig(
+    architecture=CostMapArchitecture(patch=20, widths=(8, 8), embedding=4, features=2, feature_width=4),
+    recipe=dataclasses.replace(BETTER_RECIPE, peak=1e-2),
+    steps=24,
+    batch_size=4,
+)
+
+
+@pytest.fixture(scope="module")
+def data() -> TrainingSet:
+    """Two empty rooms with a goal of one kind in the corner, and robots that have seen half of it."""
+    rows, columns = np.indices((40, 40))
+    free = (rows > 0) & (columns > 0) & (rows < 39) & (columns < 39)
+    metres = np.where(free, np.hypot(rows, columns) * 100, 65535).astype(np.uint16)
+    none = np.full_like(metres, 65535)
+    return TrainingSet(
+        cells=jnp.asarray(np.stack([np.where(free, 1, 2)] * 2).astype(np.uint8)),
+        distance=jnp.asarray(np.stack([[metres] + [none] * 4, [none] * 4 + [metres]])),
+        house=jnp.asarray([0, 1], jnp.int32),
+        first_seen=jnp.asarray(np.stack([np.where(rows < 20, 0, 255)] * 2).astype(np.uint8)),
+        places=jnp.asarray(np.full((2, 3, 2), 20), jnp.int16),
+        headings=jnp.zeros((2, 3), jnp.float32),
+        features=jnp.zeros((2, 3, 2, 2), jnp.float16),
+    )
+
+
+def train(data, steps, state=None):
+    state = first_state(CONFIG) if state is None else state
+    losses = []
+    for _ in range(steps):
+        state, loss = train_step(state, data, config=CONFIG)
+        losses.append(float(loss))
+    return state, losses
+
+
+@pytest.fixture(scope="module")
+def trained(data):
+    state, losses = train(data, CONFIG.steps)
+    return jax.tree.map(np.array, state), losses
+
+
+def assert_same_bits(one, other) -> None:
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        assert np.asarray(a).dtype == np.asarray(b).dtype
+        assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
+
+
+def test_the_loss_goes_down(trained):
+    losses = trained[1]
+    assert np.isfinite(losses).all()
+    assert np.mean(losses[-4:]) < 0.8 * np.mean(losses[:4])
+
+
+def test_an_interrupted_run_ends_like_one_that_was_not(data, trained, tmp_path):
+    state, losses = train(data, 9)
+    for first in (9, CONFIG.steps):
+        checkpoints = TrainingCheckpoints(tmp_path / "run", CONFIG, first_state=first_state)
+        checkpoints.save(state)
+        state = checkpoints.restore()
+        checkpoints.close()
+        assert int(state.step) == first
+        state, part = train(data, CONFIG.steps - first, state)
+        losses += part
+    assert losses == trained[1]
+    assert_same_bits(state, trained[0])
+
+
+def test_figures_of_a_network_do_not_change(data, trained):
+    batches = validation_samples(data, CONFIG, 8)
+    assert len(batches) == 2
+    estimator = CostMapEstimator(weights=trained[0].average, architecture=CONFIG.architecture)
+    found = figures(estimator, batches, CONFIG)
+    assert set(found) == {"loss", "occupancy", "cost", "direction", "MPA", "mF1", "mIoU", "aAP5", "aAP9"}
+    assert found == figures(estimator, batches, CONFIG)
+    assert 0 < found["mIoU"] < found["mF1"] < 100
+
+
+@pytest.mark.parametrize("recipe", [PAPER_RECIPE, BETTER_RECIPE], ids=lambda recipe: recipe.optimizer)
+def test_the_rate_rises_to_its_peak_and_falls_to_its_end(recipe):
+    """The moves of one weight whose gradient is always 1."""
+    recipe = dataclasses.replace(recipe, weight_decay=0.0)
+    transform = optimizer(dataclasses.replace(CONFIG, recipe=recipe, steps=400))
+    weight, gradient = jnp.zeros(()), jnp.ones(())
+    moves, state = [], transform.init(weight)
+    update = jax.jit(transform.update)
+    for _ in range(400):
+        change, state = update(gradient, state, weight)
+        moves.append(-float(change))
+    # Momentum of 0.9 adds up to ten times the gradient.
+    scale = 10 if recipe.optimizer == "sgd" else 1
+    peak = int(np.argmax(moves))
+    assert recipe.warmup * 400 - 1 <= peak <= recipe.warmup * 400 + 20
+    assert max(moves) == pytest.approx(scale * recipe.peak, rel=0.02)
+    assert moves[-1] == pytest.approx(scale * recipe.last, rel=0.1)
+
+
+def test_the_papers_recipe():
+    assert (PAPER_RECIPE.peak, PAPER_RECIPE.last, PAPER_RECIPE.weight_decay) == (15e-5, 1e-5, 0.01)
+    assert PAPER_RECIPE.warmup == 25 / 200
+    assert sum(PAPER_RECIPE.symmetries[1:4]) == pytest.approx(0.15)
+    assert sum(PAPER_RECIPE.symmetries) == pytest.approx(1)

@@ -1,0 +1,64 @@
+"""Arrays in a file of the safetensors format."""
+
+import json
+import struct
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax.objectnav.weights import flattened, read_safetensors, write_safetensors
+from tests.refusals import refusal
+
+
+def test_a_file_made_by_hand_is_read(tmp_path):
+    path = tmp_path / "hand.safetensors"
+    header = {
+        "__metadata__": {"made": "by hand"},
+        "a": {"dtype": "F16", "shape": [2, 1], "data_offsets": [0, 4]},
+        "b": {"dtype": "I32", "shape": [], "data_offsets": [4, 8]},
+    }
+    text = json.dumps(header).encode()
+    path.write_bytes(struct.pack("<Q", len(text)) + text + struct.pack("<eei", 1.5, -2.0, 7))
+    tensors, facts = read_safetensors(path)
+    assert facts == {"made": "by hand"}
+    assert tensors["a"].tolist() == [[1.5], [-2.0]]
+    assert tensors["a"].dtype == np.float16
+    assert tensors["b"].tolist() == 7
+
+
+def test_what_is_written_is_read(tmp_path):
+    path = tmp_path / "all.safetensors"
+    tree = {"a": {"b": np.arange(6, dtype=np.uint8).reshape(2, 3)}, "c": np.asarray(jnp.asarray([1.5], jnp.bfloat16))}
+    write_safetensors(path, flattened(tree), {"x": "y"})
+    tensors, facts = read_safetensors(path)
+    assert facts == {"x": "y"}
+    assert list(tensors) == ["a.b", "c"]
+    for name, array in flattened(tree).items():
+        assert tensors[name].dtype == array.dtype
+        np.testing.assert_array_equal(tensors[name], array)
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize(
+    ("entry", "mention"),
+    [
+        ({"dtype": "F32", "shape": [3], "data_offsets": [0, 8]}, "'a'"),
+        ({"dtype": "F32", "shape": [2], "data_offsets": [4, 12]}, "'a'"),
+        ({"dtype": "F32", "shape": [-2], "data_offsets": [8, 0]}, "'a'"),
+        ({"dtype": "Q7", "shape": [2], "data_offsets": [0, 8]}, "Q7"),
+        ("no entry", "'a'"),
+    ],
+)
+def test_damaged_entries_are_refused(tmp_path, entry, mention):
+    path = tmp_path / "bad.safetensors"
+    text = json.dumps({"a": entry}).encode()
+    path.write_bytes(struct.pack("<Q", len(text)) + text + bytes(8))
+    refusal(lambda: read_safetensors(path), path, mention)
+
+
+@pytest.mark.parametrize("content", [b"", b"1234567", struct.pack("<Q", 1 << 60) + b"{}", struct.pack("<Q", 2) + b"[]"])
+def test_files_without_a_header_are_refused(tmp_path, content):
+    path = tmp_path / "bad.safetensors"
+    path.write_bytes(content)
+    refusal(lambda: read_safetensors(path), path, "header")
