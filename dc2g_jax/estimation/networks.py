@@ -53,6 +53,7 @@ class Residual(nnx.Module):
         self.second = nnx.Conv(width, width, (3, 3), kernel_init=nnx.initializers.zeros, rngs=rngs)
 
     def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h w c"]:
+        """The features, refined."""
         return features + self.second(nnx.relu(self.first(nnx.relu(features))))
 
 
@@ -64,6 +65,7 @@ class Down(nnx.Module):
         self.residual = Residual(width_out, rngs=rngs)
 
     def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h2 w2 d"]:
+        """Features at half the resolution."""
         return self.residual(self.halve(nnx.relu(features)))
 
 
@@ -77,6 +79,7 @@ class Up(nnx.Module):
     def __call__(
         self, features: Float[Array, "b h w c"], skipped: Float[Array, "b h2 w2 d"]
     ) -> Float[Array, "b h2 w2 d"]:
+        """Features at twice the resolution."""
         narrow = self.narrow(nnx.relu(features))
         doubled = jnp.repeat(jnp.repeat(narrow, 2, axis=1), 2, axis=2)
         # Half of an odd number of rows or columns was rounded up.

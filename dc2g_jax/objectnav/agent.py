@@ -294,9 +294,25 @@ def decide(robot: Robot, site: Site, agent: Agent) -> Robot:
     return dataclasses.replace(
         robot,
         distance=guidance.distance,
-        costs=dense_costs(guidance.distance, agent.mapping.cell_size, collision=_MARGIN, slope=_SLOPE),
+        costs=filled_costs(guidance.distance, agent.mapping.cell_size),
         to_goal=guidance.to_goal,
     )
+
+
+def filled_costs(distance: Float[Array, "n n"], cell_size: float) -> Float[Array, "n n"]:
+    """Costs for the controller: the distance where there is one; elsewhere more, so that it leads back.
+
+    What is beside cells with a distance costs more than all of these: a way that is shorter on the other side of a wall
+    must not shine through.
+
+    Args:
+      distance: what the guide says, metres; infinite where the robot must not be.
+      cell_size: metres.
+    """
+    known = jnp.isfinite(distance)
+    around = jax.lax.reduce_window(jnp.where(known, distance, -jnp.inf), -jnp.inf, jax.lax.max, (3, 3), (1, 1), "SAME")
+    rest = dense_costs(distance, cell_size, collision=_MARGIN, slope=_SLOPE)
+    return jnp.where(known, distance, jnp.where(jnp.isfinite(around), around + _MARGIN, rest))
 
 
 def act(robot: Robot, site: Site, agent: Agent) -> Robot:
