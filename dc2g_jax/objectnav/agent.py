@@ -15,8 +15,9 @@ from typing import Protocol
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
 from dc2g_jax.control import mppi
 from dc2g_jax.control.footprint import Ground, clearance, surroundings
@@ -29,6 +30,7 @@ from dc2g_jax.objectnav.classes import GOALS, NOTHING
 from dc2g_jax.objectnav.cost_maps import cost_lookup, dense_costs
 from dc2g_jax.objectnav.goal_reacher import STOP, distance_to_object
 from dc2g_jax.objectnav.mapping import IndoorMap, MapSettings, empty_map, grid_cell, integrate, stood_on
+from dc2g_jax.objectnav.paint import painted
 from dc2g_jax.objectnav.starts import ROBOT_RADIUS
 from dc2g_jax.objectnav.worlds import IndoorWorld, scene
 
@@ -67,12 +69,14 @@ class Site:
 
     Attributes:
       scene: what its camera sees.
+      paint: colour of what is highest in a cell, see `dc2g_jax.objectnav.paint.painted`.
       free: floor on which nothing stands.
       distances: what the robot's middle has to drive until an object of each of `GOALS` is at arm's length, metres;
         infinite where it does not fit or finds no way. Only a privileged guide looks at it.
     """
 
     scene: Scene
+    paint: UInt8[Array, "h w 3"]
     free: Bool[Array, "h w"]
     distances: Float[Array, "goal h w"]
 
@@ -196,6 +200,24 @@ def descent(vehicle: VehicleState, costs: CostOfPose, agent: Agent) -> Float[Arr
 
 
 @struct.dataclass
+class LookAround:
+    """Turns once around on the spot before it sets out, unless it has seen an object by then. A look costs no way.
+
+    Attributes:
+      steering: goes on from there.
+    """
+
+    steering: Steering
+
+    def plan(self, key: Key[Array, ""], robot: Robot, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
+        """See `Steering`."""
+        limits, settings = agent.controller.limits, agent.controller
+        looks = ~robot.to_goal & (robot.periods * settings.period * limits.max_turn_rate < 2 * math.pi)
+        turning = jnp.zeros_like(robot.controls).at[0, 1].set(limits.max_turn_rate)
+        return jax.lax.cond(looks, lambda: turning, lambda: self.steering.plan(key, robot, costs, agent))
+
+
+@struct.dataclass
 class RandomUntilSeen:
     """Takes any command at all until it knows the way to an object, and then plans with IT-MPC.
 
@@ -218,15 +240,17 @@ def usual_camera() -> Intrinsics:
     return intrinsics(FIELD_OF_VIEW, *IMAGE_SIZE)
 
 
-def site_of(world: IndoorWorld, radius: float = ROBOT_RADIUS) -> Site:
+def site_of(world: IndoorWorld, rng: np.random.Generator, radius: float = ROBOT_RADIUS) -> Site:
     """A house for robots to drive in.
 
     Args:
       world: one house.
+      rng: where chance comes from as it is painted.
       radius: of the robots, metres.
     """
     return Site(
         scene=scene(world),
+        paint=jnp.asarray(painted(world, rng)),
         free=jnp.asarray(world.free),
         distances=_distances(world.free, world.classes, radius, float(world.cell_size)),
     )
@@ -334,7 +358,7 @@ def act(robot: Robot, site: Site, agent: Agent) -> Robot:
         periods=periods,
         bumps=robot.bumps + bumped,
         status=jnp.where(arrived, DECLARED, robot.status).astype(jnp.int32),
-        track=robot.track.at[periods].set(_tracked(vehicle)),
+        track=jnp.where(jnp.arange(len(robot.track))[:, None] < periods, robot.track, _tracked(vehicle)),
     )
 
 

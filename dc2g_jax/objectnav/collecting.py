@@ -25,7 +25,8 @@ from dc2g_jax.objectnav.data import (
 )
 from dc2g_jax.objectnav.exploring import NEVER, Journey, explore
 from dc2g_jax.objectnav.houses import IndoorHouse
-from dc2g_jax.objectnav.midlevel import ImageEncoder, View, painted, view
+from dc2g_jax.objectnav.midlevel import ImageEncoder, View, view
+from dc2g_jax.objectnav.paint import painted
 from dc2g_jax.objectnav.starts import ROBOT_RADIUS, components, passable
 from dc2g_jax.objectnav.worlds import IndoorWorld, pad_world, scene
 

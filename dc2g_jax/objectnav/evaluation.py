@@ -15,18 +15,18 @@ import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from dc2g_jax.control.footprint import cell_at
 from dc2g_jax.control.vehicle import CONTROL_PERIOD
 from dc2g_jax.evaluation import house_bootstrap
 from dc2g_jax.grid.fast_marching import geodesic_distance
-from dc2g_jax.objectnav.classes import CLASS_NAMES
+from dc2g_jax.objectnav.classes import CLASS_NAMES, NOTHING
 from dc2g_jax.objectnav.cost_maps import dense_costs
-from dc2g_jax.objectnav.goal_reacher import within_arm
+from dc2g_jax.objectnav.goal_reacher import straight_distance
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.searches import Episode, Searches
 from dc2g_jax.objectnav.starts import REACH, passable
@@ -96,18 +96,17 @@ def way_there(house: IndoorHouse, target: str) -> WayThere:
       target: name of the wanted class.
     """
     world = house.world
-    free, cell_size = np.asarray(world.free), float(world.cell_size)
-    goals, closed = np.asarray(world.goals(CLASS_NAMES.index(target))), ~free & (np.asarray(world.classes) == 0)
-    straight = cv2.distanceTransform((~goals).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * cell_size
-    there = free & (straight <= REACH) & np.asarray(_within_reach(goals, closed, cell_size))
+    free, classes, cell_size = np.asarray(world.free), np.asarray(world.classes), float(world.cell_size)
+    near = _near(classes == CLASS_NAMES.index(target), ~free & (classes == NOTHING), cell_size)
+    there = free & np.asarray(near)
     distance = np.asarray(_distance_there(passable(free, cell_size), there, cell_size))
     return WayThere(distance=distance, there=there)
 
 
 @functools.partial(jax.jit, static_argnames=("cell_size",))
-def _within_reach(goals: Array, closed: Array, cell_size: float) -> Bool[Array, "h w"]:
-    """Cells that are near an object with no wall in between."""
-    return within_arm(goals, closed, cell_size, REACH)
+def _near(goals: Array, closed: Array, cell_size: float) -> Bool[Array, "h w"]:
+    """Cells within the success distance of an object, with no wall in between."""
+    return jnp.isfinite(straight_distance(goals, closed, cell_size, REACH))
 
 
 @functools.partial(jax.jit, static_argnames=("cell_size",))
@@ -134,8 +133,9 @@ def results_of(
     for number, episode in enumerate(episodes):
         steps, declared = int(searches.steps[number]), bool(searches.declared[number])
         track, way = searches.track[number, : steps + 1].astype(float), ways[episode.house, episode.target]
-        cells = np.floor(track[[0, -1], 1::-1] * (-1, 1) / float(by_name[episode.house].world.cell_size)).astype(int)
-        first, last = (tuple(cell) for cell in cells)
+        ends = jnp.asarray(track[[0, -1], :2], jnp.float32)
+        cells = np.asarray(cell_at(ends, float(by_name[episode.house].world.cell_size)))
+        first, last = ((int(row), int(column)) for column, row in cells)
         shortest, driven = float(way.distance[first]), float(np.hypot(*np.diff(track[:, :2], axis=0).T).sum())
         success = declared and bool(way.there[last])
         acceleration, jerk = (_mean_rate(track[:, 3:], order) for order in (1, 2))

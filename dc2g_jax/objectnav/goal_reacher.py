@@ -4,18 +4,16 @@ import functools
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Shaped
 
-from dc2g_jax.grid.fast_marching import geodesic_distance
+from dc2g_jax.grid.fast_marching import travel_cost
 from dc2g_jax.objectnav.cost_maps import inflated
 
-#: How far the robot can be from an object and have reached it, metres between the middles of cells: the success
-#: distance of 1 m, less what is left of the way when it stops.
+#: The way to an object ends this far from it, metres between the middles of cells.
 ARM = 0.8
 
-#: The robot stops where so many metres are left of its way, or less: the paper's threshold of the cost, whose unit it
-#: does not give.
+#: The robot stops where the cost is no more than this, metres: the paper's threshold, whose unit it does not give. Then
+#: it is within the success distance of 1 m.
 STOP = 0.2
 
 #: Of so many cells with the target's class, within two cells to every side, one at least must be part.
@@ -33,38 +31,39 @@ def without_specks(cells: Bool[Array, "h w"], least: int = LEAST_CELLS) -> Bool[
     return cells & (around >= least)
 
 
-def within_arm(
-    goals: Bool[Array, "h w"], walls: Bool[Array, "h w"], cell_size: float, arm: float = ARM
-) -> Bool[Array, "h w"]:
-    """Cells from which an object is at arm's length: over furniture, not through walls.
+def straight_distance(
+    goals: Bool[Array, "h w"], walls: Bool[Array, "h w"], cell_size: float, most: float
+) -> Float[Array, "h w"]:
+    """Distance of cells to an object near them, as the crow flies, over furniture but not through walls.
 
     Args:
       goals: cells of the object.
       walls: cells that nothing reaches through.
       cell_size: metres.
-      arm: its length, metres between the middles of cells, as the crow flies.
+      most: the longest distance that counts, metres.
+
+    Returns:
+      float32 metres between the middles of cells; infinity farther away and behind walls.
     """
-    reached, steps = goals, round(arm / cell_size)
+    steps = round(most / cell_size)
+    reached = goals
     for number in range(steps):
         # By turns to four neighbours and to eight, an octagon that holds the circle.
         across = reached | _shifted(reached, 1, 0) | _shifted(reached, -1, 0)
         last = across if number % 2 else reached
         reached = (across | _shifted(last, 1, 1) | _shifted(last, -1, 1)) & ~walls
-    offsets = np.arange(-steps, steps + 1)
-    spans = np.sqrt(np.maximum((arm / cell_size + 1e-3) ** 2 - offsets**2, 0)).astype(int)
-    rows = {int(span): _spread(goals, int(span)) for span in spans}
-    circle = (_shifted(rows[int(span)], int(offset), 0) for offset, span in zip(offsets, spans, strict=True))
-    return reached & functools.reduce(jnp.logical_or, circle)
+    offsets = range(-steps, steps + 1)
+    along = [jnp.where(_shifted(goals, offset, 1), jnp.float32(offset**2), jnp.inf) for offset in offsets]
+    in_row = functools.reduce(jnp.minimum, along)
+    square = functools.reduce(jnp.minimum, (_shifted(in_row, offset, 0, jnp.inf) + offset**2 for offset in offsets))
+    distance = jnp.sqrt(square) * cell_size
+    return jnp.where(reached & (distance <= most + 1e-4), distance, jnp.inf)
 
 
-def _spread(cells: Bool[Array, "h w"], span: int) -> Bool[Array, "h w"]:
-    """Cells with one of the set in their row within so many columns."""
-    return jax.lax.reduce_window(cells, False, jax.lax.bitwise_or, (1, 2 * span + 1), (1, 1), "SAME")
-
-
-def _shifted(cells: Bool[Array, "h w"], by: int, axis: int) -> Bool[Array, "h w"]:
-    """The cells so many rows (axis 0) or columns further on."""
-    padded = jnp.pad(cells, [(abs(by), abs(by)) if number == axis else (0, 0) for number in range(2)])
+def _shifted(cells: Shaped[Array, "h w"], by: int, axis: int, outside: float = 0) -> Shaped[Array, "h w"]:
+    """The cells so many rows (axis 0) or columns further on, and a value from beyond the edge."""
+    margin = [(abs(by), abs(by)) if number == axis else (0, 0) for number in range(2)]
+    padded = jnp.pad(cells, margin, constant_values=outside)
     first = abs(by) - by
     return jax.lax.slice_in_dim(padded, first, first + cells.shape[axis], axis=axis)
 
@@ -79,7 +78,8 @@ def distance_to_object(
 ) -> Float[Array, "h w"]:
     """Distance that the middle of a round robot has to drive until an object is at arm's length (equation 7).
 
-    A plant in the middle of a table is reached beside the table.
+    Where it cannot come so near but within `STOP` of it, as beside a large table with a plant in the middle, what lacks
+    counts in full.
 
     Args:
       obstacles: cells that the robot may not touch.
@@ -92,4 +92,6 @@ def distance_to_object(
       float32 metres; infinity where the robot does not fit and where no way leads to the object.
     """
     passable = ~inflated(obstacles, radius, cell_size)
-    return geodesic_distance(passable, passable & within_arm(goals, walls, cell_size), cell_size)
+    lacking = jnp.maximum(straight_distance(goals, walls, cell_size, ARM + STOP) - ARM, 0)
+    cost_of_cell = jnp.where(passable, jnp.float32(cell_size), jnp.inf)
+    return travel_cost(cost_of_cell, jnp.where(passable, lacking, jnp.inf))

@@ -3,7 +3,6 @@
 The goal reacher goes around any of the others: it takes over as soon as the robot has seen what it looks for.
 """
 
-from collections.abc import Callable
 from typing import Protocol
 
 import jax
@@ -11,14 +10,13 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, UInt32
 
-from dc2g_jax.grid.fast_marching import geodesic_distance
-from dc2g_jax.mapping.camera import Frame
-from dc2g_jax.mapping.scene import Scene
-from dc2g_jax.objectnav.agent import Agent, Guidance, Guide, Robot, Site
+from dc2g_jax.grid.fast_marching import geodesic_distance, travel_cost
+from dc2g_jax.objectnav.agent import Agent, Guidance, Guide, Robot, Site, camera_pose
 from dc2g_jax.objectnav.classes import GOALS
 from dc2g_jax.objectnav.cost_maps import inflated
 from dc2g_jax.objectnav.goal_reacher import distance_to_object, without_specks
 from dc2g_jax.objectnav.mapping import EXPLORED, OBSTACLE, has, has_any_class, network_input, window
+from dc2g_jax.objectnav.midlevel import ImageEncoder, view
 
 #: A way counts as the robot's if it begins within so many cells of the robot, to every side: one that has run into
 #: something stands where it does not fit.
@@ -99,10 +97,33 @@ class Frontier:
     @staticmethod
     def _distance(cells: UInt32[Array, "n n"], agent: Agent) -> Float[Array, "n n"]:
         """What is left of the way to a cell that has not been seen, from the cells that have."""
-        known = has(cells, EXPLORED)
-        passable = ~inflated(has(cells, OBSTACLE), agent.controller.limits.radius, agent.mapping.cell_size)
-        ground = known & passable
-        return geodesic_distance(ground, _beside(ground) & passable & ~known, agent.mapping.cell_size)
+        return geodesic_distance(*_ground(cells, agent), agent.mapping.cell_size)
+
+
+@struct.dataclass
+class PredictedCosts:
+    """What a network makes of what a robot knows and sees.
+
+    Attributes:
+      estimator: predicts costs.
+      encoder: makes mid-level features of what the camera sees.
+      metres: of way, for a cost of 1.
+      threshold: a cell that is occupied with more than this probability is none to be in (the paper's theta_occ).
+    """
+
+    estimator: CostEstimator
+    encoder: ImageEncoder
+    metres: float = 10.0
+    threshold: float = 0.5
+
+    def of(self, robot: Robot, site: Site, agent: Agent) -> Float[Array, "n n"]:
+        """What it costs to be in a cell of the local map, metres; infinite where one is predicted to be occupied."""
+        vehicle = robot.vehicle
+        maps = network_input(robot.map, vehicle.position, agent.mapping)
+        seen = view(site.scene, site.paint, camera_pose(vehicle)).image
+        features = self.encoder.encode(seen[None])[0]
+        occupied, cost = self.estimator.estimate(maps, robot.target, features, vehicle.yaw)
+        return jnp.where(occupied > self.threshold, jnp.inf, self.metres * cost)
 
 
 @struct.dataclass
@@ -110,27 +131,47 @@ class Predicted:
     """Goes by the costs that a network predicts (section II-B), but not through what it has seen to be in the way.
 
     Attributes:
-      estimator: predicts them.
-      encode: gives the mid-level features of what the camera sees, from the house as a scene and the last frame.
-      metres: of way, for a cost of 1.
-      threshold: a cell that is occupied with more than this probability is left out (the paper's theta_occ).
+      costs: the prediction.
     """
 
-    estimator: CostEstimator
-    encode: Callable[[Scene, Frame], Float[Array, " feature"]] = struct.field(pytree_node=False)
-    metres: float = 10.0
-    threshold: float = 0.5
+    costs: PredictedCosts
 
     def guide(self, key: Key[Array, ""], robot: Robot, site: Site, agent: Agent) -> Guidance:
         """See `Guide`."""
         del key
-        vehicle, mapping = robot.vehicle, agent.mapping
-        maps = network_input(robot.map, vehicle.position, mapping)
-        features = self.encode(site.scene, robot.frame)
-        occupied, cost = self.estimator.estimate(maps, robot.target, features, vehicle.yaw)
-        in_the_way = has(window(robot.map, robot.local_middle, mapping.local), OBSTACLE)
-        closed = inflated(in_the_way, agent.controller.limits.radius, mapping.cell_size) | (occupied > self.threshold)
-        return Guidance(jnp.where(closed, jnp.inf, self.metres * cost), jnp.bool_(False))
+        cells = window(robot.map, robot.local_middle, agent.mapping.local)
+        closed = inflated(has(cells, OBSTACLE), agent.controller.limits.radius, agent.mapping.cell_size)
+        return Guidance(jnp.where(closed, jnp.inf, self.costs.of(robot, site, agent)), jnp.bool_(False))
+
+
+@struct.dataclass
+class PromisingFrontier:
+    """Goes where the way to unseen floor and the cost that a network predicts there are least together.
+
+    That is DC2G's rule in place of the paper's, which drives down the predicted costs themselves: those have hollows
+    that lead nowhere, the way over seen floor has none. Where nothing near is left to be seen, it is `Frontier`.
+
+    Attributes:
+      costs: predicted.
+      weight: of a metre of predicted cost, in metres of way over seen floor.
+    """
+
+    costs: PredictedCosts
+    weight: float = 1.0
+
+    def guide(self, key: Key[Array, ""], robot: Robot, site: Site, agent: Agent) -> Guidance:
+        """See `Guide`."""
+        ground, beyond = _ground(window(robot.map, robot.local_middle, agent.mapping.local), agent)
+        promised = jnp.where(without_specks(beyond), self.weight * self.costs.of(robot, site, agent), jnp.inf)
+        least = jnp.min(promised)
+        promised = promised - jnp.where(jnp.isfinite(least), least, 0)
+        cost_of_cell = jnp.where(ground, jnp.float32(agent.mapping.cell_size), jnp.inf)
+        distance = travel_cost(cost_of_cell, promised)
+        return jax.lax.cond(
+            _begins_here(distance),
+            lambda: Guidance(distance, jnp.bool_(False)),
+            lambda: Frontier().guide(key, robot, site, agent),
+        )
 
 
 @struct.dataclass
@@ -169,6 +210,14 @@ def _begins_here(distance: Float[Array, "n n"]) -> Bool[Array, ""]:
     middle = distance.shape[0] // 2
     near = slice(middle - _NEAR, middle + _NEAR + 1)
     return jnp.any(jnp.isfinite(distance[near, near]))
+
+
+def _ground(cells: UInt32[Array, "n n"], agent: Agent) -> tuple[Bool[Array, "n n"], Bool[Array, "n n"]]:
+    """Cells that have been seen and that the robot can be in, and such beside them that have not been seen."""
+    known = has(cells, EXPLORED)
+    passable = ~inflated(has(cells, OBSTACLE), agent.controller.limits.radius, agent.mapping.cell_size)
+    ground = known & passable
+    return ground, _beside(ground) & passable & ~known
 
 
 def _beside(cells: Bool[Array, "n n"]) -> Bool[Array, "n n"]:

@@ -3,10 +3,6 @@
 The paper takes pretrained encoders for semantic segmentation, object classification and depth. The default here is one
 small network trained for these three tasks at once on the simulator's own pictures: what it knows about a picture, it
 has to say in one vector. Others are read from a file.
-
-A simulated house has no more looks than its classes have colours, so each house is painted: its objects in the colours
-of their classes, each a little different, and its floors by the type of room, since kitchens and bathrooms have other
-floors than bedrooms have. Walls tell nothing.
 """
 
 import dataclasses
@@ -28,9 +24,9 @@ from dc2g_jax.mapping.camera import CameraPose, intrinsics, rays
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.mapping.simulator import FACE_TOP, FACE_X, cast
 from dc2g_jax.objectnav.agent import FIELD_OF_VIEW
-from dc2g_jax.objectnav.classes import BATHROOM, BEDROOM, CLASS_COLORS, CLASS_NAMES, KITCHEN, LIVING_ROOM
+from dc2g_jax.objectnav.classes import CLASS_NAMES
+from dc2g_jax.objectnav.paint import NO_COLOR
 from dc2g_jax.objectnav.weights import flattened, read_safetensors, read_weights, write_safetensors
-from dc2g_jax.objectnav.worlds import IndoorWorld
 
 #: Rows and columns of a picture, and of what the encoder is asked about it.
 IMAGE_SIZE = (48, 64)
@@ -39,10 +35,6 @@ _ASKED = (IMAGE_SIZE[0] // _BLOCK, IMAGE_SIZE[1] // _BLOCK)
 
 #: Pixels that an object's class must have to be in a picture, and the farthest depth that is told apart, metres.
 _PRESENT, _FAR = 12, 10.0
-
-#: Floors by type of room, walls, and where a ray meets nothing.
-_FLOORS = {BEDROOM: (196, 170, 140), BATHROOM: (170, 196, 206), KITCHEN: (206, 200, 182), LIVING_ROOM: (158, 120, 88)}
-_WALL, _NOTHING = (226, 224, 218), (245, 245, 242)
 
 #: Brightness of faces that look along x, along y and up.
 _LIGHT = (0.82, 0.7, 1.0)
@@ -76,29 +68,12 @@ class ImageEncoder(Protocol):
         ...
 
 
-def painted(world: IndoorWorld, rng: np.random.Generator) -> UInt8[np.ndarray, "h w 3"]:
-    """The colour of what is highest in each cell of a house.
-
-    Args:
-      world: one house.
-      rng: where chance comes from: no two chairs have the same colour.
-    """
-    objects = np.append(CLASS_COLORS[np.asarray(world.objects.classes)], [_WALL], axis=0)
-    objects = objects + rng.normal(0, 14, objects.shape)
-    kinds = np.asarray(world.room_kinds)
-    floors = np.array([_FLOORS.get(int(kind), _NOTHING) for kind in kinds]) + rng.normal(0, 10, (len(kinds), 3))
-    cells = np.where(
-        np.asarray(world.obstacle)[..., None], objects[np.asarray(world.instances)], floors[np.asarray(world.rooms)]
-    )
-    return np.clip(np.round(cells), 0, 255).astype(np.uint8)
-
-
 def view(scene: Scene, paint: UInt8[Array, "h w 3"], pose: CameraPose) -> View:
     """What the camera of a robot sees of a house, as far as it reaches.
 
     Args:
       scene: the house.
-      paint: colour of each cell, see `painted`.
+      paint: colour of each cell, see `dc2g_jax.objectnav.paint.painted`.
       pose: of the camera.
     """
     to_hit = jax.vmap(jax.vmap(lambda ray: cast(scene, pose.position, ray, jnp.float32(math.inf))))
@@ -107,7 +82,7 @@ def view(scene: Scene, paint: UInt8[Array, "h w 3"], pose: CameraPose) -> View:
     light = jnp.asarray(_LIGHT, jnp.float32)[jnp.where(hits.face == FACE_TOP, 2, jnp.where(hits.face == FACE_X, 0, 1))]
     colours = paint.at[hits.row, hits.column].get(mode="clip") * light[..., None]
     return View(
-        image=jnp.where(met[..., None], colours, jnp.asarray(_NOTHING, jnp.float32)).astype(jnp.uint8),
+        image=jnp.where(met[..., None], colours, jnp.asarray(NO_COLOR, jnp.float32)).astype(jnp.uint8),
         depth=hits.distance,
         classes=jnp.where(met, scene.classes.at[hits.row, hits.column].get(mode="clip"), 0).astype(jnp.uint8),
     )

@@ -10,8 +10,6 @@ from experiments.objectnav_table1 import Options, main, read_searches
 from tests.objectnav.two_rooms import two_rooms
 from tests.refusals import refusal
 
-pytestmark = pytest.mark.skip(reason="searching for objects is under construction")
-
 OPTIONS = Options(count=1, episodes=2, agents=("random",), samples=4, limit=10, resamples=20)
 
 

@@ -4,11 +4,8 @@ from collections import deque
 
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
-from dc2g_jax.objectnav.goal_reacher import distance_to_object, within_arm, without_specks
-
-pytestmark = pytest.mark.skip(reason="searching for objects is under construction")
+from dc2g_jax.objectnav.goal_reacher import ARM, STOP, distance_to_object, straight_distance, without_specks
 
 
 def distances(obstacles, walls, goals):
@@ -25,15 +22,14 @@ def test_specks_go_and_objects_stay():
     assert 0 < kept.sum() < cells.sum()
 
 
-def test_an_arm_reaches_over_furniture_and_not_through_walls():
+def test_distances_lead_over_furniture_and_not_through_walls():
     goals, walls = np.zeros((2, 30, 30), bool)
     goals[15, 10] = walls[5:25, 13] = True
-    reached = np.asarray(within_arm(jnp.asarray(goals), jnp.asarray(walls), 0.1, 0.7))
-    straight = np.hypot(*(np.mgrid[:30, :30] - np.array([15, 10])[:, None, None]))
-    left = np.arange(30) < 13
-    assert reached[(straight <= 7) & left].all()
-    assert not reached[straight > 7 * 1.09].any()
-    assert not reached[:, 13:].any()
+    found = np.asarray(straight_distance(jnp.asarray(goals), jnp.asarray(walls), 0.1, 0.7))
+    straight = 0.1 * np.hypot(*(np.mgrid[:30, :30] - np.array([15, 10])[:, None, None]))
+    near = (straight <= 0.7 + 1e-6) & (np.arange(30) < 13)
+    np.testing.assert_allclose(found[near], straight[near], atol=1e-6)
+    assert np.isinf(found[~near]).all()
 
 
 def test_the_way_ends_at_arms_length_from_a_plant_on_a_table():
@@ -42,12 +38,24 @@ def test_the_way_ends_at_arms_length_from_a_plant_on_a_table():
     goals[19:21, 34:36] = True
     nothing = np.zeros_like(goals)
     distance = distances(obstacles, nothing, goals)
-    # The nearest place to stand is two cells off the table, 6 off the plant, which is within 7.
-    assert distance[20, 27] == 0 < distance[20, 26]
-    np.testing.assert_allclose(distance[20, 10], 1.7, atol=0.15)
+    # The nearest place to stand is beside the table, 0.7 m from the plant.
+    assert distance[20, 27] == distance[20, 26] == 0 < distance[20, 25]
+    # 24 cells to the plant, less an arm's length.
+    np.testing.assert_allclose(distance[20, 10], 2.4 - ARM, atol=0.1)
     assert np.isinf(distance[18, 31])
     walled = distances(obstacles, obstacles & ~goals, goals)
     assert np.isinf(walled).all()
+
+
+def test_what_an_arm_lacks_counts_in_full():
+    obstacles, goals = np.zeros((2, 40, 60), bool)
+    obstacles[10:30, 28:42] = True
+    goals[20, 35] = True
+    distance = distances(obstacles, np.zeros_like(goals), goals)
+    # Two cells off the table it is 10 cells to the plant, 0.2 m more than an arm's length: near enough to stop.
+    np.testing.assert_allclose(distance[20, 25], 1.0 - ARM, atol=1e-4)
+    assert distance[20, 25] <= STOP + 1e-4
+    np.testing.assert_allclose(distance[20, 15], 1.0 - ARM + 1.0, atol=1e-4)
 
 
 def test_ways_lead_everywhere_that_a_queue_finds():
@@ -57,7 +65,7 @@ def test_ways_lead_everywhere_that_a_queue_finds():
     goals[20:23, 20:23] = True
     obstacles |= goals
     found = distances(obstacles, obstacles & ~goals, goals)
-    queue = deque([tuple(cell) for cell in np.argwhere(found == 0)])
+    queue = deque([tuple(cell) for cell in np.argwhere(found <= STOP)])
     reached = set(queue)
     offsets = np.argwhere(obstacles)
     gap = np.array(

@@ -14,12 +14,12 @@ from dc2g_jax.objectnav.midlevel import (
     TrainedEncoder,
     View,
     load_encoder,
-    painted,
     save_encoder,
     task_losses,
     train_encoder,
     view,
 )
+from dc2g_jax.objectnav.paint import painted
 from dc2g_jax.objectnav.plan_cells import world_from_plan
 from dc2g_jax.objectnav.weights import read_safetensors, write_safetensors
 from dc2g_jax.objectnav.worlds import scene

@@ -1,0 +1,33 @@
+"""How the inside of a simulated house looks.
+
+It has no more looks than its classes have colours, so each house is painted: its objects in the colours of their
+classes, each a little different, and its floors by the type of room, since kitchens and bathrooms have other floors
+than bedrooms have. Walls tell nothing.
+"""
+
+import numpy as np
+from jaxtyping import UInt8
+
+from dc2g_jax.objectnav.classes import BATHROOM, BEDROOM, CLASS_COLORS, KITCHEN, LIVING_ROOM
+from dc2g_jax.objectnav.worlds import IndoorWorld
+
+#: Floors by type of room, walls, and where there is nothing.
+_FLOORS = {BEDROOM: (196, 170, 140), BATHROOM: (170, 196, 206), KITCHEN: (206, 200, 182), LIVING_ROOM: (158, 120, 88)}
+_WALL, NO_COLOR = (226, 224, 218), (245, 245, 242)
+
+
+def painted(world: IndoorWorld, rng: np.random.Generator) -> UInt8[np.ndarray, "h w 3"]:
+    """The colour of what is highest in each cell of a house.
+
+    Args:
+      world: one house.
+      rng: where chance comes from: no two chairs have the same colour.
+    """
+    objects = np.append(CLASS_COLORS[np.asarray(world.objects.classes)], [_WALL], axis=0)
+    objects = objects + rng.normal(0, 14, objects.shape)
+    kinds = np.asarray(world.room_kinds)
+    floors = np.array([_FLOORS.get(int(kind), NO_COLOR) for kind in kinds]) + rng.normal(0, 10, (len(kinds), 3))
+    cells = np.where(
+        np.asarray(world.obstacle)[..., None], objects[np.asarray(world.instances)], floors[np.asarray(world.rooms)]
+    )
+    return np.clip(np.round(cells), 0, 255).astype(np.uint8)
