@@ -3,48 +3,22 @@
 The goal reacher goes around any of the others: it takes over as soon as the robot has seen what it looks for.
 """
 
-from typing import Protocol
-
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int, Key, UInt32
+from jaxtyping import Array, Bool, Float, Key, UInt32
 
 from dc2g_jax.grid.fast_marching import geodesic_distance, travel_cost
-from dc2g_jax.objectnav.agent import Agent, Guidance, Guide, Robot, Site, camera_pose
+from dc2g_jax.objectnav.agent import Agent, Guidance, Guide, Robot, Site
 from dc2g_jax.objectnav.classes import GOALS
 from dc2g_jax.objectnav.cost_maps import inflated
 from dc2g_jax.objectnav.goal_reacher import distance_to_object, without_specks
-from dc2g_jax.objectnav.mapping import EXPLORED, OBSTACLE, has, has_any_class, network_input, window
-from dc2g_jax.objectnav.midlevel import ImageEncoder, view
+from dc2g_jax.objectnav.mapping import EXPLORED, OBSTACLE, has, has_any_class, window
+from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 
 #: A way counts as the robot's if it begins within so many cells of the robot, to every side: one that has run into
 #: something stands where it does not fit.
 _NEAR = 2
-
-
-class CostEstimator(Protocol):
-    """Predicts costs from what has been seen: a pytree."""
-
-    def estimate(
-        self,
-        maps: Float[Array, "36 n n"],
-        target: Int[Array, ""],
-        features: Float[Array, " feature"],
-        heading: Float[Array, ""],
-    ) -> tuple[Float[Array, "n n"], Float[Array, "n n"]]:
-        """Predict for one robot.
-
-        Args:
-          maps: see `dc2g_jax.objectnav.mapping.network_input`.
-          target: what it looks for, an index into `GOALS`.
-          features: mid-level features of what it sees.
-          heading: where its camera looks, counter-clockwise from +x, radians.
-
-        Returns:
-          Of each cell of the local map, the probability that it is no free floor, and the navigation cost.
-        """
-        ...
 
 
 @struct.dataclass
@@ -98,32 +72,6 @@ class Frontier:
     def _distance(cells: UInt32[Array, "n n"], agent: Agent) -> Float[Array, "n n"]:
         """What is left of the way to a cell that has not been seen, from the cells that have."""
         return geodesic_distance(*_ground(cells, agent), agent.mapping.cell_size)
-
-
-@struct.dataclass
-class PredictedCosts:
-    """What a network makes of what a robot knows and sees.
-
-    Attributes:
-      estimator: predicts costs.
-      encoder: makes mid-level features of what the camera sees.
-      metres: of way, for a cost of 1.
-      threshold: a cell that is occupied with more than this probability is none to be in (the paper's theta_occ).
-    """
-
-    estimator: CostEstimator
-    encoder: ImageEncoder
-    metres: float = 10.0
-    threshold: float = 0.5
-
-    def of(self, robot: Robot, site: Site, agent: Agent) -> Float[Array, "n n"]:
-        """What it costs to be in a cell of the local map, metres; infinite where one is predicted to be occupied."""
-        vehicle = robot.vehicle
-        maps = network_input(robot.map, vehicle.position, agent.mapping)
-        seen = view(site.scene, site.paint, camera_pose(vehicle)).image
-        features = self.encoder.encode(seen[None])[0]
-        occupied, cost = self.estimator.estimate(maps, robot.target, features, vehicle.yaw)
-        return jnp.where(occupied > self.threshold, jnp.inf, self.metres * cost)
 
 
 @struct.dataclass

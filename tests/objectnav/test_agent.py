@@ -30,12 +30,12 @@ from dc2g_jax.objectnav.guides import (
     GoalReacher,
     NoIdea,
     Predicted,
-    PredictedCosts,
     PromisingFrontier,
     TrueCost,
     true_distance,
 )
 from dc2g_jax.objectnav.mapping import EXPLORED, OBSTACLE, MapSettings
+from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 from tests.objectnav.two_rooms import two_rooms
 
 BED_TARGET, PLANT_TARGET = GOALS.index(BED), GOALS.index(PLANT)

@@ -1,0 +1,88 @@
+"""Costs that a network predicts for a robot under way: what it is shown, and what its answer means in metres."""
+
+from pathlib import Path
+from typing import Protocol
+
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Float, Int
+
+from dc2g_jax.errors import InputError
+from dc2g_jax.objectnav.agent import Agent, Robot, Site, camera_pose
+from dc2g_jax.objectnav.mapping import network_input
+from dc2g_jax.objectnav.midlevel import ImageEncoder, load_encoder, view
+from dc2g_jax.objectnav.networks import load_estimator
+
+#: The files of a trained network and of the encoder that it was trained with, in one folder.
+NETWORK_FILE, ENCODER_FILE = "network.safetensors", "encoder.safetensors"
+
+
+class CostEstimator(Protocol):
+    """Predicts costs from what has been seen: a pytree."""
+
+    def estimate(
+        self,
+        maps: Float[Array, "36 n n"],
+        target: Int[Array, ""],
+        features: Float[Array, " feature"],
+        heading: Float[Array, ""],
+    ) -> tuple[Float[Array, "n n"], Float[Array, "n n"]]:
+        """Predict for one robot.
+
+        Args:
+          maps: see `dc2g_jax.objectnav.mapping.network_input`.
+          target: what it looks for, an index into `GOALS`.
+          features: mid-level features of what it sees.
+          heading: where its camera looks, counter-clockwise from +x, radians.
+
+        Returns:
+          Of each cell of the local map, the probability that it is no free floor, and the navigation cost.
+        """
+        ...
+
+
+@struct.dataclass
+class PredictedCosts:
+    """What a network makes of what a robot knows and sees.
+
+    Attributes:
+      estimator: predicts costs.
+      encoder: makes mid-level features of what the camera sees.
+      metres: of way, for a cost of 1.
+      threshold: a cell that is occupied with more than this probability is none to be in (the paper's theta_occ).
+    """
+
+    estimator: CostEstimator
+    encoder: ImageEncoder
+    metres: float = 10.0
+    threshold: float = 0.5
+
+    def of(self, robot: Robot, site: Site, agent: Agent) -> Float[Array, "n n"]:
+        """What it costs to be in a cell of the local map, metres; infinite where one is predicted to be occupied."""
+        vehicle = robot.vehicle
+        maps = network_input(robot.map, vehicle.position, agent.mapping)
+        seen = view(site.scene, site.paint, camera_pose(vehicle)).image
+        features = self.encoder.encode(seen[None])[0]
+        occupied, cost = self.estimator.estimate(maps, robot.target, features, vehicle.yaw)
+        return jnp.where(occupied > self.threshold, jnp.inf, self.metres * cost)
+
+
+def load_costs(folder: Path) -> PredictedCosts:
+    """Read a trained network and its encoder.
+
+    Args:
+      folder: as `python -m experiments.objectnav_train` writes it.
+
+    Raises:
+      InputError: a file is missing or is none of these, or the one does not go with the other.
+    """
+    for name in (NETWORK_FILE, ENCODER_FILE):
+        if not (folder / name).is_file():
+            raise InputError(f"{folder}: has no {name}; give a folder that experiments.objectnav_train has written")
+    estimator, encoder = load_estimator(folder / NETWORK_FILE)[0], load_encoder(folder / ENCODER_FILE)
+    if encoder.size != estimator.architecture.features:
+        raise InputError(
+            f"{folder}: {ENCODER_FILE} makes {encoder.size} features, {NETWORK_FILE} takes "
+            f"{estimator.architecture.features}; take both from one folder"
+        )
+    return PredictedCosts(estimator, encoder)

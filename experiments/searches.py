@@ -1,0 +1,211 @@
+"""What the commands for object goals share: agents by name, the options they are made with, and `episodes.csv`."""
+
+import csv
+import dataclasses
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from dc2g_jax.datasets.houses import PROCEDURAL
+from dc2g_jax.datasets.tables import read_table
+from dc2g_jax.errors import InputError
+from dc2g_jax.objectnav.agent import (
+    CONTROLLER,
+    MPC,
+    Agent,
+    Guide,
+    LookAround,
+    RandomUntilSeen,
+    Steering,
+    usual_camera,
+)
+from dc2g_jax.objectnav.evaluation import EpisodeResult, results_of
+from dc2g_jax.objectnav.guides import Frontier, GoalReacher, NoIdea, Predicted, PromisingFrontier, TrueCost
+from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
+from dc2g_jax.objectnav.mapping import MapSettings
+from dc2g_jax.objectnav.predicted_costs import PredictedCosts, load_costs
+from dc2g_jax.objectnav.searches import TIME_LIMIT, Episode, sample_episodes, search_all
+from dc2g_jax.shipped import shipped
+from experiments.common import NetworkOption
+from experiments.episodes import EpisodeProgress
+
+#: The network that comes with the package, and its encoder.
+SHIPPED_INDOOR_NETWORK = "weights/cost_maps_indoors"
+
+#: What may be an agent.
+AgentName = Literal["true_cost", "random", "frontier", "predicted", "promising"]
+
+#: What tables call an agent.
+TITLES = {
+    "true_cost": "true cost map",
+    "random": "privileged random",
+    "frontier": "frontier",
+    "predicted": "predicted cost map",
+    "promising": "predicted, at frontiers",
+}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SearchOptions:
+    """Where objects are searched for.
+
+    Attributes:
+      houses: folder of ProcTHOR houses (`train`, `val` and `test`.jsonl.gz, `asset_boxes.json`), or `procedural` for
+        the embedded floor plans.
+      split: `test`, or `val` while anything is still being chosen.
+      count: houses, the first ones of the split.
+      episodes: searches in each house, of random starts and targets.
+      samples: copies of the plan that the controller drives at each step.
+      limit: steps of 0.1 s after which a search ends without success.
+      seed: of starts, targets and the robots' noise.
+      resamples: draws of houses for the bootstrap intervals.
+    """
+
+    houses: Annotated[str, tyro.conf.arg(metavar="FOLDER")] = PROCEDURAL
+    split: Literal["val", "test"] = "test"
+    count: int = 8
+    episodes: int = 40
+    samples: int = CONTROLLER.samples
+    limit: int = TIME_LIMIT
+    seed: int = 0
+    resamples: int = 10_000
+
+    def check(self) -> None:
+        """Refuse numbers that are none.
+
+        Raises:
+          InputError: names the option.
+        """
+        for name in ("count", "episodes", "samples", "limit", "resamples"):
+            if getattr(self, name) < 1:
+                raise InputError(f"--{name} {getattr(self, name)}: give 1 or more")
+
+    def places(self) -> tuple[list[IndoorHouse], list[Episode]]:
+        """The houses, and the searches to be made in them."""
+        houses = indoor_houses(self.houses, self.split, count=self.count, cell_size=MapSettings.cell_size)
+        return houses, sample_episodes(houses, self.episodes, seed=self.seed)
+
+    @property
+    def described(self) -> str:
+        """The houses in words."""
+        kind = "embedded floor plans" if self.houses == PROCEDURAL else f"houses of {self.houses}"
+        return f"{self.count} {kind}, {self.split}"
+
+
+def open_costs(folder: NetworkOption) -> PredictedCosts:
+    """The network in a folder, or the one that comes with the package."""
+    return load_costs(shipped(SHIPPED_INDOOR_NETWORK) if folder is None else folder)
+
+
+def agent_named(name: str, network: NetworkOption, samples: int = CONTROLLER.samples) -> Agent:
+    """The agent of a line of the tables. Those that explore by a rule look around first.
+
+    Args:
+      name: one of `AgentName`.
+      network: folder of the network that predicts costs, see `open_costs`; read if the agent needs it.
+      samples: copies of the plan that the controller drives at each step.
+    """
+
+    def guide() -> Guide:
+        match name:
+            case "true_cost":
+                return TrueCost()
+            case "random":
+                return GoalReacher(NoIdea())
+            case "frontier":
+                return GoalReacher(Frontier())
+            case "predicted":
+                return GoalReacher(Predicted(open_costs(network)))
+            case _:
+                return GoalReacher(PromisingFrontier(open_costs(network)))
+
+    steerings: dict[str, Steering] = {"true_cost": MPC(), "random": RandomUntilSeen()}
+    return Agent(
+        guide=guide(),
+        steering=steerings.get(name, LookAround(MPC())),
+        camera=usual_camera(),
+        controller=dataclasses.replace(CONTROLLER, samples=samples),
+    )
+
+
+class SearchTable:
+    """`episodes.csv`: one line a search and agent, written anew whenever an agent has made all of its searches.
+
+    Opened where a run is resumed, it gives back what is there and runs the rest.
+
+    Args:
+      path: the file.
+
+    Raises:
+      InputError: the file is there and cannot be read.
+    """
+
+    def __init__(self, path: Path):
+        self._path = path
+        self._done = read_searches(path) if path.exists() else []
+
+    def run(
+        self,
+        name: str,
+        agent: Callable[[], Agent],
+        houses: Sequence[IndoorHouse],
+        episodes: Sequence[Episode],
+        options: SearchOptions,
+    ) -> list[EpisodeResult]:
+        """What came of an agent's searches, made now or earlier.
+
+        Args:
+          name: of the agent, its column in the table.
+          agent: makes it; not called for searches that are there.
+          houses: those of the episodes.
+          episodes: the searches.
+          options: time limit and seed.
+        """
+        kept = [result for result in self._done if result.agent == name]
+        if len(kept) == len(episodes):
+            return kept
+        progress = EpisodeProgress()
+        searches = search_all(
+            agent(), houses, episodes, limit=options.limit, seed=options.seed,
+            on_progress=lambda finished: progress(name, finished, len(episodes)),
+        )  # fmt: skip
+        results = results_of(name, houses, episodes, searches)
+        self._done = [*(result for result in self._done if result.agent != name), *results]
+        write_searches(self._path, self._done)
+        return results
+
+
+def write_searches(path: Path, results: Sequence[EpisodeResult]) -> None:
+    """Write `episodes.csv`, yes and no as 1 and 0. A file that is there is replaced in one go."""
+    unfinished = path.with_name(f".{path.name}.unfinished")
+    with unfinished.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(EpisodeResult._fields)
+        for result in results:
+            writer.writerow(int(value) if isinstance(value, bool) else value for value in result)
+    os.replace(unfinished, path)
+
+
+def read_searches(path: Path) -> list[EpisodeResult]:
+    """Read what `write_searches` wrote.
+
+    Raises:
+      InputError: for a file that cannot be read, a missing column, or a value that is none; names the line.
+    """
+    rows = read_table(path, list(EpisodeResult._fields), remedy="give the episodes.csv of an earlier run")
+    results = []
+    for line, row in rows:
+        try:
+            results.append(EpisodeResult(**{name: _value(name, row[name]) for name in EpisodeResult._fields}))
+        except ValueError as error:
+            raise InputError(f"{path}: line {line}: {error}; repair the line, or run the searches anew") from None
+    return results
+
+
+def _value(name: str, text: str) -> Any:
+    """A field of `EpisodeResult`."""
+    kind = EpisodeResult.__annotations__[name]
+    return bool(int(text)) if kind is bool else kind(text)
