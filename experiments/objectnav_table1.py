@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.objectnav.evaluation import Summary, summarize
+from dc2g_jax.objectnav.evaluation import Difference, EpisodeResult, Summary, difference, summarize
 from experiments.common import NetworkOption, OutOption, command_line
 from experiments.outputs import output_folder
 from experiments.searches import TITLES, AgentName, SearchOptions, SearchTable, agent_named
@@ -77,6 +77,24 @@ def table(summaries: Mapping[str, Summary]) -> str:
     return "\n".join(lines)
 
 
+def differences(results: Mapping[str, Sequence[EpisodeResult]], resamples: int) -> dict[str, Difference]:
+    """By how much the last of the agents is better than each of the others in the same searches."""
+    *others, last = results
+    return {name: difference(results[last], results[name], resamples=resamples) for name in others}
+
+
+def difference_lines(found: Mapping[str, Difference], last: str, titles: Mapping[str, str] = TITLES) -> str:
+    """The differences as text."""
+    lines = []
+    for name, one in found.items():
+        success, spl = (
+            f"{gain:+.3f} ({low:+.3f} to {high:+.3f})"
+            for gain, (low, high) in ((one.success, one.success_interval), (one.spl, one.spl_interval))
+        )
+        lines.append(f"{titles[last]} against {titles[name]}: success {success}, SPL {spl}")
+    return "\n".join(lines)
+
+
 def _paper_line(title: str, name: str) -> str:
     one = PAPER[name]
     return _line(title, (f"{one.success:.3f}", f"{one.spl:.3f}", *_figures(one)))
@@ -99,19 +117,22 @@ def main(options: Options) -> None:
         raise InputError(f"--agents {' '.join(options.agents)}: give each agent once, one at least")
     houses, episodes = options.places()
     out = output_folder(options, "objectnav_table1")
-    searches, summaries = SearchTable(out / "episodes.csv"), dict[str, Summary]()
+    searches, all_results = SearchTable(out / "episodes.csv"), dict[str, list[EpisodeResult]]()
     for name in options.agents:
         began = time.perf_counter()
         agent = functools.partial(agent_named, name, options.network, options.samples)
-        results = searches.run(name, agent, houses, episodes, options)
-        summaries[name] = summarize(results, resamples=options.resamples)
-        print(f"{TITLES[name]}: {len(results)} searches, {time.perf_counter() - began:.0f} s", flush=True)
+        all_results[name] = searches.run(name, agent, houses, episodes, options)
+        print(f"{TITLES[name]}: {len(episodes)} searches, {time.perf_counter() - began:.0f} s", flush=True)
+    summaries = {name: summarize(results, resamples=options.resamples) for name, results in all_results.items()}
+    gains = differences(all_results, options.resamples)
     print(f"\n{len(episodes)} searches in {options.described}\n{table(summaries)}\n{CAVEAT}")
+    print(difference_lines(gains, options.agents[-1]))
     facts = {
         "houses": [house.name for house in houses],
         "split": options.split,
         "note": CAVEAT,
         "agents": {name: one._asdict() for name, one in summaries.items()},
+        "differences": {name: one._asdict() for name, one in gains.items()},
         "paper": {name: one._asdict() for name, one in PAPER.items()},
     }
     (out / "results.json").write_text(json.dumps(facts, indent=2) + "\n")

@@ -26,6 +26,7 @@ from dc2g_jax.objectnav.evaluation import EpisodeResult, results_of
 from dc2g_jax.objectnav.guides import Frontier, GoalReacher, NoIdea, Predicted, PromisingFrontier, TrueCost
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
 from dc2g_jax.objectnav.mapping import MapSettings
+from dc2g_jax.objectnav.networks import CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts, load_costs
 from dc2g_jax.objectnav.searches import TIME_LIMIT, Episode, sample_episodes, search_all
 from dc2g_jax.shipped import shipped
@@ -95,37 +96,45 @@ class SearchOptions:
         return f"{self.count} {kind}, {self.split}"
 
 
-def open_costs(folder: NetworkOption) -> PredictedCosts:
+def open_costs(folder: NetworkOption) -> PredictedCosts[CostMapEstimator]:
     """The network in a folder, or the one that comes with the package."""
     return load_costs(shipped(SHIPPED_INDOOR_NETWORK) if folder is None else folder)
 
 
 def agent_named(name: str, network: NetworkOption, samples: int = CONTROLLER.samples) -> Agent:
-    """The agent of a line of the tables. Those that explore by a rule look around first.
+    """The agent of a line of the tables, with a network from a folder if it needs one, see `open_costs`.
 
     Args:
       name: one of `AgentName`.
-      network: folder of the network that predicts costs, see `open_costs`; read if the agent needs it.
+      network: the folder.
+      samples: see `agent_with`.
+    """
+    return agent_with(name, open_costs(network) if name in ("predicted", "promising") else None, samples)
+
+
+def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLER.samples) -> Agent:
+    """An agent. Those that explore by a rule look around first.
+
+    Args:
+      name: one of `AgentName`.
+      costs: of the network, for agents that go by one.
       samples: copies of the plan that the controller drives at each step.
     """
-
-    def guide() -> Guide:
-        match name:
-            case "true_cost":
-                return TrueCost()
-            case "random":
-                return GoalReacher(NoIdea())
-            case "frontier":
-                return GoalReacher(Frontier())
-            case "predicted":
-                return GoalReacher(Predicted(open_costs(network)))
-            case _:
-                return GoalReacher(PromisingFrontier(open_costs(network)))
-
-    steerings: dict[str, Steering] = {"true_cost": MPC(), "random": RandomUntilSeen()}
+    steering: Steering = LookAround(MPC())
+    guide: Guide
+    if name == "true_cost":
+        guide, steering = TrueCost(), MPC()
+    elif name == "random":
+        guide, steering = GoalReacher(NoIdea()), RandomUntilSeen()
+    elif name == "frontier":
+        guide = GoalReacher(Frontier())
+    elif costs is None:
+        raise InputError(f"the agent {name} goes by a network; give one")
+    else:
+        guide = GoalReacher(Predicted(costs) if name == "predicted" else PromisingFrontier(costs))
     return Agent(
-        guide=guide(),
-        steering=steerings.get(name, LookAround(MPC())),
+        guide=guide,
+        steering=steering,
         camera=usual_camera(),
         controller=dataclasses.replace(CONTROLLER, samples=samples),
     )

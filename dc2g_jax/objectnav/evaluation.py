@@ -227,3 +227,47 @@ def summarize(results: Sequence[EpisodeResult], *, resamples: int = 10_000, seed
         declared=mean("declared"),
         bumps=mean("bumps"),
     )
+
+
+class Difference(NamedTuple):
+    """By how much one agent is better than another in the same searches; intervals as in `Summary`.
+
+    Attributes:
+      success: of the shares.
+      success_interval: its interval.
+      spl: of the mean success weighted by path length.
+      spl_interval: its interval.
+    """
+
+    success: float
+    success_interval: tuple[float, float]
+    spl: float
+    spl_interval: tuple[float, float]
+
+
+def difference(
+    better: Sequence[EpisodeResult], worse: Sequence[EpisodeResult], *, resamples: int = 10_000, seed: int = 0
+) -> Difference:
+    """Compare two agents search by search.
+
+    Args:
+      better: results of the one.
+      worse: results of the other, in the same order.
+      resamples: sets of houses drawn for the intervals.
+      seed: of those draws.
+
+    Raises:
+      ValueError: the searches are not the same.
+    """
+    pairs = list(zip(better, worse, strict=True))
+    if any(
+        (one.house, one.target, one.x, one.y) != (other.house, other.target, other.x, other.y) for one, other in pairs
+    ):
+        raise ValueError("the two agents made different searches")
+    houses = [one.house for one in better]
+
+    def gain(name: str) -> tuple[float, tuple[float, float]]:
+        gains = [float(getattr(one, name)) - float(getattr(other, name)) for one, other in pairs]
+        return float(np.mean(gains)), house_bootstrap(gains, houses, resamples=resamples, seed=seed)
+
+    return Difference(*gain("success"), *gain("spl"))

@@ -1,7 +1,7 @@
 """Costs that a network predicts for a robot under way: what it is shown, and what its answer means in metres."""
 
 from pathlib import Path
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 import jax.numpy as jnp
 from flax import struct
@@ -41,8 +41,11 @@ class CostEstimator(Protocol):
         ...
 
 
+_Estimator = TypeVar("_Estimator", bound=CostEstimator)
+
+
 @struct.dataclass
-class PredictedCosts:
+class PredictedCosts(Generic[_Estimator]):
     """What a network makes of what a robot knows and sees.
 
     Attributes:
@@ -52,7 +55,7 @@ class PredictedCosts:
       threshold: a cell that is occupied with more than this probability is none to be in (the paper's theta_occ).
     """
 
-    estimator: CostEstimator
+    estimator: _Estimator
     encoder: ImageEncoder
     metres: float = 10.0
     threshold: float = 0.5
@@ -67,7 +70,7 @@ class PredictedCosts:
         return jnp.where(occupied > self.threshold, jnp.inf, self.metres * cost)
 
 
-def load_costs(folder: Path) -> PredictedCosts:
+def load_costs(folder: Path) -> PredictedCosts[CostMapEstimator]:
     """Read a trained network and its encoder.
 
     Args:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax.objectnav.classes import GOALS
-from dc2g_jax.objectnav.evaluation import results_of, summarize, way_there
+from dc2g_jax.objectnav.evaluation import difference, results_of, summarize, way_there
 from dc2g_jax.objectnav.searches import Episode, Searches, sample_episodes
 from tests.objectnav.two_rooms import two_rooms
 from tests.refusals import refusal
@@ -87,6 +87,17 @@ def test_means_are_over_episodes_and_intervals_over_houses(house):
     assert summary.spl == pytest.approx(0.75 * good.spl)
     assert summary.distance == pytest.approx(bad.distance / 4)
     assert summary.success_interval == (0, 1)
+
+
+def test_differences_are_of_the_same_searches(house):
+    good, bad = judged(house, (3.95, -1.0), (4.15, -2.3)), judged(house, (3.95, -1.0), (2.85, -3.0))
+    better, worse = [good, good._replace(house="b")], [bad, good._replace(house="b")]
+    found = difference(better, worse, resamples=200)
+    assert found.success == 0.5
+    assert found.spl == pytest.approx(good.spl / 2)
+    assert found.success_interval == (0, 1)
+    with pytest.raises(ValueError, match="different searches"):
+        difference(better, worse[::-1])
 
 
 def test_searches_are_drawn_alike_whatever_houses_come_with_them(house):

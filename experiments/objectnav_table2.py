@@ -1,0 +1,155 @@
+"""What the network should be shown: Table II of the paper on dense cost maps, `python -m experiments.objectnav_table2`.
+
+Each network predicts costs for the same partial maps of unseen houses, and guides the same searches.
+"""
+
+import dataclasses
+import functools
+import json
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import tyro
+
+from dc2g_jax.errors import InputError
+from dc2g_jax.objectnav.collecting import CollectionConfig, collect
+from dc2g_jax.objectnav.evaluation import EpisodeResult, Summary, summarize
+from dc2g_jax.objectnav.houses import IndoorHouse
+from dc2g_jax.objectnav.networks import ABLATIONS, CostMapEstimator
+from dc2g_jax.objectnav.predicted_costs import PredictedCosts
+from dc2g_jax.objectnav.training import CostMapConfig, figures, validation_samples
+from experiments.common import OutOption, command_line
+from experiments.objectnav_table1 import CAVEAT, difference_lines, differences
+from experiments.outputs import output_folder
+from experiments.searches import SearchOptions, SearchTable, agent_with, open_costs
+
+#: What the lines are called, by name of the ablation.
+TITLES = {"both": "both", "semantic": "only semantic map", "midlevel": "only mid-level"}
+
+#: Metrics of the prediction, percent.
+METRICS = ("MPA", "mF1", "mIoU", "aAP5", "aAP9")
+
+
+class PaperLine(NamedTuple):
+    """A line of Table II of the paper: `METRICS` in percent, success, SPL and distance to success in metres."""
+
+    metrics: tuple[float, float, float, float, float]
+    success: float
+    spl: float
+    distance: float
+
+
+#: Table II of the paper, on its own houses.
+PAPER = {
+    "semantic": PaperLine((79.17, 76.32, 63.34, 36.49, 32.47), 0.377, 0.290, 4.803),
+    "midlevel": PaperLine((79.11, 76.32, 63.47, 37.21, 33.11), 0.402, 0.287, 4.716),
+    "both": PaperLine((78.76, 75.89, 62.93, 37.45, 33.39), 0.447, 0.329, 4.542),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(SearchOptions):
+    """Compare networks that are shown semantic maps, mid-level features or both, in houses they have not seen.
+
+    Attributes:
+      networks: folders of networks, as experiments.objectnav_train writes them with `--inputs semantic` and so on, the
+        one to compare the others with last; the one that comes with the package where not given.
+      agent: how costs guide the robot: promising or predicted, see experiments.objectnav_table1.
+      maps: partial maps to predict costs for.
+      out: folder to write to; a new one below outputs/ where not given.
+      resume: go on with the run in `out`, begun with the same options, where it stopped.
+    """
+
+    networks: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FOLDER ...")] = ()
+    agent: Annotated[str, tyro.conf.arg(metavar="NAME")] = "promising"
+    maps: int = 2048
+    out: OutOption = None
+    resume: bool = False
+
+
+def ablation(estimator: CostMapEstimator) -> str:
+    """The name of what a network is shown."""
+    return next(name for name, inputs in ABLATIONS.items() if inputs == estimator.architecture.inputs)
+
+
+def open_networks(folders: tuple[Path, ...]) -> dict[str, PredictedCosts[CostMapEstimator]]:
+    """The networks by what they are shown.
+
+    Raises:
+      InputError: two are shown the same.
+    """
+    found: dict[str, PredictedCosts[CostMapEstimator]] = {}
+    for folder in folders or (None,):
+        costs = open_costs(folder)
+        name = ablation(costs.estimator)
+        if name in found:
+            raise InputError(f"--networks {folder}: another one is shown {TITLES[name]} too; give one of each")
+        found[name] = costs
+    return found
+
+
+def prediction_metrics(
+    costs: PredictedCosts[CostMapEstimator], houses: list[IndoorHouse], options: Options
+) -> dict[str, float]:
+    """`METRICS` on partial maps of robots under way in the houses."""
+    largest = max(max(house.world.free.shape) for house in houses)
+    samples = collect(houses, costs.encoder, CollectionConfig(largest=largest, data_seed=options.seed))
+    config = CostMapConfig(costs.estimator.architecture)
+    found = figures(costs.estimator, validation_samples(samples, config, options.maps), config)
+    return {name: found[name] for name in METRICS}
+
+
+def table(metrics: dict[str, dict[str, float]], summaries: dict[str, Summary]) -> str:
+    """Table II as text, the paper's line below each of ours."""
+    lines = [_line("", ("MPA %", "mF1 %", "mIoU %", "aAP5 %", "aAP9 %", "success", "SPL", "DTS m"))]
+    for name, one in summaries.items():
+        values = (*metrics[name].values(), one.success, one.spl, one.distance)
+        paper = PAPER[name]
+        lines.append(_line(TITLES[name], _figures(*values)))
+        lines.append(_line("the paper's", _figures(*paper.metrics, paper.success, paper.spl, paper.distance)))
+    return "\n".join(lines)
+
+
+def _figures(*values: float) -> tuple[str, ...]:
+    return (*(f"{value:.2f}" for value in values[:5]), *(f"{value:.3f}" for value in values[5:7]), f"{values[7]:.2f}")
+
+
+def _line(title: str, cells: tuple[str, ...]) -> str:
+    return "  ".join([f"{title:>18}", *(f"{cell:>7}" for cell in cells)])
+
+
+def main(options: Options) -> None:
+    """Predict, search, print and write the table."""
+    options.check()
+    if options.agent not in ("promising", "predicted"):
+        raise InputError(f"--agent {options.agent}: give promising or predicted, which go by a network")
+    networks = open_networks(options.networks)
+    houses, episodes = options.places()
+    out = output_folder(options, "objectnav_table2")
+    searches, results = SearchTable(out / "episodes.csv"), dict[str, list[EpisodeResult]]()
+    metrics = {}
+    for name, costs in networks.items():
+        metrics[name] = prediction_metrics(costs, houses, options)
+        agent = functools.partial(agent_with, options.agent, costs, options.samples)
+        results[name] = searches.run(name, agent, houses, episodes, options)
+    summaries = {name: summarize(found, resamples=options.resamples) for name, found in results.items()}
+    gains = differences(results, options.resamples)
+    print(
+        f"\n{options.maps} maps, {len(episodes)} searches in {options.described}\n{table(metrics, summaries)}\n{CAVEAT}"
+    )
+    print(difference_lines(gains, list(networks)[-1], TITLES))
+    facts = {
+        "houses": [house.name for house in houses],
+        "split": options.split,
+        "note": CAVEAT,
+        "prediction": metrics,
+        "navigation": {name: one._asdict() for name, one in summaries.items()},
+        "differences": {name: one._asdict() for name, one in gains.items()},
+        "paper": {name: one._asdict() for name, one in PAPER.items()},
+    }
+    (out / "results.json").write_text(json.dumps(facts, indent=2) + "\n")
+    print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

@@ -1,0 +1,66 @@
+"""The command of Table II, on a house of two rooms."""
+
+import dataclasses
+import json
+
+import jax
+import pytest
+
+from dc2g_jax.objectnav.midlevel import EncoderArchitecture, TrainedEncoder, init_encoder, save_encoder
+from dc2g_jax.objectnav.networks import ABLATIONS, CostMapArchitecture, CostMapEstimator, init_weights, save_estimator
+from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE
+from experiments import objectnav_table2, searches
+from experiments.objectnav_table2 import METRICS, Options, main
+from tests.objectnav.two_rooms import two_rooms
+from tests.refusals import refusal
+
+KEY = jax.random.key(0)
+
+
+@pytest.fixture
+def folders(tmp_path):
+    """Networks that know nothing, one shown the map alone, one shown both."""
+    made = []
+    for name in ("semantic", "both"):
+        folder = tmp_path / name
+        folder.mkdir()
+        small = EncoderArchitecture((4, 5, 6), features=7)
+        save_encoder(folder / ENCODER_FILE, TrainedEncoder(init_encoder(small, KEY), small), {})
+        architecture = CostMapArchitecture(
+            widths=(4, 4), embedding=4, features=7, feature_width=3, inputs=ABLATIONS[name]
+        )
+        save_estimator(folder / NETWORK_FILE, CostMapEstimator(init_weights(architecture, KEY), architecture), {})
+        made.append(folder)
+    return tuple(made)
+
+
+@pytest.fixture
+def options(folders, tmp_path, monkeypatch):
+    monkeypatch.setattr(searches, "indoor_houses", lambda *args, **options: [two_rooms()])
+    collection = dataclasses.replace(objectnav_table2.CollectionConfig(), journeys=1, views=4, places=1)
+    monkeypatch.setattr(
+        objectnav_table2, "CollectionConfig", lambda **wanted: dataclasses.replace(collection, **wanted)
+    )
+    return Options(
+        count=1, episodes=2, samples=4, limit=10, resamples=20, maps=16, networks=folders, out=tmp_path / "out"
+    )
+
+
+def test_it_compares_what_networks_are_shown(options, capsys):
+    main(options)
+    printed = capsys.readouterr().out
+    for words in ("only semantic map", "both against only semantic map", "78.76", "The paper's houses differ"):
+        assert words in printed
+    facts = json.loads((options.out / "results.json").read_text())
+    assert list(facts["prediction"]) == list(facts["navigation"]) == ["semantic", "both"]
+    for name in ("semantic", "both"):
+        assert list(facts["prediction"][name]) == list(METRICS)
+        assert all(0 <= value <= 100 for value in facts["prediction"][name].values())
+        assert facts["navigation"][name]["episodes"] == 2
+    assert set(facts["differences"]) == {"semantic"}
+
+
+def test_two_networks_of_a_kind_and_unknown_agents_are_refused(options, folders):
+    twice = dataclasses.replace(options, networks=(folders[0], folders[0]))
+    refusal(lambda: main(twice), "--networks", folders[0], "one of each")
+    refusal(lambda: main(dataclasses.replace(options, agent="frontier")), "frontier", "promising or predicted")

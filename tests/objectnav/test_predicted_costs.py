@@ -1,0 +1,39 @@
+"""A trained network and its encoder, read from a folder."""
+
+import jax
+import numpy as np
+import pytest
+
+from dc2g_jax.objectnav.midlevel import EncoderArchitecture, TrainedEncoder, init_encoder, save_encoder
+from dc2g_jax.objectnav.networks import CostMapArchitecture, CostMapEstimator, init_weights, save_estimator
+from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, load_costs
+from tests.refusals import refusal
+
+KEY = jax.random.key(0)
+
+
+def save_network(folder, features):
+    architecture = CostMapArchitecture(widths=(6, 8), embedding=4, features=features, feature_width=3)
+    save_estimator(folder / NETWORK_FILE, CostMapEstimator(init_weights(architecture, KEY), architecture), {})
+
+
+@pytest.fixture
+def folder(tmp_path):
+    architecture = EncoderArchitecture((4, 5, 6), features=7)
+    save_encoder(tmp_path / ENCODER_FILE, TrainedEncoder(init_encoder(architecture, KEY), architecture), {})
+    save_network(tmp_path, features=7)
+    return tmp_path
+
+
+def test_both_files_are_read(folder):
+    costs = load_costs(folder)
+    assert costs.estimator.architecture.features == costs.encoder.size == 7
+    embedding = init_weights(costs.estimator.architecture, KEY)["target"]["embedding"]
+    np.testing.assert_allclose(costs.estimator.weights["target"]["embedding"], embedding, rtol=1e-3)
+
+
+def test_what_does_not_go_together_or_is_not_there_is_refused(folder, tmp_path):
+    save_network(folder, features=5)
+    refusal(lambda: load_costs(folder), folder, "7 features", "takes 5", "one folder")
+    (folder / ENCODER_FILE).unlink()
+    refusal(lambda: load_costs(folder), folder, ENCODER_FILE, "objectnav_train")
