@@ -11,7 +11,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.agent import Agent, Robot, Site, camera_pose
 from dc2g_jax.objectnav.mapping import network_input
 from dc2g_jax.objectnav.midlevel import ImageEncoder, load_encoder, view
-from dc2g_jax.objectnav.networks import load_estimator
+from dc2g_jax.objectnav.networks import CostMapEstimator, load_estimator
 
 #: The files of a trained network and of the encoder that it was trained with, in one folder.
 NETWORK_FILE, ENCODER_FILE = "network.safetensors", "encoder.safetensors"
