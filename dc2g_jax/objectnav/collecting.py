@@ -15,13 +15,12 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.mapping.camera import level_camera
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.objectnav.agent import CAMERA_HEIGHT, CAMERA_PITCH
-from dc2g_jax.objectnav.cost_maps import distance_for_vehicle
+from dc2g_jax.objectnav.cost_maps import distance_for_vehicle, with_tight_cells
 from dc2g_jax.objectnav.data import (
     TrainingSet,
     cell_codes,
     drive_to_goals,
     in_millimetres,
-    with_tight_cells,
 )
 from dc2g_jax.objectnav.exploring import NEVER, Journey, explore
 from dc2g_jax.objectnav.houses import IndoorHouse

@@ -53,6 +53,19 @@ def distance_for_vehicle(
     )
 
 
+def with_tight_cells(distance: Float[Array, "h w"], free: Bool[Array, "h w"], cell_size: float) -> Float[Array, "h w"]:
+    """Distances on free floor alone: from where a robot does not fit, they count from where it could be.
+
+    Args:
+      distance: metres, infinite where the robot does not fit and where no way leads to the goal.
+      free: floor on which nothing stands.
+      cell_size: metres.
+    """
+    known = jnp.where(free, distance, jnp.inf)
+    tight = free & ~jnp.isfinite(known)
+    return travel_cost(jnp.where(tight, jnp.float32(cell_size), jnp.inf), known)
+
+
 def dense_costs(
     distance: Float[Array, "h w"], cell_size: ArrayLike, *, collision: ArrayLike = 50.0, slope: ArrayLike = 10.0
 ) -> Float[Array, "h w"]:

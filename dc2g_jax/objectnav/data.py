@@ -15,7 +15,6 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Float16, Int, Int16, UInt8, UInt16
 
-from dc2g_jax.grid.fast_marching import travel_cost
 from dc2g_jax.objectnav.classes import GOALS, SEMANTIC_CLASSES
 from dc2g_jax.objectnav.cost_maps import distance_for_vehicle
 from dc2g_jax.objectnav.starts import ROBOT_RADIUS
@@ -140,19 +139,6 @@ def drive_to_goals(
         lambda goal: distance_for_vehicle(~free, (classes == goal) & ~free, radius, cell_size),
         jnp.asarray(GOALS, jnp.uint8),
     )
-
-
-def with_tight_cells(distance: Float[Array, "h w"], free: Bool[Array, "h w"], cell_size: float) -> Float[Array, "h w"]:
-    """Distances on free floor alone: from where a robot does not fit, they count from where it could be.
-
-    Args:
-      distance: metres, infinite where the robot does not fit and where no way leads to the goal.
-      free: floor on which nothing stands.
-      cell_size: metres.
-    """
-    known = jnp.where(free, distance, jnp.inf)
-    tight = free & ~jnp.isfinite(known)
-    return travel_cost(jnp.where(tight, jnp.float32(cell_size), jnp.inf), known)
 
 
 def in_millimetres(distance: Float[Array, "*n"]) -> UInt16[Array, "*n"]:

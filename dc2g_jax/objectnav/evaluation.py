@@ -25,7 +25,7 @@ from dc2g_jax.control.vehicle import CONTROL_PERIOD
 from dc2g_jax.evaluation import house_bootstrap
 from dc2g_jax.grid.fast_marching import geodesic_distance
 from dc2g_jax.objectnav.classes import CLASS_NAMES, NOTHING
-from dc2g_jax.objectnav.cost_maps import dense_costs
+from dc2g_jax.objectnav.cost_maps import with_tight_cells
 from dc2g_jax.objectnav.goal_reacher import straight_distance
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.searches import Episode, Searches
@@ -99,7 +99,7 @@ def way_there(house: IndoorHouse, target: str) -> WayThere:
     free, classes, cell_size = np.asarray(world.free), np.asarray(world.classes), float(world.cell_size)
     near = _near(classes == CLASS_NAMES.index(target), ~free & (classes == NOTHING), cell_size)
     there = free & np.asarray(near)
-    distance = np.asarray(_distance_there(passable(free, cell_size), there, cell_size))
+    distance = np.asarray(_distance_there(free, passable(free, cell_size), there, cell_size))
     return WayThere(distance=distance, there=there)
 
 
@@ -110,10 +110,9 @@ def _near(goals: Array, closed: Array, cell_size: float) -> Bool[Array, "h w"]:
 
 
 @functools.partial(jax.jit, static_argnames=("cell_size",))
-def _distance_there(fits: Array, region: Array, cell_size: float) -> Float[Array, "h w"]:
-    """Metres to a region; where a robot does not fit, by the straight way to where it does."""
-    distance = geodesic_distance(fits, fits & region, cell_size)
-    return jnp.where(jnp.any(jnp.isfinite(distance)), dense_costs(distance, cell_size, collision=0, slope=1), jnp.inf)
+def _distance_there(free: Array, fits: Array, region: Array, cell_size: float) -> Float[Array, "h w"]:
+    """Metres to a region; where a robot does not fit, over free floor to where it does."""
+    return with_tight_cells(geodesic_distance(fits, fits & region, cell_size), free, cell_size)
 
 
 def results_of(
