@@ -55,6 +55,7 @@ class Options:
       out: folder for checkpoints, the network and the log.
       houses: `procedural`, or a folder of houses in ProcTHOR's format.
       count: training houses; all of a folder's where not given, 300 procedural ones.
+      strict: refuse a file of houses for its first line that is none, instead of skipping it.
       validation_houses: houses of the validation split to try the network on.
       cell_size: side of a map's cell, metres.
       collection: what to collect in the houses.
@@ -77,6 +78,7 @@ class Options:
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     houses: str = PROCEDURAL
     count: Annotated[int | None, tyro.conf.arg(help_behavior_hint="")] = None
+    strict: bool = False
     validation_houses: int = 20
     cell_size: float = MapSettings.cell_size
     collection: tyro.conf.OmitArgPrefixes[CollectionConfig] = dataclasses.field(default_factory=CollectionConfig)
@@ -121,7 +123,14 @@ def open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
     views = random_views(
         houses[:_ENCODER_HOUSES], _PICTURES_A_HOUSE, options.collection.data_seed, options.collection.largest
     )
-    encoder, losses = train_encoder(EncoderArchitecture(), views, steps=options.encoder_steps, seed=options.seed)
+    with tqdm(total=options.encoder_steps, desc="encoder", unit="step", file=sys.stderr) as bar:
+        encoder, losses = train_encoder(
+            EncoderArchitecture(),
+            views,
+            steps=options.encoder_steps,
+            seed=options.seed,
+            on_step=lambda done: bar.update(done - bar.n),
+        )
     save_encoder(own, encoder, {"losses": json.dumps(losses[-1]), "command": command_written(), "commit": commit()})
     # From the file, in half precision: as it will be used.
     return load_encoder(own)
@@ -200,8 +209,9 @@ def main(options: Options) -> None:
         raise InputError("--steps, --batch-size and --validation-samples: give at least 1, --validate-every at least 0")
     output_folder(options, "objectnav_train", free=("validate_every", "minutes_per_checkpoint", "validation_samples"))
     count = options.count or (300 if options.houses == PROCEDURAL else None)
-    houses = indoor_houses(options.houses, "train", count=count, cell_size=options.cell_size)
-    unknown = indoor_houses(options.houses, "val", cell_size=options.cell_size)[: options.validation_houses]
+    print(f"Houses: {count or 'all'} of {options.houses}", flush=True)
+    read = functools.partial(indoor_houses, options.houses, cell_size=options.cell_size, strict=options.strict)
+    houses, unknown = read("train", count=count), read("val")[: options.validation_houses]
     encoder = open_encoder(options, houses)
     collection = options.collection
     data = kept(options.out / "data.npz", functools.partial(collect, houses, encoder, collection), len(houses))

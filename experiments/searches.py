@@ -57,6 +57,7 @@ class SearchOptions:
       houses: folder of ProcTHOR houses (`train`, `val` and `test`.jsonl.gz, `asset_boxes.json`), or `procedural` for
         the embedded floor plans.
       split: `test`, or `val` while anything is still being chosen.
+      strict: refuse a file of houses for its first line that is none, instead of skipping it.
       count: houses, the first ones of the split.
       episodes: searches in each house, of random starts and targets.
       samples: copies of the plan that the controller drives at each step.
@@ -67,6 +68,7 @@ class SearchOptions:
 
     houses: Annotated[str, tyro.conf.arg(metavar="FOLDER")] = PROCEDURAL
     split: Literal["val", "test"] = "test"
+    strict: bool = False
     count: int = 8
     episodes: int = 40
     samples: int = CONTROLLER.samples
@@ -86,7 +88,9 @@ class SearchOptions:
 
     def places(self) -> tuple[list[IndoorHouse], list[Episode]]:
         """The houses, and the searches to be made in them."""
-        houses = indoor_houses(self.houses, self.split, count=self.count, cell_size=MapSettings.cell_size)
+        houses = indoor_houses(
+            self.houses, self.split, count=self.count, cell_size=MapSettings.cell_size, strict=self.strict
+        )
         return houses, sample_episodes(houses, self.episodes, seed=self.seed)
 
     @property

@@ -9,6 +9,7 @@ import dataclasses
 import functools
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -275,7 +276,13 @@ def task_losses(answers: Answers, views: View) -> dict[str, Float[Array, ""]]:
 
 
 def train_encoder(
-    architecture: EncoderArchitecture, views: View, *, steps: int, batch_size: int = 64, seed: int = 0
+    architecture: EncoderArchitecture,
+    views: View,
+    *,
+    steps: int,
+    batch_size: int = 64,
+    seed: int = 0,
+    on_step: Callable[[int], None] | None = None,
 ) -> tuple[TrainedEncoder, list[dict[str, float]]]:
     """Train the default encoder on pictures; the same bits for the same seed.
 
@@ -285,6 +292,7 @@ def train_encoder(
       steps: optimiser steps.
       batch_size: pictures a step.
       seed: of weights and batches.
+      on_step: called with the number of steps taken.
 
     Returns:
       The encoder, and the mean losses of each tenth of the steps.
@@ -312,6 +320,8 @@ def train_encoder(
     for number in range(steps):
         weights, state, losses = step(weights, state, views, jnp.int32(number))
         history.append(losses)
+        if on_step is not None:
+            on_step(number + 1)
     size = max(steps // 10, 1)
     means = [
         {name: float(np.mean([np.asarray(one[name]) for one in part])) for name in part[0]}
