@@ -26,7 +26,7 @@ _NETWORKS = {
 }
 
 #: The robot, facing along +x.
-_ARROW = Path([(1, 0), (-0.8, 0.65), (-0.4, 0), (-0.8, -0.65), (1, 0)], closed=True)
+ROBOT_ARROW = Path([(1, 0), (-0.8, 0.65), (-0.4, 0), (-0.8, -0.65), (1, 0)], closed=True)
 
 
 def plot_noise(
@@ -107,7 +107,7 @@ def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_
         ahead = np.array([_in_cells(point, cell_size) for point in moment.robot.path.points])
         planned.plot(*way[: number + 1].T, color="black", linewidth=1)
         planned.plot(*ahead.T, color="#0072b2", linewidth=2)
-        arrow = MarkerStyle(_ARROW).rotated(rad=float(moment.believed.yaw))
+        arrow = MarkerStyle(ROBOT_ARROW).rotated(rad=float(moment.believed.yaw))
         for axes in (semantic, expected, planned):
             axes.plot(*way[number], marker=arrow, color="black", markeredgecolor="white", markersize=10)
             axes.set_xlim(-0.5, width - 0.5)

@@ -178,10 +178,17 @@ class MPC:
 
     def plan(self, key: Key[Array, ""], robot: Robot, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
         """See `Steering`."""
+        return self.weighed(key, robot, costs, agent)[0]
+
+    @staticmethod
+    def weighed(
+        key: Key[Array, ""], robot: Robot, costs: CostOfPose, agent: Agent
+    ) -> tuple[Float[Array, "h 2"], mppi.Samples]:
+        """The next plan, and the sampled ones that it was made from."""
         settings = agent.controller
         noise = mppi.sampled_noise(key, settings)
         noise = noise.at[0].set(descent(robot.vehicle, costs, agent) - robot.controls)
-        return mppi.improved(robot.controls, noise, robot.vehicle, costs, settings)[0]
+        return mppi.improved(robot.controls, noise, robot.vehicle, costs, settings)
 
 
 def descent(vehicle: VehicleState, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:

@@ -1,0 +1,189 @@
+"""The figure of a search for an object: moments of it side by side, on the true map, the robot's map and its costs."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8, UInt32
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.lines import Line2D
+from matplotlib.markers import MarkerStyle
+from matplotlib.patches import Patch
+
+from dc2g_jax.inspection.driving_figures import ROBOT_ARROW
+from dc2g_jax.inspection.figures import PAGE_WIDTH, save_figure
+from dc2g_jax.inspection.sheets import DPI, FONT, cell_rim
+from dc2g_jax.objectnav.classes import CLASS_COLORS, CLASS_NAMES, NOTHING, SEMANTIC_CLASSES
+from dc2g_jax.objectnav.mapping import EXPLORED, OBSTACLE
+from dc2g_jax.objectnav.worlds import IndoorWorld
+
+#: Low costs are green and high ones red, as in the paper; they get darker all the way and so differ in grey as well.
+_COSTS = LinearSegmentedColormap.from_list("costs", ["#a8e6a1", "#f5e663", "#f4a13a", "#d3411e", "#7d0d12"])
+
+_FLOOR, _WALL, _PATH, _ROBOT, _TARGET, _PLANS = "#d9d9d9", "#4d4d57", "#0000ff", "#e8000b", "#d400a8", "#0026c8"
+
+#: Inches beside the panels, and above and below them; metres around the house.
+_BESIDE, _AROUND, _MARGIN = 0.55, 1.35, 0.3
+
+_ROWS = ("true map", "robot's map", "cost map")
+
+
+class SearchMoment(NamedTuple):
+    """A robot that has looked and decided where to go, and is about to act.
+
+    Attributes:
+      step: control periods since it set out.
+      doing: what it is doing, in words.
+      cells: its map, see `dc2g_jax.objectnav.mapping.IndoorMap`.
+      origin: row and column of the map's first cell in the world's grid.
+      costs: around the robot, metres; infinite where it must not be.
+      corner: row and column of the first of these in the world's grid.
+      plans: x and y of the vehicle along each plan that the controller weighs, metres; none where it does not plan.
+    """
+
+    step: int
+    doing: str
+    cells: UInt32[np.ndarray, "h w"]
+    origin: Int[np.ndarray, "2"]
+    costs: Float[np.ndarray, "n n"]
+    corner: Int[np.ndarray, "2"]
+    plans: Float[np.ndarray, "k t 2"]
+
+
+def plot_search(
+    path: str | Path,
+    world: IndoorWorld,
+    target: int,
+    track: Float[np.ndarray, "time 5"],
+    moments: Sequence[SearchMoment],
+) -> list[Path]:
+    """Draw moments of a search (Fig. 5 of the paper on dense cost maps), a column each.
+
+    Above the house as it is with the way so far, then the robot's map of it, below the costs that its controller drives
+    by and the plans that it samples.
+
+    Args:
+      path: where to write, without an ending.
+      world: the house.
+      target: class index of what is looked for.
+      track: the robot's, see `dc2g_jax.objectnav.agent.TRACK`, from step 0 on.
+      moments: of the search, at least one.
+
+    Returns:
+      The files written: PNG and SVG.
+    """
+    size, classes = float(world.cell_size), np.asarray(world.classes)
+    left, right, bottom, top = _extent(np.asarray(world.free | world.obstacle), size)
+    panel = (PAGE_WIDTH - _BESIDE) / len(moments)
+    height = 3 * min(panel, 2.2) * (top - bottom) / (right - left) + _AROUND
+    figure = Figure(figsize=(PAGE_WIDTH, height), layout=ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.02))
+    panels = figure.subplots(3, len(moments), squeeze=False, sharex=True, sharey=True)
+    high = _highest(moments, (left, right, bottom, top), size)
+    house = _map_image(classes, np.asarray(world.free), np.asarray(world.walls))
+    around = cv2.dilate(np.pad(classes == target, 2).astype(np.uint8), np.ones((3, 3))) > 0
+    rim = (np.array(cell_rim(around)) - 1.5) * (size, -size)
+    for (true, own, costs), moment in zip(panels.T, moments, strict=True):
+        x, y, yaw = (float(value) for value in track[moment.step, :3])
+        true.set_title(f"step {moment.step}\n{moment.doing}", fontsize=FONT, pad=3)
+        _show(true, house, (0, 0), size)
+        true.add_collection(LineCollection(list(rim), colors=_TARGET, linewidths=0.9, capstyle="projecting"))
+        true.plot(*track[: moment.step + 1, :2].T, color=_PATH, linewidth=1.3)
+        _show(own, _robots_map(moment.cells), moment.origin, size)
+        _show(costs, _COSTS(moment.costs / high) * np.isfinite(moment.costs)[..., None], moment.corner, size)
+        costs.add_collection(LineCollection(list(moment.plans), colors=_PLANS, linewidths=0.3, alpha=0.35))
+        arrow = MarkerStyle(ROBOT_ARROW).rotated(rad=yaw)
+        for axes in (true, own, costs):
+            axes.plot(x, y, marker=arrow, color=_ROBOT, markeredgecolor="white", markeredgewidth=0.4, markersize=6.5)
+    for axes, name in zip(panels[:, 0], _ROWS, strict=True):
+        axes.set_ylabel(name, fontsize=FONT)
+    for axes in panels.flat:
+        axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[])
+        for spine in axes.spines.values():
+            spine.set(color="#888888", linewidth=0.5)
+    bar = figure.colorbar(
+        ScalarMappable(Normalize(0, high), _COSTS), ax=panels[2], location="bottom", fraction=0.05, pad=0.03, aspect=45,
+        shrink=0.5, extend="max",
+    )  # fmt: skip
+    bar.set_label("cost (m)", fontsize=FONT, labelpad=1)
+    bar.ax.tick_params(labelsize=FONT, length=2, pad=1.5)
+    bar.outline.set_linewidth(0.5)  # type: ignore[operator]
+    figure.legend(
+        handles=_legend(classes, target), loc="outside lower center", ncols=7, fontsize=FONT, frameon=False,
+        handlelength=1.3, columnspacing=1.3,
+    )  # fmt: skip
+    return save_figure(figure, path, DPI)
+
+
+def _extent(house: Bool[np.ndarray, "h w"], size: float) -> tuple[float, float, float, float]:
+    """Least and greatest x, then y, of a house with a margin around it, metres."""
+    rows, columns = np.nonzero(house)
+    x, y = (columns.min(), columns.max() + 1), (-rows.max() - 1, -rows.min())
+    return x[0] * size - _MARGIN, x[1] * size + _MARGIN, y[0] * size - _MARGIN, y[1] * size + _MARGIN
+
+
+def _highest(moments: Sequence[SearchMoment], extent: tuple[float, float, float, float], size: float) -> float:
+    """The cost at the end of the colours, metres: nearly all that the panels show lies below."""
+    left, right, bottom, top = extent
+    shown = []
+    for moment in moments:
+        y, x = (
+            sign * (first + np.arange(len(moment.costs)) + 0.5) * size
+            for sign, first in zip((-1, 1), moment.corner, strict=True)
+        )
+        inside = ((y > bottom) & (y < top))[:, None] & (x > left) & (x < right)
+        shown.append(moment.costs[inside & np.isfinite(moment.costs)])
+    costs = np.concatenate(shown)
+    return max(float(np.percentile(costs, 99)), 1.0) if costs.size else 1.0
+
+
+def _robots_map(cells: UInt32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
+    """Colours of a robot's map. Of the classes of a cell the first one is shown, so goals before all others."""
+    bits = (cells[..., None] >> np.arange(EXPLORED + 1, dtype=np.uint32)) & 1 == 1
+    own = bits[..., :SEMANTIC_CLASSES]
+    classes = np.where(own.any(axis=-1), own.argmax(axis=-1) + 1, NOTHING)
+    return _map_image(classes, bits[..., EXPLORED], bits[..., OBSTACLE])
+
+
+def _map_image(
+    classes: Int[np.ndarray, "h w"] | UInt8[np.ndarray, "h w"], floor: Bool[np.ndarray, "h w"],
+    walls: Bool[np.ndarray, "h w"],
+) -> UInt8[np.ndarray, "h w 3"]:  # fmt: skip
+    """Colours of a map: what has a class in that one's, else walls dark, floor grey, and the rest white."""
+    floor_colour, wall_colour = (
+        np.round(255 * np.array(to_rgb(colour))).astype(np.uint8) for colour in (_FLOOR, _WALL)
+    )
+    bare = np.where(walls[..., None], wall_colour, np.where(floor[..., None], floor_colour, CLASS_COLORS[NOTHING]))
+    return np.where((classes != NOTHING)[..., None], CLASS_COLORS[classes], bare)
+
+
+def _show(axes: Axes, image: np.ndarray, first: Sequence[int] | Int[np.ndarray, "2"], size: float) -> None:
+    """An image of cells where these lie in the world; `first` is row and column of its first one."""
+    (row, column), (height, width) = (int(number) for number in first), image.shape[:2]
+    extent = (column * size, (column + width) * size, -(row + height) * size, -row * size)
+    axes.imshow(image, extent=extent, interpolation="nearest")
+
+
+def _legend(classes: UInt8[np.ndarray, "h w"], target: int) -> list[Any]:
+    """What colours and marks mean: the classes that are in the house, and the rest."""
+    found = [int(index) for index in np.unique(classes) if index not in (NOTHING, target)]
+    patches = [
+        (f"target: {CLASS_NAMES[target]}", CLASS_COLORS[target] / 255, _TARGET, 1.4),
+        *((CLASS_NAMES[index], CLASS_COLORS[index] / 255, "#777777", 0.4) for index in found),
+        ("wall, obstacle", _WALL, "#777777", 0.4),
+        ("free floor", _FLOOR, "#777777", 0.4),
+        ("unexplored", "white", "#777777", 0.4),
+    ]
+    lines = (("way so far", _PATH, 1.5), ("sampled plans", _PLANS, 0.5))
+    return [
+        *(Patch(facecolor=face, edgecolor=edge, linewidth=width, label=name) for name, face, edge, width in patches),
+        *(Line2D([], [], color=colour, linewidth=width, label=name) for name, colour, width in lines),
+        Line2D([], [], color=_ROBOT, marker=MarkerStyle(ROBOT_ARROW), markeredgecolor="white", markeredgewidth=0.4,
+               markersize=6.5, linestyle="", label="robot"),
+    ]  # fmt: skip

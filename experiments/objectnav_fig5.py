@@ -1,0 +1,212 @@
+"""A search for an object: Fig. 5 of the paper on dense cost maps, `python -m experiments.objectnav_fig5`.
+
+At a few moments: the house, the robot's own map of it, and the costs that its controller drives by, with the plans that
+it samples.
+"""
+
+import dataclasses
+import json
+import sys
+from typing import Annotated, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from jaxtyping import Array, Bool, Float
+from tqdm import tqdm
+
+from dc2g_jax.datasets.houses import PROCEDURAL
+from dc2g_jax.errors import InputError
+from dc2g_jax.inspection.search_figures import SearchMoment, plot_search
+from dc2g_jax.objectnav.agent import (
+    CONTROLLER,
+    DECLARED,
+    MPC,
+    Agent,
+    Robot,
+    Site,
+    cost_of_pose,
+    leg,
+    set_out,
+    site_of,
+    under_way,
+)
+from dc2g_jax.objectnav.classes import CLASS_NAMES, GOALS
+from dc2g_jax.objectnav.evaluation import results_of
+from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
+from dc2g_jax.objectnav.mapping import MapSettings
+from dc2g_jax.objectnav.searches import TIME_LIMIT, Episode, Searches, sample_episodes
+from dc2g_jax.objectnav.starts import sample_starts
+from experiments.common import NetworkOption, OutOption, command_line
+from experiments.outputs import output_folder
+from experiments.searches import TITLES, AgentName, agent_named
+
+#: Moments that the figure shows.
+_COLUMNS = 5
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Options:
+    """Search a house for an object, and draw how the search went.
+
+    Attributes:
+      houses: folder of ProcTHOR houses (`train`, `val` and `test`.jsonl.gz, `asset_boxes.json`), or `procedural` for
+        the embedded floor plans.
+      split: `test`, or `val` while anything is still being chosen.
+      house: name of the house, such as `val-3`; the first one of the split where not given.
+      target: class of the object: bed, chair, sink, plant or couch; drawn among those of the house where not given.
+      agent: who searches, see experiments.objectnav_table1.
+      network: folder of the network, as experiments.objectnav_train writes it; the one that comes with the package
+        where not given.
+      samples: copies of the plan that the controller drives at each step.
+      limit: steps of 0.1 s after which the search ends without success.
+      seed: of start, target and the robot's noise.
+      out: folder to write to; a new one below outputs/ where not given.
+    """
+
+    houses: Annotated[str, tyro.conf.arg(metavar="FOLDER")] = PROCEDURAL
+    split: Literal["val", "test"] = "test"
+    house: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    target: Annotated[str | None, tyro.conf.arg(metavar="CLASS", help_behavior_hint="")] = None
+    agent: AgentName = "promising"
+    network: NetworkOption = None
+    samples: int = CONTROLLER.samples
+    limit: int = TIME_LIMIT
+    seed: int = 0
+    out: OutOption = None
+
+
+def house_of(options: Options) -> IndoorHouse:
+    """The house to search in.
+
+    Raises:
+      InputError: no house of the split has that name.
+    """
+    count = 1 if options.house is None else None
+    houses = indoor_houses(options.houses, options.split, count=count, cell_size=MapSettings.cell_size)
+    for house in houses:
+        if options.house in (None, house.name):
+            return house
+    raise InputError(
+        f"--house {options.house}: {options.houses} has no such house in its split {options.split}; "
+        f"give one from {houses[0].name} to {houses[-1].name}"
+    )
+
+
+def episode_in(house: IndoorHouse, options: Options) -> Episode:
+    """The search to be made.
+
+    Raises:
+      InputError: the target is no class of goals, or the house has none that can be searched for.
+    """
+    if options.target is None:
+        return sample_episodes([house], 1, seed=options.seed)[0]
+    rng = np.random.default_rng([options.seed, *house.name.encode()])
+    starts = {CLASS_NAMES[goal]: sample_starts(house.world, goal, 1, rng=rng) for goal in GOALS}
+    there = [name for name, drawn in starts.items() if len(drawn)]
+    if options.target not in there:
+        raise InputError(
+            f"--target {options.target}: cannot be searched for in {house.name}; "
+            f"give one of: {', '.join(there)}; or another --house"
+        )
+    return Episode(house.name, options.target, *starts[options.target][0].tolist())
+
+
+def search(robot: Robot, site: Site, agent: Agent) -> tuple[list[Robot], Robot]:
+    """Search to the end.
+
+    Returns:
+      The robot at the beginning of each leg, when it has looked and decided and is about to act; and at the end.
+    """
+    drive, begun = jax.jit(leg), []
+    with tqdm(total=len(robot.track) - 1, desc="searching", unit="step", file=sys.stderr) as progress:
+        while under_way(robot):
+            before, robot = robot, drive(robot, site, agent)
+            # What a leg decides stays until the next one; put back what acting has changed since.
+            acted = {name: getattr(before, name) for name in ("vehicle", "controls", "periods", "bumps", "status")}
+            begun.append(dataclasses.replace(robot, **acted, key=jax.random.split(before.key)[0]))
+            progress.update(int(robot.periods) - int(before.periods))
+    return begun, robot
+
+
+def chosen(to_goal: Bool[np.ndarray, " leg"], count: int) -> list[int]:
+    """Moments for the figure, by leg: evenly over the search, its last leg among them.
+
+    A goal reacher that takes over only after the last but one is shown there from where it takes over.
+
+    Args:
+      to_goal: does the goal reacher lead?
+      count: how many, fewer if there are not as many legs.
+    """
+    last = len(to_goal) - 1
+    numbers = np.linspace(0, last, count)
+    exploring = np.flatnonzero(~to_goal)
+    taken_over = int(exploring[-1]) + 1 if exploring.size else 0
+    if numbers[-2] < taken_over < last:
+        numbers = np.append(np.linspace(0, taken_over, count - 1), last)
+    return np.unique(numbers.round().astype(int)).tolist()
+
+
+@jax.jit
+def sampled_plans(robot: Robot, agent: Agent) -> tuple[Float[Array, "k h 2"], Bool[Array, ""]]:
+    """Where the plans lead that the controller samples in the robot's next period, and whether it drives by them."""
+    _, key = jax.random.split(robot.key)
+    costs = cost_of_pose(robot, agent)
+    plan, samples = MPC().weighed(key, robot, costs, agent)
+    return samples.path.position, jnp.allclose(plan, agent.steering.plan(key, robot, costs, agent), atol=1e-3)
+
+
+def moment_of(robot: Robot, agent: Agent, name: str) -> SearchMoment:
+    """What the figure shows of a robot that is about to act; `name` is the agent's."""
+    paths, used = sampled_plans(robot, agent)
+    plans = np.asarray(paths) if used else np.zeros((0, *paths.shape[1:]), np.float32)
+    exploring = "exploring" if used or name == "random" else "looking around"
+    leading = "true cost map" if name == "true_cost" else "goal reacher"
+    return SearchMoment(
+        step=int(robot.periods),
+        doing=leading if robot.to_goal else exploring,
+        cells=np.asarray(robot.map.cells),
+        origin=np.asarray(robot.map.origin),
+        costs=np.asarray(robot.distance),
+        corner=np.asarray(robot.local_middle) - agent.mapping.local // 2,
+        plans=plans,
+    )
+
+
+def main(options: Options) -> None:
+    """Search, draw, say what came of it."""
+    for name in ("samples", "limit"):
+        if getattr(options, name) < 1:
+            raise InputError(f"--{name} {getattr(options, name)}: give 1 or more")
+    house = house_of(options)
+    episode = episode_in(house, options)
+    agent = agent_named(options.agent, options.network, options.samples)
+    out = output_folder(options, "objectnav_fig5")
+    site = site_of(house.world, np.random.default_rng([*house.name.encode()]), agent.controller.limits.radius)
+    target = CLASS_NAMES.index(episode.target)
+    start, goal = jnp.array([episode.x, episode.y, episode.yaw], jnp.float32), jnp.int32(GOALS.index(target))
+    first = set_out(jax.random.key(options.seed), start, goal, agent, options.limit)
+    print("Compiling, half a minute or so; then it searches.", file=sys.stderr)
+    begun, robot = search(first, site, agent)
+
+    track, steps = np.asarray(robot.track), int(robot.periods)
+    ends = Searches(track[None], *(np.array([one]) for one in (robot.status == DECLARED, steps, robot.bumps)))
+    (result,) = results_of(options.agent, [house], [episode], ends)
+    to_goal = np.array([bool(one.to_goal) for one in begun])
+    moments = [moment_of(begun[number], agent, options.agent) for number in chosen(to_goal, _COLUMNS)]
+    plot_search(out / "fig5", house.world, target, track, moments)
+    facts = {
+        **result._asdict(),
+        "goal_reacher_leads": [int(one.periods) for one in begun if one.to_goal],
+        "moments": [{"step": moment.step, "doing": moment.doing} for moment in moments],
+    }
+    (out / "search.json").write_text(json.dumps(facts, indent=2) + "\n")
+    came = "success" if result.success else "declared too early" if result.declared else "not found in time"
+    print(f"{house.name}, {episode.target}, {TITLES[options.agent]}: {came} after {steps} steps ({steps / 10:g} s)")
+    print(f"driven {result.driven:.1f} m, shortest way {result.shortest:.1f} m, bumps {result.bumps}")
+    print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

@@ -1,0 +1,59 @@
+"""The figure of a search, in a house of two rooms."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from experiments import objectnav_fig5
+from experiments.objectnav_fig5 import Options, chosen, main
+from tests.objectnav.two_rooms import two_rooms
+from tests.refusals import refusal
+
+OPTIONS = Options(split="val", target="plant", agent="random", samples=8, limit=20)
+
+
+@pytest.fixture(autouse=True)
+def houses(monkeypatch):
+    monkeypatch.setattr(objectnav_fig5, "indoor_houses", lambda *args, **options: [two_rooms()])
+
+
+def test_it_searches_and_draws(tmp_path, capsys):
+    out = tmp_path / "out"
+    main(dataclasses.replace(OPTIONS, out=out))
+    assert {path.name for path in out.iterdir()} == {"fig5.png", "fig5.svg", "search.json", "run.json"}
+    assert (out / "fig5.png").stat().st_size > 20_000
+    facts = json.loads((out / "search.json").read_text())
+    assert (facts["house"], facts["target"], facts["agent"]) == ("two_rooms", "plant", "random")
+    moments = [moment["step"] for moment in facts["moments"]]
+    assert moments == [0, 5, 10, 15]
+    leads = set(facts["goal_reacher_leads"])
+    doing = ["goal reacher" if step in leads else "exploring" for step in moments]
+    assert [moment["doing"] for moment in facts["moments"]] == doing
+    assert 0 < facts["steps"] <= 20
+    assert facts["driven"] <= 0.1 * facts["steps"]
+    printed = capsys.readouterr().out
+    assert "two_rooms, plant, privileged random" in printed
+    assert "shortest way" in printed
+
+
+def test_the_last_two_moments_show_the_goal_reacher_if_it_takes_over():
+    assert chosen(np.zeros(41, bool), 5) == [0, 10, 20, 30, 40]
+    assert chosen(np.arange(41) >= 36, 5) == [0, 12, 24, 36, 40]
+    assert chosen(np.arange(41) >= 20, 5) == [0, 10, 20, 30, 40]
+    assert chosen(np.ones(3, bool), 5) == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "mentions"),
+    [
+        ({"house": "val-99"}, ("--house val-99", "val", "give", "two_rooms")),
+        ({"target": "sofa"}, ("--target sofa", "give", "bed, plant")),
+        ({"target": "couch"}, ("--target couch", "two_rooms", "give", "bed, plant")),
+        ({"limit": 0}, ("--limit 0", "give 1 or more")),
+    ],
+)
+def test_what_is_not_there_is_refused(wrong, mentions, tmp_path):
+    refusal(lambda: main(dataclasses.replace(OPTIONS, **wrong, out=tmp_path / "out")), *mentions)
+    assert not (tmp_path / "out").exists()
