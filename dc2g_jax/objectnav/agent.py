@@ -40,6 +40,9 @@ from dc2g_jax.objectnav.worlds import IndoorWorld, scene
 #: 2.0 m on.
 CAMERA_HEIGHT, CAMERA_PITCH, FIELD_OF_VIEW, IMAGE_SIZE = 0.9, math.radians(20), 90.0, (120, 160)
 
+#: Floor this near counts as explored, metres: the camera never sees it, and robots went back to look for it.
+FOOTROOM = 0.6
+
 #: What an indoor robot can do: as fast as one walks about a room.
 LIMITS = VehicleLimits(
     max_speed=1.0, max_turn_rate=2.0, max_acceleration=1.5, max_turn_acceleration=8.0, radius=ROBOT_RADIUS
@@ -313,8 +316,8 @@ def look(robot: Robot, site: Site, agent: Agent) -> Robot:
     """Take what the camera shows into the map."""
     frame = render(site.scene, agent.camera, camera_pose(robot.vehicle), agent.mapping.reach)
     seen = integrate(robot.map, frame, agent.camera, agent.mapping)
-    radius = agent.controller.limits.radius
-    return dataclasses.replace(robot, map=stood_on(seen, robot.vehicle.position, radius, agent.mapping), frame=frame)
+    known = stood_on(seen, robot.vehicle.position, FOOTROOM, agent.mapping)
+    return dataclasses.replace(robot, map=known, frame=frame)
 
 
 def decide(robot: Robot, site: Site, agent: Agent) -> Robot:
