@@ -1,0 +1,63 @@
+"""Many searches at once: one robot after the other and all together do the same."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax.control.mppi import MPPISettings
+from dc2g_jax.mapping.camera import intrinsics
+from dc2g_jax.objectnav import searches
+from dc2g_jax.objectnav.agent import LIMITS, MPC, Agent, site_of
+from dc2g_jax.objectnav.classes import CLASS_NAMES, GOALS
+from dc2g_jax.objectnav.guides import Frontier, GoalReacher
+from dc2g_jax.objectnav.mapping import MapSettings
+from dc2g_jax.objectnav.searches import sample_episodes, search_all
+from tests.objectnav.two_rooms import two_rooms
+from tests.refusals import refusal
+
+AGENT = Agent(
+    guide=GoalReacher(Frontier()),
+    steering=MPC(),
+    camera=intrinsics(90.0, 30, 40),
+    mapping=MapSettings(cells=120, local=60),
+    controller=MPPISettings(limits=LIMITS, samples=8, horizon=20),
+)
+
+
+@pytest.fixture(scope="module")
+def found():
+    house = two_rooms()
+    episodes = sample_episodes([house], 3, seed=2)
+    ended = []
+    return house, episodes, search_all(AGENT, [house], episodes, limit=12, on_progress=ended.append), ended
+
+
+def test_every_search_ends(found):
+    _, episodes, made, ended = found
+    assert made.track.shape == (len(episodes), 13, 5)
+    assert ended[-1] == len(episodes)
+    assert ((made.steps == 12) | made.declared).all()
+    for track, episode in zip(made.track, episodes, strict=True):
+        np.testing.assert_allclose(track[0, :3], (episode.x, episode.y, episode.yaw), rtol=1e-6)
+    again = search_all(AGENT, [found[0]], episodes, limit=12)
+    jax.tree.map(np.testing.assert_array_equal, again, made)
+
+
+def test_robots_in_a_batch_do_what_they_do_one_by_one(found):
+    house, episodes, made, _ = found
+    sites = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], site_of(house.world, np.random.default_rng(0)))
+    starts = jnp.array([(one.x, one.y, one.yaw) for one in episodes], jnp.float32)
+    targets = jnp.array([GOALS.index(CLASS_NAMES.index(one.target)) for one in episodes])
+    keys = jax.random.split(jax.random.key(0), len(episodes))
+    robots = searches._set_out(keys, starts, targets, AGENT, limit=12)
+    where = jnp.zeros(len(episodes), jnp.int32)
+    robots = searches._go_on(where, sites, AGENT, robots, legs=jnp.int32(3), one_by_one=False)
+    np.testing.assert_allclose(robots.track, made.track, atol=1e-3)
+    np.testing.assert_array_equal(robots.periods, made.steps)
+
+
+def test_cells_of_another_size_are_refused(found):
+    house, episodes, _, _ = found
+    fine = AGENT.replace(mapping=MapSettings(cells=120, local=60, cell_size=0.05))
+    refusal(lambda: search_all(fine, [house], episodes), house.name, "0.1 m", "0.05 m", "make them alike")
