@@ -5,7 +5,9 @@ Interrupted or killed, it goes on where it was when run again with --resume.
 
 import dataclasses
 import functools
+import hashlib
 import json
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -27,6 +29,7 @@ from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
 from dc2g_jax.objectnav.mapping import MapSettings
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, ImageEncoder, load_encoder, save_encoder, train_encoder
 from dc2g_jax.objectnav.networks import ABLATIONS, CostMapArchitecture, CostMapEstimator, save_estimator
+from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE
 from dc2g_jax.objectnav.training import (
     RECIPES,
     CostMapConfig,
@@ -54,12 +57,12 @@ class Options:
     Attributes:
       out: folder for checkpoints, the network and the log.
       houses: `procedural`, or a folder of houses in ProcTHOR's format.
-      count: training houses; all of a folder's where not given, 300 procedural ones.
+      count: training houses; all of a folder's where not given, 500 procedural ones.
       strict: refuse a file of houses for its first line that is none, instead of skipping it.
       validation_houses: houses of the validation split to try the network on.
       cell_size: side of a map's cell, metres.
       collection: what to collect in the houses.
-      encoder: safetensors file with an encoder of pictures; where not given one is trained first and written to `out`.
+      encoder: safetensors file with an encoder of pictures, copied to `out`; where not given one is trained first.
       encoder_steps: optimiser steps of that encoder.
       recipe: `paper` for the paper's, `better` for the one that does better in minutes.
       learning_rate: the highest one, where it is to be another than the recipe's.
@@ -117,9 +120,12 @@ class Options:
 
 def open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
     """The encoder that is named, or the one that was trained for this run, or is now."""
-    own = options.out / "encoder.safetensors"
-    if options.encoder is not None or own.exists():
-        return load_encoder(options.encoder or own)
+    own = options.out / ENCODER_FILE
+    if options.encoder is not None and not own.exists():
+        load_encoder(options.encoder)  # refused before it is copied
+        shutil.copyfile(options.encoder, own)
+    if own.exists():
+        return load_encoder(own)
     views = random_views(
         houses[:_ENCODER_HOUSES], _PICTURES_A_HOUSE, options.collection.data_seed, options.collection.largest
     )
@@ -178,7 +184,8 @@ def train(options: Options, config: CostMapConfig, data: TrainingSet, validation
             "commit": commit(),
             "validation": found,
         }
-        save_estimator(options.out / "network.safetensors", estimator, card)
+        save_estimator(options.out / NETWORK_FILE, estimator, card)
+        write_card(options.out, card)
         line = json.dumps(found)
         with (options.out / "log.jsonl").open("a") as log:
             log.write(line + "\n")
@@ -202,13 +209,19 @@ def train(options: Options, config: CostMapConfig, data: TrainingSet, validation
         checkpoints.close()
 
 
+def write_card(folder: Path, card: dict[str, Any]) -> None:
+    """Write the card of a network beside it, as `network.json`, with what tells whether the files are whole."""
+    digests = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in (NETWORK_FILE, ENCODER_FILE)}
+    (folder / "network.json").write_text(json.dumps({**card, "sha256": digests}, indent=2) + "\n")
+
+
 def main(options: Options) -> None:
     """Collect, train, save and validate."""
     options.training(1)  # refused before anything is written
     if min(options.steps, options.batch_size, options.validation_samples) < 1 or options.validate_every < 0:
         raise InputError("--steps, --batch-size and --validation-samples: give at least 1, --validate-every at least 0")
     output_folder(options, "objectnav_train", free=("validate_every", "minutes_per_checkpoint", "validation_samples"))
-    count = options.count or (300 if options.houses == PROCEDURAL else None)
+    count = options.count or (500 if options.houses == PROCEDURAL else None)
     print(f"Houses: {count or 'all'} of {options.houses}", flush=True)
     read = functools.partial(indoor_houses, options.houses, cell_size=options.cell_size, strict=options.strict)
     houses, unknown = read("train", count=count), read("val")[: options.validation_houses]
@@ -219,7 +232,7 @@ def main(options: Options) -> None:
     validation = kept(options.out / "validation.npz", functools.partial(collect, unknown, encoder, apart), len(unknown))
     print(f"Training on {data.headings.size} samples of {len(data.cells)} houses, {len(validation.cells)} to validate")
     train(options, options.training(encoder.size), data, validation)
-    print(f"Trained: {options.out / 'network.safetensors'}")
+    print(f"Trained: {options.out / NETWORK_FILE}")
 
 
 if __name__ == "__main__":

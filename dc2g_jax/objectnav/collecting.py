@@ -45,7 +45,7 @@ class CollectionConfig:
       data_seed: of the journeys.
     """
 
-    journeys: int = 8
+    journeys: int = 6
     views: int = 48
     places: int = 3
     largest: int = 200

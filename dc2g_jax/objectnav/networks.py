@@ -74,7 +74,7 @@ class CostMapArchitecture:
     """
 
     patch: int = 4
-    widths: tuple[int, ...] = (48, 64, 96, 120)
+    widths: tuple[int, ...] = (24, 48, 96, 120)
     embedding: int = 64
     features: int = 64
     feature_width: int = 64

@@ -90,7 +90,7 @@ class CostMapConfig:
     architecture: CostMapArchitecture = dataclasses.field(default_factory=CostMapArchitecture)
     recipe: Recipe = BETTER_RECIPE
     loss_weights: LossWeights = dataclasses.field(default_factory=LossWeights)
-    steps: int = 4000
+    steps: int = 5000
     batch_size: int = 16
     seed: int = 0
 

@@ -1,0 +1,49 @@
+"""The command that trains the indoor network, on a house of two rooms."""
+
+import dataclasses
+import hashlib
+import json
+
+import numpy as np
+import pytest
+
+from dc2g_jax.objectnav.collecting import CollectionConfig
+from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, load_costs
+from experiments import objectnav_train
+from experiments.objectnav_train import Options, main
+from tests.objectnav.two_rooms import two_rooms
+from tests.refusals import refusal
+
+
+@pytest.fixture
+def options(tmp_path, monkeypatch):
+    monkeypatch.setattr(objectnav_train, "indoor_houses", lambda *args, **options: [two_rooms()])
+    return Options(
+        out=tmp_path / "out", count=1, validation_houses=1, collection=CollectionConfig(journeys=1, views=4, places=1),
+        encoder_steps=2, widths=(4, 4), steps=2, batch_size=2, validate_every=1, validation_samples=2,
+    )  # fmt: skip
+
+
+def test_it_writes_a_network_its_encoder_and_their_card_and_goes_on_where_it_was(options, capsys):
+    main(options)
+    assert "Training on 4 samples of 1 houses" in capsys.readouterr().out
+    costs = load_costs(options.out)
+    assert costs.estimator.architecture.widths == (4, 4)
+    card = json.loads((options.out / "network.json").read_text())
+    assert card["validation"]["step"] == 2
+    for name in (NETWORK_FILE, ENCODER_FILE):
+        assert card["sha256"][name] == hashlib.sha256((options.out / name).read_bytes()).hexdigest()
+    log = (options.out / "log.jsonl").read_text()
+    main(dataclasses.replace(options, resume=True))
+    assert (options.out / "log.jsonl").read_text() == log
+
+    taken = dataclasses.replace(options, out=options.out.parent / "other", encoder=options.out / ENCODER_FILE)
+    main(taken)
+    np.testing.assert_array_equal((taken.out / ENCODER_FILE).read_bytes(), (options.out / ENCODER_FILE).read_bytes())
+
+
+def test_an_encoder_that_is_none_and_numbers_that_make_no_sense_are_refused(options, tmp_path):
+    wrong = tmp_path / "wrong.safetensors"
+    wrong.write_bytes(b"nothing")
+    refusal(lambda: main(dataclasses.replace(options, encoder=wrong)), wrong)
+    refusal(lambda: main(dataclasses.replace(options, widths=(4,), out=tmp_path / "new")), "--widths")
