@@ -105,7 +105,7 @@ class PromisingFrontier:
     """
 
     costs: PredictedCosts
-    weight: float = 1.0
+    weight: float = 2.0
 
     def guide(self, key: Key[Array, ""], robot: Robot, site: Site, agent: Agent) -> Guidance:
         """See `Guide`."""
