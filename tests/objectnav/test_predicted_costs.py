@@ -1,12 +1,16 @@
 """A trained network and its encoder, read from a folder."""
 
+import hashlib
+import json
+
 import jax
 import numpy as np
 import pytest
 
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, TrainedEncoder, init_encoder, save_encoder
-from dc2g_jax.objectnav.networks import CostMapArchitecture, CostMapEstimator, init_weights, save_estimator
+from dc2g_jax.objectnav.networks import BOTH, CostMapArchitecture, CostMapEstimator, init_weights, save_estimator
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, load_costs
+from dc2g_jax.shipped import shipped
 from tests.refusals import refusal
 
 KEY = jax.random.key(0)
@@ -23,6 +27,16 @@ def folder(tmp_path):
     save_encoder(tmp_path / ENCODER_FILE, TrainedEncoder(init_encoder(architecture, KEY), architecture), {})
     save_network(tmp_path, features=7)
     return tmp_path
+
+
+def test_the_shipped_network_is_the_one_on_its_card():
+    folder = shipped("weights/cost_maps_indoors")
+    costs, card = load_costs(folder), json.loads((folder / "network.json").read_text())
+    assert costs.estimator.architecture.inputs == BOTH
+    assert costs.encoder.size == costs.estimator.architecture.features
+    for name, digest in card["sha256"].items():
+        assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest
+    assert sum(path.stat().st_size for path in folder.iterdir()) <= 8e6
 
 
 def test_both_files_are_read(folder):
