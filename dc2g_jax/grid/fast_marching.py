@@ -66,7 +66,7 @@ def travel_cost(cost_of_cell: Float[Array, "h w"], start: Float[Array, "h w"]) -
             diagonals = _swept(diagonals, costs, slope, forward=True)
             diagonals = _swept(diagonals, costs, slope, forward=False)
             total = _cells(diagonals, slope)
-        return total, jnp.any(before > (1 + _SETTLED) * total)
+        return total, jnp.any(before > total + _SETTLED * jnp.abs(total))
 
     total, _ = jax.lax.while_loop(lambda carry: carry[1], sweep, (start, jnp.any(jnp.isfinite(start))))
     return total

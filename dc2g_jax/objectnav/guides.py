@@ -111,8 +111,6 @@ class PromisingFrontier:
         """See `Guide`."""
         ground, beyond = _ground(window(robot.map, robot.local_middle, agent.mapping.local), agent)
         promised = jnp.where(without_specks(beyond), self.weight * self.costs.of(robot, site, agent), jnp.inf)
-        least = jnp.min(promised)
-        promised = promised - jnp.where(jnp.isfinite(least), least, 0)
         cost_of_cell = jnp.where(ground, jnp.float32(agent.mapping.cell_size), jnp.inf)
         distance = travel_cost(cost_of_cell, promised)
         return jax.lax.cond(

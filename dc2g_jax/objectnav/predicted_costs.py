@@ -61,13 +61,18 @@ class PredictedCosts(Generic[_Estimator]):
     threshold: float = 0.5
 
     def of(self, robot: Robot, site: Site, agent: Agent) -> Float[Array, "n n"]:
-        """What it costs to be in a cell of the local map, metres; infinite where one is predicted to be occupied."""
+        """What it costs to be in a cell of the local map, metres more than in the best one.
+
+        Infinite where a cell is predicted to be occupied.
+        """
         vehicle = robot.vehicle
         maps = network_input(robot.map, vehicle.position, agent.mapping)
         seen = view(site.scene, site.paint, camera_pose(vehicle)).image
         features = self.encoder.encode(seen[None])[0]
         occupied, cost = self.estimator.estimate(maps, robot.target, features, vehicle.yaw)
-        return jnp.where(occupied > self.threshold, jnp.inf, self.metres * cost)
+        free = occupied <= self.threshold
+        least = jnp.min(jnp.where(free, cost, jnp.inf))
+        return jnp.where(free, self.metres * (cost - jnp.where(jnp.isfinite(least), least, 0)), jnp.inf)
 
 
 def load_costs(folder: Path) -> PredictedCosts[CostMapEstimator]:

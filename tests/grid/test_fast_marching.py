@@ -75,6 +75,14 @@ def test_known_costs_count_on_and_fall_where_a_cheaper_way_leads_in():
     np.testing.assert_allclose(found[7, 1:11], [np.inf, 5, 7, 9, 9, 7, 5, 3, 1, np.inf])
 
 
+def test_known_costs_may_be_negative():
+    cells = jnp.ones((20, 30))
+    start = jnp.full((20, 30), jnp.inf).at[4, 5].set(0).at[15, 25].set(3)
+    np.testing.assert_allclose(
+        fast_marching.travel_cost(cells, start - 9), fast_marching.travel_cost(cells, start) - 9, atol=1e-5
+    )
+
+
 def test_a_winding_corridor_is_as_long_as_its_cells(distance):
     free = np.zeros(SHAPE, bool)
     free[::2] = True
