@@ -30,6 +30,10 @@ TITLES = {"both": "both", "semantic": "only semantic map", "midlevel": "only mid
 METRICS = ("MPA", "mF1", "mIoU", "aAP5", "aAP9")
 
 
+#: Partial maps are predicted so many at a time.
+MAPS_A_BATCH = CostMapConfig.batch_size
+
+
 class PaperLine(NamedTuple):
     """A line of Table II of the paper: `METRICS` in percent, success, SPL and distance to success in metres."""
 
@@ -123,6 +127,8 @@ def main(options: Options) -> None:
     options.check()
     if options.agent not in ("promising", "predicted"):
         raise InputError(f"--agent {options.agent}: give promising or predicted, which go by a network")
+    if options.maps < MAPS_A_BATCH or options.maps % MAPS_A_BATCH:
+        raise InputError(f"--maps {options.maps}: give a multiple of {MAPS_A_BATCH}")
     networks = open_networks(options.networks)
     houses, episodes = options.places()
     out = output_folder(options, "objectnav_table2")

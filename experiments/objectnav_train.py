@@ -9,6 +9,7 @@ import hashlib
 import json
 import shutil
 import sys
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -155,7 +156,7 @@ def kept(path: Path, make: Callable[[Callable[[int], None]], TrainingSet], house
         try:
             with np.load(path) as file:
                 return TrainingSet(**{name: jnp.asarray(file[name]) for name in names})
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
             raise InputError(f"{path}: cannot be read ({error}); delete it to collect samples anew") from None
     with tqdm(total=houses, desc=path.stem, unit="house", file=sys.stderr) as bar:
         data = make(lambda done: bar.update(done - bar.n))
@@ -218,10 +219,19 @@ def write_card(folder: Path, card: dict[str, Any]) -> None:
 def main(options: Options) -> None:
     """Collect, train, save and validate."""
     options.training(1)  # refused before anything is written
-    if min(options.steps, options.batch_size, options.validation_samples) < 1 or options.validate_every < 0:
-        raise InputError("--steps, --batch-size and --validation-samples: give at least 1, --validate-every at least 0")
+    for name in ("count", "validation_houses", "encoder_steps", "steps", "batch_size", "validation_samples"):
+        value = getattr(options, name)
+        if value is not None and value < 1:
+            raise InputError(f"--{name.replace('_', '-')} {value}: give at least 1")
+    for name, value in (
+        ("validate-every", options.validate_every),
+        ("seed", options.seed),
+        ("data-seed", options.collection.data_seed),
+    ):
+        if value < 0:
+            raise InputError(f"--{name} {value}: give at least 0")
     output_folder(options, "objectnav_train", free=("validate_every", "minutes_per_checkpoint", "validation_samples"))
-    count = options.count or (500 if options.houses == PROCEDURAL else None)
+    count = 500 if options.count is None and options.houses == PROCEDURAL else options.count
     print(f"Houses: {count or 'all'} of {options.houses}", flush=True)
     read = functools.partial(indoor_houses, options.houses, cell_size=options.cell_size, strict=options.strict)
     houses, unknown = read("train", count=count), read("val")[: options.validation_houses]

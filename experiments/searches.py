@@ -85,6 +85,7 @@ class SearchOptions:
         for name in ("count", "episodes", "samples", "limit", "resamples"):
             if getattr(self, name) < 1:
                 raise InputError(f"--{name} {getattr(self, name)}: give 1 or more")
+        check_seed(self.seed)
 
     def places(self) -> tuple[list[IndoorHouse], list[Episode]]:
         """The houses, and the searches to be made in them."""
@@ -98,6 +99,16 @@ class SearchOptions:
         """The houses in words."""
         kind = "embedded floor plans" if self.houses == PROCEDURAL else f"houses of {self.houses}"
         return f"{self.count} {kind}, {self.split}"
+
+
+def check_seed(seed: int) -> None:
+    """Refuse a seed that is none.
+
+    Raises:
+      InputError: it is negative.
+    """
+    if seed < 0:
+        raise InputError(f"--seed {seed}: give 0 or more")
 
 
 def open_costs(folder: NetworkOption) -> PredictedCosts[CostMapEstimator]:
@@ -178,7 +189,7 @@ class SearchTable:
           options: time limit and seed.
         """
         kept = [result for result in self._done if result.agent == name]
-        if len(kept) == len(episodes):
+        if [result[: len(Episode._fields)] for result in kept] == [tuple(episode) for episode in episodes]:
             return kept
         progress = EpisodeProgress()
         searches = search_all(

@@ -2,8 +2,8 @@
 
 What counts is measured on the house as it is:
 
-- An episode is a success if the robot declares to be there within 1 m of an object of the wanted class, with no wall in
-  between. One that never does so within the time fails, wherever it is.
+- An episode is a success if the robot declares to be there within 1 m of an object of the wanted class, not through a
+  wall; just around the end of one counts. One that never does so within the time fails, wherever it is.
 - SPL weighs it with the way: the shortest one there is by the way driven, or 1 if that is shorter. The shortest way is
   that of the fast marching method, for a robot with a body, to where such an object is within 1 m. It is a few percent
   too long where it runs across the grid, see `dc2g_jax.grid.fast_marching`, and the ratio is never more than 1.
@@ -105,7 +105,7 @@ def way_there(house: IndoorHouse, target: str) -> WayThere:
 
 @functools.partial(jax.jit, static_argnames=("cell_size",))
 def _near(goals: Array, closed: Array, cell_size: float) -> Bool[Array, "h w"]:
-    """Cells within the success distance of an object, with no wall in between."""
+    """Cells within the success distance of an object, see `straight_distance`."""
     return jnp.isfinite(straight_distance(goals, closed, cell_size, REACH))
 
 

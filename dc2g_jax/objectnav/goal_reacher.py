@@ -12,8 +12,8 @@ from dc2g_jax.objectnav.cost_maps import inflated
 #: The way to an object ends this far from it, metres between the middles of cells.
 ARM = 0.8
 
-#: The robot stops where the cost is no more than this, metres: the paper's threshold, whose unit it does not give. Then
-#: it is within the success distance of 1 m.
+#: The robot stops where the cost is no more than this, metres: the paper's threshold, whose unit it does not give. As a
+#: rule it is then within the success distance of 1 m; not quite where the rest of its way bends.
 STOP = 0.2
 
 #: Of so many cells with the target's class, within two cells to every side, one at least must be part.
@@ -35,6 +35,8 @@ def straight_distance(
     goals: Bool[Array, "h w"], walls: Bool[Array, "h w"], cell_size: float, most: float
 ) -> Float[Array, "h w"]:
     """Distance of cells to an object near them, as the crow flies, over furniture but not through walls.
+
+    Just around the end of a wall counts: what can be reached on the grid within `most` without crossing a wall.
 
     Args:
       goals: cells of the object.

@@ -23,7 +23,10 @@ _NEAR = 2
 
 @struct.dataclass
 class TrueCost:
-    """Knows the way to the nearest object (the paper's agent "MPC with GT cost map")."""
+    """Knows the way to the nearest object, and when it is there.
+
+    The paper's agent with exact costs ends an episode when the goal is visible.
+    """
 
     def guide(self, key: Key[Array, ""], robot: Robot, site: Site, agent: Agent) -> Guidance:
         """See `Guide`."""
@@ -53,25 +56,25 @@ class NoIdea:
 
 @struct.dataclass
 class Frontier:
-    """Goes where the nearest floor is that has not been seen: on the local map, and if nothing is left there on all."""
+    """Goes where the nearest floor is that has not been seen: on the local map, and if nothing is left there on all.
+
+    Specks of unseen floor count only when nothing else is left.
+    """
 
     def guide(self, key: Key[Array, ""], robot: Robot, site: Site, agent: Agent) -> Guidance:
         """See `Guide`."""
         del key, site
         side, cells = agent.mapping.local, robot.map.cells.shape[0]
-        near = self._distance(window(robot.map, robot.local_middle, side), agent)
+        ground, beyond = _ground(window(robot.map, robot.local_middle, side), agent)
+        near = geodesic_distance(ground, without_specks(beyond), agent.mapping.cell_size)
 
         def far() -> Float[Array, "n n"]:
-            margin = (cells - side) // 2
-            whole = self._distance(window(robot.map, robot.local_middle, cells), agent)
-            return jax.lax.slice(whole, (margin, margin), (margin + side, margin + side))
+            margin = cells // 2 - side // 2
+            whole = _ground(window(robot.map, robot.local_middle, cells), agent)
+            distance = geodesic_distance(*whole, agent.mapping.cell_size)
+            return jax.lax.slice(distance, (margin, margin), (margin + side, margin + side))
 
         return Guidance(jax.lax.cond(_begins_here(near), lambda: near, far), jnp.bool_(False))
-
-    @staticmethod
-    def _distance(cells: UInt32[Array, "n n"], agent: Agent) -> Float[Array, "n n"]:
-        """What is left of the way to a cell that has not been seen, from the cells that have."""
-        return geodesic_distance(*_ground(cells, agent), agent.mapping.cell_size)
 
 
 @struct.dataclass

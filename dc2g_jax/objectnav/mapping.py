@@ -202,12 +202,14 @@ def _floor_in_view(
 
 
 def stood_on(indoor_map: IndoorMap, position: Float[Array, "2"], radius: float, settings: MapSettings) -> IndoorMap:
-    """The map of a robot that knows that there is floor where it stands.
+    """The map of a robot that takes what is around it for explored, whether it has seen it or not.
+
+    What has been seen to stand there still does. Cells behind a wall so near count as well.
 
     Args:
       indoor_map: so far.
       position: x and y of the robot, metres.
-      radius: of the robot, metres.
+      radius: of what counts, metres.
       settings: those the map was made with.
     """
     rings = math.ceil(radius / settings.cell_size)

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.agent import Agent, Robot, Site, camera_pose
-from dc2g_jax.objectnav.mapping import network_input
+from dc2g_jax.objectnav.mapping import MapSettings, network_input
 from dc2g_jax.objectnav.midlevel import ImageEncoder, load_encoder, view
 from dc2g_jax.objectnav.networks import CostMapEstimator, load_estimator
 
@@ -51,7 +51,8 @@ class PredictedCosts(Generic[_Estimator]):
     Attributes:
       estimator: predicts costs.
       encoder: makes mid-level features of what the camera sees.
-      metres: of way, for a cost of 1.
+      metres: of way, for a cost of 1. A network trained on shares of the longest way (`--recipe paper`) has no such
+        scale, and is driven as if it had.
       threshold: a cell that is occupied with more than this probability is none to be in (the paper's theta_occ).
     """
 
@@ -87,7 +88,12 @@ def load_costs(folder: Path) -> PredictedCosts[CostMapEstimator]:
     for name in (NETWORK_FILE, ENCODER_FILE):
         if not (folder / name).is_file():
             raise InputError(f"{folder}: has no {name}; give a folder that experiments.objectnav_train has written")
-    estimator, encoder = load_estimator(folder / NETWORK_FILE)[0], load_encoder(folder / ENCODER_FILE)
+    (estimator, card), encoder = load_estimator(folder / NETWORK_FILE), load_encoder(folder / ENCODER_FILE)
+    if card.get("cell_size", MapSettings.cell_size) != MapSettings.cell_size:
+        raise InputError(
+            f"{folder}: the network was trained on cells of {card['cell_size']:g} m, maps here have "
+            f"{MapSettings.cell_size:g} m; train one with --cell-size {MapSettings.cell_size:g}"
+        )
     if encoder.size != estimator.architecture.features:
         raise InputError(
             f"{folder}: {ENCODER_FILE} makes {encoder.size} features, {NETWORK_FILE} takes "

@@ -63,4 +63,5 @@ def test_it_compares_what_networks_are_shown(options, capsys):
 def test_two_networks_of_a_kind_and_unknown_agents_are_refused(options, folders):
     twice = dataclasses.replace(options, networks=(folders[0], folders[0]))
     refusal(lambda: main(twice), "--networks", folders[0], "one of each")
+    refusal(lambda: main(dataclasses.replace(options, maps=17)), "--maps 17", "multiple of 16")
     refusal(lambda: main(dataclasses.replace(options, agent="frontier")), "frontier", "promising or predicted")

@@ -46,4 +46,9 @@ def test_an_encoder_that_is_none_and_numbers_that_make_no_sense_are_refused(opti
     wrong = tmp_path / "wrong.safetensors"
     wrong.write_bytes(b"nothing")
     refusal(lambda: main(dataclasses.replace(options, encoder=wrong)), wrong)
+    refusal(lambda: main(dataclasses.replace(options, count=0)), "--count 0", "at least 1")
+    refusal(lambda: main(dataclasses.replace(options, seed=-1)), "--seed -1", "at least 0")
+    damaged = tmp_path / "data.npz"
+    damaged.write_bytes(b"PK\x03\x04garbage")
+    refusal(lambda: objectnav_train.kept(damaged, lambda report: None, 1), damaged, "delete it")
     refusal(lambda: main(dataclasses.replace(options, widths=(4,), out=tmp_path / "new")), "--widths")
