@@ -26,6 +26,7 @@ from dc2g_jax.grid.poses import (
     only,
     turned,
 )
+from dc2g_jax.grid.shifting import shifted
 
 #: Wavefront steps between two looks at whether the wavefronts still grow. Most searches end before the first.
 _STEPS_BETWEEN_LOOKS = 32
@@ -263,19 +264,12 @@ FOUR_CONNECTED = ((1, 0), (-1, 0), (0, 1), (0, -1))
 EIGHT_CONNECTED = (*FOUR_CONNECTED, (1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
-def _shifted(values: Array, dx: int, dy: int, fill: float) -> Array:
-    """Values `[h w *batch]` moved by `dx` columns and `dy` rows, each 1 at most, with `fill` moved in."""
-    height, width = values.shape[:2]
-    padded = jnp.pad(values, [(1, 1), (1, 1)] + [(0, 0)] * (values.ndim - 2), constant_values=fill)
-    return padded[1 - dy : 1 - dy + height, 1 - dx : 1 - dx + width]
-
-
 def _grown_goals(traversable: Bool[Array, "h w *batch"], goals: Bool[Array, "h w *batch"]) -> Bool[Array, "h w *batch"]:
     """The goal cells, grown by 3x3 squares until they touch traversable ground (unchanged where they never do)."""
 
     def grow(cells: Bool[Array, "h w *batch"]) -> Bool[Array, "h w *batch"]:
-        rows = cells | _shifted(cells, 0, 1, False) | _shifted(cells, 0, -1, False)
-        return rows | _shifted(rows, 1, 0, False) | _shifted(rows, -1, 0, False)
+        rows = cells | shifted(cells, 0, 1, False) | shifted(cells, 0, -1, False)
+        return rows | shifted(rows, 1, 0, False) | shifted(rows, -1, 0, False)
 
     def somewhere(cells: Bool[Array, "h w *batch"]) -> Bool[Array, "*batch"]:
         return jnp.any(cells, axis=(0, 1))
@@ -319,9 +313,9 @@ def cost_to_go(
         best_straight, best_diagonal, best = straight, diagonal, cost
         for dx, dy in moves:
             is_diagonal = abs(dx * dy)
-            new_straight = _shifted(straight, dx, dy, 0) + (1 - is_diagonal)
-            new_diagonal = _shifted(diagonal, dx, dy, 0) + is_diagonal
-            reached = free & jnp.isfinite(_shifted(cost, dx, dy, jnp.inf))
+            new_straight = shifted(straight, dx, dy, 0) + (1 - is_diagonal)
+            new_diagonal = shifted(diagonal, dx, dy, 0) + is_diagonal
+            reached = free & jnp.isfinite(shifted(cost, dx, dy, jnp.inf))
             new = jnp.where(reached, new_straight + jnp.sqrt(jnp.float32(2)) * new_diagonal, jnp.inf)
             better = new < best
             best_straight = jnp.where(better, new_straight, best_straight)

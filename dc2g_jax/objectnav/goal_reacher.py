@@ -4,9 +4,10 @@ import functools
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Shaped
+from jaxtyping import Array, Bool, Float
 
 from dc2g_jax.grid.fast_marching import travel_cost
+from dc2g_jax.grid.shifting import shifted
 from dc2g_jax.objectnav.cost_maps import inflated
 
 #: The way to an object ends this far from it, metres between the middles of cells.
@@ -51,23 +52,15 @@ def straight_distance(
     reached = goals
     for number in range(steps):
         # By turns to four neighbours and to eight, an octagon that holds the circle.
-        across = reached | _shifted(reached, 1, 0) | _shifted(reached, -1, 0)
+        across = reached | shifted(reached, 0, 1, False) | shifted(reached, 0, -1, False)
         last = across if number % 2 else reached
-        reached = (across | _shifted(last, 1, 1) | _shifted(last, -1, 1)) & ~walls
+        reached = (across | shifted(last, 1, 0, False) | shifted(last, -1, 0, False)) & ~walls
     offsets = range(-steps, steps + 1)
-    along = [jnp.where(_shifted(goals, offset, 1), jnp.float32(offset**2), jnp.inf) for offset in offsets]
+    along = [jnp.where(shifted(goals, offset, 0, False), jnp.float32(offset**2), jnp.inf) for offset in offsets]
     in_row = functools.reduce(jnp.minimum, along)
-    square = functools.reduce(jnp.minimum, (_shifted(in_row, offset, 0, jnp.inf) + offset**2 for offset in offsets))
+    square = functools.reduce(jnp.minimum, (shifted(in_row, 0, offset, jnp.inf) + offset**2 for offset in offsets))
     distance = jnp.sqrt(square) * cell_size
     return jnp.where(reached & (distance <= most + 1e-4), distance, jnp.inf)
-
-
-def _shifted(cells: Shaped[Array, "h w"], by: int, axis: int, outside: float = 0) -> Shaped[Array, "h w"]:
-    """The cells so many rows (axis 0) or columns further on, and a value from beyond the edge."""
-    margin = [(abs(by), abs(by)) if number == axis else (0, 0) for number in range(2)]
-    padded = jnp.pad(cells, margin, constant_values=outside)
-    first = abs(by) - by
-    return jax.lax.slice_in_dim(padded, first, first + cells.shape[axis], axis=axis)
 
 
 def distance_to_object(

@@ -3,17 +3,21 @@
 The goal reacher goes around any of the others: it takes over as soon as the robot has seen what it looks for.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Key, UInt32
 
 from dc2g_jax.grid.fast_marching import geodesic_distance, travel_cost
+from dc2g_jax.grid.search import FOUR_CONNECTED
+from dc2g_jax.grid.shifting import shifted
 from dc2g_jax.objectnav.agent import Agent, Guidance, Guide, Robot, Site
 from dc2g_jax.objectnav.classes import GOALS
 from dc2g_jax.objectnav.cost_maps import inflated
 from dc2g_jax.objectnav.goal_reacher import distance_to_object, without_specks
-from dc2g_jax.objectnav.mapping import EXPLORED, OBSTACLE, has, has_any_class, window
+from dc2g_jax.objectnav.mapping import EXPLORED, OBSTACLE, has, has_any_class, square, window
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 
 #: A way counts as the robot's if it begins within so many cells of the robot, to every side: one that has run into
@@ -37,10 +41,7 @@ class TrueCost:
 def true_distance(robot: Robot, site: Site, agent: Agent) -> Float[Array, "n n"]:
     """What is left of the way to the nearest object from each cell of the local map, metres."""
     side = agent.mapping.local
-    rows, columns = (robot.local_middle - side // 2)[:, None] + jnp.arange(side)
-    height, width = site.free.shape
-    inside = ((rows >= 0) & (rows < height))[:, None] & (columns >= 0) & (columns < width)
-    return jnp.where(inside, site.distances[robot.target, rows[:, None], columns], jnp.inf)
+    return square(site.distances[robot.target], robot.local_middle - side // 2, side, jnp.inf)
 
 
 @struct.dataclass
@@ -166,10 +167,5 @@ def _ground(cells: UInt32[Array, "n n"], agent: Agent) -> tuple[Bool[Array, "n n
     known = has(cells, EXPLORED)
     passable = ~inflated(has(cells, OBSTACLE), agent.controller.limits.radius, agent.mapping.cell_size)
     ground = known & passable
-    return ground, _beside(ground) & passable & ~known
-
-
-def _beside(cells: Bool[Array, "n n"]) -> Bool[Array, "n n"]:
-    """Cells with one of the set above, below or beside them."""
-    padded = jnp.pad(cells, 1)
-    return padded[:-2, 1:-1] | padded[2:, 1:-1] | padded[1:-1, :-2] | padded[1:-1, 2:]
+    beside = functools.reduce(jnp.logical_or, (shifted(ground, dx, dy, False) for dx, dy in FOUR_CONNECTED))
+    return ground, beside & passable & ~known

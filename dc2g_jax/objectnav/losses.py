@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from dc2g_jax.grid.shifting import shifted
 from dc2g_jax.objectnav.networks import Prediction
 
 
@@ -58,21 +59,14 @@ def gradient(costs: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Float
     """
     values = jnp.where(navigable, costs, 0)
 
-    def along(axis: int) -> Float[Array, "h w"]:
-        ahead, behind = _next(navigable, -1, axis) & navigable, _next(navigable, 1, axis) & navigable
-        rise = jnp.where(ahead, _next(values, -1, axis) - values, 0) + jnp.where(
-            behind, values - _next(values, 1, axis), 0
+    def along(dx: int, dy: int) -> Float[Array, "h w"]:
+        ahead, behind = shifted(navigable, -dx, -dy, False) & navigable, shifted(navigable, dx, dy, False) & navigable
+        rise = jnp.where(ahead, shifted(values, -dx, -dy, 0) - values, 0) + jnp.where(
+            behind, values - shifted(values, dx, dy, 0), 0
         )
         return jnp.where(ahead & behind, rise / 2, rise)
 
-    return jnp.stack([along(0), along(1)])
-
-
-def _next(cells: Array, shift: int, axis: int) -> Array:
-    """The neighbours of all cells on one side, 0 off the map: of the cell below or to the right where shift is -1."""
-    moved = jnp.roll(cells, shift, axis)
-    place = jnp.arange(cells.shape[axis]) == (cells.shape[axis] - 1 if shift < 0 else 0)
-    return jnp.where(place[:, None] if axis == 0 else place, jnp.zeros((), cells.dtype), moved)
+    return jnp.stack([along(0, 1), along(1, 0)])
 
 
 def direction_loss(

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, Int, UInt32
+from jaxtyping import Array, Bool, Float, Int, Shaped, UInt32
 
 from dc2g_jax.control.footprint import cell_at
 from dc2g_jax.errors import InputError
@@ -236,12 +236,22 @@ def window(indoor_map: IndoorMap, middle: Int[Array, "2"], side: int) -> UInt32[
       middle: row and column in the world's grid.
       side: of the square, cells.
     """
-    height, width = indoor_map.cells.shape
-    first = middle - side // 2 - indoor_map.origin
-    rows, columns = first[0] + jnp.arange(side), first[1] + jnp.arange(side)
-    cells = indoor_map.cells.at[rows[:, None], columns].get(mode="clip")
+    return square(indoor_map.cells, middle - side // 2 - indoor_map.origin, side, 0)
+
+
+def square(grid: Shaped[Array, "h w"], first: Int[Array, "2"], side: int, beyond: float) -> Shaped[Array, "side side"]:
+    """A square of a grid, wherever it lies.
+
+    Args:
+      grid: what to take it from.
+      first: row and column of its first cell, on the grid or off it.
+      side: of the square, cells.
+      beyond: what is off the grid.
+    """
+    height, width = grid.shape
+    rows, columns = first[:, None] + jnp.arange(side)
     inside = ((rows >= 0) & (rows < height))[:, None] & (columns >= 0) & (columns < width)
-    return jnp.where(inside, cells, jnp.uint32(0))
+    return jnp.where(inside, grid.at[rows[:, None], columns].get(mode="clip"), jnp.asarray(beyond, grid.dtype))
 
 
 def channels(cells: UInt32[Array, "h w"]) -> Float[Array, "18 h w"]:
