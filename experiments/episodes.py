@@ -1,7 +1,5 @@
 """Episodes that commands run: their progress, and the table `episodes.csv` that keeps them."""
 
-import csv
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +7,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from dc2g_jax.datasets.starts import Start
-from dc2g_jax.datasets.tables import read_table
+from dc2g_jax.datasets.tables import read_table, write_table
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.evaluation import EpisodeResult, Runner, extra_steps
@@ -75,18 +73,9 @@ class EpisodeTable:
 
 
 def write_episodes(path: Path, results: Sequence[EpisodeResult]) -> None:
-    """Write `episodes.csv`: one line an episode and planner, `success` as 0 or 1, `extra` in percent.
-
-    A file that is there is replaced in one go, so that it is whole at any moment.
-    """
-    unfinished = path.with_name(f".{path.name}.unfinished")
-    with unfinished.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(EpisodeResult._fields)
-        for result in results:
-            row = {**result._asdict(), "success": int(result.success), "extra": round(result.extra, 4)}
-            writer.writerow(row.values())
-    os.replace(unfinished, path)
+    """Write `episodes.csv`: one line an episode and planner, `success` as 0 or 1, `extra` in percent."""
+    rows = [{**one._asdict(), "success": int(one.success), "extra": round(one.extra, 4)}.values() for one in results]
+    write_table(path, EpisodeResult._fields, rows)
 
 
 def read_episodes(path: Path) -> list[EpisodeResult]:

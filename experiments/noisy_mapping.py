@@ -11,6 +11,7 @@ import numpy as np
 
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import Start, sample_starts
+from dc2g_jax.datasets.tables import write_table
 from dc2g_jax.driving.fleet import Drives
 from dc2g_jax.driving.loop import STATUS_NAMES
 from dc2g_jax.errors import InputError
@@ -82,17 +83,14 @@ class DriveTable:
         return Drives(status=status, **columns)
 
     def _write(self, path: Path, drives: Drives) -> None:
-        unfinished = path.with_suffix(".unfinished")
-        with unfinished.open("w", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(_COLUMNS)
-            for number, start in enumerate(self._starts):
-                times = (round(float(values[number]), 2) for values in (drives.off_ground, drives.touched))
-                place = (start.house, start.x, start.y, start.heading)
-                writer.writerow(
-                    (*place, round(float(drives.seconds[number]), 2), STATUS_NAMES[drives.status[number]], *times)
-                )
-        unfinished.replace(path)
+        rows = []
+        for number, start in enumerate(self._starts):
+            seconds, *times = (
+                round(float(values[number]), 2) for values in (drives.seconds, drives.off_ground, drives.touched)
+            )
+            place = (start.house, start.x, start.y, start.heading)
+            rows.append((*place, seconds, STATUS_NAMES[drives.status[number]], *times))
+        write_table(path, _COLUMNS, rows)
 
 
 def summary(drives: Drives, oracle: Drives, houses: Sequence[str]) -> dict[str, float]:

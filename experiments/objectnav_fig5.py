@@ -26,8 +26,9 @@ from dc2g_jax.objectnav.agent import (
     Agent,
     Robot,
     Site,
+    act_on,
     cost_of_pose,
-    leg,
+    look_and_decide,
     set_out,
     site_of,
     under_way,
@@ -40,7 +41,7 @@ from dc2g_jax.objectnav.searches import TIME_LIMIT, Episode, Searches, sample_ep
 from dc2g_jax.objectnav.starts import sample_starts
 from experiments.common import NetworkOption, OutOption, command_line
 from experiments.outputs import output_folder
-from experiments.searches import TITLES, AgentName, agent_named, check_seed
+from experiments.searches import TITLES, AgentName, agent_with, check_seed, costs_for
 
 #: Moments that the figure shows.
 _COLUMNS = 5
@@ -121,14 +122,12 @@ def search(robot: Robot, site: Site, agent: Agent) -> tuple[list[Robot], Robot]:
     Returns:
       The robot at the beginning of each leg, when it has looked and decided and is about to act; and at the end.
     """
-    drive, begun = jax.jit(leg), []
+    first_part, second_part, begun = jax.jit(look_and_decide), jax.jit(act_on), []
     with tqdm(total=len(robot.track) - 1, desc="searching", unit="step", file=sys.stderr) as progress:
         while under_way(robot):
-            before, robot = robot, drive(robot, site, agent)
-            # What a leg decides stays until the next one; put back what acting has changed since.
-            acted = {name: getattr(before, name) for name in ("vehicle", "controls", "periods", "bumps", "status")}
-            begun.append(dataclasses.replace(robot, **acted, key=jax.random.split(before.key)[0]))
-            progress.update(int(robot.periods) - int(before.periods))
+            begun.append(first_part(robot, site, agent))
+            robot = second_part(begun[-1], site, agent)
+            progress.update(int(robot.periods) - int(begun[-1].periods))
     return begun, robot
 
 
@@ -184,9 +183,9 @@ def main(options: Options) -> None:
     check_seed(options.seed)
     house = house_of(options)
     episode = episode_in(house, options)
-    agent = agent_named(options.agent, options.network, options.samples)
+    agent = agent_with(options.agent, costs_for([options.agent], options.network), options.samples)
     out = output_folder(options, "objectnav_fig5")
-    site = site_of(house.world, np.random.default_rng([*house.name.encode()]), agent.controller.limits.radius)
+    site = site_of(house.world, house.name, agent.controller.limits.radius)
     target = CLASS_NAMES.index(episode.target)
     start, goal = jnp.array([episode.x, episode.y, episode.yaw], jnp.float32), jnp.int32(GOALS.index(target))
     first = set_out(jax.random.key(options.seed), start, goal, agent, options.limit)

@@ -6,16 +6,15 @@ simulator are others, so its figures stand beside ours for orientation only.
 
 import dataclasses
 import functools
-import json
 import time
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.objectnav.evaluation import Difference, EpisodeResult, Summary, difference, summarize
+from dc2g_jax.objectnav.evaluation import EpisodeResult, Summary, summarize
 from experiments.common import NetworkOption, OutOption, command_line
 from experiments.outputs import output_folder
-from experiments.searches import TITLES, AgentName, SearchOptions, SearchTable, agent_with, open_costs
+from experiments.searches import TITLES, AgentName, SearchOptions, SearchTable, agent_with, conclude, costs_for
 
 
 class PaperLine(NamedTuple):
@@ -35,13 +34,6 @@ PAPER = {
     "random": PaperLine(0.250, 0.208, 7.214, 402.795, (1.607, 8.920), (28.004, 156.095)),
     "predicted": PaperLine(0.447, 0.329, 4.542, 327.877, (0.673, 7.318), (11.788, 128.158)),
 }
-
-#: What is said under every table.
-CAVEAT = (
-    "The paper's houses differ from these (they are scanned homes, Matterport3D in the Habitat simulator), and so do "
-    "its robot's speed and camera; its agent with true costs stops as soon as it sees the object: compare its lines "
-    "with each other, not with ours."
-)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,24 +70,6 @@ def table(summaries: Mapping[str, Summary]) -> str:
     return "\n".join(lines)
 
 
-def differences(results: Mapping[str, Sequence[EpisodeResult]], resamples: int) -> dict[str, Difference]:
-    """By how much the last of the agents is better than each of the others in the same searches."""
-    *others, last = results
-    return {name: difference(results[last], results[name], resamples=resamples) for name in others}
-
-
-def difference_lines(found: Mapping[str, Difference], last: str, titles: Mapping[str, str] = TITLES) -> str:
-    """The differences as text."""
-    lines = []
-    for name, one in found.items():
-        success, spl = (
-            f"{gain:+.3f} ({low:+.3f} to {high:+.3f})"
-            for gain, (low, high) in ((one.success, one.success_interval), (one.spl, one.spl_interval))
-        )
-        lines.append(f"{titles[last]} against {titles[name]}: success {success}, SPL {spl}")
-    return "\n".join(lines)
-
-
 def _paper_line(title: str, name: str) -> str:
     one = PAPER[name]
     return _line(title, (f"{one.success:.3f}", f"{one.spl:.3f}", *_figures(one)))
@@ -116,7 +90,7 @@ def main(options: Options) -> None:
     options.check()
     if not options.agents or len(set(options.agents)) < len(options.agents):
         raise InputError(f"--agents {' '.join(options.agents)}: give each agent once, one at least")
-    costs = open_costs(options.network) if {"predicted", "promising"} & set(options.agents) else None
+    costs = costs_for(options.agents, options.network)
     houses, episodes = options.places()
     out = output_folder(options, "objectnav_table1")
     searches, all_results = SearchTable(out / "episodes.csv"), dict[str, list[EpisodeResult]]()
@@ -126,19 +100,12 @@ def main(options: Options) -> None:
         all_results[name] = searches.run(name, agent, houses, episodes, options)
         print(f"{TITLES[name]}: {len(episodes)} searches, {time.perf_counter() - began:.0f} s", flush=True)
     summaries = {name: summarize(results, resamples=options.resamples) for name, results in all_results.items()}
-    gains = differences(all_results, options.resamples)
-    print(f"\n{len(episodes)} searches in {options.described}\n{table(summaries)}\n{CAVEAT}")
-    print(difference_lines(gains, options.agents[-1]))
     facts = {
-        "houses": [house.name for house in houses],
-        "split": options.split,
-        "note": CAVEAT,
         "agents": {name: one._asdict() for name, one in summaries.items()},
-        "differences": {name: one._asdict() for name, one in gains.items()},
         "paper": {name: one._asdict() for name, one in PAPER.items()},
     }
-    (out / "results.json").write_text(json.dumps(facts, indent=2) + "\n")
-    print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+    text = f"{len(episodes)} searches in {options.described}\n{table(summaries)}"
+    conclude(out, options, houses, all_results, TITLES, text, facts)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ Each network predicts costs for the same partial maps of unseen houses, and guid
 
 import dataclasses
 import functools
-import json
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -19,16 +18,14 @@ from dc2g_jax.objectnav.networks import ABLATIONS, CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 from dc2g_jax.objectnav.training import CostMapConfig, figures, validation_samples
 from experiments.common import OutOption, command_line
-from experiments.objectnav_table1 import CAVEAT, difference_lines, differences
 from experiments.outputs import output_folder
-from experiments.searches import SearchOptions, SearchTable, agent_with, open_costs
+from experiments.searches import ON_NETWORK, SearchOptions, SearchTable, agent_with, conclude, open_costs
 
 #: What the lines are called, by name of the ablation.
 TITLES = {"both": "both", "semantic": "only semantic map", "midlevel": "only mid-level"}
 
 #: Metrics of the prediction, percent.
 METRICS = ("MPA", "mF1", "mIoU", "aAP5", "aAP9")
-
 
 #: Partial maps are predicted so many at a time.
 MAPS_A_BATCH = CostMapConfig.batch_size
@@ -125,8 +122,8 @@ def _line(title: str, cells: tuple[str, ...]) -> str:
 def main(options: Options) -> None:
     """Predict, search, print and write the table."""
     options.check()
-    if options.agent not in ("promising", "predicted"):
-        raise InputError(f"--agent {options.agent}: give promising or predicted, which go by a network")
+    if options.agent not in ON_NETWORK:
+        raise InputError(f"--agent {options.agent}: give {' or '.join(sorted(ON_NETWORK))}, which go by a network")
     if options.maps < MAPS_A_BATCH or options.maps % MAPS_A_BATCH:
         raise InputError(f"--maps {options.maps}: give a multiple of {MAPS_A_BATCH}")
     networks = open_networks(options.networks)
@@ -139,22 +136,13 @@ def main(options: Options) -> None:
         agent = functools.partial(agent_with, options.agent, costs, options.samples)
         results[name] = searches.run(name, agent, houses, episodes, options)
     summaries = {name: summarize(found, resamples=options.resamples) for name, found in results.items()}
-    gains = differences(results, options.resamples)
-    print(
-        f"\n{options.maps} maps, {len(episodes)} searches in {options.described}\n{table(metrics, summaries)}\n{CAVEAT}"
-    )
-    print(difference_lines(gains, list(networks)[-1], TITLES))
     facts = {
-        "houses": [house.name for house in houses],
-        "split": options.split,
-        "note": CAVEAT,
         "prediction": metrics,
         "navigation": {name: one._asdict() for name, one in summaries.items()},
-        "differences": {name: one._asdict() for name, one in gains.items()},
         "paper": {name: one._asdict() for name, one in PAPER.items()},
     }
-    (out / "results.json").write_text(json.dumps(facts, indent=2) + "\n")
-    print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+    text = f"{options.maps} maps, {len(episodes)} searches in {options.described}\n{table(metrics, summaries)}"
+    conclude(out, options, houses, results, TITLES, text, facts)
 
 
 if __name__ == "__main__":

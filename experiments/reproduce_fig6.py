@@ -3,7 +3,6 @@
 `python -m experiments.reproduce_fig6 --network checkpoints/translator/network checkpoints/mine/network`
 """
 
-import csv
 import dataclasses
 import json
 from collections.abc import Sequence
@@ -14,6 +13,7 @@ import numpy as np
 from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset
 from dc2g_jax.datasets.image_pairs import houses_with_door
 from dc2g_jax.datasets.similarity import distance_to_training, similarity_scale
+from dc2g_jax.datasets.tables import write_table
 from dc2g_jax.grid.sampling import resize_nearest
 from dc2g_jax.image_evaluation import full_map_metrics
 from dc2g_jax.inspection.image_figures import METRIC_LABELS, Points, plot_by_similarity
@@ -77,14 +77,12 @@ def print_table(networks: dict[str, Points]) -> None:
 
 def write_houses(path: Path, houses: Sequence[House], networks: dict[str, Points]) -> None:
     """Write `houses.csv`: one line a network and house."""
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("network", "house", "group", "distance", *METRIC_LABELS))
-        for network, points in networks.items():
-            for number, house in enumerate(houses):
-                values = (points.metrics[name][number] for name in METRIC_LABELS)
-                row = (round(value, 5) for value in (points.distance[number], *values))
-                writer.writerow((network, house.name, group_of(house), *row))
+    rows = []
+    for network, points in networks.items():
+        for number, house in enumerate(houses):
+            values = (points.distance[number], *(points.metrics[name][number] for name in METRIC_LABELS))
+            rows.append((network, house.name, group_of(house), *(round(value, 5) for value in values)))
+    write_table(path, ("network", "house", "group", "distance", *METRIC_LABELS), rows)
 
 
 def main(options: Options) -> None:

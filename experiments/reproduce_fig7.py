@@ -4,7 +4,6 @@
 """
 
 import collections
-import csv
 import dataclasses
 import json
 import sys
@@ -18,6 +17,7 @@ from tqdm import tqdm
 
 from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset, tell_on_stderr
 from dc2g_jax.datasets.starts import published_episodes, sample_starts, why_no_episode
+from dc2g_jax.datasets.tables import write_table
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.evaluation import PLANNERS, EpisodeResult, Runner, Summary, extra_steps, summarize
@@ -191,23 +191,22 @@ def print_table(title: str, table: Table, groups: tuple[str, ...]) -> None:
 
 def write_tables(out: Path, tables: dict[str, Table], entries: dict[str, list[Episode]]) -> None:
     """Write `summary.csv` (by planner and group) and `houses.csv` (by planner and house)."""
-    with (out / "summary.csv").open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("settings", "planner", "group", *Summary._fields))
-        for settings, table in tables.items():
-            for planner, row in table.items():
-                for group, summary in row.items():
-                    writer.writerow((settings, planner, group, *(round(value, 4) for value in summary)))
-    with (out / "houses.csv").open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("settings", "planner", "house", "group", *Summary._fields))
-        for settings, episodes in entries.items():
-            by_house: dict[tuple[str, str, str], list[Episode]] = collections.defaultdict(list)
-            for episode in episodes:
-                by_house[episode.planner, episode.house, episode.group].append(episode)
-            for key, own in by_house.items():
-                summary = summarize([episode.extra for episode in own], [episode.success for episode in own])
-                writer.writerow((settings, *key, *(round(value, 4) for value in summary)))
+    groups = [
+        (settings, planner, group, *(round(value, 4) for value in summary))
+        for settings, table in tables.items()
+        for planner, row in table.items()
+        for group, summary in row.items()
+    ]
+    write_table(out / "summary.csv", ("settings", "planner", "group", *Summary._fields), groups)
+    houses = []
+    for settings, episodes in entries.items():
+        by_house: dict[tuple[str, str, str], list[Episode]] = collections.defaultdict(list)
+        for episode in episodes:
+            by_house[episode.planner, episode.house, episode.group].append(episode)
+        for key, own in by_house.items():
+            summary = summarize([episode.extra for episode in own], [episode.success for episode in own])
+            houses.append((settings, *key, *(round(value, 4) for value in summary)))
+    write_table(out / "houses.csv", ("settings", "planner", "house", "group", *Summary._fields), houses)
 
 
 def as_json(table: Table) -> dict[str, dict[str, dict[str, float]]]:

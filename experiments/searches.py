@@ -1,16 +1,15 @@
-"""What the commands for object goals share: agents by name, the options they are made with, and `episodes.csv`."""
+"""What the commands for object goals share: options, agents by name, `episodes.csv`, and what is said in the end."""
 
-import csv
 import dataclasses
-import os
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 
 from dc2g_jax.datasets.houses import PROCEDURAL
-from dc2g_jax.datasets.tables import read_table
+from dc2g_jax.datasets.tables import read_table, write_table
 from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.agent import (
     CONTROLLER,
@@ -22,7 +21,7 @@ from dc2g_jax.objectnav.agent import (
     Steering,
     usual_camera,
 )
-from dc2g_jax.objectnav.evaluation import EpisodeResult, results_of
+from dc2g_jax.objectnav.evaluation import Difference, EpisodeResult, difference, results_of
 from dc2g_jax.objectnav.guides import Frontier, GoalReacher, NoIdea, Predicted, PromisingFrontier, TrueCost
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
 from dc2g_jax.objectnav.mapping import MapSettings
@@ -39,6 +38,9 @@ SHIPPED_INDOOR_NETWORK = "weights/cost_maps_indoors"
 #: What may be an agent.
 AgentName = Literal["true_cost", "random", "frontier", "predicted", "promising"]
 
+#: Those that go by a network.
+ON_NETWORK = frozenset({"predicted", "promising"})
+
 #: What tables call an agent.
 TITLES = {
     "true_cost": "true cost map",
@@ -47,6 +49,14 @@ TITLES = {
     "predicted": "predicted cost map",
     "promising": "predicted, at frontiers",
 }
+
+
+#: What is said under every table.
+CAVEAT = (
+    "The paper's houses differ from these (they are scanned homes, Matterport3D in the Habitat simulator), and so do "
+    "its robot's speed and camera; its agent with true costs stops as soon as it sees the object: compare its lines "
+    "with each other, not with ours."
+)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -116,15 +126,9 @@ def open_costs(folder: NetworkOption) -> PredictedCosts[CostMapEstimator]:
     return load_costs(shipped(SHIPPED_INDOOR_NETWORK) if folder is None else folder)
 
 
-def agent_named(name: str, network: NetworkOption, samples: int = CONTROLLER.samples) -> Agent:
-    """The agent of a line of the tables, with a network from a folder if it needs one, see `open_costs`.
-
-    Args:
-      name: one of `AgentName`.
-      network: the folder.
-      samples: see `agent_with`.
-    """
-    return agent_with(name, open_costs(network) if name in ("predicted", "promising") else None, samples)
+def costs_for(agents: Iterable[str], folder: NetworkOption) -> PredictedCosts[CostMapEstimator] | None:
+    """The network in a folder, see `open_costs`, if one of these agents goes by a network."""
+    return open_costs(folder) if ON_NETWORK.intersection(agents) else None
 
 
 def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLER.samples) -> Agent:
@@ -202,15 +206,54 @@ class SearchTable:
         return results
 
 
+def conclude(
+    out: Path,
+    options: SearchOptions,
+    houses: Sequence[IndoorHouse],
+    results: Mapping[str, Sequence[EpisodeResult]],
+    titles: Mapping[str, str],
+    table: str,
+    facts: Mapping[str, Any],
+) -> None:
+    """Print a table and how the last of its lines compares with the others, and write `results.json`.
+
+    Args:
+      out: folder to write to.
+      options: of the command.
+      houses: where the searches were made.
+      results: the same searches for each line of the table, by its name.
+      titles: what the lines are called, by name.
+      table: as text.
+      facts: what `results.json` holds beside houses, split and differences.
+    """
+    *others, last = results
+    gains = {name: difference(results[last], results[name], resamples=options.resamples) for name in others}
+    print(f"\n{table}\n{CAVEAT}")
+    for name, gain in gains.items():
+        print(f"{titles[last]} against {titles[name]}: {_in_words(gain)}")
+    found = {
+        "houses": [house.name for house in houses],
+        "split": options.split,
+        "note": CAVEAT,
+        **facts,
+        "differences": {name: gain._asdict() for name, gain in gains.items()},
+    }
+    (out / "results.json").write_text(json.dumps(found, indent=2) + "\n")
+    print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+
+
+def _in_words(one: Difference) -> str:
+    success, spl = (
+        f"{gain:+.3f} ({low:+.3f} to {high:+.3f})"
+        for gain, (low, high) in ((one.success, one.success_interval), (one.spl, one.spl_interval))
+    )
+    return f"success {success}, SPL {spl}"
+
+
 def write_searches(path: Path, results: Sequence[EpisodeResult]) -> None:
-    """Write `episodes.csv`, yes and no as 1 and 0. A file that is there is replaced in one go."""
-    unfinished = path.with_name(f".{path.name}.unfinished")
-    with unfinished.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(EpisodeResult._fields)
-        for result in results:
-            writer.writerow(int(value) if isinstance(value, bool) else value for value in result)
-    os.replace(unfinished, path)
+    """Write `episodes.csv`, yes and no as 1 and 0."""
+    rows = [[int(value) if isinstance(value, bool) else value for value in result] for result in results]
+    write_table(path, EpisodeResult._fields, rows)
 
 
 def read_searches(path: Path) -> list[EpisodeResult]:

@@ -1,8 +1,9 @@
-"""Small CSV tables, read strictly: what is wrong is said in one line with file and line number."""
+"""Small CSV tables. Read strictly: what is wrong is said in one line with file and line number."""
 
 import csv
 import io
-from collections.abc import Sequence
+import os
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from dc2g_jax.errors import InputError
@@ -50,6 +51,22 @@ def read_table(
         found = "is empty" if header is None else f"has the header {','.join(header)!r} but no rows"
         raise InputError(f"{path}: {found}; expected a header with {','.join(columns)} and one row an entry")
     return rows
+
+
+def write_table(path: Path, columns: Sequence[str], rows: Iterable[Iterable[object]]) -> None:
+    """Write a CSV file with a header row. One that is there is replaced in one go: it is whole at any moment.
+
+    Args:
+        path: the CSV file.
+        columns: names for the header.
+        rows: values in the order of the columns.
+    """
+    unfinished = path.with_name(f".{path.name}.unfinished")
+    with unfinished.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(rows)
+    os.replace(unfinished, path)
 
 
 def _read_text(path: Path, remedy: str) -> str:
