@@ -250,17 +250,17 @@ def usual_camera() -> Intrinsics:
     return intrinsics(FIELD_OF_VIEW, *IMAGE_SIZE)
 
 
-def site_of(world: IndoorWorld, rng: np.random.Generator, radius: float = ROBOT_RADIUS) -> Site:
+def site_of(world: IndoorWorld, name: str, radius: float = ROBOT_RADIUS) -> Site:
     """A house for robots to drive in.
 
     Args:
       world: one house.
-      rng: where chance comes from as it is painted.
+      name: of the house; it is painted by chance, but always alike.
       radius: of the robots, metres.
     """
     return Site(
         scene=scene(world),
-        paint=jnp.asarray(painted(world, rng)),
+        paint=jnp.asarray(painted(world, np.random.default_rng([*name.encode()]))),
         free=jnp.asarray(world.free),
         distances=_distances(world.free, world.classes, radius, float(world.cell_size)),
     )
@@ -392,13 +392,22 @@ def cost_of_pose(robot: Robot, agent: Agent) -> CostOfPose:
 
 def leg(robot: Robot, site: Site, agent: Agent) -> Robot:
     """From one look to the next: a robot that is under way looks, decides, and acts for `Agent.renewal` periods."""
+    return act_on(look_and_decide(robot, site, agent), site, agent)
+
+
+def look_and_decide(robot: Robot, site: Site, agent: Agent) -> Robot:
+    """The first part of a leg: what its actions are based on."""
+    return decide(look(robot, site, agent), site, agent)
+
+
+def act_on(robot: Robot, site: Site, agent: Agent) -> Robot:
+    """The second part of a leg: its actions."""
     begun = robot.periods
     limit = robot.track.shape[0] - 1
 
     def goes_on(robot: Robot) -> Bool[Array, ""]:
         return (robot.status == UNDER_WAY) & (robot.periods < jnp.minimum(begun + agent.renewal, limit))
 
-    robot = decide(look(robot, site, agent), site, agent)
     return jax.lax.while_loop(goes_on, lambda robot: act(robot, site, agent), robot)
 
 

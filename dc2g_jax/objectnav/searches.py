@@ -151,8 +151,7 @@ def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[Site, dict[str,
     rows, columns = (max(world.free.shape[axis] for world in worlds) for axis in (0, 1))
     padded = [pad_world(world, rows, columns, len(world.room_kinds), len(world.objects.classes)) for world in worlds]
     sites = [
-        site_of(world, np.random.default_rng([*house.name.encode()]), agent.controller.limits.radius)
-        for house, world in zip(houses, padded, strict=True)
+        site_of(world, house.name, agent.controller.limits.radius) for house, world in zip(houses, padded, strict=True)
     ]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sites), {house.name: n for n, house in enumerate(houses)}
 

@@ -45,7 +45,7 @@ KEY = jax.random.key(0)
 
 @pytest.fixture(scope="module")
 def site():
-    return site_of(two_rooms().world, np.random.default_rng(0))
+    return site_of(two_rooms().world, two_rooms().name)
 
 
 def agent_with(guide, steering=None):
