@@ -16,7 +16,7 @@ from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.planning.planners import DC2G, MODE_NAMES, Frontier, Oracle, Planner
 from dc2g_jax.planning.rules import Rules, Settings
-from dc2g_jax.planning.selection import ExpectedCost, QuantileCost
+from dc2g_jax.planning.selection import ExpectedCost, Patience, QuantileCost
 from dc2g_jax.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
 
 #: A map of this many cells has one more action in its step limit: 500 for the published ones, of 50 x 50 cells.
@@ -27,7 +27,7 @@ PLANNERS = ("oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go")
 
 #: The planners that run on a network, given it and the rules; chosen on validation houses (see BENCHMARKS.md). Both ask
 #: about the map and its mirror image in turn.
-_ON_NETWORK = functools.partial(DC2G, depth=1, views=((), (1,)))
+_ON_NETWORK = functools.partial(DC2G, depth=1, views=((), (1,)), patience=Patience(radius=8, decisions=30, price=0.25))
 NETWORK_PLANNERS: Mapping[str, Callable[[Estimator, Rules], DC2G]] = {
     "dc2g": functools.partial(_ON_NETWORK, selection=ExpectedCost(distance_weight=0.5)),
     "dc2g_uncertain": functools.partial(_ON_NETWORK, selection=QuantileCost(level=0.7, distance_weight=0.5)),

@@ -21,7 +21,7 @@ from dc2g_jax.grid.world import World
 from dc2g_jax.gridworld import Belief
 from dc2g_jax.planning import frontiers
 from dc2g_jax.planning.rules import Rules
-from dc2g_jax.planning.selection import ExpectedCost, Selection
+from dc2g_jax.planning.selection import ENDLESS, ExpectedCost, Patience, Selection
 
 #: Plan modes.
 EXPLORE, TO_GOAL, GAVE_UP = 0, 1, 2
@@ -134,7 +134,7 @@ class DC2G:
     poses in the first place; under the `reference` rules alone a robot can go back and forth for ever between two poses
     that show nothing.)
 
-    By default, selection and depth are the paper's.
+    By default, selection, depth and patience are the paper's.
 
     Attributes:
       estimator: partial map in, costs-to-go out, lower is better.
@@ -145,6 +145,7 @@ class DC2G:
         one view after the other, and the mean of each view's latest is gone by: errors that a network makes in one of
         them alone are halved, at no more questions. Views other than the map as it is are for estimators that read
         nothing but the map.
+      patience: with places that go on promising a goal.
     """
 
     estimator: Estimator
@@ -152,6 +153,7 @@ class DC2G:
     selection: Selection = struct.field(pytree_node=False, default=ExpectedCost(distance_weight=0.0))
     depth: int = struct.field(pytree_node=False, default=0)
     views: tuple[tuple[int, ...], ...] = struct.field(pytree_node=False, default=((),))
+    patience: Patience = struct.field(pytree_node=False, default=ENDLESS)
     #: A network answers many maps at once in less time each.
     robots_a_core: ClassVar[int] = 64
     robots_on_large_maps: ClassVar[int] = 16
@@ -167,6 +169,7 @@ class DC2G:
             estimates=jnp.full((len(self.views), *estimate.shape), extent_of(self.estimator).prior, jnp.float32),
             estimated_from=nothing,
             view=view,
+            decided_near=jnp.zeros(estimate.shape[1:], jnp.int32),
             estimator=estimator_state,
         )
 
@@ -220,11 +223,14 @@ class DC2G:
         if self.selection.distance_weight:
             free = jnp.where(undecided, reachable, jnp.uint32(0))
             nearest, lengths = search.nearest_headings(belief.pose, candidates, free, belief.width)
-        score = self.selection(jnp.mean(estimates, axis=0), lengths)
+        score, decided_near = self.selection(jnp.mean(estimates, axis=0), lengths), state.decided_near
+        if self.patience.price:
+            decided_near = decided_near + self.patience.near(belief.pose, belief.height, belief.width)
+            score = score + self.patience.cost(decided_near)
         # Without a current estimate all candidates are equal, and of equal ones the plan goes to the nearest.
         subgoals = jnp.where(undecided, nearest & _lowest(score, poses.occupied(nearest), belief.width), candidates)
         plan = _explore_or_finish(belief, reachable, candidates, subgoals, self.rules)
-        return plan, ExplorationState(reachable, estimates, estimated_from, view, state.estimator)
+        return plan, ExplorationState(reachable, estimates, estimated_from, view, decided_near, state.estimator)
 
 
 class ExplorationState(NamedTuple):
@@ -235,6 +241,7 @@ class ExplorationState(NamedTuple):
       estimates: what the selection rule needs of the costs-to-go last estimated, of each view, the newest first.
       estimated_from: cells that had been observed when the newest was made.
       view: which one is to be asked about next.
+      decided_near: how many decisions were made near each cell, where patience has an end.
       estimator: the estimator's own state.
     """
 
@@ -242,6 +249,7 @@ class ExplorationState(NamedTuple):
     estimates: Float[Array, "views kept h w *batch"]
     estimated_from: Board
     view: Int[Array, "*batch"]
+    decided_near: Int[Array, "h w *batch"]
     estimator: Any
 
 

@@ -4,7 +4,9 @@ import dataclasses
 from typing import Protocol
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
+
+from dc2g_jax.grid.poses import Pose
 
 
 class Selection(Protocol):
@@ -38,6 +40,44 @@ class Selection(Protocol):
           distance: actions from the robot to every cell; any where `distance_weight` is 0.
         """
         ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Patience:
+    """How long a robot believes in a place that goes on promising a goal and shows none.
+
+    A network may take the back of a house for its front whatever the robot sees there, and lead it into every corner.
+    So each decision made near a cell, beyond the first ones, adds to the cell's score: in the end another place is
+    better. A robot that gets along does not stay near anything for so long.
+
+    With a price below the selection rule's distance weight exploration ends as it does without: each action on the way
+    takes off more than it adds, so the lowest score falls until something is revealed.
+
+    Attributes:
+      radius: what is near, in cells, along either axis.
+      decisions: how many are free.
+      price: of each further one, in units of the score.
+    """
+
+    radius: int
+    decisions: int
+    price: float
+
+    def near(self, pose: Pose, height: int, width: int) -> Bool[Array, "h w *batch"]:
+        """Cells near the robot."""
+        rows, columns = (
+            jnp.arange(size).reshape(*shape, *(1 for _ in pose.x.shape))
+            for size, shape in ((height, (-1, 1)), (width, (1, -1)))
+        )
+        return (jnp.abs(rows - pose.y) <= self.radius) & (jnp.abs(columns - pose.x) <= self.radius)
+
+    def cost(self, decided_near: Int[Array, "h w *batch"]) -> Float[Array, "h w *batch"]:
+        """What is added to the score of a cell near which so many decisions have been made."""
+        return self.price * jnp.maximum(decided_near - self.decisions, 0)
+
+
+#: Patience without end.
+ENDLESS = Patience(radius=0, decisions=0, price=0.0)
 
 
 class _OneCost:

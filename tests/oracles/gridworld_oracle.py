@@ -336,6 +336,15 @@ def opening_poses(poses: Array, seen: Array, depth: int, sensing_radius: int) ->
     return kept
 
 
+def surcharges(been: list[Pose], shape: tuple[int, int], radius: int, decisions: int, price: float) -> Array:
+    """What each cell [h w] costs more after decisions in these poses."""
+    surcharge = np.zeros(shape)
+    for y, x in np.ndindex(shape):
+        near = sum(max(abs(pose[0] - x), abs(pose[1] - y)) <= radius for pose in been)
+        surcharge[y, x] = price * max(0, near - decisions)
+    return surcharge
+
+
 def run_episode(
     terrain: Array,
     pose: Pose,
@@ -348,12 +357,14 @@ def run_episode(
     cost_to_go: CostToGo | None = None,
     goals: Array | None = None,
     depth: int = 0,
+    patience: tuple[int, int, float] | None = None,
 ) -> tuple[bool, str, Mode]:
     """Run one episode on terrain classes [h w]; return success, actions as letters, mode of the last plan.
 
     `goals` (bool [h w]) are all front doors unless given. `dc2g` takes a cost-to-go grid or a function of
     (seen, observed terrain), unseen terrain being 0, and goes where something is revealed, beyond a rim of `depth`
-    cells if it can.
+    cells if it can. `patience` is a radius, a number of decisions and a price: cells with more decisions than that made
+    at most the radius to their side cost the price more for each.
     A start on a goal cell is a success without an action.
     """
     traversable = np.isin(terrain, TRAVERSABLE_CLASSES)
@@ -361,10 +372,12 @@ def run_episode(
     oracle_actions = shortest_actions(traversable, pose, np.stack([goals] * 4)) if planner == "oracle" else None
     seen = visible(pose, sensing_radius, terrain.shape)
     letters: list[str] = []
+    been: list[Pose] = []
     mode: Mode = "explore"
     while not goals[pose[1], pose[0]]:
         if len(letters) == max_steps:
             return False, "".join(letters), mode
+        been.append(pose)
         free = seen & traversable
         reached = reachable(free, pose[0], pose[1])
         actions: list[int] | None
@@ -381,6 +394,8 @@ def run_episode(
                 poses = opening if opening.any() else poses
                 observed = np.where(seen, terrain, 0)
                 costs = cost_to_go(seen, observed) if callable(cost_to_go) else cost_to_go
+                if patience:
+                    costs = costs + surcharges(been, terrain.shape, *patience)
                 poses = lowest_cost_poses(poses, costs)
             mode, actions = "explore", shortest_actions(free, pose, poses)
         if actions is None:

@@ -19,7 +19,7 @@ from dc2g_jax.grid.terrain import OPAQUE
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.planners import DC2G, EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL, Frontier, Oracle
 from dc2g_jax.planning.rules import SETTINGS, complete_rules, reference_rules
-from dc2g_jax.planning.selection import ExpectedCost
+from dc2g_jax.planning.selection import ExpectedCost, Patience
 from dc2g_jax.rollout import Episodes, rollout
 from tests import maps
 from tests.oracles import gridworld_oracle as oracle
@@ -128,6 +128,16 @@ def test_dc2g_prefers_what_opens_ground(rules, depth):
     done = run(DC2G(Scattered(), RULES[rules], depth=depth), terrains, starts)
     cost_to_go = {"cost_to_go": lambda index: scattered}
     check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, depth=depth)
+    with pytest.raises(AssertionError):
+        check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go)
+
+
+@both_rules
+def test_dc2g_loses_patience_with_where_it_has_been_for_long(rules):
+    terrains, starts = random_worlds((11, 33), 500)
+    done = run(DC2G(Scattered(), RULES[rules], patience=Patience(radius=3, decisions=4, price=0.5)), terrains, starts)
+    cost_to_go = {"cost_to_go": lambda index: scattered}
+    check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, patience=(3, 4, 0.5))
     with pytest.raises(AssertionError):
         check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go)
 
