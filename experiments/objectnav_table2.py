@@ -123,7 +123,7 @@ def main(options: Options) -> None:
     """Predict, search, print and write the table."""
     options.check()
     if options.agent not in ON_NETWORK:
-        raise InputError(f"--agent {options.agent}: give {' or '.join(sorted(ON_NETWORK))}, which go by a network")
+        raise InputError(f"--agent {options.agent}: give {' or '.join(ON_NETWORK)}, which go by a network")
     if options.maps < MAPS_A_BATCH or options.maps % MAPS_A_BATCH:
         raise InputError(f"--maps {options.maps}: give a multiple of {MAPS_A_BATCH}")
     networks = open_networks(options.networks)

@@ -39,7 +39,7 @@ SHIPPED_INDOOR_NETWORK = "weights/cost_maps_indoors"
 AgentName = Literal["true_cost", "random", "frontier", "predicted", "promising"]
 
 #: Those that go by a network.
-ON_NETWORK = frozenset({"predicted", "promising"})
+ON_NETWORK = ("promising", "predicted")
 
 #: What tables call an agent.
 TITLES = {
@@ -128,7 +128,7 @@ def open_costs(folder: NetworkOption) -> PredictedCosts[CostMapEstimator]:
 
 def costs_for(agents: Iterable[str], folder: NetworkOption) -> PredictedCosts[CostMapEstimator] | None:
     """The network in a folder, see `open_costs`, if one of these agents goes by a network."""
-    return open_costs(folder) if ON_NETWORK.intersection(agents) else None
+    return open_costs(folder) if set(ON_NETWORK) & set(agents) else None
 
 
 def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLER.samples) -> Agent:

@@ -20,8 +20,10 @@ CACHE = ROOT / ".pytest_cache"
 os.environ["DC2G_DATA"] = str(PUBLISHED) if PUBLISHED.is_dir() else "procedural"
 os.environ["DC2G_CACHE"] = str(CACHE / "dc2g")
 
-# Compiled programs are kept between runs.
-jax.config.update("jax_compilation_cache_dir", str(CACHE / "jax"))
+# Compiled programs are kept between runs, and shared with the commands that tests start.
+os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE / "jax")
+os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
+jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 # Shapes and dtypes of the package's functions are checked while they are traced. Must precede their import.

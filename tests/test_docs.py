@@ -37,6 +37,14 @@ def examples(page: Path) -> list[tuple[str, str | None]]:
     return [(found[1], found[2]) for found in _EXAMPLE.finditer(page.read_text())]
 
 
+#: Pages with examples; those of the tutorials take long.
+WITH_EXAMPLES = [
+    pytest.param(page, id=page_id(page), marks=[pytest.mark.slow] if page.parent.name == "tutorials" else [])
+    for page in PAGES
+    if examples(page)
+]
+
+
 @pytest.fixture(scope="module", autouse=True)
 def houses_drawn_once():
     """The procedural houses are drawn for the first page that asks for them, and kept for the others."""
@@ -46,7 +54,7 @@ def houses_drawn_once():
         yield
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if examples(page)], ids=page_id)
+@pytest.mark.parametrize("page", WITH_EXAMPLES)
 def test_python_examples_print_what_the_page_shows(page, tmp_path, monkeypatch, capsys):
     """All examples of a page, in order, in one namespace and an empty folder, without a network."""
     monkeypatch.chdir(tmp_path)

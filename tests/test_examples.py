@@ -35,6 +35,7 @@ def table(path: Path) -> dict[str, tuple[float, float]]:
         return {row["planner"]: (float(row["mean_steps"]), float(row["success"])) for row in csv.DictReader(file)}
 
 
+@pytest.mark.slow
 def test_ppo_sets_what_it_learned_beside_the_others(ppo, tmp_path, capsys):
     out = tmp_path / "table.csv"
     options = ppo.Options(

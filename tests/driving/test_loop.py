@@ -102,6 +102,7 @@ EAST, WEST, MIDDLE = Start("street", 9, 2, 2), Start("street", 0, 1, 0), Start("
 SHUT_OUT = Start("walled", 9, 2, 2)
 
 
+@pytest.mark.slow
 def test_who_knows_the_map_drives_the_shortest_way():
     # From column 9 along the road to column 2, then down and along the path: 14 m, with a start and three corners.
     done = drives(Oracle(), EAST, WEST, MIDDLE, EAST, knows_map=True, time_limit=60.0)
@@ -111,6 +112,7 @@ def test_who_knows_the_map_drives_the_shortest_way():
     assert not done.off_ground.any()
 
 
+@pytest.mark.slow
 def test_episodes_do_not_depend_on_each_other_and_end():
     reports: list[int] = []
     options = {"noise": 1.0, "pedestrians": 2}

@@ -19,19 +19,14 @@ from experiments.benchmarks.rows import Row, attempt
 from experiments.benchmarks.timing import checksum, measure, summarize
 from experiments.benchmarks.work import Work, count_work, equations
 from experiments.benchmarks.workload import make_workload, resized
-from tests.conftest import CACHE
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 def run(*options: object) -> subprocess.CompletedProcess:
-    """Run the command as users do; compiled programs are kept between test runs."""
+    """Run the command as users do."""
     command = [sys.executable, "-m", "experiments.benchmark", *(str(option) for option in options)]
-    environment = {"JAX_COMPILATION_CACHE_DIR": str(CACHE / "jax"), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.1"}
-    return subprocess.run(
-        ["env", *(f"{name}={value}" for name, value in environment.items()), *command],
-        cwd=ROOT, capture_output=True, text=True, timeout=900, check=False,
-    )  # fmt: skip
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=900, check=False)
 
 
 def facts_of(folder: Path) -> dict:
@@ -56,6 +51,7 @@ def facts_of(folder: Path) -> dict:
     return facts
 
 
+@pytest.mark.slow
 def test_quick_benchmark_of_one_section(tmp_path):
     options = ("--quick", "--repeats", 1, "--dataset", "procedural", "--only", "environment")
     result = run(*options, "--out", tmp_path / "out")
@@ -181,6 +177,7 @@ def test_the_machine_does_something():
     assert all(0 < peak.worst_rate <= peak.rate for peak in peaks(1, quick=True).values())
 
 
+@pytest.mark.slow
 def test_no_test_house_is_measured_with():
     workload = make_workload(procedural_dataset(), per_house=2, most_houses=3)
     assert {house.split for house in workload.houses} <= {"train", "val"}

@@ -167,6 +167,7 @@ def test_bad_input_is_refused_in_one_line(few_houses, tmp_path):
     assert not (tmp_path / "a").exists()
 
 
+@pytest.mark.slow
 def test_training_resumes_and_its_network_plans(few_houses, tmp_path):
     out = tmp_path / "run"
     options = [
@@ -229,6 +230,7 @@ def test_a_sweep_that_was_killed_ends_like_one_that_was_not(few_houses, tmp_path
         jax.tree.map(np.testing.assert_array_equal, one.weights, other.weights)
 
 
+@pytest.mark.slow
 def test_a_translator_is_trained_and_judged(few_houses, compact_network, tmp_path):
     out, network = tmp_path / "run", tmp_path / "run" / "network"
     first = run(

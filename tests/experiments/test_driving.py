@@ -22,6 +22,7 @@ def street(tmp_path):
     return str(tmp_path / "street")
 
 
+@pytest.mark.slow
 def test_figure_9_shows_and_records_a_drive(street, tmp_path, capsys):
     out = tmp_path / "out"
     options = reproduce_fig9.Options(
@@ -36,6 +37,7 @@ def test_figure_9_shows_and_records_a_drive(street, tmp_path, capsys):
     refusal(lambda: reproduce_fig9.main(dataclasses.replace(options, noise=-1.0)), "--noise -1", "0 or more")
 
 
+@pytest.mark.slow
 def test_noise_is_swept_and_a_run_goes_on_where_it_stopped(street, tmp_path, capsys):
     out = tmp_path / "out"
     options = noisy_mapping.Options(

@@ -9,6 +9,7 @@ from dc2g_jax.errors import InputError
 from experiments.latency import Options, main
 
 
+@pytest.mark.slow
 def test_decisions_are_timed_and_written_down(compact_network, tmp_path, capsys):
     out = tmp_path / "out"
     main(Options(cells=(20, 30), calls=25, repeats=2, dataset="procedural", network=compact_network, out=out))

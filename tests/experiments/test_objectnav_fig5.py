@@ -19,6 +19,7 @@ def houses(monkeypatch):
     monkeypatch.setattr(objectnav_fig5, "indoor_houses", lambda *args, **options: [two_rooms()])
 
 
+@pytest.mark.slow
 def test_it_searches_and_draws(tmp_path, capsys):
     out = tmp_path / "out"
     main(dataclasses.replace(OPTIONS, out=out))

@@ -46,6 +46,7 @@ def options(folders, tmp_path, monkeypatch):
     )
 
 
+@pytest.mark.slow
 def test_it_compares_what_networks_are_shown(options, capsys):
     main(options)
     printed = capsys.readouterr().out

@@ -24,6 +24,7 @@ def options(tmp_path, monkeypatch):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_it_writes_a_network_its_encoder_and_their_card_and_goes_on_where_it_was(options, capsys):
     main(options)
     assert "Training on 4 samples of 1 houses" in capsys.readouterr().out

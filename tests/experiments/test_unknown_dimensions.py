@@ -23,6 +23,7 @@ from experiments.unknown_dimensions import (
 )
 
 
+@pytest.mark.slow
 def test_every_planner_runs_the_same_episodes(street, compact_network, tmp_path, monkeypatch, capsys):
     worlds = Worlds([House("street", "val", street)], [Start("street", 9, 5, 2), Start("street", 0, 4, 0)])
     monkeypatch.setattr(unknown_dimensions, "all_worlds", lambda options, dataset: {"one": worlds})
