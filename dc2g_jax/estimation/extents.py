@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped, UInt8
 
 from dc2g_jax.estimation.estimators import Ask, Estimates, Estimator
 from dc2g_jax.grid.poses import Pose
+from dc2g_jax.grid.sampling import nearest_pixel
 from dc2g_jax.grid.terrain import UNKNOWN
 from dc2g_jax.grid.world import World
 
@@ -46,11 +47,6 @@ def _span(lines: Bool[Array, "n *batch"]) -> tuple[Int[Array, "*batch"], Int[Arr
     return first.astype(jnp.int32), (after_last - first).astype(jnp.int32)
 
 
-def _nearest(index: Int[Array, "..."], pixels: Int[Array, "..."] | int, samples: Int[Array, "..."] | int) -> Array:
-    """Of so many pixels, the one that a sample reads; see `dc2g_jax.grid.sampling.nearest_pixels`."""
-    return (pixels * (2 * index + 1) - 1) // (2 * samples)
-
-
 @struct.dataclass
 class CroppedEstimator:
     """Asks about the square that holds everything observed, rescaled to one size (the authors' later code).
@@ -78,10 +74,12 @@ class CroppedEstimator:
         height, width = terrain.shape[:2]
         top, left, size = self.square(terrain)
         sample, row, column = (_count(number, size) for number in (self.side, height, width))
-        read = _nearest(sample, size, self.side)
+        read = nearest_pixel(sample, size, self.side)
         square = _read(terrain[None], top + read, left + read, jnp.uint8(UNKNOWN))[0]
         answer = self.estimator.estimate(square, state)
-        rows, columns = (_nearest(jnp.clip(cell, 0, size - 1), self.side, size) for cell in (row - top, column - left))
+        rows, columns = (
+            nearest_pixel(jnp.clip(cell, 0, size - 1), self.side, size) for cell in (row - top, column - left)
+        )
         return (size / self.side) * _read(answer, rows, columns, jnp.float32(0))
 
     def square(

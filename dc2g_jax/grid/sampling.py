@@ -1,6 +1,6 @@
 """Sampling a semantic picture of any size onto a grid of cells."""
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import cv2
 import jax
@@ -14,11 +14,22 @@ Grid = TypeVar("Grid", np.ndarray, jax.Array)
 
 
 def nearest_pixels(pixels: int, samples: int) -> npt.NDArray[np.int64]:
-    """The pixel that each sample along an axis reads: the nearest at sample centres, exact ties rounded down.
+    """The pixel that each sample along an axis reads, see `nearest_pixel`."""
+    return nearest_pixel(np.arange(samples), pixels, samples)
 
-    Of n pixels, sample i of m reads pixel (n (2 i + 1) - 1) // (2 m).
+
+def nearest_pixel(index: Any, pixels: Any, samples: Any) -> Any:
+    """Of n pixels along an axis, the one that a sample reads: the nearest at its centre, exact ties rounded down.
+
+    Args:
+        index: i, which of the samples; like the others, a whole number or an array of them, NumPy's or JAX's.
+        pixels: n, how many there are.
+        samples: m, how many there are.
+
+    Returns:
+        (n (2 i + 1) - 1) // (2 m).
     """
-    return (pixels * (2 * np.arange(samples) + 1) - 1) // (2 * samples)
+    return (pixels * (2 * index + 1) - 1) // (2 * samples)
 
 
 def resize_nearest(grid: Grid, height: int, width: int) -> Grid:

@@ -233,11 +233,22 @@ def seen_past_obstacles(terrain, pose):
     return oracle.visible_past(OPAQUE[terrain], pose, SENSING)
 
 
+#: Planners to explore with, by name; the last one's price is just below its distance weight.
+EXPLORERS = {
+    "frontier": Frontier,
+    "dc2g": lambda rules: DC2G(Scattered(), rules),
+    "impatient": lambda rules: DC2G(
+        Scattered(), rules, ExpectedCost(0.5), patience=Patience(radius=4, decisions=3, price=0.4375)
+    ),
+}
+
+
 @pytest.mark.parametrize(
     ("planner", "rules", "visible"),
     [
         ("frontier", RULES["complete"], seen_without_occlusion),
         ("dc2g", RULES["complete"], seen_without_occlusion),
+        ("impatient", RULES["complete"], seen_without_occlusion),
         ("frontier", complete_rules(SENSING, line_of_sight), seen_past_obstacles),
         ("dc2g", complete_rules(SENSING, line_of_sight), seen_past_obstacles),
     ],
@@ -251,8 +262,7 @@ def test_exploration_by_complete_rules_always_ends_with_everything_seen(planner,
         if abs(starts[index][0] - column) + abs(starts[index][1] - row) > 1:
             terrains[index, row, column - 1 : column + 2] = terrains[index, row - 1 : row + 2, column] = 7
             terrains[index, row, column] = oracle.FRONT_DOOR
-    chosen = Frontier(rules) if planner == "frontier" else DC2G(Scattered(), rules)
-    done = run(chosen, terrains, starts, sensing=rules.sensing, step_limit=2000)
+    done = run(EXPLORERS[planner](rules), terrains, starts, sensing=rules.sensing, step_limit=2000)
     assert (done.mode == GAVE_UP).all()
     assert not done.success.any()
     for index, (terrain, pose) in enumerate(zip(terrains, starts, strict=True)):
