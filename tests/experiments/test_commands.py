@@ -57,11 +57,18 @@ def few_houses(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return save_dataset(houses, tmp_path_factory.mktemp("houses") / "few")
 
 
-def test_reproduce_fig7_on_a_folder_of_houses(few_houses, tmp_path):
-    out = tmp_path / "out"
+@pytest.fixture(scope="module")
+def figure(few_houses, tmp_path_factory) -> Path:
+    """What Fig. 7 of these houses is written to."""
+    out = tmp_path_factory.mktemp("figure") / "out"
     result = run("reproduce_fig7", "--dataset", few_houses, "--starts-per-house", 2, "--record", 1, "--out", out)
     assert result.returncode == 0, result.stderr
     assert "Left out: house n009m000h000: it has no front door" in result.stderr
+    return out
+
+
+def test_reproduce_fig7_on_a_folder_of_houses(few_houses, figure):
+    out = figure
     facts = json.loads((out / "results.json").read_text())
     assert facts["dataset"] == "few"
     assert facts["published"] == {}
@@ -91,11 +98,9 @@ def test_reproduce_fig7_on_a_folder_of_houses(few_houses, tmp_path):
     assert (out / "results.json").read_text() == before
 
 
-def test_run_episodes_replays_what_was_asked_for(few_houses, tmp_path):
+def test_run_episodes_replays_what_was_asked_for(few_houses, figure, tmp_path):
     starts = tmp_path / "starts.csv"
-    out = tmp_path / "first"
-    assert run("reproduce_fig7", "--dataset", few_houses, "--starts-per-house", 1, "--out", out).returncode == 0
-    with (out / "episodes.csv").open() as file:
+    with (figure / "episodes.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["planner"] in ("oracle", "frontier")]
     chosen = [row for row in rows if row["planner"] == "oracle"]
     lines = [",".join(row[column] for column in ("house", "x", "y", "heading")) for row in chosen]
@@ -123,7 +128,11 @@ def test_ctrl_c_keeps_what_is_done_and_resume_goes_on(few_houses, tmp_path):
     options = ["run_episodes", "--starts", starts, "--dataset", few_houses, "--out", out, "--planner"]
     options += ["frontier", "oracle", "true_cost_to_go", "dc2g", "dc2g_uncertain"]
     command = [sys.executable, "-m", f"experiments.{options[0]}", *(str(option) for option in options[1:])]
-    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        # A shell that runs the tests in the background has its children ignore interrupts.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
     deadline = time.monotonic() + 200
     while not (out / "episodes.csv").exists():
         assert process.poll() is None
@@ -131,7 +140,7 @@ def test_ctrl_c_keeps_what_is_done_and_resume_goes_on(few_houses, tmp_path):
         time.sleep(0.01)
     process.send_signal(signal.SIGINT)
     _, words = process.communicate(timeout=200)
-    assert process.returncode == 130
+    assert process.returncode == 130, words
     assert words.splitlines()[-1] == "interrupted; what is done is kept: the same command with --resume goes on"
     kept = (out / "episodes.csv").read_text()
     assert kept.count("\n") < 6

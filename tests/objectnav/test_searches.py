@@ -44,6 +44,7 @@ def test_every_search_ends(found):
     jax.tree.map(np.testing.assert_array_equal, again, made)
 
 
+@pytest.mark.slow
 def test_robots_in_a_batch_do_what_they_do_one_by_one(found):
     house, episodes, made, _ = found
     sites = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], site_of(house.world, house.name))

@@ -338,11 +338,10 @@ def opening_poses(poses: Array, seen: Array, depth: int, sensing_radius: int) ->
 
 def surcharges(been: list[Pose], shape: tuple[int, int], radius: int, decisions: int, price: float) -> Array:
     """What each cell [h w] costs more after decisions in these poses."""
-    surcharge = np.zeros(shape)
-    for y, x in np.ndindex(shape):
-        near = sum(max(abs(pose[0] - x), abs(pose[1] - y)) <= radius for pose in been)
-        surcharge[y, x] = price * max(0, near - decisions)
-    return surcharge
+    near = np.zeros(shape, int)
+    for x, y, _ in been:
+        near[max(0, y - radius) : y + radius + 1, max(0, x - radius) : x + radius + 1] += 1
+    return price * np.maximum(0, near - decisions)
 
 
 def run_episode(
