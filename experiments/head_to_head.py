@@ -3,7 +3,6 @@
 Both run the 400 published episodes: same houses, same starts, same sensing; the authors' step counts are their own.
 """
 
-import csv
 import dataclasses
 import json
 from collections.abc import Sequence
@@ -13,6 +12,7 @@ import numpy as np
 
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import PublishedEpisode, published_episodes
+from dc2g_jax.datasets.tables import write_table
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.evaluation import EpisodeResult, Runner, extra_steps, house_bootstrap
@@ -191,12 +191,8 @@ def main(options: Options) -> None:
         house for house, own in by_house.items() if np.mean([p.frontier for p in own]) < np.mean([p.dc2g for p in own])
     ]
     print(f"\nHouses in which frontier exploration is shorter on average: {len(beaten)} of {len(by_house)}")
-    with (out / "head_to_head.csv").open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(Pair._fields)
-        writer.writerows(
-            pair._replace(extra=round(pair.extra, 4), authors_extra=round(pair.authors_extra, 4)) for pair in pairs
-        )
+    rows = [pair._replace(extra=round(pair.extra, 4), authors_extra=round(pair.authors_extra, 4)) for pair in pairs]
+    write_table(out / "head_to_head.csv", Pair._fields, rows)
     facts = {
         "dataset": dataset.name,
         "resamples": options.resamples,

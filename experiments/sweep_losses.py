@@ -5,7 +5,6 @@ interrupted, it goes on where it was when run again with --resume.
 """
 
 import contextlib
-import csv
 import dataclasses
 import functools
 import json
@@ -21,6 +20,7 @@ from jaxtyping import Array, Float
 
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
+from dc2g_jax.datasets.tables import write_table
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo
@@ -218,10 +218,8 @@ def write_results(
             }
         )
     rows.sort(key=lambda row: row.get("mean_extra", row["error"]))
-    with (out / "results.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    columns = list(rows[0])
+    write_table(out / "results.csv", columns, ([row.get(column, "") for column in columns] for row in rows))
     return rows
 
 
