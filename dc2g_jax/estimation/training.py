@@ -107,15 +107,35 @@ class Batch(Protocol):
         ...
 
 
+#: Root mean square of a kernel's step at a learning rate of 1, about that of AdamW's steps.
+_STEP_SIZE = 0.2
+
 #: `(key, data) -> batch`
 DrawBatch = Callable[[Array, Any], Batch]
 
 
 def optimizer(recipe: TrainingConfig) -> optax.GradientTransformation:
-    """AdamW with clipped gradients, a linear warm-up and a cosine decay to zero, for a peak learning rate of 1."""
+    """Muon with clipped gradients, a linear warm-up and a cosine decay to zero, for a peak learning rate of 1.
+
+    Muon (Jordan et al. 2024) makes the step of each kernel an orthogonal matrix, of inputs times outputs; biases and
+    scales take AdamW's steps. Steps of kernels are as large as AdamW's usually are, so one learning rate serves both.
+    """
     warmup = min(200, recipe.steps // 10)
     schedule = optax.warmup_cosine_decay_schedule(0.0, 1.0, warmup, recipe.steps)
-    return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(schedule, weight_decay=recipe.weight_decay))
+    muon = optax.contrib.muon(
+        schedule,
+        weight_decay=recipe.weight_decay,
+        consistent_rms=_STEP_SIZE,
+        muon_weight_dimension_numbers=functools.partial(jax.tree.map, _matrix_axes),
+    )
+    return optax.chain(optax.clip_by_global_norm(1.0), muon)
+
+
+def _matrix_axes(weight: Array) -> optax.contrib.MuonDimensionNumbers | None:
+    """How a weight is read as a matrix: a kernel's last axis is its outputs; biases and scales are none."""
+    if weight.ndim < 2:
+        return None
+    return optax.contrib.MuonDimensionNumbers(tuple(range(weight.ndim - 1)), weight.ndim - 1)
 
 
 def init_state(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> TrainingState:

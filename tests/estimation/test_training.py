@@ -22,7 +22,7 @@ CONFIG = TrainingConfig(
     architecture=Architecture(widths=(8,) * len(Architecture().widths)),
     steps=60,
     batch_size=8,
-    learning_rate=3e-3,
+    learning_rate=1e-2,
     average_decay=0.9,
 )
 DRAW = functools.partial(
