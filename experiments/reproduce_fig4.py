@@ -14,10 +14,10 @@ from dc2g_jax.datasets.image_pairs import houses_with_door
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.image_evaluation import compare, map_for
+from dc2g_jax.image_training_data import MASK_SEEDS
 from dc2g_jax.inspection.image_figures import Example, plot_translations
 from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
 from experiments.outputs import output_folder
-from experiments.translation import MASK_SEEDS
 
 
 @dataclasses.dataclass(frozen=True)

@@ -3,6 +3,8 @@
 import numpy as np
 from hypothesis import strategies as st
 
+from dc2g_jax.datasets.houses import House, HouseDataset
+from dc2g_jax.datasets.procedural import draw_house
 from dc2g_jax.grid.terrain import CLASS_NAMES
 
 #: Map sizes (height, width): single cells and lines, and widths on both sides of the word boundaries.
@@ -55,3 +57,10 @@ def random_pose(seed: int, cells: np.ndarray) -> tuple[int, int, int]:
 
 seeds = st.integers(0, 2**32 - 1)
 densities = st.sampled_from([0.0, 0.1, 0.4, 0.55, 0.65, 0.75, 0.9, 1.0])
+
+
+def drawn_dataset() -> HouseDataset:
+    """Two urban training houses and one to validate on, at full resolution."""
+    splits = {"n000": "train", "n001": "train", "n009": "val"}
+    houses = (House(name, split, draw_house(seed, "urban")) for seed, (name, split) in enumerate(splits.items()))
+    return HouseDataset("drawn", "folder", tuple(houses))

@@ -1,32 +1,15 @@
-"""Arrays by name in one file, in the safetensors format: the length of a header, the header in JSON, then the bytes."""
+"""A network's weights in one safetensors file: written whole, read with checks, matched with the network's shapes."""
 
-import json
-import math
-import struct
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
 
 from dc2g_jax.errors import InputError
-
-#: Names of the format for kinds of numbers.
-_DTYPES: dict[str, np.dtype] = {
-    "F64": np.dtype(np.float64),
-    "F32": np.dtype(np.float32),
-    "F16": np.dtype(np.float16),
-    "BF16": np.dtype(jnp.bfloat16),
-    "I64": np.dtype(np.int64),
-    "I32": np.dtype(np.int32),
-    "I16": np.dtype(np.int16),
-    "I8": np.dtype(np.int8),
-    "U8": np.dtype(np.uint8),
-    "BOOL": np.dtype(np.bool_),
-}
-_METADATA = "__metadata__"
-_LENGTH = struct.Struct("<Q")
 
 
 def write_safetensors(path: str | Path, tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> None:
@@ -34,24 +17,11 @@ def write_safetensors(path: str | Path, tensors: Mapping[str, np.ndarray], metad
 
     Args:
       path: the file.
-      tensors: name -> array, of a kind that the format has.
+      tensors: name -> array.
       metadata: further facts, text by name.
     """
-    names = {kind: name for name, kind in _DTYPES.items()}
-    header: dict[str, Any] = {_METADATA: dict(metadata)}
-    parts, end = [], 0
-    for name, tensor in tensors.items():
-        parts.append(np.ascontiguousarray(tensor).tobytes())
-        header[name] = {
-            "dtype": names[tensor.dtype],
-            "shape": list(tensor.shape),
-            "data_offsets": [end, end + len(parts[-1])],
-        }
-        end += len(parts[-1])
-    text = json.dumps(header).encode()
-    text += b" " * (-len(text) % 8)
     unfinished = Path(path).with_name(f".{Path(path).name}.partial")
-    unfinished.write_bytes(b"".join([_LENGTH.pack(len(text)), text, *parts]))
+    unfinished.write_bytes(save(dict(tensors), dict(metadata)))
     unfinished.rename(path)
 
 
@@ -59,36 +29,16 @@ def read_safetensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str,
     """Read the arrays of a file, and its metadata.
 
     Raises:
-      InputError: the file cannot be read or is not in the format; names the array.
+      InputError: the file cannot be read or is not in the format; says what is wrong with it.
     """
-    path, remedy = Path(path), "give an undamaged file in the safetensors format"
     try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); {remedy}") from None
-    try:
-        (length,) = _LENGTH.unpack_from(content)
-        if length > len(content) - _LENGTH.size:
-            raise ValueError
-        header = json.loads(content[_LENGTH.size : _LENGTH.size + length])
-        metadata = header.pop(_METADATA, {})
-        entries = list(header.items())
-    except (struct.error, ValueError, AttributeError, RecursionError, TypeError):
-        raise InputError(f"{path}: has no header that says what is in it; {remedy}") from None
-    data = memoryview(content)[_LENGTH.size + length :]
-    tensors = {}
-    for name, entry in entries:
-        try:
-            kind, shape = _DTYPES[entry["dtype"]], tuple(int(size) for size in entry["shape"])
-            begin, end = entry["data_offsets"]
-            if min(shape, default=0) < 0 or not 0 <= begin <= end <= len(data):
-                raise ValueError
-            if end - begin != math.prod(shape) * kind.itemsize:
-                raise ValueError
-            tensors[name] = np.frombuffer(data[begin:end], kind).reshape(shape)
-        except (KeyError, TypeError, ValueError):
-            raise InputError(f"{path}: array {name!r} is {str(entry)[:80]}, which is not there; {remedy}") from None
-    return tensors, {str(key): str(value) for key, value in dict(metadata).items()}
+        with safe_open(path, framework="np") as file:
+            names = file.keys()
+            return {name: file.get_tensor(name) for name in names}, file.metadata() or {}
+    except (OSError, SafetensorError) as error:
+        raise InputError(
+            f"{path}: cannot be read ({error}); give an undamaged file in the safetensors format"
+        ) from None
 
 
 def flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The translator's training: masks of both kinds, and what happens when it is interrupted or diverges."""
+"""The translator's training: its pairs, and what happens when it is interrupted or diverges."""
 
 import dataclasses
 import json
@@ -7,12 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.houses import House, HouseDataset
-from dc2g_jax.datasets.procedural import draw_house
+from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
-from dc2g_jax.grid import bitboard
 from experiments import reproduce_fig4, reproduce_fig5, translation
-from experiments.translation import TranslationOptions, image_set, read_log, train_translator, translation_data
+from experiments.translation import TranslationOptions, read_log, train_translator, translation_data
+from tests import maps
 
 OPTIONS = TranslationOptions(
     size=32, base_filters=2, train_masks=5, validation_masks=1, steps=30, validate_every=10
@@ -22,9 +21,7 @@ METRICS = {"l1": 0.25, "low_precision": 0.9, "low_recall": 0.5}
 
 @pytest.fixture(scope="module")
 def dataset() -> HouseDataset:
-    style = "urban"
-    houses = [House(f"n00{seed}", "train", draw_house(seed, style)) for seed in range(2)]
-    return HouseDataset("drawn", "folder", (*houses, House("n009", "val", draw_house(2, style))))
+    return maps.drawn_dataset()
 
 
 def test_pairs_by_default_are_as_many_as_the_papers(dataset):
@@ -35,21 +32,6 @@ def test_pairs_by_default_are_as_many_as_the_papers(dataset):
     # Validation masks are none of the training masks.
     seen = {np.asarray(mask).tobytes() for mask in data.train.masks}
     assert not seen & {np.asarray(mask).tobytes() for mask in data.validation.masks}
-
-
-def test_masks_of_robots(dataset):
-    data = image_set(dataset, "train", size=32, masks="rollout", per_house=6)
-    np.testing.assert_array_equal(data.pair_house, np.repeat([0, 1], 6))
-    assert data.masks.shape == (12, 2, 50)
-    share = [np.asarray(bitboard.unpack(mask, 50)).mean() for mask in data.masks]
-    assert 0 < min(share) < max(share) < 1
-    again = image_set(dataset, "train", size=32, masks="rollout", per_house=6)
-    np.testing.assert_array_equal(again.masks, data.masks)
-
-
-def test_no_masks_make_no_pairs(dataset):
-    with pytest.raises(InputError, match="train: 0 masks a house"):
-        image_set(dataset, "train", size=32, masks="paper", per_house=0)
 
 
 @pytest.fixture
