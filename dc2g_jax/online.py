@@ -57,6 +57,15 @@ class _NoEstimate:
         return jnp.zeros((1, *terrain.shape))
 
 
+def _mirrored(cells: Array, axes: tuple[int, ...], terrain: UInt8[Array, "h w"]) -> Array:
+    """Cells `[... h w]` of a grid, with the map's part of it mirrored along axes of the grid and left where it is."""
+    for axis in axes:
+        inside = jnp.sum(jnp.any(terrain != OUTSIDE, axis=1 - axis), dtype=jnp.int32)
+        in_cells = cells.ndim - 2 + axis
+        cells = jnp.roll(jnp.flip(cells, in_cells), inside - terrain.shape[axis], in_cells)
+    return cells
+
+
 @jax.jit
 def _look(
     planner: DC2G, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]
@@ -76,9 +85,13 @@ def _look(
     candidate_poses = planner.candidates(belief, reachable)
     candidates = poses.unpack(candidate_poses, width)
 
+    def summary_in_view(axes: tuple[int, ...]) -> Float[Array, "kept h w"]:
+        state = planner.estimator.init(world_from_terrain(observed))
+        outcomes = planner.estimator.estimate(_mirrored(terrain, axes, terrain), state)
+        return _mirrored(planner.selection.summary(outcomes).astype(jnp.float32), axes, terrain)
+
     def estimate() -> tuple[Array, Array]:
-        outcomes = planner.estimator.estimate(terrain, planner.estimator.init(world_from_terrain(observed)))
-        summary = planner.selection.summary(outcomes).astype(jnp.float32)
+        summary = jnp.mean(jnp.stack([summary_in_view(axes) for axes in planner.views]), axis=0)
         nearest = jnp.min(distance, axis=0, where=candidates, initial=FAR)
         return jnp.mean(summary, axis=0), planner.selection(summary, nearest)
 
@@ -96,7 +109,8 @@ class OnlinePlanner:
     decision = planner.plan(grid, (x, y, heading))
     ```
 
-    It plans anew at every call and remembers nothing, so cells of the map may change in any way. Exploration ends if
+    It plans anew at every call and remembers nothing, so cells of the map may change in any way. (So the network is
+    asked about the map and its mirror image at every call, not in turn, and patience has no end.) Exploration ends if
     the robot, wherever it gets to, observes what its field of view covers there; cells that its sensor cannot make out
     are to be marked `nothing`.
 

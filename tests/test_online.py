@@ -1,15 +1,17 @@
 """The planner on a robot: the batch planners' actions and the plain implementation's choices, whatever the grid."""
 
+import dataclasses
 import functools
 
 import jax
 import numpy as np
 import pytest
+from flax import struct
 
 from dc2g_jax import online
 from dc2g_jax.decisions import Candidate, Decision
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation.estimators import Estimator, NetworkCostToGo
 from dc2g_jax.estimation.networks import Architecture
 from dc2g_jax.evaluation import make_planner
 from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
@@ -36,6 +38,20 @@ OPEN_ENDED = (16, 16)
 def network() -> NetworkCostToGo:
     """A tiny network that has learned nothing."""
     return random_network(Architecture(widths=(4, 4, 4, 4)))
+
+
+@struct.dataclass
+class BothViews:
+    """What an estimator makes of the map and of its mirror image on average, which the planner should go by."""
+
+    estimator: Estimator
+
+    def init(self, world):
+        return self.estimator.init(world)
+
+    def estimate(self, terrain, state=()):
+        mirrored = self.estimator.estimate(terrain[:, ::-1], state)[:, :, ::-1]
+        return (self.estimator.estimate(terrain, state) + mirrored) / 2
 
 
 @functools.cache
@@ -93,7 +109,8 @@ def test_every_step_of_an_episode_is_that_of_the_batch_planner():
     def plan(planner, grid, pose):
         return planner.plan(belief_from_map(grid, make_pose(*pose)), planner.init(world_from_terrain(grid)))[0]
 
-    batch_planner = make_planner("dc2g", complete_rules(SENSING), network())
+    batch_planner = make_planner("dc2g", complete_rules(SENSING), BothViews(network()))
+    batch_planner = dataclasses.replace(batch_planner, views=((),))
     terrains, starts = random_worlds(SHAPE, 900, episodes=8)
     for terrain, start in zip(terrains, starts, strict=True):
         for grid, pose, decision in episode(planner_of("dc2g"), terrain, start):
@@ -119,9 +136,9 @@ def scattered_planner() -> OnlinePlanner:
 @pytest.mark.parametrize(
     ("make", "estimate", "weight", "depth"),
     [
-        (lambda: planner_of("frontier"), np.zeros_like, 1.0, 0),
-        (lambda: planner_of("dc2g"), jax.jit(lambda grid: network().estimate(grid, ()).mean(axis=0)), 0.5, 1),
-        (scattered_planner, lambda grid: Scattered().estimate(grid, ())[0], 0.5, 1),
+        (lambda: planner_of("frontier"), lambda grid: np.zeros((1, *grid.shape)), 1.0, 0),
+        (lambda: planner_of("dc2g"), jax.jit(BothViews(network()).estimate), 0.5, 1),
+        (scattered_planner, BothViews(Scattered()).estimate, 0.5, 1),
     ],
     ids=["frontier", "dc2g", "another estimator"],
 )
@@ -144,7 +161,7 @@ def test_decisions_hold_what_the_plain_implementation_finds(make, estimate, weig
         targets = np.stack([doors] * 4)
         if mode == "explore":
             distance = np.where(found, oracle.distances_from(free, pose), 10**6)
-            costs = np.asarray(estimate(grid))
+            costs = np.asarray(estimate(grid)).mean(axis=0)
             score = costs + weight * distance.min(axis=0)
             check_ranking(decision, found.any(axis=0), distance, costs, score)
             targets = found & (score < score[found.any(axis=0)].min() + 1e-4)
