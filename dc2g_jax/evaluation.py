@@ -11,7 +11,7 @@ import numpy as np
 from dc2g_jax.datasets.houses import HouseDataset, stack_worlds
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.estimators import Estimator, ExactCostToGo, TranslatorCostToGo
+from dc2g_jax.estimation.estimators import Estimator, ExactCostToGo, answers_in_cells
 from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.planning.planners import DC2G, MODE_NAMES, Frontier, Oracle, Planner
@@ -52,9 +52,8 @@ def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) ->
     if name == "true_cost_to_go":
         return DC2G(estimator=ExactCostToGo(), rules=rules)
     if name in NETWORK_PLANNERS and estimator is not None:
-        # The translator's pictures have no scale, so no distance can be added to them: the paper's rule.
-        unscaled = isinstance(estimator, TranslatorCostToGo)
-        return DC2G(estimator, rules) if unscaled else NETWORK_PLANNERS[name](estimator, rules)
+        # Where costs have no scale, no distance can be added to them: the paper's rule.
+        return NETWORK_PLANNERS[name](estimator, rules) if answers_in_cells(estimator) else DC2G(estimator, rules)
     needing = " and ".join(NETWORK_PLANNERS)
     raise ValueError(f"no planner {name!r} can be made; known: {', '.join(PLANNERS)} ({needing} need an estimator)")
 
@@ -192,6 +191,7 @@ class Runner:
 
         Raises:
           ValueError: for a start on a front door: there is nothing to look for.
+          InputError: not even the oracle reaches a goal from a start within the step limit.
         """
         for start in starts:
             if self._dataset.house(start.house).terrain[start.y, start.x] == FRONT_DOOR:
@@ -205,6 +205,12 @@ class Runner:
             rules = self._settings.rules(*ranges)
             chosen = [starts[number] for number in numbers]
             oracle = self._oracle(rules, chosen)
+            if not np.all(oracle.success):
+                lost = chosen[int(np.argmin(oracle.success))]
+                raise InputError(
+                    f"{lost}: even with the map known no goal is reached within {self.step_limit} actions; give a "
+                    "larger step limit (--step-limit) or start elsewhere"
+                )
             for name in names:
                 done = oracle
                 if name != "oracle":

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from dc2g_jax.decisions import FAR, Decision, RobotPose, View, decide
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.estimators import Estimator, NetworkCostToGo
+from dc2g_jax.estimation.estimators import Estimator, NetworkCostToGo, extent_of
 from dc2g_jax.estimation.padding import OUTSIDE, PaddedNetwork
 from dc2g_jax.evaluation import NETWORK_PLANNERS, make_planner
 from dc2g_jax.grid import bitboard, poses, search
@@ -85,13 +85,18 @@ def _look(
     candidate_poses = planner.candidates(belief, reachable)
     candidates = poses.unpack(candidate_poses, width)
 
-    def summary_in_view(axes: tuple[int, ...]) -> Float[Array, "kept h w"]:
+    def summary_in_view(part: UInt8[Array, "h2 w2"], axes: tuple[int, ...]) -> Float[Array, "kept h2 w2"]:
         state = planner.estimator.init(world_from_terrain(observed))
-        outcomes = planner.estimator.estimate(_mirrored(terrain, axes, terrain), state)
-        return _mirrored(planner.selection.summary(outcomes).astype(jnp.float32), axes, terrain)
+        outcomes = planner.estimator.estimate(_mirrored(part, axes, part), state)
+        return _mirrored(planner.selection.summary(outcomes).astype(jnp.float32), axes, part)
+
+    def summary_of(part: UInt8[Array, "h2 w2"]) -> Float[Array, "kept h2 w2"]:
+        return jnp.mean(jnp.stack([summary_in_view(part, axes) for axes in planner.views]), axis=0)
 
     def estimate() -> tuple[Array, Array]:
-        summary = jnp.mean(jnp.stack([summary_in_view(axes) for axes in planner.views]), axis=0)
+        extent = extent_of(planner.estimator)
+        never_asked = jnp.full(jax.eval_shape(summary_of, terrain).shape, extent.prior, jnp.float32)
+        summary = extent.update(summary_of, terrain, Pose(*pose), never_asked)
         nearest = jnp.min(distance, axis=0, where=candidates, initial=FAR)
         return jnp.mean(summary, axis=0), planner.selection(summary, nearest)
 

@@ -61,8 +61,6 @@ def runs_of_grid(
             raise InputError(f"{name}: no value to try; give one at least")
         if len({str(value) for value in values}) < len(values):
             raise InputError(f"{name}: {', '.join(map(str, values))} has a value twice; give each once")
-    if not all(0 < rate < float("inf") for rate in learning_rates):
-        raise InputError(f"learning rate: {', '.join(map(str, learning_rates))}; give numbers above 0")
     runs = {}
     for width, loss, rate, seed in itertools.product(widths, losses, learning_rates, seeds):
         name = f"{loss}_rate{rate:g}_width{'-'.join(map(str, width))}_seed{seed}".replace(",", "+")

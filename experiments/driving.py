@@ -22,7 +22,9 @@ from dc2g_jax.mapping.camera import intrinsics
 from dc2g_jax.mapping.noise import PAPER_LIKE, scaled
 from dc2g_jax.mapping.scene import CELL_SIZE
 from dc2g_jax.mapping.semantic_map import MapSettings
+from dc2g_jax.planning.planners import DC2G
 from dc2g_jax.planning.rules import complete_rules
+from dc2g_jax.planning.selection import ENDLESS
 
 #: Cells that the camera sees ahead, as far as the planner is concerned, and its field of view.
 _SENSING_RANGE, _FIELD_OF_VIEW_DEGREES = 8, 90.0
@@ -64,8 +66,12 @@ def equipment(
     """
     rules = complete_rules(_SENSING_RANGE, line_of_sight)
     width, height = options.image_size
+    decides = make_planner(planner, rules, estimator)
+    if isinstance(decides, DC2G):
+        # On wheels it decides every second, moved or not: decisions do not tell how long it has been somewhere.
+        decides = dataclasses.replace(decides, patience=ENDLESS)
     return Equipment(
-        planner=make_planner(planner, rules, estimator),
+        planner=decides,
         sensing=rules.sensing,
         camera=intrinsics(_FIELD_OF_VIEW_DEGREES, height, width),
         mapping=MapSettings(*size, cell_size=CELL_SIZE),

@@ -7,10 +7,10 @@ from pathlib import Path
 from tqdm import tqdm
 
 from dc2g_jax.datasets.starts import Start
-from dc2g_jax.datasets.tables import read_table, write_table
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.evaluation import EpisodeResult, Runner, extra_steps
+from dc2g_jax.files.tables import read_table, write_table
 
 
 class EpisodeProgress:
@@ -63,13 +63,22 @@ class EpisodeTable:
     def _take_kept(self, starts: Sequence[Start], planner: str) -> list[EpisodeResult] | None:
         """The next of the kept episodes, if they are the ones asked for; a run asks in the same order every time."""
         own = self._kept[: len(starts)]
-        asked = [(start.house, start.x, start.y, start.heading, planner) for start in starts]
-        if [(one.house, one.x, one.y, one.heading, one.planner) for one in own] != asked:
+        if len(own) < len(starts) or not all(map(_is_of, own, starts, [planner] * len(starts))):
             self._kept = []
             return None
         self._kept = self._kept[len(starts) :]
         self._done += own
         return own
+
+
+def _is_of(result: EpisodeResult, start: Start, planner: str) -> bool:
+    """Is it the planner's episode from this start? Ranges that the start leaves to the settings may be any."""
+    ranges = ((start.sensing_range, result.range), (start.expanding_range, result.expanding_range))
+    return (
+        (result.house, result.x, result.y, result.heading) == (start.house, start.x, start.y, start.heading)
+        and result.planner == planner
+        and all(asked in (None, had) for asked, had in ranges)
+    )
 
 
 def write_episodes(path: Path, results: Sequence[EpisodeResult]) -> None:

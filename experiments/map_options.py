@@ -8,12 +8,12 @@ import numpy as np
 import tyro
 from jaxtyping import Bool, UInt8
 
-from dc2g_jax.datasets.class_images import read_palette
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.maps import Goal, draw_map
 from dc2g_jax.datasets.occupancy import YAML_ENDINGS, read_occupancy_map
 from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.class_images import read_palette
 from dc2g_jax.grid.ground import connected_to_goal
 from dc2g_jax.grid.poses import HEADINGS
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE

@@ -11,12 +11,12 @@ import numpy as np
 
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import Start, sample_starts
-from dc2g_jax.datasets.tables import write_table
 from dc2g_jax.driving.fleet import Drives
 from dc2g_jax.driving.loop import STATUS_NAMES
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
-from dc2g_jax.evaluation import Runner
+from dc2g_jax.evaluation import Runner, house_bootstrap
+from dc2g_jax.files.tables import write_table
 from dc2g_jax.inspection.driving_figures import plot_noise
 from dc2g_jax.planning.rules import SETTINGS
 from experiments.common import (
@@ -102,13 +102,11 @@ def summary(drives: Drives, oracle: Drives, houses: Sequence[str]) -> dict[str, 
       houses: name of the house of each start.
     """
     extra = 100 * (drives.seconds / oracle.seconds - 1)
-    by_house = [np.mean(extra[np.array(houses) == house]) for house in sorted(set(houses))]
-    draws = np.random.default_rng(0).choice(by_house, (2000, len(by_house))).mean(axis=1)
-    low, high = np.percentile(draws, (2.5, 97.5))
+    low, high = house_bootstrap(extra, houses, resamples=2000, seed=0)
     return {
         "extra": float(np.mean(extra)),
-        "extra_low": float(low),
-        "extra_high": float(high),
+        "extra_low": low,
+        "extra_high": high,
         "median_extra": float(np.median(extra)),
         "success": float(np.mean(drives.success)),
         "seconds_off_ground": float(np.mean(drives.off_ground)),

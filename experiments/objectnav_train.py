@@ -9,14 +9,11 @@ import hashlib
 import json
 import shutil
 import sys
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import jax
 import jax.numpy as jnp
-import numpy as np
 import tyro
 from tqdm import tqdm
 
@@ -42,7 +39,8 @@ from dc2g_jax.objectnav.training import (
 )
 from experiments.common import OutOption, command_line
 from experiments.outputs import command_written, commit, output_folder
-from experiments.training_loop import FiniteLoss, run_steps
+from experiments.training_loop import FiniteLoss, Log, check_validate_every, run_steps
+from experiments.training_sets import kept_arrays
 
 #: The encoder that is trained where none is given: houses of the training split, pictures of each.
 _ENCODER_HOUSES, _PICTURES_A_HOUSE = 200, 40
@@ -152,18 +150,13 @@ def kept(path: Path, make: Callable[[Callable[[int], None]], TrainingSet], house
       houses: how many there are.
     """
     names = [field.name for field in dataclasses.fields(TrainingSet)]
-    if path.exists():
-        try:
-            with np.load(path) as file:
-                return TrainingSet(**{name: jnp.asarray(file[name]) for name in names})
-        except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
-            raise InputError(f"{path}: cannot be read ({error}); delete it to collect samples anew") from None
-    with tqdm(total=houses, desc=path.stem, unit="house", file=sys.stderr) as bar:
-        data = make(lambda done: bar.update(done - bar.n))
-    unfinished = path.with_suffix(".partial.npz")
-    np.savez(unfinished, **{name: getattr(data, name) for name in names})
-    unfinished.rename(path)
-    return jax.tree.map(jnp.asarray, data)
+
+    def collect(show: Callable[[int, int], None]) -> dict[str, Any]:
+        data = make(lambda done: show(done, houses))
+        return {name: getattr(data, name) for name in names}
+
+    arrays = kept_arrays(path, names, collect, unit="house")
+    return TrainingSet(**{name: jnp.asarray(array) for name, array in arrays.items()})
 
 
 def train(options: Options, config: CostMapConfig, data: TrainingSet, validation: TrainingSet) -> None:
@@ -176,7 +169,7 @@ def train(options: Options, config: CostMapConfig, data: TrainingSet, validation
     def validate(state: TrainingState, step: int) -> None:
         weights = state.average if config.recipe.average_decay else state.weights
         estimator = CostMapEstimator(weights=weights, architecture=config.architecture)
-        found = {"step": step, "training_loss": round(loss.latest, 4), **figures(estimator, batches, config)}
+        found = {"step": step, "training_loss": loss.latest, **figures(estimator, batches, config)}
         card: dict[str, Any] = {
             "houses": options.houses,
             "cell_size": options.cell_size,
@@ -187,10 +180,8 @@ def train(options: Options, config: CostMapConfig, data: TrainingSet, validation
         }
         save_estimator(options.out / NETWORK_FILE, estimator, card)
         write_card(options.out, card)
-        line = json.dumps(found)
-        with (options.out / "log.jsonl").open("a") as log:
-            log.write(line + "\n")
-        tqdm.write(line, file=sys.stderr)
+        Log(options.out).write(found)
+        tqdm.write(json.dumps(found), file=sys.stderr)
 
     try:
         state = checkpoints.restore() or first_state(config)
@@ -205,6 +196,7 @@ def train(options: Options, config: CostMapConfig, data: TrainingSet, validation
             save=checkpoints.save,
             minutes_per_checkpoint=options.minutes_per_checkpoint,
             description="train",
+            validated=Log(options.out).by_step(),
         )
     finally:
         checkpoints.close()
@@ -224,12 +216,12 @@ def main(options: Options) -> None:
         if value is not None and value < 1:
             raise InputError(f"--{name.replace('_', '-')} {value}: give at least 1")
     for name, value in (
-        ("validate-every", options.validate_every),
         ("seed", options.seed),
         ("data-seed", options.collection.data_seed),
     ):
         if value < 0:
             raise InputError(f"--{name} {value}: give at least 0")
+    check_validate_every(options.validate_every)
     output_folder(options, "objectnav_train", free=("validate_every", "minutes_per_checkpoint", "validation_samples"))
     count = 500 if options.count is None and options.houses == PROCEDURAL else options.count
     print(f"Houses: {count or 'all'} of {options.houses}", flush=True)

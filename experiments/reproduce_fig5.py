@@ -16,7 +16,8 @@ from dc2g_jax.estimation.translator_training import LOSSES
 from dc2g_jax.inspection.image_figures import plot_training
 from experiments.common import DatasetOption, command_line
 from experiments.outputs import output_folder
-from experiments.translation import TranslationOptions, read_log, train_translator, translation_data
+from experiments.training_loop import Log
+from experiments.translation import TranslationOptions, train_translator, translation_data
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,7 +58,7 @@ def main(options: Options) -> None:
         for seed in options.seeds:
             folder = options.out / f"{loss}-seed{seed}"
             train_translator(folder, dataset, data, config, options.training, seed=seed)
-            runs[loss].append(read_log(folder))
+            runs[loss].append(Log(folder).by_step())
     training = options.training
     caption = (
         f"{len(data.train.pair_house)} training and {len(data.validation.pair_house)} validation pairs of "

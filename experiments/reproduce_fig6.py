@@ -13,7 +13,7 @@ import numpy as np
 from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset
 from dc2g_jax.datasets.image_pairs import houses_with_door
 from dc2g_jax.datasets.similarity import distance_to_training, similarity_scale
-from dc2g_jax.datasets.tables import write_table
+from dc2g_jax.files.tables import write_table
 from dc2g_jax.grid.sampling import resize_nearest
 from dc2g_jax.image_evaluation import full_map_metrics
 from dc2g_jax.inspection.image_figures import METRIC_LABELS, Points, plot_by_similarity

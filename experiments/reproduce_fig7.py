@@ -17,10 +17,10 @@ from tqdm import tqdm
 
 from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset, tell_on_stderr
 from dc2g_jax.datasets.starts import published_episodes, sample_starts, why_no_episode
-from dc2g_jax.datasets.tables import write_table
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.evaluation import PLANNERS, EpisodeResult, Runner, Summary, extra_steps, summarize
+from dc2g_jax.files.tables import write_table
 from dc2g_jax.inspection import recording
 from dc2g_jax.inspection.episode_figures import plot_episode
 from dc2g_jax.inspection.figures import plot_extra_steps, plot_house_strips

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from dc2g_jax.datasets.houses import PROCEDURAL
-from dc2g_jax.datasets.tables import read_table, write_table
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.tables import read_table, write_table
 from dc2g_jax.objectnav.agent import (
     CONTROLLER,
     MPC,

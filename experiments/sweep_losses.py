@@ -20,19 +20,19 @@ from jaxtyping import Array, Float
 
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
-from dc2g_jax.datasets.tables import write_table
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.estimation.networks import Architecture, multiply_accumulates
 from dc2g_jax.estimation.training import TrainingConfig, TrainingState, init_states, mean_error, train_steps
+from dc2g_jax.files.tables import write_table
 from dc2g_jax.inspection.training_figures import plot_sweep
 from dc2g_jax.sweeps import group_by_shape, runs_of_grid, stacked_hyperparameters
 from dc2g_jax.training_data import DataConfig, Validation, validation_pairs
 from experiments.common import DatasetOption, command_line
 from experiments.outputs import output_folder
-from experiments.train import open_training_set
-from experiments.training_loop import run_steps
+from experiments.training_loop import Log, check_validate_every, run_steps
+from experiments.training_sets import open_training_set
 
 #: Validation pairs, and how many of them at a time.
 _PAIRS, _PAIRS_AT_A_TIME = 512, 64
@@ -103,30 +103,12 @@ def validation_errors(architecture: Architecture, weights: Any, pairs: Pair) -> 
     return jax.lax.map(error, weights)
 
 
-class Log:
-    """`log.jsonl`: a line for each run and validation. Steps taken again after an interruption count once."""
-
-    def __init__(self, path: Path):
-        self._path = path
-
-    def write(self, lines: Sequence[Mapping[str, Any]]) -> None:
-        """Add lines."""
-        with self._path.open("a") as file:
-            file.writelines(json.dumps(line) + "\n" for line in lines)
-
-    def errors(self) -> dict[str, dict[int, float]]:
-        """Validation error by run and step."""
-        found: dict[str, dict[int, float]] = {}
-        for line in self._path.read_text().splitlines():
-            entry = json.loads(line)
-            found.setdefault(entry["run"], {})[entry["step"]] = entry["error"]
-        return {run: dict(sorted(by_step.items())) for run, by_step in found.items()}
-
-
 def restore(checkpoints: Sequence[TrainingCheckpoints], first: TrainingState) -> TrainingState:
     """The newest step that all runs have a state of, stacked; the first states where there is none."""
     common = set.intersection(*(set(each.steps()) for each in checkpoints))
     if not common:
+        for each in checkpoints:
+            each.delete()
         return first
     states = [each.restore(max(common)) for each in checkpoints]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
@@ -144,18 +126,18 @@ def train_group(
     configs = list(runs.values())
     recipe, hyperparameters = configs[0].recipe, stacked_hyperparameters(configs)
     draw = options.data.draw_batch(recipe.batch_size)
-    latest = np.full(len(runs), np.nan)
+    latest: list[float | None] = [None] * len(runs)  # none before the first look
 
     def look(step: int, losses: np.ndarray) -> None:
-        latest[:] = losses
+        latest[:] = losses.tolist()
 
     def validate(states: TrainingState, step: int) -> None:
         errors = np.asarray(validation_errors(recipe.architecture, states.average, pairs))
         log.write(
-            [
-                {"run": run, "step": step, "loss": float(loss), "error": float(error)}
+            *(
+                {"run": run, "step": step, "loss": loss, "error": float(error)}
                 for run, loss, error in zip(runs, latest, errors, strict=True)
-            ]
+            )
         )
 
     with contextlib.ExitStack() as stack:
@@ -180,6 +162,7 @@ def train_group(
             save=save,
             minutes_per_checkpoint=options.minutes_per_checkpoint,
             description=f"{len(runs)} runs",
+            validated=set.intersection(*(set(log.by_step(run)) for run in runs)),
         )
     networks = {}
     for index, run in enumerate(runs):
@@ -190,6 +173,11 @@ def train_group(
     return networks
 
 
+def diverged(row: Mapping[str, Any]) -> bool:
+    """Has a run's loss stopped being a number?"""
+    return row["training_loss"] is not None and not np.isfinite(row["training_loss"])
+
+
 def write_results(
     out: Path,
     runs: Mapping[str, TrainingConfig],
@@ -198,12 +186,11 @@ def write_results(
     shape: tuple[int, int],
 ) -> list[dict[str, Any]]:
     """Write `results.csv`, a line a run, the best first; multiply-accumulates are those of one map of `shape`."""
-    errors = log.errors()
     architectures = {config.architecture for config in runs.values()}
     macs = {architecture: multiply_accumulates(architecture, *shape) for architecture in architectures}
     rows: list[dict[str, Any]] = []
     for run, config in runs.items():
-        last = errors[run][max(errors[run])]
+        step, last = max(log.by_step(run).items())
         rows.append(
             {
                 "run": run,
@@ -212,12 +199,13 @@ def write_results(
                 "widths": "-".join(map(str, config.architecture.widths)),
                 "million_multiply_accumulates": round(1e-6 * macs[config.architecture], 2),
                 "seed": config.seed,
-                "steps": max(errors[run]),
-                "error": round(last, 4),
+                "steps": step,
+                "training_loss": last["loss"],
+                "error": round(last["error"], 4),
                 **episodes.get(run, {}),
             }
         )
-    rows.sort(key=lambda row: row.get("mean_extra", row["error"]))
+    rows.sort(key=lambda row: (diverged(row), row.get("mean_extra", row["error"])))
     columns = list(rows[0])
     write_table(out / "results.csv", columns, ([row.get(column, "") for column in columns] for row in rows))
     return rows
@@ -237,6 +225,7 @@ def run_episodes(dataset: HouseDataset, networks: Mapping[str, NetworkCostToGo],
 
 def main(options: Options) -> None:
     """Train all, validate all, tabulate."""
+    check_validate_every(options.validate_every)
     runs = options.runs
     groups = group_by_shape(runs)
     dataset = open_dataset(options.dataset)
@@ -244,7 +233,7 @@ def main(options: Options) -> None:
     facts = {"data": dataclasses.asdict(options.data), "dataset": dataset.name}
     data = open_training_set(options.out, dataset, options.data)
     pairs = validation_pairs(dataset, count=_PAIRS, edge_weight=options.data.edge_weight)
-    log = Log(options.out / "log.jsonl")
+    log = Log(options.out)
     print(f"{len(runs)} runs in {len(groups)} programs")
     networks: dict[str, NetworkCostToGo] = {}
     for group in groups:
@@ -253,12 +242,14 @@ def main(options: Options) -> None:
     height, width = data.terrain.shape[1:]
     rows = write_results(options.out, runs, log, episodes, (height, width))
     by_loss: dict[str, list[dict[int, float]]] = {}
-    for run, errors in log.errors().items():
+    for run in runs:
+        errors = {step: line["error"] for step, line in log.by_step(run).items()}
         by_loss.setdefault(run.rsplit("_seed", 1)[0], []).append(errors)
     plot_sweep(options.out / "sweep", by_loss, f"{dataset.name}, {_PAIRS} validation pairs")
     for row in rows:
         extra = f"   extra steps {row['mean_extra']:.1f} %" if "mean_extra" in row else ""
-        print(f"{row['run']:60} error {row['error']:.2f} cells{extra}")
+        warning = "   diverged: its loss is not finite" if diverged(row) else ""
+        print(f"{row['run']:60} error {row['error']:.2f} cells{extra}{warning}")
     print(f"Written: {options.out / 'results.csv'}")
 
 

@@ -6,8 +6,6 @@ Interrupted or killed, it goes on where it was when run again with --resume.
 import dataclasses
 import json
 import sys
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,8 +16,7 @@ import tyro
 from jaxtyping import Float
 from tqdm import tqdm
 
-from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
-from dc2g_jax.datasets.pairs import TrainingSet
+from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, load_network, save_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo
@@ -28,20 +25,11 @@ from dc2g_jax.estimation.networks import Architecture
 from dc2g_jax.estimation.training import TrainingConfig, TrainingState, first_state, train_step
 from dc2g_jax.inspection.columns import viewer_sink
 from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_watch, next_file
-from dc2g_jax.mask_collection import Masks
-from dc2g_jax.training_data import (
-    DataConfig,
-    Validation,
-    by_house,
-    check_masks,
-    masks_of_network,
-    observation_masks,
-    training_houses,
-    training_set,
-)
+from dc2g_jax.training_data import DataConfig, Validation
 from experiments.common import DatasetOption, NetworkOption, command_line
 from experiments.outputs import command_written, commit, output_folder
-from experiments.training_loop import FiniteLoss, run_steps
+from experiments.training_loop import FiniteLoss, Log, check_validate_every, run_steps
+from experiments.training_sets import open_training_set
 
 #: Maps that a recording shows predictions on.
 _MAPS_RECORDED = 6
@@ -100,59 +88,6 @@ class Options:
             learning_rate=self.learning_rate,
             seed=self.seed,
         )
-
-
-def kept_masks(path: Path, houses: list[House], collect: Callable[[Callable[[int, int], None]], Masks]) -> Masks:
-    """Masks from a file, collected and kept there the first time.
-
-    Args:
-      path: the file.
-      houses: what the masks are of.
-      collect: makes them; given a function to tell how many rollouts of how many are done.
-    """
-    if path.exists():
-        try:
-            with np.load(path) as file:
-                masks = Masks(boards=file["boards"], world=file["world"])
-        except (OSError, ValueError, KeyError) as error:
-            raise InputError(f"{path}: cannot be read ({error}); delete it to collect masks anew") from None
-        check_masks(masks, houses, str(path))
-        return masks
-    with tqdm(desc="masks", unit="rollout", file=sys.stderr) as bar:
-
-        def show(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
-        masks = collect(show)
-    unfinished = path.with_suffix(".partial.npz")
-    np.savez(unfinished, boards=masks.boards, world=masks.world)
-    unfinished.rename(path)
-    return masks
-
-
-def open_training_set(
-    folder: Path, dataset: HouseDataset, config: DataConfig, network: NetworkCostToGo | None = None
-) -> TrainingSet:
-    """What to train on; its masks are kept in `folder`.
-
-    Args:
-      folder: where masks are kept.
-      dataset: the houses.
-      config: what to train on.
-      network: a network whose robots' masks are added, where one is given.
-    """
-    houses, n_own = training_houses(dataset, config)
-    parts = [kept_masks(folder / "masks.npz", houses, partial(observation_masks, config, houses, n_own))]
-    if network is not None:
-        collect = partial(masks_of_network, config, houses, n_own, network)
-        parts.append(kept_masks(folder / "masks_of_network.npz", houses, collect))
-    data = training_set(houses, n_own, by_house(parts))
-    print(
-        f"Training on {n_own} houses of {dataset.name} and {config.extra_houses} procedural ones: "
-        f"{len(data.mask_world)} observation masks, {int(data.n_own)} of the dataset's own houses"
-    )
-    return data
 
 
 def compact_network(folder: Path, architecture: Architecture) -> NetworkCostToGo:
@@ -240,6 +175,7 @@ def train(options: Options, dataset: HouseDataset, checkpoints: TrainingCheckpoi
             save=checkpoints.save,
             minutes_per_checkpoint=options.minutes_per_checkpoint,
             description="train",
+            validated=Log(options.out).by_step(),
         )
     finally:
         if recording is not None:
@@ -247,19 +183,25 @@ def train(options: Options, dataset: HouseDataset, checkpoints: TrainingCheckpoi
 
 
 def report(
-    options: Options, dataset: HouseDataset, network: NetworkCostToGo, step: int, loss: float, figures: dict[str, float]
+    options: Options,
+    dataset: HouseDataset,
+    network: NetworkCostToGo,
+    step: int,
+    loss: float | None,
+    figures: dict[str, float],
 ) -> None:
     """Save the network as it is, and add a line to the log."""
     save_network(options.out / "network", network, model_card(options, dataset, step, figures))
-    line = json.dumps({"step": step, "loss": round(loss, 4), **figures})
-    with (options.out / "log.jsonl").open("a") as log:
-        log.write(line + "\n")
-    tqdm.write(line, file=sys.stderr)
+    line = {"step": step, "loss": loss if loss is None else round(loss, 4), **figures}
+    Log(options.out).write(line)
+    tqdm.write(json.dumps(line), file=sys.stderr)
 
 
 def main(options: Options) -> None:
     """Train, save and validate."""
     check_loss_names([options.loss])
+    config = options.training  # refused before anything is written, as are all other options
+    check_validate_every(options.validate_every)
     if options.connect is not None:
         viewer_sink(options.connect)  # an address that is none is refused before anything is written
     dataset = open_dataset(options.dataset)
@@ -268,7 +210,7 @@ def main(options: Options) -> None:
     apart = {"out", "resume", "dataset", *free}
     facts = {name: value for name, value in dataclasses.asdict(options).items() if name not in apart}
     facts["after"] = None if options.after is None else str(options.after)
-    checkpoints = TrainingCheckpoints(options.out, options.training, {**facts, "dataset": dataset.name})
+    checkpoints = TrainingCheckpoints(options.out, config, {**facts, "dataset": dataset.name})
     try:
         train(options, dataset, checkpoints)
     finally:

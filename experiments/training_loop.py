@@ -1,8 +1,12 @@
-"""The loop that all training commands share: steps, progress, losses looked at late, checkpoints now and then."""
+"""The loop that all training commands share: steps, progress, losses looked at late, checkpoints, and the log."""
 
+import contextlib
+import json
+import signal
 import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,11 +23,11 @@ class FiniteLoss:
     """Remembers the latest loss of a single run, and stops training where it is no number.
 
     Attributes:
-      latest: mean loss when it was last looked at.
+      latest: mean loss when it was last looked at; `None` before.
     """
 
     def __init__(self, out: Path):
-        self.latest = float("nan")
+        self.latest: float | None = None
         self._out = out
 
     def __call__(self, step: int, loss: Float[np.ndarray, ""]) -> None:
@@ -40,12 +44,81 @@ class FiniteLoss:
             )
 
 
+class Log:
+    """`log.jsonl`: a line for each validation. One made again after an interruption counts once.
+
+    Args:
+      out: folder of the training.
+    """
+
+    def __init__(self, out: Path):
+        self._path = out / "log.jsonl"
+
+    def write(self, *lines: Mapping[str, Any]) -> None:
+        """Add validations; each has a `step`, and a `run` where several are trained together."""
+        cut_off = self._path.exists() and not self._path.read_bytes().endswith(b"\n")
+        with self._path.open("a") as file:
+            file.write("\n" * cut_off)
+            file.writelines(json.dumps(line) + "\n" for line in lines)
+
+    def by_step(self, run: str | None = None) -> dict[int, dict[str, Any]]:
+        """Validations by step, in order; of one run where several are trained together. None before the first."""
+        found: dict[int, dict[str, Any]] = {}
+        for text in self._path.read_text().splitlines() if self._path.exists() else ():
+            with contextlib.suppress(json.JSONDecodeError):  # a line that a kill cut off
+                line = json.loads(text)
+                if run is None or line["run"] == run:
+                    found[line["step"]] = line
+        return dict(sorted(found.items()))
+
+
+@contextlib.contextmanager
+def _interrupts_noted() -> Iterator[list[int]]:
+    """Note Ctrl-C instead of raising: a step uses its state up, so one that is broken off leaves none to save."""
+    noted: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield noted  # others are never interrupted
+        return
+    before = signal.signal(signal.SIGINT, lambda number, frame: noted.append(number))
+    try:
+        yield noted
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _take_steps(
+    state: State, count: int, take_step: Callable[[State], tuple[State, Array]]
+) -> tuple[State, list[Array], bool]:
+    """So many steps: the state after them, their losses, and whether Ctrl-C made them fewer."""
+    losses: list[Array] = []
+    with _interrupts_noted() as noted:
+        while len(losses) < count and not noted:
+            state, loss = take_step(state)
+            losses.append(loss)
+    return state, losses, bool(noted)
+
+
 def _next_stop(step: int, steps: int, validate_every: int, steps_per_look: int) -> int:
     """The step after which something is to be done next."""
     stops = [steps, step + steps_per_look - step % steps_per_look]
     if validate_every:
         stops.append(step + validate_every - step % validate_every)
     return min(stops)
+
+
+def _is_validated(step: int, steps: int, validate_every: int) -> bool:
+    """Is there a validation after this step?"""
+    return step == steps or (validate_every > 0 and step > 0 and step % validate_every == 0)
+
+
+def check_validate_every(steps: int) -> None:
+    """Refuse a number of steps between validations that is none.
+
+    Raises:
+      InputError: if it is less than 0.
+    """
+    if steps < 0:
+        raise InputError(f"--validate-every {steps}: give at least 1, or 0 for the last step only")
 
 
 def run_steps(
@@ -60,6 +133,7 @@ def run_steps(
     save: Callable[[State], None],
     minutes_per_checkpoint: float,
     description: str,
+    validated: Collection[int] = (),
     steps_per_look: int = 50,
     watch: Callable[[State, int, Float[np.ndarray, "*runs"]], None] = lambda state, step, loss: None,
 ) -> State:
@@ -77,6 +151,7 @@ def run_steps(
       save: keeps a state.
       minutes_per_checkpoint: how often to save.
       description: what the progress bar says.
+      validated: steps that were validated by earlier runs; one that was interrupted there catches up.
       steps_per_look: steps between two looks at the losses, at most: looking waits for the device.
       watch: called as `watch(state, step, mean losses)` after each look; must leave the state as it is.
 
@@ -86,18 +161,20 @@ def run_steps(
     step, saved = first_step, time.monotonic()
     with tqdm(total=steps, initial=step, desc=description, unit="step", file=sys.stderr) as bar:
         try:
+            if step not in validated and _is_validated(step, steps, validate_every):
+                validate(state, step)
             while step < steps:
-                losses: list[Any] = []
-                for _ in range(_next_stop(step, steps, validate_every, steps_per_look) - step):
-                    state, loss = take_step(state)
-                    losses.append(loss)
+                count = _next_stop(step, steps, validate_every, steps_per_look) - step
+                state, losses, interrupted = _take_steps(state, count, take_step)
+                if interrupted:
+                    raise KeyboardInterrupt
                 mean = np.mean([np.asarray(loss) for loss in losses], axis=0)
                 step += len(losses)
                 bar.update(len(losses))
                 bar.set_postfix(loss=f"{np.mean(mean):.4f}")
                 look(step, mean)
                 watch(state, step, mean)
-                if step == steps or (validate_every and step % validate_every == 0):
+                if _is_validated(step, steps, validate_every):
                     validate(state, step)
                 if time.monotonic() - saved > 60 * minutes_per_checkpoint:
                     save(state)

@@ -1,14 +1,12 @@
 """What the commands about the image-to-image translator share: its training pairs and its training."""
 
 import dataclasses
-import json
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.datasets.image_pairs import ImageSet, draw_image_pairs
-from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
 from dc2g_jax.estimation.estimators import TranslatorCostToGo
 from dc2g_jax.estimation.translator import TranslatorArchitecture
@@ -21,7 +19,7 @@ from dc2g_jax.estimation.translator_training import (
 from dc2g_jax.image_evaluation import mean_metrics
 from dc2g_jax.image_training_data import MaskKind, image_set
 from experiments.outputs import command_written, commit
-from experiments.training_loop import FiniteLoss, run_steps
+from experiments.training_loop import FiniteLoss, Log, check_validate_every, run_steps
 
 #: A step takes seconds on a CPU.
 _STEPS_PER_LOOK = 10
@@ -63,10 +61,8 @@ class TranslationOptions:
         Raises:
           InputError: for networks that cannot be built.
         """
-        try:
-            architecture = TranslatorArchitecture(self.size, self.base_filters, self.compute_dtype)
-        except ValueError as error:
-            raise InputError(f"networks: {error}") from None
+        check_validate_every(self.validate_every)
+        architecture = TranslatorArchitecture(self.size, self.base_filters, self.compute_dtype)
         return TranslatorConfig(architecture, loss, self.steps, self.batch_size, self.learning_rate)
 
     def facts(self, dataset: HouseDataset, seed: int) -> dict[str, Any]:
@@ -120,13 +116,13 @@ def train_translator(
     first_state = partial(init_translator, seed=seed)
     checkpoints = TrainingCheckpoints(out, config, options.facts(dataset, seed), first_state=first_state)
     draw = partial(draw_image_pairs, batch_size=config.batch_size)
-    difference = FiniteLoss(out)
+    difference, log = FiniteLoss(out), Log(out)
 
     def validate(state: TranslatorState, step: int) -> None:
         network = TranslatorCostToGo(weights=state.generator, architecture=config.architecture)
         save_network(out / "network", network, _card(dataset, config, options, seed, step))
         if options.validate_every:
-            log(out, step, difference.latest, mean_metrics(network, data.validation))
+            log.write({"step": step, "train_l1": difference.latest, **mean_metrics(network, data.validation)})
 
     try:
         state = checkpoints.restore() or first_state(config)
@@ -141,19 +137,8 @@ def train_translator(
             save=checkpoints.save,
             minutes_per_checkpoint=options.minutes_per_checkpoint,
             description=out.name,
+            validated=log.by_step(),
             steps_per_look=_STEPS_PER_LOOK,
         )
     finally:
         checkpoints.close()
-
-
-def log(out: Path, step: int, train_l1: float, validation: dict[str, float]) -> None:
-    """Add a validation to the log."""
-    with (out / "log.jsonl").open("a") as file:
-        file.write(json.dumps({"step": step, "train_l1": train_l1, **validation}) + "\n")
-
-
-def read_log(out: Path) -> dict[int, dict[str, float]]:
-    """Validations by step, in order. Steps taken again after an interruption count once."""
-    lines = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
-    return {line["step"]: line for line in sorted(lines, key=lambda line: line["step"])}

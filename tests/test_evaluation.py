@@ -7,6 +7,7 @@ import pytest
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, TranslatorCostToGo
+from dc2g_jax.estimation.extents import CroppedEstimator, WindowedEstimator
 from dc2g_jax.estimation.networks import Architecture, init_weights
 from dc2g_jax.estimation.translator import TranslatorArchitecture
 from dc2g_jax.evaluation import (
@@ -99,6 +100,19 @@ def test_make_planner():
     # Pictures have no scale that a distance could be added to.
     translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
     assert make_planner("dc2g", RULES, translator) == DC2G(translator, RULES)
+
+
+def test_no_distance_is_added_to_pictures_however_they_are_asked_for():
+    translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
+    network = NetworkCostToGo(weights=(), architecture=Architecture())
+    for wrapped in (CroppedEstimator, WindowedEstimator):
+        assert make_planner("dc2g", RULES, wrapped(translator)) == DC2G(wrapped(translator), RULES)
+        assert make_planner("dc2g", RULES, wrapped(network)) == NETWORK_PLANNERS["dc2g"](wrapped(network), RULES)
+
+
+def test_a_step_limit_that_not_even_the_oracle_keeps_is_refused(dataset):
+    runner = Runner(dataset, SETTINGS["paper"], step_limit=2)
+    refusal(lambda: runner.run(STARTS[1:3], ["frontier"]), STARTS[1].house, "within 2 actions", "--step-limit")
 
 
 @pytest.mark.parametrize("name", ["", "Oracle", "dc2g", "random"])

@@ -12,6 +12,7 @@ from dc2g_jax import online
 from dc2g_jax.decisions import Candidate, Decision
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, NetworkCostToGo
+from dc2g_jax.estimation.extents import Window, WindowedEstimator
 from dc2g_jax.estimation.networks import Architecture
 from dc2g_jax.evaluation import make_planner
 from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
@@ -207,6 +208,23 @@ def test_reasons(street):
     assert why == "explore: (0, 0) facing east is the nearest of 4 candidates, 1 action away; next best 2 at (1, 0)"
     why = planner.plan(corridor[:, 3:], (0, 0, 1)).why
     assert why == "explore: (0, 0) facing east is the only candidate, 1 action away"
+
+
+def test_an_estimator_with_an_extent_is_asked_about_it_alone():
+    side, prior = 7, 50.0
+    planner = OnlinePlanner(WindowedEstimator(Scattered(), Window(side, prior)), sensing_range=SENSING, largest=SHAPE)
+    found = {"inside": 0, "beyond": 0}
+    for seed in range(30):
+        terrain, seen, pose = random_moment(seed, SHAPE, 0.8)
+        grid = observed(np.where(terrain == FRONT_DOOR, 3, terrain).astype(np.uint8), seen)
+        window = np.pad(grid, side)[pose[1] + side - 3 : pose[1] + side + 4, pose[0] + side - 3 : pose[0] + side + 4]
+        costs = np.asarray(BothViews(Scattered()).estimate(window))[0]
+        for each in planner.plan(grid, pose).candidates:
+            x, y = each.x - pose[0] + 3, each.y - pose[1] + 3
+            inside = 0 <= x < side and 0 <= y < side
+            assert each.cost_to_go == pytest.approx(costs[y, x] if inside else prior)
+            found["inside" if inside else "beyond"] += 1
+    assert min(found.values()) > 5, found
 
 
 # --- the grid the map is laid into, and where the map lies ------------------------------------------------------------

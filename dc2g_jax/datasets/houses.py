@@ -10,18 +10,18 @@ from pathlib import Path
 
 import numpy as np
 
-from dc2g_jax.datasets.class_images import (
+from dc2g_jax.datasets.download import NetworkUnavailable, fetch_dataset, matches_published
+from dc2g_jax.datasets.maps import CELLS_FILE, MAP_ENDINGS, SPLITS, map_files, read_map_folder, sampled
+from dc2g_jax.datasets.procedural import procedural_houses
+from dc2g_jax.errors import InputError
+from dc2g_jax.files.class_images import (
     PALETTE_FILE,
     Palette,
     read_class_image,
     read_palette,
     write_class_image,
 )
-from dc2g_jax.datasets.download import NetworkUnavailable, fetch_dataset, matches_published
-from dc2g_jax.datasets.maps import CELLS_FILE, MAP_ENDINGS, SPLITS, map_files, read_map_folder, sampled
-from dc2g_jax.datasets.procedural import procedural_houses
-from dc2g_jax.datasets.tables import read_table
-from dc2g_jax.errors import InputError
+from dc2g_jax.files.tables import read_table
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES
 from dc2g_jax.grid.world import World, world_from_terrain
 

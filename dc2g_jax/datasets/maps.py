@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import UInt8
 
-from dc2g_jax.datasets.class_images import PALETTE_FILE, Palette, check_classes, read_class_image, read_palette
 from dc2g_jax.datasets.occupancy import YAML_ENDINGS, OccupancyMap, read_occupancy_map
-from dc2g_jax.datasets.tables import read_table
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.class_images import PALETTE_FILE, Palette, check_classes, read_class_image, read_palette
+from dc2g_jax.files.tables import read_table
 from dc2g_jax.grid.ground import why_no_way
 from dc2g_jax.grid.sampling import ClassImage, sample_grid
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE

@@ -4,7 +4,7 @@ import csv
 import functools
 import re
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,6 +13,7 @@ from jaxtyping import Bool, UInt8
 
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.tables import read_table
 from dc2g_jax.grid.ground import connected_to_goal, why_no_way
 from dc2g_jax.grid.poses import HEADINGS
 from dc2g_jax.grid.terrain import FRONT_DOOR, ROAD
@@ -116,36 +117,35 @@ _MIN_RANGE, _MAX_RANGE = 2, 64
 
 def _whole_number(path: Path, line: int, row: dict[str, str], column: str, low: int, high: int | None) -> int:
     """One cell of the table as a whole number within bounds."""
-    text = (row[column] or "").strip()
+    text = row[column]
     bounds = f"of at least {low}" if high is None else f"from {low} to {high}"
     # No number here has more than six digits, and `int` would take many more spellings than a table should.
     number = int(text) if re.fullmatch(r"-?[0-9]{1,6}", text) else None
     if number is None or number < low or (high is not None and number > high):
-        raise InputError(f"{path}, line {line}: {column} is {text[:20]!r}; give a whole number {bounds}")
+        raise InputError(f"{path}: line {line}: {column} is {text[:20]!r}; give a whole number {bounds}")
     return number
 
 
 def _read_start(path: Path, line: int, row: dict[str, str], dataset: HouseDataset) -> Start:
     try:
-        house = dataset.house((row["house"] or "").strip())
+        house = dataset.house(row["house"])
     except InputError as error:
-        raise InputError(f"{path}, line {line}: {error}") from None
+        raise InputError(f"{path}: line {line}: {error}") from None
     reason = why_no_episode(house)
     if reason is not None:
-        raise InputError(f"{path}, line {line}: no episode can be run in {house.name}: {reason}; remove the line")
+        raise InputError(f"{path}: line {line}: no episode can be run in {house.name}: {reason}; remove the line")
     height, width = house.terrain.shape
     x = _whole_number(path, line, row, "x", 0, width - 1)
     y = _whole_number(path, line, row, "y", 0, height - 1)
     if house.terrain[y, x] == FRONT_DOOR:
-        raise InputError(f"{path}, line {line}: ({x}, {y}) in {house.name} is a front door already; start elsewhere")
+        raise InputError(f"{path}: line {line}: ({x}, {y}) in {house.name} is a front door already; start elsewhere")
     if not connected_to_goal(house.terrain)[y, x]:
         raise InputError(
-            f"{path}, line {line}: no front door of {house.name} can be reached from ({x}, {y}); "
+            f"{path}: line {line}: no front door of {house.name} can be reached from ({x}, {y}); "
             "start on a traversable cell that is connected to one"
         )
     ranges = [
-        _whole_number(path, line, row, column, _MIN_RANGE, _MAX_RANGE) if (row.get(column) or "").strip() else None
-        for column in _OPTIONAL
+        _whole_number(path, line, row, column, _MIN_RANGE, _MAX_RANGE) if row[column] else None for column in _OPTIONAL
     ]
     return Start(house.name, x, y, _whole_number(path, line, row, "heading", 0, HEADINGS - 1), *ranges)
 
@@ -160,17 +160,6 @@ def read_starts(path: str | Path, dataset: HouseDataset) -> list[Start]:
         which no goal can be reached; names the line.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"{path}: cannot be read ({error}); give a CSV file with columns {', '.join(_REQUIRED)}"
-        ) from None
-    reader = csv.DictReader(text.splitlines())
-    missing: Sequence[str] = [name for name in _REQUIRED if name not in (reader.fieldnames or ())]
-    if missing:
-        raise InputError(f"{path}: no column {missing[0]!r}; the first line must name {', '.join(_REQUIRED)}")
-    starts = [_read_start(path, reader.line_num, row, dataset) for row in reader]
-    if not starts:
-        raise InputError(f"{path}: lists no episode; give at least one line below the column names")
-    return starts
+    remedy = f"give a CSV file with columns {', '.join(_REQUIRED)}"
+    rows = read_table(path, _REQUIRED, optional=_OPTIONAL, remedy=remedy)
+    return [_read_start(path, line, row, dataset) for line, row in rows]

@@ -222,9 +222,10 @@ class TrainingCheckpoints:
                     f"now {wanted[changed[0]]!r}; give the same options to resume it, or another folder"
                 )
         (folder / _CONFIG).write_text(json.dumps(wanted, indent=2) + "\n")
+        self._folder = folder / "states"
         with _quiet():
             self._manager = ocp.CheckpointManager(
-                folder / "states", options=ocp.CheckpointManagerOptions(max_to_keep=2, create=True)
+                self._folder, options=ocp.CheckpointManagerOptions(max_to_keep=2, create=True)
             )
 
     def steps(self) -> list[int]:
@@ -232,17 +233,31 @@ class TrainingCheckpoints:
         return sorted(self._manager.all_steps())
 
     def restore(self, step: int | None = None) -> Any:
-        """The state after a step, which becomes the newest; the newest where none is named, `None` if there is none."""
+        """The state after a step, which becomes the newest; the newest where none is named, `None` if there is none.
+
+        Raises:
+          InputError: the state is damaged, or of another version of the program.
+        """
         if step is None:
             step = self._manager.latest_step()
         if step is None:
             return None
-        for later in self.steps():
-            if later > step:
-                self._manager.delete(later)
+        self.delete(after=step)
         template = jax.eval_shape(self._first_state)
-        with _quiet():
-            return self._manager.restore(step, args=ocp.args.StandardRestore(template))
+        try:
+            with _quiet():
+                return self._manager.restore(step, args=ocp.args.StandardRestore(template))
+        except Exception as error:  # Orbax raises many kinds
+            raise InputError(
+                f"{self._folder / str(step)}: is no state of this training ({type(error).__name__}); it is damaged or "
+                "was written by another version: train anew in another folder"
+            ) from None
+
+    def delete(self, *, after: int = -1) -> None:
+        """Delete the states after a step: all of them where none is named."""
+        for step in self.steps():
+            if step > after:
+                self._manager.delete(step)
 
     def save(self, state: Any) -> None:
         """Save a state; returns when it is on disk."""

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -82,6 +82,11 @@ WHOLE_MAP = WholeMap()
 def extent_of(estimator: Estimator) -> Extent:
     """The part of the map that an estimator is to be asked about."""
     return getattr(estimator, "extent", WHOLE_MAP)
+
+
+def answers_in_cells(estimator: Estimator) -> bool:
+    """Are its costs in cells, so that a distance can be added? They are, unless it says otherwise."""
+    return getattr(estimator, "in_cells", True)
 
 
 def _call_sizes(n_robots: int) -> list[int]:
@@ -187,6 +192,8 @@ class TranslatorCostToGo:
 
     weights: Any
     architecture: TranslatorArchitecture = struct.field(pytree_node=False)
+    #: Brightness is relative to the brightest cell.
+    in_cells: ClassVar[bool] = False
 
     def init(self, world: World) -> tuple[()]:
         """Nothing is kept between steps."""

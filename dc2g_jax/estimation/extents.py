@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt8
 
-from dc2g_jax.estimation.estimators import Ask, Estimates, Estimator
+from dc2g_jax.estimation.estimators import Ask, Estimates, Estimator, answers_in_cells
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.sampling import nearest_pixel
 from dc2g_jax.grid.terrain import UNKNOWN
@@ -64,6 +64,11 @@ class CroppedEstimator:
     estimator: Estimator
     side: int = struct.field(pytree_node=False, default=_TRAINED_SIDE)
     margin: int = struct.field(pytree_node=False, default=2)
+
+    @property
+    def in_cells(self) -> bool:
+        """Are the estimator's own costs?"""
+        return answers_in_cells(self.estimator)
 
     def init(self, world: World) -> Any:
         """The estimator's own state."""
@@ -135,6 +140,11 @@ class WindowedEstimator:
 
     estimator: Estimator
     extent: Window = struct.field(pytree_node=False, default=Window())
+
+    @property
+    def in_cells(self) -> bool:
+        """Are the estimator's own costs?"""
+        return answers_in_cells(self.estimator)
 
     def init(self, world: World) -> Any:
         """The estimator's own state."""

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from flax import nnx
 from jaxtyping import Array, Float, UInt8
 
+from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import CLASS_NAMES
 
 #: The network halves the resolution of its input this many times.
@@ -24,11 +25,23 @@ class Architecture:
       quantiles: levels of the quantiles of the cost-to-go that the network answers with, ascending, each between 0 and
         1. Evenly spaced ones, (i + 1/2) / n, are equally likely outcomes.
       cost_scale: cells of cost-to-go per unit of the last layer's output.
+
+    Raises:
+      InputError: for widths or quantiles that make no network.
     """
 
     widths: tuple[int, ...] = (16, 32, 64, 128)
     quantiles: tuple[float, ...] = (0.1, 0.3, 0.5, 0.7, 0.9)
     cost_scale: float = 32.0
+
+    def __post_init__(self) -> None:
+        if len(self.widths) != _HALVINGS or min(self.widths) < 1:
+            raise InputError(
+                f"widths {self.widths}: the network has {_HALVINGS} scales; give a width of at least 1 for each"
+            )
+        levels = self.quantiles
+        if not levels or list(levels) != sorted(set(levels)) or not 0 < levels[0] <= levels[-1] < 1:
+            raise InputError(f"quantiles {levels}: give ascending levels between 0 and 1, one at least")
 
 
 def _patches(grid: Float[Array, "b h w c"]) -> Float[Array, "b h2 w2 c4"]:
@@ -94,14 +107,7 @@ class CompactUNet(nnx.Module):
     """
 
     def __init__(self, architecture: Architecture, *, rngs: nnx.Rngs):
-        widths = architecture.widths
-        if len(widths) != _HALVINGS or min(widths) < 1:
-            raise ValueError(
-                f"widths {widths}: the network has {_HALVINGS} scales; give a width of at least 1 for each"
-            )
-        levels = architecture.quantiles
-        if not levels or list(levels) != sorted(set(levels)) or not 0 < levels[0] <= levels[-1] < 1:
-            raise ValueError(f"quantiles {levels}: give ascending levels between 0 and 1, one at least")
+        widths, levels = architecture.widths, architecture.quantiles
         self.architecture = architecture
         self.embed = nnx.Linear(4 * len(CLASS_NAMES), widths[0], rngs=rngs)
         self.local = Residual(widths[0], rngs=rngs)

@@ -11,6 +11,7 @@ import optax
 from flax import struct
 from jaxtyping import Array, Float, Int, UInt8, UInt32
 
+from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import networks
 from dc2g_jax.estimation.losses import LOSSES, map_loss
 from dc2g_jax.estimation.networks import Architecture
@@ -29,6 +30,9 @@ class TrainingConfig:
       weight_decay: decoupled weight decay.
       average_decay: decay of the running average of the weights, which is what is kept in the end.
       seed: of weights and batches.
+
+    Raises:
+      InputError: for numbers that no training can have.
     """
 
     architecture: Architecture = dataclasses.field(default_factory=Architecture)
@@ -39,6 +43,13 @@ class TrainingConfig:
     weight_decay: float = 1e-3
     average_decay: float = 0.998
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "batch_size"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} {getattr(self, name)}: give at least 1")
+        if not 0 < self.learning_rate < float("inf"):
+            raise InputError(f"learning rate {self.learning_rate}: give a number above 0")
 
     @property
     def recipe(self) -> "TrainingConfig":
@@ -107,35 +118,20 @@ class Batch(Protocol):
         ...
 
 
-#: Root mean square of a kernel's step at a learning rate of 1, about that of AdamW's steps.
-_STEP_SIZE = 0.2
-
 #: `(key, data) -> batch`
 DrawBatch = Callable[[Array, Any], Batch]
 
 
-def optimizer(recipe: TrainingConfig) -> optax.GradientTransformation:
-    """Muon with clipped gradients, a linear warm-up and a cosine decay to zero, for a peak learning rate of 1.
-
-    Muon (Jordan et al. 2024) makes the step of each kernel an orthogonal matrix, of inputs times outputs; biases and
-    scales take AdamW's steps. Steps of kernels are as large as AdamW's usually are, so one learning rate serves both.
-    """
+def learning_rate_schedule(recipe: TrainingConfig) -> optax.Schedule:
+    """`step ->` learning rate: a linear warm-up, then a cosine decay to zero, for a peak of 1."""
     warmup = min(200, recipe.steps // 10)
-    schedule = optax.warmup_cosine_decay_schedule(0.0, 1.0, warmup, recipe.steps)
-    muon = optax.contrib.muon(
-        schedule,
-        weight_decay=recipe.weight_decay,
-        consistent_rms=_STEP_SIZE,
-        muon_weight_dimension_numbers=functools.partial(jax.tree.map, _matrix_axes),
-    )
-    return optax.chain(optax.clip_by_global_norm(1.0), muon)
+    return optax.warmup_cosine_decay_schedule(0.0, 1.0, warmup, recipe.steps)
 
 
-def _matrix_axes(weight: Array) -> optax.contrib.MuonDimensionNumbers | None:
-    """How a weight is read as a matrix: a kernel's last axis is its outputs; biases and scales are none."""
-    if weight.ndim < 2:
-        return None
-    return optax.contrib.MuonDimensionNumbers(tuple(range(weight.ndim - 1)), weight.ndim - 1)
+def optimizer(recipe: TrainingConfig) -> optax.GradientTransformation:
+    """AdamW with clipped gradients, for a peak learning rate of 1."""
+    adamw = optax.adamw(learning_rate_schedule(recipe), weight_decay=recipe.weight_decay)
+    return optax.chain(optax.clip_by_global_norm(1.0), adamw)
 
 
 def init_state(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> TrainingState:

@@ -16,6 +16,8 @@ import numpy as np
 from flax import nnx
 from jaxtyping import Array, Float
 
+from dc2g_jax.errors import InputError
+
 _KERNEL = (4, 4)
 _SPREAD = 0.02
 _EPSILON = 1e-5
@@ -48,11 +50,11 @@ class TranslatorArchitecture:
 
     def __post_init__(self) -> None:
         if self.size < 32 or self.size & (self.size - 1):
-            raise ValueError(f"size {self.size}: give a power of two of at least 32")
+            raise InputError(f"size {self.size}: give a power of two of at least 32")
         if self.base_filters < 1:
-            raise ValueError(f"base_filters {self.base_filters}: give at least 1")
+            raise InputError(f"base_filters {self.base_filters}: give at least 1")
         if self.compute_dtype not in COMPUTE_DTYPES:
-            raise ValueError(f"compute_dtype {self.compute_dtype!r}: use one of: {', '.join(COMPUTE_DTYPES)}")
+            raise InputError(f"compute_dtype {self.compute_dtype!r}: use one of: {', '.join(COMPUTE_DTYPES)}")
 
     @property
     def widths(self) -> tuple[int, ...]:

@@ -45,7 +45,7 @@ class TranslatorConfig:
       beta1: of Adam.
 
     Raises:
-      InputError: for an unknown loss.
+      InputError: for an unknown loss, or numbers that no training can have.
     """
 
     architecture: TranslatorArchitecture = dataclasses.field(default_factory=TranslatorArchitecture)
@@ -58,6 +58,9 @@ class TranslatorConfig:
     def __post_init__(self) -> None:
         if self.loss not in LOSSES:
             raise InputError(f"loss: no loss is called {self.loss!r}; use one of: {', '.join(LOSSES)}")
+        for name in ("steps", "batch_size"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} {getattr(self, name)}: give at least 1")
 
 
 @struct.dataclass

@@ -116,6 +116,7 @@ def _frame(carry: _Carry, world: World, planner: Planner, rules: Rules) -> tuple
         "length": plan.length,
         "to_goal": jnp.where(way_home.found, way_home.length, -1),
         "summary": jnp.mean(planner_state.estimates, axis=0) if isinstance(planner, DC2G) else None,
+        "decided_near": planner_state.decided_near if isinstance(planner, DC2G) else None,
         "distance": distance,
         "to_candidate": jnp.min(distance, axis=0, where=poses.unpack(chosen_from, width), initial=FAR),
     }
@@ -141,10 +142,10 @@ def _replay_chunk(
 
     carry, frames = jax.lax.scan(cycle, carry, actions)
     exploring = (frames["mode"] == EXPLORE)[:, None, None]
-    summary, distance = frames.pop("summary"), frames.pop("to_candidate")
+    summary, distance, decided_near = (frames.pop(name) for name in ("summary", "to_candidate", "decided_near"))
     frames["cost_to_go"], score = None, distance.astype(jnp.float32)
     if isinstance(planner, DC2G):
-        score = jax.vmap(planner.selection)(summary, distance)
+        score = jax.vmap(planner.score)(summary, distance, decided_near)
         # All steps of the chunk in one batch.
         outcomes = jax.vmap(planner.estimator.estimate, in_axes=(0, None))(
             frames["terrain"], planner.estimator.init(world)

@@ -1,7 +1,6 @@
 """Recordings of training for the rerun viewer: curves, and what the network makes of a few fixed maps meanwhile."""
 
 import contextlib
-import dataclasses
 import itertools
 import uuid
 from collections.abc import Mapping
@@ -20,7 +19,7 @@ from dc2g_jax.datasets.starts import sample_starts
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import networks
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.training import TrainingConfig, optimizer
+from dc2g_jax.estimation.training import TrainingConfig, learning_rate_schedule
 from dc2g_jax.evaluation import episodes_from
 from dc2g_jax.inspection import legend
 from dc2g_jax.inspection.columns import TIMELINE, curve_style, image_style, open_recording
@@ -62,19 +61,8 @@ def _expected_cost(network: NetworkCostToGo, terrain: UInt8[Array, "n h w"]) -> 
 
 
 def learning_rates(config: TrainingConfig) -> Float[np.ndarray, "steps"]:
-    """The learning rate of every step.
-
-    Read off the optimiser itself, whatever its schedule: what it takes off a weight of 1 that has no gradient, where
-    weights decay by all of the learning rate.
-    """
-    transform = optimizer(dataclasses.replace(config.recipe, weight_decay=1.0))
-    weight, gradient = jnp.float32(1), jnp.float32(0)
-
-    def step(state: tuple, _: None) -> tuple[tuple, Array]:
-        update, state = transform.update(gradient, state, weight)
-        return state, -jnp.asarray(update)
-
-    _, rates = jax.lax.scan(step, transform.init(weight), length=config.steps)
+    """The learning rate of every step."""
+    rates = jax.vmap(learning_rate_schedule(config.recipe))(jnp.arange(config.steps))
     return config.learning_rate * np.asarray(rates)
 
 

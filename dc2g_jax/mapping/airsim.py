@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from dc2g_jax.datasets.class_images import Palette
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.class_images import Palette
 from dc2g_jax.grid.terrain import CLASS_NAMES, UNKNOWN
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, intrinsics
 from dc2g_jax.mapping.quaternions import quaternion_from_rotation, rotation_from_quaternion

@@ -30,8 +30,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, UInt8, UInt16
 
-from dc2g_jax.datasets.class_images import PALETTE_FILE, Palette, read_class_image, read_palette
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.class_images import PALETTE_FILE, Palette, read_class_image, read_palette
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics
 from dc2g_jax.mapping.checks import check_intrinsics
 from dc2g_jax.mapping.quaternions import quaternion_from_rotation, rotation_from_quaternion

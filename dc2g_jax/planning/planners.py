@@ -203,6 +203,22 @@ class DC2G:
             candidates = jnp.where(poses.is_empty(opening), candidates, opening)
         return candidates
 
+    def score(
+        self,
+        summary: Float[Array, "kept h w *batch"],
+        distance: Int[Array, "..."],
+        decided_near: Int[Array, "h w *batch"],
+    ) -> Float[Array, "h w *batch"]:
+        """What subgoals are compared by, the lowest wins (Algorithm 2, line 11).
+
+        Args:
+          summary: what the selection rule needs of an estimate.
+          distance: actions from the robot to every cell.
+          decided_near: decisions made near every cell.
+        """
+        score = self.selection(summary, distance)
+        return score + self.patience.cost(decided_near) if self.patience.price else score
+
     def plan(self, belief: Belief, state: "ExplorationState") -> "tuple[Plan, ExplorationState]":
         """Head for the most promising frontier-expanding pose, or for the goal once it is reachable."""
         reachable = reachable_cells(belief, state.reachable)
@@ -223,10 +239,10 @@ class DC2G:
         if self.selection.distance_weight:
             free = jnp.where(undecided, reachable, jnp.uint32(0))
             nearest, lengths = search.nearest_headings(belief.pose, candidates, free, belief.width)
-        score, decided_near = self.selection(jnp.mean(estimates, axis=0), lengths), state.decided_near
+        decided_near = state.decided_near
         if self.patience.price:
             decided_near = decided_near + self.patience.near(belief.pose, belief.height, belief.width)
-            score = score + self.patience.cost(decided_near)
+        score = self.score(jnp.mean(estimates, axis=0), lengths, decided_near)
         # Without a current estimate all candidates are equal, and of equal ones the plan goes to the nearest.
         subgoals = jnp.where(undecided, nearest & _lowest(score, poses.occupied(nearest), belief.width), candidates)
         plan = _explore_or_finish(belief, reachable, candidates, subgoals, self.rules)

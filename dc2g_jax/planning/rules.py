@@ -102,8 +102,11 @@ class Settings:
     make_rules: Callable[[int, int | None], Rules]
 
     def rules(self, sensing_range: int | None = None, expanding_range: int | None = None) -> Rules:
-        """The rules for an episode that asks for these ranges, `None` for the setting's own."""
-        if sensing_range is None:
+        """The rules for an episode that asks for these ranges, `None` for the setting's own.
+
+        Another sensing range than the setting's own brings an expanding range of its own, where none is given.
+        """
+        if sensing_range in (None, self.sensing_range):
             sensing_range = self.sensing_range
             expanding_range = self.expanding_range if expanding_range is None else expanding_range
         return self.make_rules(sensing_range, expanding_range)

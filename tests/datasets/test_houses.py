@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dc2g_jax.datasets import houses as houses_module
-from dc2g_jax.datasets.class_images import read_class_image, read_palette, write_class_image
 from dc2g_jax.datasets.download import NetworkUnavailable
 from dc2g_jax.datasets.houses import (
     House,
@@ -23,6 +22,7 @@ from dc2g_jax.datasets.houses import (
     save_dataset,
 )
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.class_images import read_class_image, read_palette, write_class_image
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, PATH, ROAD
 from tests.refusals import refusal
 

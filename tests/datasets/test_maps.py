@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.class_images import Palette, read_palette
 from dc2g_jax.datasets.houses import map_dataset, open_dataset, save_dataset, stack_worlds
 from dc2g_jax.datasets.maps import Goal, draw_map, map_from_classes, read_map
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.class_images import Palette, read_palette
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, GRASS, HOUSE, PATH, ROAD
 from tests.datasets.test_occupancy import save
 from tests.maps import drawn

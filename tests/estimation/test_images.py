@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dc2g_jax.datasets.class_images import read_class_image, read_palette, write_class_image
 from dc2g_jax.estimation import images
+from dc2g_jax.files.class_images import read_class_image, read_palette, write_class_image
 from dc2g_jax.grid.search import cost_to_go
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
 from tests import maps

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from flax import nnx
 
+from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import networks
 from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, world_cost_to_go
 from dc2g_jax.estimation.networks import Architecture, CompactUNet, init_weights, weight_shapes
@@ -68,8 +69,14 @@ def test_the_pure_function_is_the_module():
 
 
 def test_another_number_of_scales_is_refused():
-    with pytest.raises(ValueError, match="scales"):
-        init_weights(Architecture(widths=(4, 4)), jax.random.key(0))
+    with pytest.raises(InputError, match=r"widths \(4, 4\).*4 scales"):
+        Architecture(widths=(4, 4))
+
+
+@pytest.mark.parametrize("levels", [(), (0.5, 0.1), (0.5, 0.5), (0.0, 0.5), (0.5, 1.0)])
+def test_quantiles_that_are_none_are_refused(levels):
+    with pytest.raises(InputError, match="ascending levels"):
+        Architecture(quantiles=levels)
 
 
 def test_the_estimator_is_the_network_on_one_map(weights):

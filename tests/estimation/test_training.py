@@ -1,5 +1,6 @@
 """Training is a function of its configuration alone, whatever interrupts it, and it learns."""
 
+import contextlib
 import dataclasses
 import functools
 
@@ -22,7 +23,7 @@ CONFIG = TrainingConfig(
     architecture=Architecture(widths=(8,) * len(Architecture().widths)),
     steps=60,
     batch_size=8,
-    learning_rate=1e-2,
+    learning_rate=3e-3,
     average_decay=0.9,
 )
 DRAW = functools.partial(
@@ -134,6 +135,24 @@ def test_a_damaged_configuration_is_refused(tmp_path):
         (folder / "config.json").write_text(content)
         with pytest.raises(InputError, match=r"config\.json"):
             TrainingCheckpoints(folder, CONFIG)
+
+
+def test_a_state_that_cannot_be_read_is_refused(trained, tmp_path):
+    with contextlib.closing(TrainingCheckpoints(tmp_path, CONFIG)) as checkpoints:
+        checkpoints.save(trained[0])
+    for array in (tmp_path / "states").rglob("d/*"):
+        array.write_bytes(b"damaged")
+    with contextlib.closing(TrainingCheckpoints(tmp_path, CONFIG)) as checkpoints:
+        with pytest.raises(InputError, match=rf"states/{CONFIG.steps}: is no state of this training"):
+            checkpoints.restore()
+        checkpoints.delete()
+        assert checkpoints.restore() is None
+
+
+@pytest.mark.parametrize(("name", "value"), [("steps", 0), ("batch_size", 0), ("learning_rate", float("nan"))])
+def test_numbers_that_no_training_can_have_are_refused(name, value):
+    with pytest.raises(InputError, match=name.replace("_r", " r")):
+        dataclasses.replace(CONFIG, **{name: value})
 
 
 def test_the_loss_goes_down(trained):

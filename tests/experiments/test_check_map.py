@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.class_images import write_class_image
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.class_images import write_class_image
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS
 from experiments.check_map import Options, main
 from tests.datasets.test_occupancy import save

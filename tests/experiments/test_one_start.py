@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.class_images import write_class_image
 from dc2g_jax.datasets.houses import map_dataset
+from dc2g_jax.files.class_images import write_class_image
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS
 from experiments import draw_dataset, draw_episodes, explore_map, one_start, reproduce_fig8
 from tests.experiments.test_commands import complaint, run
@@ -94,7 +94,7 @@ def test_what_cannot_be_run_is_refused_before_anything_is_written(yard, tmp_path
 
 def test_a_step_limit_that_not_even_the_oracle_keeps_is_refused(yard, tmp_path):
     options = explore_map.Options(yard, start=(0, 6, 0), planner=("frontier",), step_limit=10, out=tmp_path / "out")
-    refusal(lambda: explore_map.main(options), "--step-limit 10", "give a larger one")
+    refusal(lambda: explore_map.main(options), "within 10 actions", "--step-limit")
     none = explore_map.Options(yard, start=(0, 6, 0), planner=("frontier",), step_limit=0, out=tmp_path / "none")
     refusal(lambda: explore_map.main(none), "step limit 0", "at least 1", "--step-limit")
 

@@ -10,7 +10,8 @@ import pytest
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
 from experiments import reproduce_fig4, reproduce_fig5, translation
-from experiments.translation import TranslationOptions, read_log, train_translator, translation_data
+from experiments.training_loop import Log
+from experiments.translation import TranslationOptions, train_translator, translation_data
 from tests import maps
 
 OPTIONS = TranslationOptions(
@@ -64,7 +65,7 @@ def test_an_interrupted_run_goes_on_where_it_was(dataset, tmp_path, steps):
     assert taken == list(range(17))
     train(tmp_path / "run", dataset)
     assert taken == list(range(30))
-    log = read_log(tmp_path / "run")
+    log = Log(tmp_path / "run").by_step()
     assert list(log) == [10, 20, 30]
     assert log[30] == {"step": 30, "train_l1": 0.5, **METRICS}
     assert (tmp_path / "run" / "network" / "network.json").is_file()
@@ -76,7 +77,7 @@ def test_a_run_that_diverges_stops_and_says_so(dataset, tmp_path, steps):
     steps[1][12] = np.nan
     with pytest.raises(InputError, match=r"run: .* nan at step 20; lower --learning-rate"):
         train(tmp_path / "run", dataset)
-    assert list(read_log(tmp_path / "run")) == [10]
+    assert list(Log(tmp_path / "run").by_step()) == [10]
 
 
 def test_figure_5_goes_on_with_the_runs_that_are_there(dataset, tmp_path, steps, monkeypatch):
@@ -104,12 +105,6 @@ def test_figure_4_shows_as_many_houses_as_asked_for(dataset, compact_network, tm
     assert {path.name for path in (tmp_path / "fig4").iterdir()} == {"fig4.png", "fig4.svg", "run.json"}
     with pytest.raises(InputError, match="rows: 0"):
         reproduce_fig4.main(reproduce_fig4.Options(rows=0, out=tmp_path / "no"))
-
-
-def test_steps_taken_twice_count_once(tmp_path):
-    lines = ['{"step": 10, "l1": 0.5}', '{"step": 20, "l1": 0.4}', '{"step": 10, "l1": 0.5}', '{"step": 20, "l1": 0.3}']
-    (tmp_path / "log.jsonl").write_text("\n".join(lines) + "\n")
-    assert read_log(tmp_path) == {10: {"step": 10, "l1": 0.5}, 20: {"step": 20, "l1": 0.3}}
 
 
 def test_networks_that_cannot_be_built_are_refused_in_one_line():

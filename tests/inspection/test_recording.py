@@ -20,7 +20,7 @@ from dc2g_jax.inspection.recording import record_episode
 from dc2g_jax.inspection.replay import actions_from_letters, replay, replay_result, running_extra_steps
 from dc2g_jax.planning.planners import DC2G, EXPLORE, MODE_NAMES
 from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.planning.selection import ExpectedCost
+from dc2g_jax.planning.selection import ExpectedCost, Patience
 from tests.inspection.recordings import read
 from tests.oracles import gridworld_oracle as oracle
 
@@ -195,14 +195,17 @@ class _Slope:
 
 
 def test_scores_are_those_the_planner_goes_by():
-    """Views in turn, each asked again only when something new has been seen; distance and depth count."""
-    planner = DC2G(_Slope(), _RULES, ExpectedCost(distance_weight=0.5), depth=1, views=((), (1,)))
+    """Views in turn, each asked again only when something new has been seen; distance, depth and patience count."""
+    patience = Patience(radius=3, decisions=6, price=0.25)
+    planner = DC2G(_Slope(), _RULES, ExpectedCost(distance_weight=0.5), depth=1, views=((), (1,)), patience=patience)
     actions = actions_from_letters("LLFFFFFLRFFFFFFFFFFFFF")
     world = world_from_terrain(_TERRAIN)
     found = replay(world, make_pose(*_START[1:4]), actions, planner=planner, rules=_RULES)
     height, width = _TERRAIN.shape
     from_left = np.broadcast_to(np.arange(width, dtype=np.float32), (height, width))
     latest, asked_about, turn = [], None, 0
+    decided_near = np.zeros((height, width), int)
+    rows, columns = np.indices((height, width))
     for step in range(len(found)):
         assert found.mode[step] == EXPLORE
         seen = found.seen[step]
@@ -216,11 +219,14 @@ def test_scores_are_those_the_planner_goes_by():
         poses = opening if opening.any() else found.candidates[step]
         distance = oracle.distances_from(seen & TRAVERSABLE[_TERRAIN], pose)
         nearest = np.where(poses, distance, 10**6).min(axis=0)
-        score = np.where(poses.any(axis=0), cost + 0.5 * nearest, np.nan)
+        decided_near += (abs(columns - pose[0]) <= 3) & (abs(rows - pose[1]) <= 3)
+        lost_patience = 0.25 * np.maximum(decided_near - 6, 0)
+        score = np.where(poses.any(axis=0), cost + 0.5 * nearest + lost_patience, np.nan)
         np.testing.assert_allclose(found.score[step], score, atol=1e-4)
         chosen = found.subgoals[step].any(axis=0)
         np.testing.assert_allclose(found.score[step][chosen], np.nanmin(score), atol=1e-4)
     assert np.any(found.seen[1:] != found.seen[:-1], axis=(1, 2)).sum() > 5
+    assert decided_near.max() > 10
 
 
 def test_plans_of_the_oracle_lead_over_ground_that_nobody_has_seen(results):

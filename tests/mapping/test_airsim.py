@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.class_images import Palette
+from dc2g_jax.files.class_images import Palette
 from dc2g_jax.grid.terrain import CLASS_NAMES, HOUSE, ROAD
 from dc2g_jax.mapping import airsim
 from dc2g_jax.mapping.airsim import AirSim, Camera

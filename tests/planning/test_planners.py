@@ -298,7 +298,8 @@ def test_named_settings():
     assert (published.rules().sensing, published.rules().expanding_range) == (field_of_view(5), 4)
     assert (reference.rules().sensing, reference.rules().expanding_range) == (field_of_view(8), 8)
     assert (paper.rules().sensing, paper.rules().expanding_range) == (field_of_view(8), None)
-    # An episode's own range brings its own expanding range; one that names the latter alone keeps the sensing range.
+    assert published.rules(5) is published.rules()
+    # Another range brings its own expanding range; one that names the latter alone keeps the sensing range.
     assert (published.rules(6).sensing, published.rules(6).expanding_range) == (field_of_view(6), 6)
     assert (published.rules(None, 3).sensing, published.rules(None, 3).expanding_range) == (field_of_view(5), 3)
     assert (reference.rules(5, 4).sensing, reference.rules(5, 4).expanding_range) == (field_of_view(5), 4)

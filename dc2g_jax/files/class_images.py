@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dc2g_jax.datasets.png import Pixels, read_png
-from dc2g_jax.datasets.tables import read_table
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.png import Pixels, read_png
+from dc2g_jax.files.tables import read_table
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, UNKNOWN
 
 #: The palette of a dataset, in its folder.

@@ -1,0 +1,93 @@
+"""What networks are trained on, kept in the folder of the training: what takes minutes to collect is collected once."""
+
+import sys
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from tqdm import tqdm
+
+from dc2g_jax.datasets.houses import House, HouseDataset
+from dc2g_jax.datasets.pairs import TrainingSet
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.mask_collection import Masks
+from dc2g_jax.training_data import (
+    DataConfig,
+    by_house,
+    check_masks,
+    masks_of_network,
+    observation_masks,
+    training_houses,
+    training_set,
+)
+
+#: Collects arrays by name; given a function to tell how many of how many parts are done.
+Collect = Callable[[Callable[[int, int], None]], Mapping[str, npt.ArrayLike]]
+
+
+def kept_arrays(path: Path, names: Sequence[str], collect: Collect, *, unit: str) -> dict[str, np.ndarray]:
+    """Arrays from a file, collected and kept there the first time.
+
+    Args:
+      path: the file.
+      names: what the arrays are called.
+      collect: makes them.
+      unit: what the progress bar counts.
+
+    Raises:
+      InputError: the file cannot be read.
+    """
+    if path.exists():
+        try:
+            with np.load(path) as file:
+                return {name: file[name] for name in names}
+        except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            raise InputError(f"{path}: cannot be read ({error}); delete it to collect its contents anew") from None
+    with tqdm(desc=path.stem, unit=unit, file=sys.stderr) as bar:
+
+        def show(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        arrays = {name: np.asarray(array) for name, array in collect(show).items()}
+    unfinished = path.with_suffix(".partial.npz")
+    np.savez(unfinished, **arrays)  # type: ignore[arg-type]
+    unfinished.rename(path)
+    return arrays
+
+
+def _kept_masks(path: Path, houses: Sequence[House], collect: Callable[[Callable[[int, int], None]], Masks]) -> Masks:
+    """Masks of these houses from a file, collected and kept there the first time."""
+    masks = Masks(**kept_arrays(path, Masks._fields, lambda show: collect(show)._asdict(), unit="rollout"))
+    check_masks(masks, houses, str(path))
+    return masks
+
+
+def open_training_set(
+    folder: Path, dataset: HouseDataset, config: DataConfig, network: NetworkCostToGo | None = None
+) -> TrainingSet:
+    """What to train the compact network on; its masks are kept in `folder`.
+
+    Args:
+      folder: where masks are kept.
+      dataset: the houses.
+      config: what to train on.
+      network: a network whose robots' masks are added, where one is given.
+
+    Raises:
+      InputError: no house can be trained on, or masks that are kept cannot be read or are of other houses.
+    """
+    houses, n_own = training_houses(dataset, config)
+    parts = [_kept_masks(folder / "masks.npz", houses, lambda show: observation_masks(config, houses, n_own, show))]
+    if network is not None:
+        path = folder / "masks_of_network.npz"
+        parts.append(_kept_masks(path, houses, lambda show: masks_of_network(config, houses, n_own, network, show)))
+    data = training_set(houses, n_own, by_house(parts))
+    print(
+        f"Training on {n_own} houses of {dataset.name} and {config.extra_houses} procedural ones: "
+        f"{len(data.mask_world)} observation masks, {int(data.n_own)} of the dataset's own houses"
+    )
+    return data
