@@ -128,7 +128,8 @@ def test_stopped_and_gone_on_is_bit_for_bit_like_not_stopped(data):
 
 def test_a_run_that_diverges_keeps_its_weights_and_leaves_the_others_alone(data):
     configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
-    configs[1] = dataclasses.replace(configs[1], learning_rate=float("nan"))
+    losses = tuple((name, float("nan")) for name, _ in configs[1].losses)
+    configs[1] = dataclasses.replace(configs[1], losses=losses)
     states, losses = together(data, configs, 4)
     alone, _ = together(data, configs[:1], 4)
     assert np.isfinite(losses[:, 0]).all()

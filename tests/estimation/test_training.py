@@ -137,6 +137,7 @@ def test_a_damaged_configuration_is_refused(tmp_path):
             TrainingCheckpoints(folder, CONFIG)
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Orbax's, closed after a failure
 def test_a_state_that_cannot_be_read_is_refused(trained, tmp_path):
     with contextlib.closing(TrainingCheckpoints(tmp_path, CONFIG)) as checkpoints:
         checkpoints.save(trained[0])
