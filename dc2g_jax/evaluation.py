@@ -154,7 +154,17 @@ class Runner:
         self._oracles: dict[tuple[Rules, tuple[Start, ...]], Trajectories] = {}
 
     def trajectories(self, planner: Planner, rules: Rules, starts: Sequence[Start], name: str = "") -> Trajectories:
-        """Run one planner from every start, whatever ranges the starts ask for."""
+        """Run one planner from every start, whatever ranges the starts ask for.
+
+        Args:
+          planner: the planner.
+          rules: whose field of view the robots have.
+          starts: first poses.
+          name: what progress is reported under.
+
+        Raises:
+          KeyError: for a start in a house that the dataset lacks.
+        """
         episodes = episodes_from(starts, self._index)
         report = None
         if self._progress is not None:

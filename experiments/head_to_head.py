@@ -122,28 +122,28 @@ def compare(pairs: Sequence[Pair], *, resamples: int, seed: int) -> dict[str, An
     shorter, longer = int(np.sum(ours < authors)), int(np.sum(ours > authors))
 
     def interval(values: np.ndarray) -> list[float]:
-        return [round(bound, 2) for bound in house_bootstrap(values, houses, resamples=resamples, seed=seed)]
+        return [round(bound, 4) for bound in house_bootstrap(values, houses, resamples=resamples, seed=seed)]
 
     faster, authors_faster = 100 * (frontier / ours - 1), 100 * (authors_frontier / authors - 1)
     return {
         "episodes": len(pairs),
         "houses": len(set(houses)),
-        "mean_extra": round(float(extra.mean()), 2),
+        "mean_extra": round(float(extra.mean()), 4),
         "mean_extra_interval": interval(extra),
-        "authors_mean_extra": round(float(authors_extra.mean()), 2),
-        "difference": round(float(np.mean(extra - authors_extra)), 2),
+        "authors_mean_extra": round(float(authors_extra.mean()), 4),
+        "difference": round(float(np.mean(extra - authors_extra)), 4),
         "difference_interval": interval(extra - authors_extra),
-        "median_extra": round(float(np.median(extra)), 2),
-        "authors_median_extra": round(float(np.median(authors_extra)), 2),
+        "median_extra": round(float(np.median(extra)), 4),
+        "authors_median_extra": round(float(np.median(authors_extra)), 4),
         "shorter": shorter,
         "equal": len(pairs) - shorter - longer,
         "longer": longer,
         "shorter_of_differing": round(shorter / max(1, shorter + longer), 4),
         "time_outs": int(np.sum(ours >= STEP_LIMIT)),
         "authors_time_outs": int(np.sum(authors >= STEP_LIMIT)),
-        "frontier_over_dc2g": round(float(faster.mean()), 2),
+        "frontier_over_dc2g": round(float(faster.mean()), 4),
         "frontier_over_dc2g_interval": interval(faster),
-        "authors_frontier_over_dc2g": round(float(authors_faster.mean()), 2),
+        "authors_frontier_over_dc2g": round(float(authors_faster.mean()), 4),
     }
 
 

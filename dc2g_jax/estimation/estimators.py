@@ -36,7 +36,10 @@ class Estimator(Protocol):
         ...
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "outcomes h w *batch"]:
-        """Costs-to-go of every cell given the observed class indices (0 = not observed). Finite, lower is better."""
+        """Costs-to-go of every cell given the observed class indices (0 = not observed). Finite, lower is better.
+
+        Quantiles come in ascending order of their levels; a network's may cross by a little.
+        """
         ...
 
 

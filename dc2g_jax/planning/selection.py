@@ -111,7 +111,8 @@ class QuantileCost(_OneCost):
     """A quantile of the cost-to-go, plus weighted distance: above 1/2 averse to risk, below 1/2 optimistic.
 
     Attributes:
-      level: share of the outcomes that cost no more, 0 to 1 (exclusive); rounded down to one of the outcomes.
+      level: 0 to 1 (exclusive). Of n outcomes, each of which stands for its n-th of the distribution, the one in whose
+        part the level lies.
       distance_weight: cost of an action on the way.
     """
 
