@@ -72,12 +72,12 @@ class EpisodeTable:
 
 
 def _is_of(result: EpisodeResult, start: Start, planner: str) -> bool:
-    """Is it the planner's episode from this start? Ranges that the start leaves to the settings may be any."""
+    """Is it the planner's episode from this start? Ranges may be any that the start does not name or the rules lack."""
     ranges = ((start.sensing_range, result.range), (start.expanding_range, result.expanding_range))
     return (
         (result.house, result.x, result.y, result.heading) == (start.house, start.x, start.y, start.heading)
         and result.planner == planner
-        and all(asked in (None, had) for asked, had in ranges)
+        and all(None in (asked, had) or asked == had for asked, had in ranges)
     )
 
 

@@ -76,10 +76,11 @@ class Log:
 def _interrupts_noted() -> Iterator[list[int]]:
     """Note Ctrl-C instead of raising: a step uses its state up, so one that is broken off leaves none to save."""
     noted: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield noted  # others are never interrupted
+    before = signal.getsignal(signal.SIGINT)
+    if before is signal.SIG_IGN or threading.current_thread() is not threading.main_thread():
+        yield noted  # never interrupted
         return
-    before = signal.signal(signal.SIGINT, lambda number, frame: noted.append(number))
+    signal.signal(signal.SIGINT, lambda number, frame: noted.append(number))
     try:
         yield noted
     finally:

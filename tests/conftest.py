@@ -1,6 +1,7 @@
 """What all tests share: where the recorded data lie, hand-drawn maps, and type checks around the whole package."""
 
 import os
+import signal
 from pathlib import Path
 
 import jax
@@ -38,6 +39,14 @@ def forget_programs():
     """Let go of what a module compiled: with thousands of programs in one process XLA crashes."""
     yield
     jax.clear_caches()
+
+
+@pytest.fixture
+def interruptible():
+    """Ctrl-C raises KeyboardInterrupt, also in tests that a shell began in the background, where it is ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(scope="session")

@@ -62,6 +62,7 @@ def test_it_validates_now_and_then_and_in_the_end(validate_every, wanted):
     assert training.saved == [25]
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("step", [0, 5, 19, 24])
 def test_an_interrupt_in_a_step_keeps_all_that_is_done(step):
     training = Training()

@@ -59,6 +59,7 @@ def train(out, dataset, **changes) -> None:
     train_translator(out, dataset, translation_data(dataset, options), options.config("l1"), options, seed=0)
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_an_interrupted_run_goes_on_where_it_was(dataset, tmp_path, steps):
     taken, trouble = steps
     trouble[17] = KeyboardInterrupt
