@@ -219,7 +219,7 @@ class Runner:
                 lost = chosen[int(np.argmin(oracle.success))]
                 raise InputError(
                     f"{lost}: even with the map known no goal is reached within {self.step_limit} actions; give a "
-                    "larger step limit (--step-limit) or start elsewhere"
+                    "larger step limit, or start elsewhere"
                 )
             for name in names:
                 done = oracle

@@ -275,6 +275,9 @@ class Validation:
     Args:
       dataset: whose validation houses to use.
       drawn: how many procedural houses.
+
+    Raises:
+      InputError: no episode can be run in any validation house, or even the oracle needs too many steps in one.
     """
 
     def __init__(self, dataset: HouseDataset, drawn: int = 64):
@@ -286,6 +289,9 @@ class Validation:
             "own": sample_starts(own, 20, seed=0),
             "procedural": sample_starts(procedural, 3, seed=0),
         }
+        for runner in self._runners.values():
+            for starts in self._starts.values():
+                runner.run(starts, ["oracle"])  # kept for later; what cannot be run is refused before any training
 
     def figures(self, estimator: Estimator, planner: str = "dc2g") -> dict[str, float]:
         """Mean and median extra steps of a planner in percent, 5-cell (`published`) and 8-cell sensing (`paper`).

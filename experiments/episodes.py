@@ -63,7 +63,9 @@ class EpisodeTable:
     def _take_kept(self, starts: Sequence[Start], planner: str) -> list[EpisodeResult] | None:
         """The next of the kept episodes, if they are the ones asked for; a run asks in the same order every time."""
         own = self._kept[: len(starts)]
-        if len(own) < len(starts) or not all(map(_is_of, own, starts, [planner] * len(starts))):
+        if len(own) < len(starts) or not all(
+            _is_of(result, start, planner) for result, start in zip(own, starts, strict=True)
+        ):
             self._kept = []
             return None
         self._kept = self._kept[len(starts) :]

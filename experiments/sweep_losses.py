@@ -173,9 +173,10 @@ def train_group(
     return networks
 
 
-def diverged(row: Mapping[str, Any]) -> bool:
-    """Has a run's loss stopped being a number?"""
-    return row["training_loss"] is not None and not np.isfinite(row["training_loss"])
+def diverged(log: Log, run: str) -> bool:
+    """Has a run's loss ever been no number? Its weights stay what they were then, and so does its error."""
+    losses = [line["loss"] for line in log.by_step(run).values()]
+    return not all(loss is None or np.isfinite(loss) for loss in losses)
 
 
 def write_results(
@@ -200,12 +201,12 @@ def write_results(
                 "million_multiply_accumulates": round(1e-6 * macs[config.architecture], 2),
                 "seed": config.seed,
                 "steps": step,
-                "training_loss": last["loss"],
+                "diverged": int(diverged(log, run)),
                 "error": round(last["error"], 4),
                 **episodes.get(run, {}),
             }
         )
-    rows.sort(key=lambda row: (diverged(row), row.get("mean_extra", row["error"])))
+    rows.sort(key=lambda row: (row["diverged"], row.get("mean_extra", row["error"])))
     columns = list(rows[0])
     write_table(out / "results.csv", columns, ([row.get(column, "") for column in columns] for row in rows))
     return rows
@@ -248,7 +249,7 @@ def main(options: Options) -> None:
     plot_sweep(options.out / "sweep", by_loss, f"{dataset.name}, {_PAIRS} validation pairs")
     for row in rows:
         extra = f"   extra steps {row['mean_extra']:.1f} %" if "mean_extra" in row else ""
-        warning = "   diverged: its loss is not finite" if diverged(row) else ""
+        warning = "   diverged: its loss is not finite" if row["diverged"] else ""
         print(f"{row['run']:60} error {row['error']:.2f} cells{extra}{warning}")
     print(f"Written: {options.out / 'results.csv'}")
 

@@ -131,10 +131,11 @@ def open_recording(options: Options, dataset: HouseDataset) -> TrainingRecording
     return TrainingRecording(options.out, options.training, maps, file=file, viewer=options.connect)
 
 
-def train(options: Options, dataset: HouseDataset, checkpoints: TrainingCheckpoints) -> None:
-    """Train to the end, saving now and then, and at Ctrl-C."""
+def train(
+    options: Options, dataset: HouseDataset, checkpoints: TrainingCheckpoints, network: NetworkCostToGo | None
+) -> None:
+    """Train to the end, from a network where one is given, saving now and then, and at Ctrl-C."""
     config = options.training
-    network = None if options.after is None else compact_network(options.after, config.architecture)
     state = checkpoints.restore() or first_state(config)
     first_step = int(state.step)
     recording = open_recording(options, dataset) if first_step < config.steps else None
@@ -175,7 +176,11 @@ def train(options: Options, dataset: HouseDataset, checkpoints: TrainingCheckpoi
             save=checkpoints.save,
             minutes_per_checkpoint=options.minutes_per_checkpoint,
             description="train",
-            validated=Log(options.out).by_step(),
+            validated=[
+                step
+                for step, line in Log(options.out).by_step().items()
+                if "mean_extra" in line or not options.validate_every
+            ],
         )
     finally:
         if recording is not None:
@@ -202,6 +207,7 @@ def main(options: Options) -> None:
     check_loss_names([options.loss])
     config = options.training  # refused before anything is written, as are all other options
     check_validate_every(options.validate_every)
+    network = None if options.after is None else compact_network(options.after, config.architecture)
     if options.connect is not None:
         viewer_sink(options.connect)  # an address that is none is refused before anything is written
     dataset = open_dataset(options.dataset)
@@ -212,7 +218,7 @@ def main(options: Options) -> None:
     facts["after"] = None if options.after is None else str(options.after)
     checkpoints = TrainingCheckpoints(options.out, config, {**facts, "dataset": dataset.name})
     try:
-        train(options, dataset, checkpoints)
+        train(options, dataset, checkpoints, network)
     finally:
         checkpoints.close()
     print(f"Trained: {options.out / 'network'}")

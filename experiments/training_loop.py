@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
+import jax
 import numpy as np
 from jaxtyping import Array, Float
 from tqdm import tqdm
@@ -74,13 +75,18 @@ class Log:
 
 @contextlib.contextmanager
 def _interrupts_noted() -> Iterator[list[int]]:
-    """Note Ctrl-C instead of raising: a step uses its state up, so one that is broken off leaves none to save."""
+    """Note the first Ctrl-C instead of raising: a step uses its state up, so one broken off leaves none to save."""
     noted: list[int] = []
     before = signal.getsignal(signal.SIGINT)
-    if before is signal.SIG_IGN or threading.current_thread() is not threading.main_thread():
+    if before in (signal.SIG_IGN, None) or threading.current_thread() is not threading.main_thread():
         yield noted  # never interrupted
         return
-    signal.signal(signal.SIGINT, lambda number, frame: noted.append(number))
+
+    def note(number: int, frame: object) -> None:
+        noted.append(number)
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, note)
     try:
         yield noted
     finally:
@@ -97,6 +103,11 @@ def _take_steps(
             state, loss = take_step(state)
             losses.append(loss)
     return state, losses, bool(noted)
+
+
+def _is_used_up(state: Any) -> bool:
+    """Has a step been given the state, and not brought back a new one?"""
+    return any(isinstance(leaf, jax.Array) and leaf.is_deleted() for leaf in jax.tree.leaves(state))
 
 
 def _next_stop(step: int, steps: int, validate_every: int, steps_per_look: int) -> int:
@@ -119,7 +130,7 @@ def check_validate_every(steps: int) -> None:
       InputError: if it is less than 0.
     """
     if steps < 0:
-        raise InputError(f"--validate-every {steps}: give at least 1, or 0 for the last step only")
+        raise InputError(f"--validate-every {steps}: give at least 1, or 0 for none")
 
 
 def run_steps(
@@ -181,7 +192,8 @@ def run_steps(
                     save(state)
                     saved = time.monotonic()
         except KeyboardInterrupt:
-            save(state)
+            if not _is_used_up(state):  # as it is when a second Ctrl-C breaks a step off
+                save(state)
             raise
     save(state)
     return state

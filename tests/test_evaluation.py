@@ -112,7 +112,7 @@ def test_no_distance_is_added_to_pictures_however_they_are_asked_for():
 
 def test_a_step_limit_that_not_even_the_oracle_keeps_is_refused(dataset):
     runner = Runner(dataset, SETTINGS["paper"], step_limit=2)
-    refusal(lambda: runner.run(STARTS[1:3], ["frontier"]), STARTS[1].house, "within 2 actions", "--step-limit")
+    refusal(lambda: runner.run(STARTS[1:3], ["frontier"]), STARTS[1].house, "within 2 actions", "larger step limit")
 
 
 @pytest.mark.parametrize("name", ["", "Oracle", "dc2g", "random"])

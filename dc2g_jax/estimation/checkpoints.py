@@ -248,9 +248,10 @@ class TrainingCheckpoints:
             with _quiet():
                 return self._manager.restore(step, args=ocp.args.StandardRestore(template))
         except Exception as error:  # Orbax raises many kinds
+            reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
             raise InputError(
-                f"{self._folder / str(step)}: is no state of this training ({type(error).__name__}); it is damaged or "
-                "was written by another version: train anew in another folder"
+                f"{self._folder / str(step)}: cannot be restored ({reason}); delete it to go on from an earlier state, "
+                "or train anew in another folder"
             ) from None
 
     def delete(self, *, after: int = -1) -> None:

@@ -17,6 +17,19 @@ from dc2g_jax.estimation.losses import LOSSES, map_loss
 from dc2g_jax.estimation.networks import Architecture
 
 
+def check_numbers(steps: int, batch_size: int, learning_rate: float) -> None:
+    """Refuse numbers that no training can have.
+
+    Raises:
+      InputError: names the number.
+    """
+    for name, value in (("steps", steps), ("batch size", batch_size)):
+        if value < 1:
+            raise InputError(f"{name} {value}: give at least 1")
+    if not 0 < learning_rate < float("inf"):
+        raise InputError(f"learning rate {learning_rate}: give a number above 0")
+
+
 @dataclasses.dataclass(frozen=True)
 class TrainingConfig:
     """How to train.
@@ -45,11 +58,9 @@ class TrainingConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch_size"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} {getattr(self, name)}: give at least 1")
-        if not 0 < self.learning_rate < float("inf"):
-            raise InputError(f"learning rate {self.learning_rate}: give a number above 0")
+        check_numbers(self.steps, self.batch_size, self.learning_rate)
+        if not 0 <= self.seed < 2**32:
+            raise InputError(f"seed {self.seed}: give a whole number from 0 to {2**32 - 1}")
 
     @property
     def recipe(self) -> "TrainingConfig":

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int, UInt32
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import translator
+from dc2g_jax.estimation.training import check_numbers
 from dc2g_jax.estimation.translator import Discriminator, Generator, TranslatorArchitecture
 
 
@@ -58,9 +59,7 @@ class TranslatorConfig:
     def __post_init__(self) -> None:
         if self.loss not in LOSSES:
             raise InputError(f"loss: no loss is called {self.loss!r}; use one of: {', '.join(LOSSES)}")
-        for name in ("steps", "batch_size"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} {getattr(self, name)}: give at least 1")
+        check_numbers(self.steps, self.batch_size, self.learning_rate)
 
 
 @struct.dataclass

@@ -21,7 +21,8 @@ def write_safetensors(path: str | Path, tensors: Mapping[str, np.ndarray], metad
       metadata: further facts, text by name.
     """
     unfinished = Path(path).with_name(f".{Path(path).name}.partial")
-    unfinished.write_bytes(save(dict(tensors), dict(metadata)))
+    dense = {name: np.asarray(tensor, order="C") for name, tensor in tensors.items()}
+    unfinished.write_bytes(save(dense, dict(metadata)))
     unfinished.rename(path)
 
 
@@ -35,7 +36,7 @@ def read_safetensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str,
         with safe_open(path, framework="np") as file:
             names = file.keys()
             return {name: file.get_tensor(name) for name in names}, file.metadata() or {}
-    except (OSError, SafetensorError) as error:
+    except (OSError, SafetensorError, AttributeError, TypeError) as error:  # the latter for numbers that NumPy lacks
         raise InputError(
             f"{path}: cannot be read ({error}); give an undamaged file in the safetensors format"
         ) from None

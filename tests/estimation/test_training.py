@@ -15,6 +15,7 @@ from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.estimation.networks import Architecture
 from dc2g_jax.estimation.training import TrainingConfig, first_state, train_step
+from dc2g_jax.estimation.translator_training import TranslatorConfig
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.world import world_from_terrain
 from tests import maps
@@ -144,16 +145,22 @@ def test_a_state_that_cannot_be_read_is_refused(trained, tmp_path):
     for array in (tmp_path / "states").rglob("d/*"):
         array.write_bytes(b"damaged")
     with contextlib.closing(TrainingCheckpoints(tmp_path, CONFIG)) as checkpoints:
-        with pytest.raises(InputError, match=rf"states/{CONFIG.steps}: is no state of this training"):
+        with pytest.raises(InputError, match=rf"states/{CONFIG.steps}: cannot be restored"):
             checkpoints.restore()
         checkpoints.delete()
         assert checkpoints.restore() is None
 
 
-@pytest.mark.parametrize(("name", "value"), [("steps", 0), ("batch_size", 0), ("learning_rate", float("nan"))])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("steps", 0), ("batch_size", 0), ("learning_rate", float("nan")), ("learning_rate", 0.0), ("seed", -1)],
+)
 def test_numbers_that_no_training_can_have_are_refused(name, value):
-    with pytest.raises(InputError, match=name.replace("_r", " r")):
+    with pytest.raises(InputError, match=f"{name.replace('_', ' ')} {value}"):
         dataclasses.replace(CONFIG, **{name: value})
+    if name != "seed":
+        with pytest.raises(InputError, match=f"{name.replace('_', ' ')} {value}"):
+            TranslatorConfig(**{name: value})
 
 
 def test_the_loss_goes_down(trained):

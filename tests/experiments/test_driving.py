@@ -6,7 +6,11 @@ import json
 import numpy as np
 import pytest
 
+from dc2g_jax.estimation.estimators import ExactCostToGo
+from dc2g_jax.planning.planners import DC2G, Frontier
+from dc2g_jax.planning.selection import ENDLESS
 from experiments import noisy_mapping, reproduce_fig9
+from experiments.driving import DrivingOptions, equipment
 from tests.driving.test_loop import STREET
 from tests.refusals import refusal
 
@@ -73,3 +77,11 @@ def test_options_of_no_use_are_refused(street, tmp_path, options, mentions):
     refusal(
         lambda: noisy_mapping.main(noisy_mapping.Options(dataset=street, out=tmp_path / "out", **options)), *mentions
     )
+
+
+@pytest.mark.parametrize(("planner", "kind"), [("dc2g", DC2G), ("frontier", Frontier)])
+def test_on_wheels_patience_has_no_end(planner, kind):
+    found = equipment(planner, ExactCostToGo(), (20, 20), 0.0, DrivingOptions()).planner
+    assert isinstance(found, kind)
+    if isinstance(found, DC2G):
+        assert (found.patience, found.depth, len(found.views)) == (ENDLESS, 1, 2)

@@ -94,7 +94,7 @@ def test_what_cannot_be_run_is_refused_before_anything_is_written(yard, tmp_path
 
 def test_a_step_limit_that_not_even_the_oracle_keeps_is_refused(yard, tmp_path):
     options = explore_map.Options(yard, start=(0, 6, 0), planner=("frontier",), step_limit=10, out=tmp_path / "out")
-    refusal(lambda: explore_map.main(options), "within 10 actions", "--step-limit")
+    refusal(lambda: explore_map.main(options), "within 10 actions", "larger step limit")
     none = explore_map.Options(yard, start=(0, 6, 0), planner=("frontier",), step_limit=0, out=tmp_path / "none")
     refusal(lambda: explore_map.main(none), "step limit 0", "at least 1", "--step-limit")
 

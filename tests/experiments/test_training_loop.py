@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.training_loop import Log, run_steps
+from dc2g_jax.errors import InputError
+from experiments.training_loop import Log, check_validate_every, run_steps
 
 
 @functools.partial(jax.jit, donate_argnames=("state",))
@@ -24,12 +25,15 @@ class Training:
     def __init__(self):
         self.validations: list[int] = []
         self.saved: list[int] = []
-        self.interrupt_step, self.interrupt_validation = -1, -1
+        self.interrupt_step, self.interrupt_validation, self.interrupts = -1, -1, 1
 
     def step(self, state):
         if int(state[0]) == self.interrupt_step:
             self.interrupt_step = -1
-            os.kill(os.getpid(), signal.SIGINT)
+            done = take_step(state)
+            for _ in range(self.interrupts):
+                os.kill(os.getpid(), signal.SIGINT)
+            return done
         return take_step(state)
 
     def validate(self, state, step):
@@ -75,6 +79,21 @@ def test_an_interrupt_in_a_step_keeps_all_that_is_done(step):
     training.run(step + 1)
     assert training.validations == [10, 20, 25]
     assert training.saved == [step + 1, 25]
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_a_second_interrupt_breaks_a_step_off():
+    training = Training()
+    training.interrupt_step, training.interrupts = 5, 2
+    with pytest.raises(KeyboardInterrupt):
+        training.run()
+    assert training.saved == []  # the step had used its state up
+
+
+def test_a_negative_number_of_steps_between_validations_is_refused():
+    with pytest.raises(InputError, match="--validate-every -1: give at least 1"):
+        check_validate_every(-1)
+    check_validate_every(0)
 
 
 @pytest.mark.parametrize("step", [10, 20, 25])

@@ -29,7 +29,7 @@ def test_a_file_made_by_hand_is_read(tmp_path):
 
 def test_what_is_written_is_read(tmp_path):
     path = tmp_path / "all.safetensors"
-    tree = {"a": {"b": np.arange(6, dtype=np.uint8).reshape(2, 3)}, "c": np.asarray(jnp.asarray([1.5], jnp.bfloat16))}
+    tree = {"a": {"b": np.arange(6, dtype=np.uint8).reshape(3, 2).T}, "c": np.asarray(jnp.asarray([1.5], jnp.bfloat16))}
     write_safetensors(path, flattened(tree), {"x": "y"})
     tensors, facts = read_safetensors(path)
     assert facts == {"x": "y"}
@@ -46,6 +46,7 @@ def test_what_is_written_is_read(tmp_path):
         ({"dtype": "F32", "shape": [3], "data_offsets": [0, 8]}, "invalid shape"),
         ({"dtype": "F32", "shape": [2], "data_offsets": [4, 12]}, "invalid offset"),
         ({"dtype": "Q7", "shape": [2], "data_offsets": [0, 8]}, "Q7"),
+        ({"dtype": "F8_E4M3", "shape": [8], "data_offsets": [0, 8]}, "cannot be read"),
         ("no entry", "no entry"),
     ],
 )
