@@ -142,8 +142,8 @@ def test_a_damaged_configuration_is_refused(tmp_path):
 def test_a_state_that_cannot_be_read_is_refused(trained, tmp_path):
     with contextlib.closing(TrainingCheckpoints(tmp_path, CONFIG)) as checkpoints:
         checkpoints.save(trained[0])
-    for array in (tmp_path / "states").rglob("d/*"):
-        array.write_bytes(b"damaged")
+    for manifest in (tmp_path / "states").rglob("manifest.ocdbt"):
+        manifest.write_bytes(b"damaged")
     with contextlib.closing(TrainingCheckpoints(tmp_path, CONFIG)) as checkpoints:
         with pytest.raises(InputError, match=rf"states/{CONFIG.steps}: cannot be restored"):
             checkpoints.restore()
