@@ -8,7 +8,7 @@ import contextlib
 import dataclasses
 import functools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -173,10 +173,9 @@ def train_group(
     return networks
 
 
-def diverged(log: Log, run: str) -> bool:
+def diverged(validations: Iterable[Mapping[str, Any]]) -> bool:
     """Has a run's loss ever been no number? Its weights stay what they were then, and so does its error."""
-    losses = [line["loss"] for line in log.by_step(run).values()]
-    return not all(loss is None or np.isfinite(loss) for loss in losses)
+    return not all(line["loss"] is None or np.isfinite(line["loss"]) for line in validations)
 
 
 def write_results(
@@ -191,7 +190,8 @@ def write_results(
     macs = {architecture: multiply_accumulates(architecture, *shape) for architecture in architectures}
     rows: list[dict[str, Any]] = []
     for run, config in runs.items():
-        step, last = max(log.by_step(run).items())
+        validations = log.by_step(run)
+        step = max(validations)
         rows.append(
             {
                 "run": run,
@@ -201,8 +201,8 @@ def write_results(
                 "million_multiply_accumulates": round(1e-6 * macs[config.architecture], 2),
                 "seed": config.seed,
                 "steps": step,
-                "diverged": int(diverged(log, run)),
-                "error": round(last["error"], 4),
+                "diverged": int(diverged(validations.values())),
+                "error": round(validations[step]["error"], 4),
                 **episodes.get(run, {}),
             }
         )

@@ -72,6 +72,11 @@ def _quiet() -> Iterator[None]:
             logger.setLevel(level)
 
 
+def _reason(error: Exception) -> str:
+    """What Orbax says is wrong, in a part of a line."""
+    return str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+
+
 def _digest(weights: Any) -> str:
     """SHA-256 of all weights: their names and their bytes, in order."""
     digest = hashlib.sha256()
@@ -178,8 +183,9 @@ def load_network(folder: str | Path) -> TrainedNetwork:
     except InputError:
         raise
     except Exception as error:  # Orbax raises many kinds for a damaged checkpoint
-        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-        raise InputError(f"{folder / _WEIGHTS}: cannot be read ({reason}); save or copy the network again") from None
+        raise InputError(
+            f"{folder / _WEIGHTS}: cannot be read ({_reason(error)}); save or copy the network again"
+        ) from None
     if digest not in (None, _digest(weights)):
         raise InputError(
             f"{folder / _WEIGHTS}: the SHA-256 of the weights is not {digest}, as {_CARD} says; "
@@ -248,10 +254,9 @@ class TrainingCheckpoints:
             with _quiet():
                 return self._manager.restore(step, args=ocp.args.StandardRestore(template))
         except Exception as error:  # Orbax raises many kinds
-            reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
             raise InputError(
-                f"{self._folder / str(step)}: cannot be restored ({reason}); delete it to go on from an earlier state, "
-                "or train anew in another folder"
+                f"{self._folder / str(step)}: cannot be restored ({_reason(error)}); delete it to go on from an "
+                "earlier state, or train anew in another folder"
             ) from None
 
     def delete(self, *, after: int = -1) -> None:

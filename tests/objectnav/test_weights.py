@@ -45,6 +45,7 @@ def test_what_is_written_is_read(tmp_path):
     [
         ({"dtype": "F32", "shape": [3], "data_offsets": [0, 8]}, "invalid shape"),
         ({"dtype": "F32", "shape": [2], "data_offsets": [4, 12]}, "invalid offset"),
+        ({"dtype": "F32", "shape": [-2], "data_offsets": [8, 0]}, "`-2`"),
         ({"dtype": "Q7", "shape": [2], "data_offsets": [0, 8]}, "Q7"),
         ({"dtype": "F8_E4M3", "shape": [8], "data_offsets": [0, 8]}, "cannot be read"),
         ("no entry", "no entry"),
