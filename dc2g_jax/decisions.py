@@ -42,8 +42,8 @@ class Candidate(NamedTuple):
       cost_to_go: predicted cost from there to the door in cells: the mean, or what the planner's selection rule takes
         in its place; `None` for frontier exploration, which predicts nothing.
       distance: actions from the robot to this pose.
-      score: what the planner compares, the lowest wins: the cost-to-go plus the weighted distance; for frontier
-        exploration, the distance.
+      score: what the planner compares, the lowest wins: the cost-to-go plus the weighted distance, less what would be
+        new in view from there; for frontier exploration, the distance.
     """
 
     x: int

@@ -27,7 +27,9 @@ PLANNERS = ("oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go")
 
 #: The planners that run on a network, given it and the rules; chosen on validation houses (see BENCHMARKS.md). Both ask
 #: about the map and its mirror image in turn.
-_ON_NETWORK = functools.partial(DC2G, depth=1, views=((), (1,)), patience=Patience(radius=8, decisions=30, price=0.25))
+_ON_NETWORK = functools.partial(
+    DC2G, depth=1, views=((), (1,)), gain_weight=3.0, patience=Patience(radius=8, decisions=30, price=0.25)
+)
 NETWORK_PLANNERS: Mapping[str, Callable[[Estimator, Rules], DC2G]] = {
     "dc2g": functools.partial(_ON_NETWORK, selection=ExpectedCost(distance_weight=0.5)),
     "dc2g_uncertain": functools.partial(_ON_NETWORK, selection=QuantileCost(level=0.7, distance_weight=0.5)),

@@ -98,7 +98,8 @@ def _look(
         never_asked = jnp.full(jax.eval_shape(summary_of, terrain).shape, extent.prior, jnp.float32)
         summary = extent.update(summary_of, terrain, Pose(*pose), never_asked)
         nearest = jnp.min(distance, axis=0, where=candidates, initial=FAR)
-        return jnp.mean(summary, axis=0), planner.selection(summary, nearest)
+        surcharge = planner.surcharge(belief, candidate_poses, jnp.zeros(terrain.shape, jnp.int32))
+        return jnp.mean(summary, axis=0), planner.selection(summary, nearest) + surcharge
 
     undecided = ~poses.is_empty(candidate_poses) & ~bitboard.intersects(reachable, belief.goals)
     nothing = jnp.zeros(terrain.shape, jnp.float32)

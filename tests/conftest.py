@@ -27,6 +27,11 @@ os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
 jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
+# Most tests spend their time on compiling programs that run but briefly: these do without most optimisations.
+# What runs for longer takes `optimized`. (Users' programs are optimised: `.ci/run` runs the main job as they do.)
+os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
+jax.config.update("jax_disable_most_optimizations", True)
+
 # Shapes and dtypes of the package's functions are checked while they are traced. Must precede their import.
 jaxtyping.install_import_hook("dc2g_jax", f"{typechecking.__name__}.check")
 
@@ -39,6 +44,14 @@ def forget_programs():
     """Let go of what a module compiled: with thousands of programs in one process XLA crashes."""
     yield
     jax.clear_caches()
+
+
+@pytest.fixture(scope="module")
+def optimized():
+    """Programs optimised as users have them."""
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield
+    jax.config.update("jax_disable_most_optimizations", True)
 
 
 @pytest.fixture

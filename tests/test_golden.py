@@ -19,6 +19,8 @@ from dc2g_jax.gridworld import Belief
 from dc2g_jax.planning.planners import DC2G, Frontier
 from dc2g_jax.planning.rules import SETTINGS
 
+pytestmark = pytest.mark.usefixtures("optimized")
+
 
 @pytest.fixture(scope="module")
 def golden_runner(golden_grids) -> Runner:

@@ -6,11 +6,12 @@ The paper's field of view has no occlusion, so it is four constant sets of offse
 
 import dataclasses
 import functools
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int, UInt32
+from jaxtyping import Array, Bool, Int, Shaped, UInt, UInt32
 
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.bitboard import WORD_BITS, Board
@@ -53,6 +54,31 @@ class Kernel:
         del opaque
         return poses_that_see(targets, self)
 
+    def count_seen(self, targets: Board, opaque: Board, width: int) -> UInt[Array, "heading h w *batch"]:
+        """How many target cells are seen from every pose, see `visible`.
+
+        Args:
+          targets: cells to count.
+          opaque: see `visible`.
+          width: columns of the grid.
+        """
+        del opaque
+        height, radius = targets.shape[1], self.radius
+        frame = [(radius, radius), (radius, radius), *((0, 0) for _ in targets.shape[2:])]
+        framed = jnp.pad(bitboard.unpack(targets, width).astype(self._count), frame)
+
+        def counted(offsets: tuple[tuple[int, int], ...]) -> Array:
+            # Small numbers fill a vector by the dozen: faster than sharing the work of neighbouring cells.
+            views = (framed[radius + dy :, radius + dx :][:height, :width] for dx, dy in offsets)
+            return functools.reduce(jnp.add, views)
+
+        return jnp.stack([counted(offsets) for offsets in self.offsets])
+
+    @property
+    def _count(self) -> type:
+        """Integers that can count the cells in view."""
+        return jnp.uint8 if max(map(len, self.offsets)) < 256 else jnp.uint16
+
     @classmethod
     def from_array(cls, array: Bool[np.ndarray, "heading dy dx"]) -> "Kernel":
         """The inverse of `as_array`."""
@@ -94,6 +120,27 @@ class OccludedKernel(Kernel):
 
     def poses_that_see(self, targets: Board, opaque: Board) -> PoseSet:
         """Poses from which at least one target cell is seen, see `visible`."""
+        return self._over_offsets(jnp.bitwise_or, targets, targets, opaque)
+
+    def count_seen(self, targets: Board, opaque: Board, width: int) -> UInt[Array, "heading h w *batch"]:
+        """How many target cells are seen from every pose, see `Kernel.count_seen`."""
+
+        def add(count: Array, more: Board) -> Array:
+            return count + bitboard.unpack(more, width)
+
+        return self._over_offsets(add, bitboard.unpack(targets, width).astype(self._count), targets, opaque)
+
+    def _over_offsets(
+        self, add: Callable[[Array, Board], Array], own: Array, targets: Board, opaque: Board
+    ) -> Shaped[Array, "heading ..."]:
+        """`add(result so far, cells from which a target is seen at the offset)` over the offsets of each heading.
+
+        Args:
+          add: what to do for each offset but the robot's own cell.
+          own: the result of that one.
+          targets: cells to see.
+          opaque: cells that hide what is behind them.
+        """
         height = opaque.shape[1]
         reach = range(-self.radius, self.radius + 1)
         framed = [(0, 0), (self.radius, self.radius)] + [(0, 0)] * (opaque.ndim - 2)
@@ -101,20 +148,20 @@ class OccludedKernel(Kernel):
             [jnp.stack([jnp.pad(bitboard.shift(board, -dx, 0), framed) for board in (targets, opaque)]) for dx in reach]
         )
 
-        def look(carry: tuple[Board, Array], offset: tuple[Array, ...]) -> tuple[tuple[Board, Array], None]:
-            sees, through = carry
+        def look(carry: tuple[Array, Array], offset: tuple[Array, ...]) -> tuple[tuple[Array, Array], None]:
+            result, through = carry
             number, dx, dy, parent = offset
             there = jax.lax.dynamic_slice_in_dim(columns[dx + self.radius], dy + self.radius, height, axis=2)
-            sees = sees | (through[parent] & there[0])
-            return (sees, through.at[number].set(through[parent] & ~there[1])), None
+            result = add(result, through[parent] & there[0])
+            return (result, through.at[number].set(through[parent] & ~there[1])), None
 
-        def cells_that_see(tree: tuple[Array, ...]) -> Board:
+        def all_offsets(tree: tuple[Array, ...]) -> Array:
             # Cells from which each offset is seen and seen through; the robot's own cell hides nothing.
             through = jnp.broadcast_to(~jnp.zeros_like(opaque), (tree[0].size, *opaque.shape))
             offsets = (jnp.arange(1, tree[0].size), *(table[1:] for table in tree))
-            return jax.lax.scan(look, (targets, through), offsets)[0][0]
+            return jax.lax.scan(look, (own, through), offsets)[0][0]
 
-        return jax.lax.map(cells_that_see, tuple(jnp.asarray(table) for table in self._tree()))
+        return jax.lax.map(all_offsets, tuple(jnp.asarray(table) for table in self._tree()))
 
     def _tree(self) -> tuple[Int[np.ndarray, "heading offsets"], ...]:
         """Columns and rows of the offsets, the robot's own first, parents before children, and number of the parent."""

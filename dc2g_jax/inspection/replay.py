@@ -49,7 +49,8 @@ class Frames:
       frontier: frontier cells, whatever the rules count: reachable, with an unobserved 4-neighbour (paper, section
         III-D).
       score: while exploring, what the planner compares on the cells it chooses from, the lowest wins: cost-to-go plus
-        weighted distance, or the distance alone for one that makes no estimate. NaN on all other cells.
+        weighted distance and what `DC2G.surcharge` adds, or the distance alone for one that makes no estimate. NaN on
+        all other cells.
       path: the plan as poses from the robot's own to the subgoal, both included: columns, rows, headings; none where
         there is no way.
     """
@@ -116,7 +117,9 @@ def _frame(carry: _Carry, world: World, planner: Planner, rules: Rules) -> tuple
         "length": plan.length,
         "to_goal": jnp.where(way_home.found, way_home.length, -1),
         "summary": jnp.mean(planner_state.estimates, axis=0) if isinstance(planner, DC2G) else None,
-        "decided_near": planner_state.decided_near if isinstance(planner, DC2G) else None,
+        "surcharge": planner.surcharge(belief, chosen_from, planner_state.decided_near)
+        if isinstance(planner, DC2G)
+        else None,
         "distance": distance,
         "to_candidate": jnp.min(distance, axis=0, where=poses.unpack(chosen_from, width), initial=FAR),
     }
@@ -142,10 +145,10 @@ def _replay_chunk(
 
     carry, frames = jax.lax.scan(cycle, carry, actions)
     exploring = (frames["mode"] == EXPLORE)[:, None, None]
-    summary, distance, decided_near = (frames.pop(name) for name in ("summary", "to_candidate", "decided_near"))
+    summary, distance, surcharge = (frames.pop(name) for name in ("summary", "to_candidate", "surcharge"))
     frames["cost_to_go"], score = None, distance.astype(jnp.float32)
     if isinstance(planner, DC2G):
-        score = jax.vmap(planner.score)(summary, distance, decided_near)
+        score = jax.vmap(planner.selection)(summary, distance) + surcharge
         # All steps of the chunk in one batch.
         outcomes = jax.vmap(planner.estimator.estimate, in_axes=(0, None))(
             frames["terrain"], planner.estimator.init(world)

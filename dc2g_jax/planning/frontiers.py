@@ -4,7 +4,10 @@ Two ways to say it, both measured: as the paper's text means it (`complete`) and
 it (`reference`).
 """
 
-from dc2g_jax.grid import bitboard
+import jax.numpy as jnp
+from jaxtyping import Array, UInt
+
+from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.poses import PoseSet, only
 from dc2g_jax.grid.sensing import Kernel, poses_that_see
@@ -22,9 +25,9 @@ def _unseen(belief: Belief) -> Board:
     return _beyond(belief, belief.seen)
 
 
-def _reachable_but_here(poses: PoseSet, belief: Belief, reachable: Board) -> PoseSet:
+def _reachable_but_here(pose_set: PoseSet, belief: Belief, reachable: Board) -> PoseSet:
     """The poses on reachable cells, without the one the robot is in."""
-    return poses & reachable & ~only(belief.pose, *reachable.shape[:2])
+    return pose_set & reachable & ~only(belief.pose, *reachable.shape[:2])
 
 
 def frontier_cells(belief: Belief, reachable: Board) -> Board:
@@ -77,3 +80,17 @@ def opening(belief: Belief, candidates: PoseSet, sensing: Kernel, depth: int) ->
     for _ in range(depth):
         rim = rim | bitboard.neighbours(rim)
     return candidates & sensing.poses_that_see(_beyond(belief, rim), belief.opaque)
+
+
+def information_gain(belief: Belief, candidates: PoseSet, sensing: Kernel) -> UInt[Array, "h w *batch"]:
+    """Cells that would be seen for the first time in the best of each cell's candidates; 0 on cells without.
+
+    There is nothing to be seen beyond the map's edge.
+
+    Args:
+      belief: what the robot knows.
+      candidates: poses to look from.
+      sensing: the robot's field of view.
+    """
+    new = sensing.count_seen(_unseen(belief), belief.opaque, belief.width)
+    return jnp.max(jnp.where(poses.unpack(candidates, belief.width), new, 0), axis=0)

@@ -134,7 +134,7 @@ class DC2G:
     poses in the first place; under the `reference` rules alone a robot can go back and forth for ever between two poses
     that show nothing.)
 
-    By default, selection, depth and patience are the paper's.
+    By default, selection, depth, gain and patience are the paper's.
 
     Attributes:
       estimator: partial map in, costs-to-go out, lower is better.
@@ -145,6 +145,8 @@ class DC2G:
         one view after the other, and the mean of each view's latest is gone by: errors that a network makes in one of
         them alone are halved, at no more questions. Views other than the map as it is are for estimators that read
         nothing but the map.
+      gain_weight: information gain, in units of the score: by so much the score of a cell is lower where all of the
+        field of view would be new. While nothing new is seen it stays as it is, so exploration ends all the same.
       patience: with places that go on promising a goal.
     """
 
@@ -153,6 +155,7 @@ class DC2G:
     selection: Selection = struct.field(pytree_node=False, default=ExpectedCost(distance_weight=0.0))
     depth: int = struct.field(pytree_node=False, default=0)
     views: tuple[tuple[int, ...], ...] = struct.field(pytree_node=False, default=((),))
+    gain_weight: float = struct.field(pytree_node=False, default=0.0)
     patience: Patience = struct.field(pytree_node=False, default=ENDLESS)
     #: A network answers many maps at once in less time each.
     robots_a_core: ClassVar[int] = 64
@@ -203,21 +206,24 @@ class DC2G:
             candidates = jnp.where(poses.is_empty(opening), candidates, opening)
         return candidates
 
-    def score(
-        self,
-        summary: Float[Array, "kept h w *batch"],
-        distance: Int[Array, "..."],
-        decided_near: Int[Array, "h w *batch"],
+    def surcharge(
+        self, belief: Belief, candidates: PoseSet, decided_near: Int[Array, "h w *batch"]
     ) -> Float[Array, "h w *batch"]:
-        """What subgoals are compared by, the lowest wins (Algorithm 2, line 11).
+        """What is added to the selection rule's score of each cell: patience lost, less information to be gained.
 
         Args:
-          summary: what the selection rule needs of an estimate.
-          distance: actions from the robot to every cell.
+          belief: what the robot knows.
+          candidates: poses to choose from.
           decided_near: decisions made near every cell.
         """
-        score = self.selection(summary, distance)
-        return score + self.patience.cost(decided_near) if self.patience.price else score
+        surcharge = jnp.zeros(decided_near.shape, jnp.float32)
+        if self.patience.price:
+            surcharge += self.patience.cost(decided_near)
+        if self.gain_weight:
+            sensing = self.rules.sensing
+            of_one_cell = self.gain_weight / len(sensing.offsets[0])
+            surcharge -= of_one_cell * frontiers.information_gain(belief, candidates, sensing)
+        return surcharge
 
     def plan(self, belief: Belief, state: "ExplorationState") -> "tuple[Plan, ExplorationState]":
         """Head for the most promising frontier-expanding pose, or for the goal once it is reachable."""
@@ -242,7 +248,8 @@ class DC2G:
         decided_near = state.decided_near
         if self.patience.price:
             decided_near = decided_near + self.patience.near(belief.pose, belief.height, belief.width)
-        score = self.score(jnp.mean(estimates, axis=0), lengths, decided_near)
+        # What subgoals are compared by, the lowest wins (Algorithm 2, line 11).
+        score = self.selection(jnp.mean(estimates, axis=0), lengths) + self.surcharge(belief, candidates, decided_near)
         # Without a current estimate all candidates are equal, and of equal ones the plan goes to the nearest.
         subgoals = jnp.where(undecided, nearest & _lowest(score, poses.occupied(nearest), belief.width), candidates)
         plan = _explore_or_finish(belief, reachable, candidates, subgoals, self.rules)

@@ -3,6 +3,7 @@
 import functools
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -49,19 +50,20 @@ def test_visible_from_corners_with_a_field_of_view_wider_than_a_word(shape, radi
 
 @functools.cache
 def posing(shape: tuple[int, int]):
-    """Poses that see, for a field of view and for an expanding kernel."""
+    """Poses that see, for a field of view and for an expanding kernel, and how many cells."""
 
     def run(cells):
         board = bitboard.pack(cells)
         kernels = (sensing.field_of_view(4), sensing.field_of_view(8), sensing.expanding_kernel(5))
-        return [poses.unpack(sensing.poses_that_see(board, kernel), shape[1]) for kernel in kernels]
+        seeing = [poses.unpack(sensing.poses_that_see(board, kernel), shape[1]) for kernel in kernels]
+        return seeing, [kernel.count_seen(board, jnp.zeros_like(board), shape[1]) for kernel in kernels]
 
     return jax.jit(run)
 
 
 @functools.cache
 def occluded(shape: tuple[int, int]):
-    """What is seen from every pose, and the poses that see a target, where some cells are opaque."""
+    """What is seen from every pose, and the poses that see a target, and how many, where some cells are opaque."""
     kernel = sensing.line_of_sight(6)
     y, x, heading = (part.ravel() for part in np.indices((*shape, 4)))
 
@@ -69,7 +71,9 @@ def occluded(shape: tuple[int, int]):
         board = bitboard.pack(opaque)
         every = jax.vmap(lambda x, y, heading: kernel.visible(make_pose(x, y, heading), board, shape[1]))
         seen = jax.vmap(lambda one: bitboard.unpack(one, shape[1]))(every(x, y, heading))
-        return seen, poses.unpack(kernel.poses_that_see(bitboard.pack(targets), board), shape[1])
+        targets = bitboard.pack(targets)
+        counts = kernel.count_seen(targets, board, shape[1])
+        return seen, poses.unpack(kernel.poses_that_see(targets, board), shape[1]), counts
 
     return jax.jit(run), list(zip(x.tolist(), y.tolist(), heading.tolist(), strict=True))
 
@@ -80,10 +84,11 @@ def occluded(shape: tuple[int, int]):
 def test_opaque_cells_hide_what_is_behind_them(shape, seed, density):
     opaque, targets = maps.random_cells(seed, shape, density), maps.random_cells(seed + 1, shape, 0.05)
     run, every_pose = occluded(shape)
-    seen, seeing = (np.asarray(result) for result in run(opaque, targets))
+    seen, seeing, counts = (np.asarray(result) for result in run(opaque, targets))
     for pose, cells in zip(every_pose, seen, strict=True):
         np.testing.assert_array_equal(cells, oracle.visible_past(opaque, pose, 6), err_msg=str(pose))
         assert seeing[pose[2], pose[1], pose[0]] == np.any(cells & targets)
+        assert counts[pose[2], pose[1], pose[0]] == np.sum(cells & targets)
 
 
 def test_a_wall_hides_a_street():
@@ -108,9 +113,11 @@ def test_poses_that_see(shape, seed, density):
         functools.partial(oracle.sensing_offsets, 8),
         functools.partial(oracle.expanding_offsets, 5),
     )
-    for seeing, offsets in zip(posing(shape)(targets), offset_rules, strict=True):
+    for seeing, counts, offsets in zip(*posing(shape)(targets), offset_rules, strict=True):
         for heading in range(4):
-            np.testing.assert_array_equal(seeing[heading], oracle._sources(targets, offsets(heading)))
+            sources = [oracle._sources(targets, [offset]) for offset in offsets(heading)]
+            np.testing.assert_array_equal(counts[heading], np.sum(sources, axis=0))
+            np.testing.assert_array_equal(seeing[heading], np.any(sources, axis=0))
 
 
 @pytest.mark.parametrize("radius", range(1, 13))

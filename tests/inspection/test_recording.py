@@ -195,9 +195,11 @@ class _Slope:
 
 
 def test_scores_are_those_the_planner_goes_by():
-    """Views in turn, each asked again only when something new has been seen; distance, depth and patience count."""
+    """Views in turn, each asked again only when something new is seen; distance, depth, gain and patience count."""
     patience = Patience(radius=3, decisions=6, price=0.25)
-    planner = DC2G(_Slope(), _RULES, ExpectedCost(distance_weight=0.5), depth=1, views=((), (1,)), patience=patience)
+    selection, views = ExpectedCost(distance_weight=0.5), ((), (1,))
+    gain_weight = 0.25 * len(_RULES.sensing.offsets[0])
+    planner = DC2G(_Slope(), _RULES, selection, depth=1, views=views, gain_weight=gain_weight, patience=patience)
     actions = actions_from_letters("LLFFFFFLRFFFFFFFFFFFFF")
     world = world_from_terrain(_TERRAIN)
     found = replay(world, make_pose(*_START[1:4]), actions, planner=planner, rules=_RULES)
@@ -221,7 +223,8 @@ def test_scores_are_those_the_planner_goes_by():
         nearest = np.where(poses, distance, 10**6).min(axis=0)
         decided_near += (abs(columns - pose[0]) <= 3) & (abs(rows - pose[1]) <= 3)
         lost_patience = 0.25 * np.maximum(decided_near - 6, 0)
-        score = np.where(poses.any(axis=0), cost + 0.5 * nearest + lost_patience, np.nan)
+        gained = 0.25 * oracle.newly_seen(poses, seen, 3)
+        score = np.where(poses.any(axis=0), cost + 0.5 * nearest + lost_patience - gained, np.nan)
         np.testing.assert_allclose(found.score[step], score, atol=1e-4)
         chosen = found.subgoals[step].any(axis=0)
         np.testing.assert_allclose(found.score[step][chosen], np.nanmin(score), atol=1e-4)

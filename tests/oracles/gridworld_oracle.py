@@ -336,6 +336,15 @@ def opening_poses(poses: Array, seen: Array, depth: int, sensing_radius: int) ->
     return kept
 
 
+def newly_seen(poses: Array, seen: Array, sensing_radius: int) -> Array:
+    """Most cells that would be seen for the first time in one of each cell's `poses` (bool [4 h w]): int [h w]."""
+    most = np.zeros(seen.shape, int)
+    for heading, y, x in np.argwhere(poses):
+        new = visible((int(x), int(y), int(heading)), sensing_radius, seen.shape) & ~seen
+        most[y, x] = max(most[y, x], new.sum())
+    return most
+
+
 def surcharges(been: list[Pose], shape: tuple[int, int], radius: int, decisions: int, price: float) -> Array:
     """What each cell [h w] costs more after decisions in these poses."""
     near = np.zeros(shape, int)
@@ -357,13 +366,15 @@ def run_episode(
     goals: Array | None = None,
     depth: int = 0,
     patience: tuple[int, int, float] | None = None,
+    new_cell: float = 0.0,
 ) -> tuple[bool, str, Mode]:
     """Run one episode on terrain classes [h w]; return success, actions as letters, mode of the last plan.
 
     `goals` (bool [h w]) are all front doors unless given. `dc2g` takes a cost-to-go grid or a function of
     (seen, observed terrain), unseen terrain being 0, and goes where something is revealed, beyond a rim of `depth`
     cells if it can. `patience` is a radius, a number of decisions and a price: cells with more decisions than that made
-    at most the radius to their side cost the price more for each.
+    at most the radius to their side cost the price more for each. A cell that would be seen for the first time takes
+    `new_cell` off the cost of where it would be seen from.
     A start on a goal cell is a success without an action.
     """
     traversable = np.isin(terrain, TRAVERSABLE_CLASSES)
@@ -395,6 +406,7 @@ def run_episode(
                 costs = cost_to_go(seen, observed) if callable(cost_to_go) else cost_to_go
                 if patience:
                     costs = costs + surcharges(been, terrain.shape, *patience)
+                costs = costs - new_cell * newly_seen(poses, seen, sensing_radius)
                 poses = lowest_cost_poses(poses, costs)
             mode, actions = "explore", shortest_actions(free, pose, poses)
         if actions is None:

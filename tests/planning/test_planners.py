@@ -142,6 +142,17 @@ def test_dc2g_loses_patience_with_where_it_has_been_for_long(rules):
         check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go)
 
 
+@both_rules
+def test_dc2g_is_drawn_to_where_much_would_be_new(rules):
+    terrains, starts = random_worlds((11, 33), 900)
+    gain_weight = 0.5 * len(field_of_view(SENSING).offsets[0])
+    done = run(DC2G(Scattered(), RULES[rules], gain_weight=gain_weight), terrains, starts)
+    cost_to_go = {"cost_to_go": lambda index: scattered}
+    check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, new_cell=0.5)
+    with pytest.raises(AssertionError):
+        check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go)
+
+
 class InTurn:
     """Asks about what has been observed as it is and mirrored, in turn, and gives the mean of the last two answers."""
 
@@ -233,13 +244,14 @@ def seen_past_obstacles(terrain, pose):
     return oracle.visible_past(OPAQUE[terrain], pose, SENSING)
 
 
-#: Planners to explore with, by name; the last one's price is just below its distance weight.
+#: Planners to explore with, by name; the price of the impatient one is just below its distance weight.
 EXPLORERS = {
     "frontier": Frontier,
     "dc2g": lambda rules: DC2G(Scattered(), rules),
     "impatient": lambda rules: DC2G(
         Scattered(), rules, ExpectedCost(0.5), patience=Patience(radius=4, decisions=3, price=0.4375)
     ),
+    "curious": lambda rules: DC2G(Scattered(), rules, ExpectedCost(0.5), gain_weight=20.0),
 }
 
 
@@ -249,8 +261,10 @@ EXPLORERS = {
         ("frontier", RULES["complete"], seen_without_occlusion),
         ("dc2g", RULES["complete"], seen_without_occlusion),
         ("impatient", RULES["complete"], seen_without_occlusion),
+        ("curious", RULES["complete"], seen_without_occlusion),
         ("frontier", complete_rules(SENSING, line_of_sight), seen_past_obstacles),
         ("dc2g", complete_rules(SENSING, line_of_sight), seen_past_obstacles),
+        ("curious", complete_rules(SENSING, line_of_sight), seen_past_obstacles),
     ],
 )
 def test_exploration_by_complete_rules_always_ends_with_everything_seen(planner, rules, visible):
