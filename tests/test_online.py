@@ -135,15 +135,15 @@ def scattered_planner() -> OnlinePlanner:
 
 
 @pytest.mark.parametrize(
-    ("make", "estimate", "weight", "depth"),
+    ("make", "estimate", "weight", "depth", "gain_weight"),
     [
-        (lambda: planner_of("frontier"), lambda grid: np.zeros((1, *grid.shape)), 1.0, 0),
-        (lambda: planner_of("dc2g"), jax.jit(BothViews(network()).estimate), 0.5, 1),
-        (scattered_planner, BothViews(Scattered()).estimate, 0.5, 1),
+        (lambda: planner_of("frontier"), lambda grid: np.zeros((1, *grid.shape)), 1.0, 0, 0.0),
+        (lambda: planner_of("dc2g"), jax.jit(BothViews(network()).estimate), 0.5, 1, 3.0),
+        (scattered_planner, BothViews(Scattered()).estimate, 0.5, 1, 3.0),
     ],
     ids=["frontier", "dc2g", "another estimator"],
 )
-def test_decisions_hold_what_the_plain_implementation_finds(make, estimate, weight, depth):
+def test_decisions_hold_what_the_plain_implementation_finds(make, estimate, weight, depth, gain_weight):
     planner, modes = make(), dict.fromkeys(("explore", "to_goal", "gave_up"), 0)
     for seed in range(60):
         terrain, seen, pose = random_moment(seed, SHAPE, 0.8)
@@ -163,7 +163,8 @@ def test_decisions_hold_what_the_plain_implementation_finds(make, estimate, weig
         if mode == "explore":
             distance = np.where(found, oracle.distances_from(free, pose), 10**6)
             costs = np.asarray(estimate(grid)).mean(axis=0)
-            score = costs + weight * distance.min(axis=0)
+            share = oracle.newly_seen(found, seen, SENSING) / len(oracle.sensing_offsets(SENSING, 0))
+            score = costs + weight * distance.min(axis=0) - gain_weight * share
             check_ranking(decision, found.any(axis=0), distance, costs, score)
             targets = found & (score < score[found.any(axis=0)].min() + 1e-4)
         actions = oracle.shortest_actions(free, pose, targets)
