@@ -116,13 +116,12 @@ def _frame(carry: _Carry, world: World, planner: Planner, rules: Rules) -> tuple
         "action": plan.action,
         "length": plan.length,
         "to_goal": jnp.where(way_home.found, way_home.length, -1),
-        "summary": jnp.mean(planner_state.estimates, axis=0) if isinstance(planner, DC2G) else None,
-        "surcharge": planner.surcharge(belief, chosen_from, planner_state.decided_near)
-        if isinstance(planner, DC2G)
-        else None,
         "distance": distance,
         "to_candidate": jnp.min(distance, axis=0, where=poses.unpack(chosen_from, width), initial=FAR),
     }
+    if isinstance(planner, DC2G):
+        frame["summary"] = jnp.mean(planner_state.estimates, axis=0)
+        frame["surcharge"] = planner.surcharge(belief, chosen_from, planner_state.decided_near)
     return carry._replace(reachable=reachable, planner_state=planner_state), frame
 
 
@@ -145,9 +144,10 @@ def _replay_chunk(
 
     carry, frames = jax.lax.scan(cycle, carry, actions)
     exploring = (frames["mode"] == EXPLORE)[:, None, None]
-    summary, distance, surcharge = (frames.pop(name) for name in ("summary", "to_candidate", "surcharge"))
+    distance = frames.pop("to_candidate")
     frames["cost_to_go"], score = None, distance.astype(jnp.float32)
     if isinstance(planner, DC2G):
+        summary, surcharge = frames.pop("summary"), frames.pop("surcharge")
         score = jax.vmap(planner.selection)(summary, distance) + surcharge
         # All steps of the chunk in one batch.
         outcomes = jax.vmap(planner.estimator.estimate, in_axes=(0, None))(

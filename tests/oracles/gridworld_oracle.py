@@ -406,7 +406,8 @@ def run_episode(
                 costs = cost_to_go(seen, observed) if callable(cost_to_go) else cost_to_go
                 if patience:
                     costs = costs + surcharges(been, terrain.shape, *patience)
-                costs = costs - new_cell * newly_seen(poses, seen, sensing_radius)
+                if new_cell:
+                    costs = costs - new_cell * newly_seen(poses, seen, sensing_radius)
                 poses = lowest_cost_poses(poses, costs)
             mode, actions = "explore", shortest_actions(free, pose, poses)
         if actions is None:
