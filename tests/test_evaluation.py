@@ -102,6 +102,14 @@ def test_make_planner():
     assert make_planner("dc2g", RULES, translator) == DC2G(translator, RULES)
 
 
+def test_planners_on_a_network_head_for_the_nearest_door_whatever_the_rules():
+    reference = SETTINGS["reference"].rules()
+    for make in NETWORK_PLANNERS.values():
+        planner = make(ExactCostToGo(), reference)
+        assert planner.rules.frontier_expanding is reference.frontier_expanding
+        assert planner.rules.goal_poses is RULES.goal_poses is not reference.goal_poses
+
+
 def test_no_distance_is_added_to_pictures_however_they_are_asked_for():
     translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
     network = NetworkCostToGo(weights=(), architecture=Architecture())

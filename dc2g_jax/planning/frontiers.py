@@ -94,3 +94,20 @@ def information_gain(belief: Belief, candidates: PoseSet, sensing: Kernel) -> UI
     """
     new = sensing.count_seen(_unseen(belief), belief.opaque, belief.width)
     return jnp.max(jnp.where(poses.unpack(candidates, belief.width), new, 0), axis=0)
+
+
+def facing_most(belief: Belief, pose_set: PoseSet) -> PoseSet:
+    """Of each cell's poses those with the most unobserved cells ahead, near and far: in the rows or columns they face.
+
+    Args:
+      belief: what the robot knows.
+      pose_set: poses to choose from; a cell that has any keeps one at least.
+    """
+    unseen = bitboard.unpack(_unseen(belief), belief.width)
+    of_columns, of_rows = (jnp.sum(unseen, axis=axis, dtype=jnp.int32, keepdims=True) for axis in (0, 1))
+    up_to_column, up_to_row = jnp.cumsum(of_columns, axis=1), jnp.cumsum(of_rows, axis=0)
+    right, below = up_to_column[:, -1:] - up_to_column, up_to_row[-1:] - up_to_row
+    left, above = up_to_column - of_columns, up_to_row - of_rows
+    ahead = jnp.stack([jnp.broadcast_to(cells, unseen.shape) for cells in (right, below, left, above)])
+    ahead = jnp.where(poses.unpack(pose_set, belief.width), ahead, -1)
+    return pose_set & poses.pack(ahead == jnp.max(ahead, axis=0))

@@ -146,7 +146,9 @@ class DC2G:
         them alone are halved, at no more questions. Views other than the map as it is are for estimators that read
         nothing but the map.
       gain_weight: information gain, in units of the score: by so much the score of a cell is lower where all of the
-        field of view would be new. While nothing new is seen it stays as it is, so exploration ends all the same.
+        field of view would be new. While nothing new is seen it stays as it is, so exploration ends all the same. Of
+        headings that a cell is reached in as soon, the one that faces the most of what has not been observed is taken,
+        where distance counts.
       patience: with places that go on promising a goal.
     """
 
@@ -245,6 +247,8 @@ class DC2G:
         if self.selection.distance_weight:
             free = jnp.where(undecided, reachable, jnp.uint32(0))
             nearest, lengths = search.nearest_headings(belief.pose, candidates, free, belief.width)
+            if self.gain_weight:
+                nearest = frontiers.facing_most(belief, nearest)
         decided_near = state.decided_near
         if self.patience.price:
             decided_near = decided_near + self.patience.near(belief.pose, belief.height, belief.width)

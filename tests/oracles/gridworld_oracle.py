@@ -345,6 +345,16 @@ def newly_seen(poses: Array, seen: Array, sensing_radius: int) -> Array:
     return most
 
 
+def facing_most_unseen(poses: Array, seen: Array) -> Array:
+    """Of each cell's `poses` (bool [4 h w]) those with the most unseen cells in the rows or columns ahead of them."""
+    height, width = seen.shape
+    ahead = np.zeros(poses.shape, int)
+    for y in range(height):
+        for x in range(width):
+            ahead[:, y, x] = [(~part).sum() for part in (seen[:, x + 1 :], seen[y + 1 :], seen[:, :x], seen[:y])]
+    return poses & (ahead == np.where(poses, ahead, -1).max(axis=0))
+
+
 def surcharges(been: list[Pose], shape: tuple[int, int], radius: int, decisions: int, price: float) -> Array:
     """What each cell [h w] costs more after decisions in these poses."""
     near = np.zeros(shape, int)

@@ -105,6 +105,26 @@ def test_poses_that_open_ground(shape, depth, seed):
     np.testing.assert_array_equal(found, oracle.opening_poses(candidates, seen, depth, SENSING))
 
 
+@functools.cache
+def facing_set(width: int):
+    def run(terrain, seen, pose, pose_set):
+        packed = poses.pack(jnp.asarray(pose_set))
+        return poses.unpack(frontiers.facing_most(belief_of(terrain, seen, pose), packed), width)
+
+    return jax.jit(run)
+
+
+@pytest.mark.parametrize("shape", [(1, 33), (13, 32), (7, 65)], ids="{0[0]}x{0[1]}".format)
+@given(seed=maps.seeds)
+@settings(max_examples=10)
+def test_poses_that_face_most_of_what_has_not_been_seen(shape, seed):
+    terrain, seen, pose = random_moment(seed, shape, 0.75)
+    some = np.random.default_rng(seed).random((4, *shape)) < 0.5
+    found = np.asarray(facing_set(shape[1])(terrain, seen, pose, some))
+    np.testing.assert_array_equal(found, oracle.facing_most_unseen(some, seen))
+    np.testing.assert_array_equal(found.any(axis=0), some.any(axis=0))
+
+
 @pytest.mark.parametrize("seed", range(10))
 def test_every_complete_pose_reveals_something(seed):
     shape = (7, 33)

@@ -187,9 +187,11 @@ def deciding(planner, width: int):
 
 
 @both_rules
-def test_dc2g_weighs_the_distance_to_a_subgoal(rules):
-    shape, decided, weight = (7, 33), 0, 0.5
-    decide = deciding(DC2G(Scattered(), RULES[rules], ExpectedCost(weight)), 33)
+@pytest.mark.parametrize("new_cell", [0.0, 0.25])
+def test_dc2g_weighs_the_distance_to_a_subgoal(rules, new_cell):
+    shape, decided, turned, weight = (7, 33), 0, 0, 0.5
+    gain_weight = new_cell * len(field_of_view(SENSING).offsets[0])
+    decide = deciding(DC2G(Scattered(), RULES[rules], ExpectedCost(weight), gain_weight=gain_weight), 33)
     for seed in range(40):
         terrain, seen, pose = random_moment(seed, shape, 0.8)
         terrain = np.where(terrain == oracle.FRONT_DOOR, 3, terrain).astype(np.uint8)
@@ -206,12 +208,19 @@ def test_dc2g_weighs_the_distance_to_a_subgoal(rules):
             assert int(plan.mode) == GAVE_UP
             continue
         decided += 1
-        score = scattered(seen, np.where(seen, terrain, 0)) + weight * oracle.distances_from(free, pose)
-        best = candidates & (score == score[candidates].min())
+        distance = np.where(candidates, oracle.distances_from(free, pose), np.inf)
+        nearest = candidates & (distance == distance.min(axis=0))
+        score = scattered(seen, np.where(seen, terrain, 0)) + weight * distance.min(axis=0)
+        if new_cell:
+            score = score - new_cell * oracle.newly_seen(candidates, seen, SENSING)
+            facing = oracle.facing_most_unseen(nearest, seen)
+            turned, nearest = turned + int((facing != nearest).any()), facing
+        best = nearest & (score == score[candidates.any(axis=0)].min())
         np.testing.assert_array_equal(subgoals, best)
         actions = oracle.shortest_actions(free, pose, best)
         assert (int(plan.mode), int(plan.action), int(plan.length)) == (EXPLORE, actions[0], len(actions))
     assert decided > 20
+    assert (turned > 10) == (new_cell > 0)
 
 
 @both_rules
