@@ -38,7 +38,8 @@ class Candidate(NamedTuple):
     Attributes:
       x: column.
       y: row.
-      heading: of those in which something new can be seen from there, the one that is reached soonest.
+      heading: of those in which something new can be seen from there, the one that is reached soonest; of equal ones,
+        for a planner that weighs information gain, the one that faces the most unobserved cells.
       cost_to_go: predicted cost from there to the door in cells: the mean, or what the planner's selection rule takes
         in its place; `None` for frontier exploration, which predicts nothing.
       distance: actions from the robot to this pose.
@@ -85,7 +86,7 @@ class View(NamedTuple):
     Attributes:
       distance: actions from the robot to every pose, -1 where there is no way.
       doors: door cells.
-      candidates: poses to explore from.
+      candidates: poses to explore from, on each cell those that are reached soonest.
       cost_to_go: predicted for every cell, `None` if nothing is; without meaning, like `score`, when there is nothing
         to choose.
       score: of every cell with a candidate.

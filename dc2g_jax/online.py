@@ -84,6 +84,8 @@ def _look(
     reachable = bitboard.pack(distance[0] >= 0)
     candidate_poses = planner.candidates(belief, reachable)
     candidates = poses.unpack(candidate_poses, width)
+    to_nearest = jnp.min(distance, axis=0, where=candidates, initial=FAR)
+    nearest = planner.preferred(belief, poses.pack(candidates & (distance == to_nearest)))
 
     def summary_in_view(part: UInt8[Array, "h2 w2"], axes: tuple[int, ...]) -> Float[Array, "kept h2 w2"]:
         state = planner.estimator.init(world_from_terrain(observed))
@@ -97,14 +99,13 @@ def _look(
         extent = extent_of(planner.estimator)
         never_asked = jnp.full(jax.eval_shape(summary_of, terrain).shape, extent.prior, jnp.float32)
         summary = extent.update(summary_of, terrain, Pose(*pose), never_asked)
-        nearest = jnp.min(distance, axis=0, where=candidates, initial=FAR)
         surcharge = planner.surcharge(belief, candidate_poses, jnp.zeros(terrain.shape, jnp.int32))
-        return jnp.mean(summary, axis=0), planner.selection(summary, nearest) + surcharge
+        return jnp.mean(summary, axis=0), planner.selection(summary, to_nearest) + surcharge
 
     undecided = ~poses.is_empty(candidate_poses) & ~bitboard.intersects(reachable, belief.goals)
     nothing = jnp.zeros(terrain.shape, jnp.float32)
     cost_to_go, score = jax.lax.cond(undecided, estimate, lambda: (nothing, nothing))
-    return distance, candidates, cost_to_go, score
+    return distance, poses.unpack(nearest, width), cost_to_go, score
 
 
 class OnlinePlanner:

@@ -166,7 +166,9 @@ def test_decisions_hold_what_the_plain_implementation_finds(make, estimate, weig
             share = oracle.newly_seen(found, seen, SENSING) / len(oracle.sensing_offsets(SENSING, 0))
             score = costs + weight * distance.min(axis=0) - gain_weight * share
             check_ranking(decision, found.any(axis=0), distance, costs, score)
-            targets = found & (score < score[found.any(axis=0)].min() + 1e-4)
+            nearest = found & (distance == distance.min(axis=0))
+            preferred = oracle.facing_most_unseen(nearest, seen) if gain_weight else nearest
+            targets = preferred & (score < score[found.any(axis=0)].min() + 1e-4)
         actions = oracle.shortest_actions(free, pose, targets)
         assert decision.actions == "".join(ACTION_LETTERS[action] for action in actions)
         check_path(decision, pose, SHAPE)

@@ -227,6 +227,10 @@ class DC2G:
             surcharge -= of_one_cell * frontiers.information_gain(belief, candidates, sensing)
         return surcharge
 
+    def preferred(self, belief: Belief, nearest: PoseSet) -> PoseSet:
+        """Of each cell's nearest candidates those to head for, should it be that cell."""
+        return frontiers.facing_most(belief, nearest) if self.gain_weight else nearest
+
     def plan(self, belief: Belief, state: "ExplorationState") -> "tuple[Plan, ExplorationState]":
         """Head for the most promising frontier-expanding pose, or for the goal once it is reachable."""
         reachable = reachable_cells(belief, state.reachable)
@@ -247,8 +251,7 @@ class DC2G:
         if self.selection.distance_weight:
             free = jnp.where(undecided, reachable, jnp.uint32(0))
             nearest, lengths = search.nearest_headings(belief.pose, candidates, free, belief.width)
-            if self.gain_weight:
-                nearest = frontiers.facing_most(belief, nearest)
+            nearest = self.preferred(belief, nearest)
         decided_near = state.decided_near
         if self.patience.price:
             decided_near = decided_near + self.patience.near(belief.pose, belief.height, belief.width)
