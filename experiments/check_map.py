@@ -31,7 +31,10 @@ class Options(MapOptions):
 
 def places(found: list[Piece]) -> str:
     """How many cells each piece has and the column and row of its middle, the largest first."""
-    named = [f"{piece.cells:,} at ({piece.x}, {piece.y})" for piece in found[:_NAMED_PIECES]]
+    named = [
+        f"{piece.cells:,} {'at' if piece.cells == 1 else 'around'} ({piece.x}, {piece.y})"
+        for piece in found[:_NAMED_PIECES]
+    ]
     others = len(found) - len(named)
     return ", ".join(named) + (f", and {others} other places" if others else "")
 

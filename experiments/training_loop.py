@@ -172,9 +172,15 @@ def run_steps(
     """
     step, saved = first_step, time.monotonic()
     with tqdm(total=steps, initial=step, desc=description, unit="step", file=sys.stderr) as bar:
+
+        def validate_now() -> None:
+            bar.set_description("validate")
+            validate(state, step)
+            bar.set_description(description)
+
         try:
             if step not in validated and _is_validated(step, steps, validate_every):
-                validate(state, step)
+                validate_now()
             while step < steps:
                 count = _next_stop(step, steps, validate_every, steps_per_look) - step
                 state, losses, interrupted = _take_steps(state, count, take_step)
@@ -187,7 +193,7 @@ def run_steps(
                 look(step, mean)
                 watch(state, step, mean)
                 if _is_validated(step, steps, validate_every):
-                    validate(state, step)
+                    validate_now()
                 if time.monotonic() - saved > 60 * minutes_per_checkpoint:
                     save(state)
                     saved = time.monotonic()

@@ -87,7 +87,7 @@ def open_training_set(
         parts.append(_kept_masks(path, houses, lambda show: masks_of_network(config, houses, n_own, network, show)))
     data = training_set(houses, n_own, by_house(parts))
     print(
-        f"Training on {n_own} houses of {dataset.name} and {config.extra_houses} procedural ones: "
-        f"{len(data.mask_world)} observation masks, {int(data.n_own)} of the dataset's own houses"
+        f"Training on {n_own} houses of the dataset ({dataset.name}) and {config.extra_houses} more that are drawn: "
+        f"{len(data.mask_world)} observation masks, {int(data.n_own)} of the dataset's houses"
     )
     return data

@@ -27,7 +27,7 @@ GOALS_FILE, CELLS_FILE = "goals.csv", "cells.csv"
 #: What the files of maps end in.
 MAP_ENDINGS = (".png", ".npy", *YAML_ENDINGS)
 
-_GOAL_REMEDY = "draw front doors, or give goals (--goals), beside " + ", ".join(
+_GOAL_REMEDY = "draw a front door, or give a goal (--goals), next to ground that can be driven on: " + ", ".join(
     name for name, drivable in zip(CLASS_NAMES, TRAVERSABLE, strict=True) if drivable and name != "front_door"
 )
 

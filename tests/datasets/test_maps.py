@@ -189,7 +189,7 @@ def test_files_that_are_no_maps(tmp_path, palette, yard):
 
 
 def test_maps_of_no_use(yard):
-    remedy = "give goals (--goals), beside road, driveway, path, sidewalk, traversable"
+    remedy = "give a goal (--goals), next to ground that can be driven on: road, driveway, path, sidewalk, traversable"
     doorless = np.where(yard == FRONT_DOOR, GRASS, yard)
     refusal(lambda: map_from_classes(doorless), "the array: it has no front door", remedy)
     refusal(lambda: map_from_classes(np.full((2, 3), GRASS)), "it has no traversable ground", remedy)
@@ -281,7 +281,7 @@ def test_bad_folders(tmp_path, yard):
 
 def test_a_map_of_no_use_in_a_folder_is_named(tmp_path, yard):
     np.save(tmp_path / "yard.npy", np.where(yard == FRONT_DOOR, GRASS, yard))
-    refusal(lambda: open_dataset(tmp_path), tmp_path / "yard.npy", "no front door", "give goals")
+    refusal(lambda: open_dataset(tmp_path), tmp_path / "yard.npy", "no front door", "give a goal")
 
 
 def test_what_may_not_be_read_is_named(tmp_path, yard, monkeypatch):

@@ -42,7 +42,7 @@ def test_check_map_reports_and_draws(tmp_path):
     assert "         2 tree" in lines
     assert "goal cells: 1 at (6, 0), 1 at (13, 1), 1 at (2, 5)" in lines
     assert "traversable cells: 27, of which 85.2 % lead to a goal, 5 cells away at most" in lines
-    assert "warning: traversable cells that lead to no goal: 3 at (12, 5), 1 at (15, 0)" in lines
+    assert "warning: traversable cells that lead to no goal: 3 around (12, 5), 1 at (15, 0)" in lines
     assert "warning: goal cells that touch no other traversable ground: 1 at (13, 1)" in lines
     # The panels of so wide a map lie below each other.
     height, width, _ = cv2.imread(str(tmp_path / "out" / "campus.png")).shape
@@ -52,7 +52,7 @@ def test_check_map_reports_and_draws(tmp_path):
 
 def test_a_map_of_no_use_is_drawn_and_then_refused(tmp_path, capsys):
     np.save(tmp_path / "campus.npy", np.where(CAMPUS == FRONT_DOOR, GRASS, CAMPUS))
-    with pytest.raises(InputError, match=r"campus\.npy: it has no front door; .* give goals"):
+    with pytest.raises(InputError, match=r"campus\.npy: it has no front door; .* give a goal"):
         main(Options(tmp_path / "campus.npy", out=tmp_path / "out"))
     assert "goal cells: none" in capsys.readouterr().out
     assert (tmp_path / "out" / "campus.png").stat().st_size > 0

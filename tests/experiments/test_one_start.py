@@ -168,13 +168,3 @@ def test_episodes_are_drawn_from_their_table(streets, tmp_path, capsys):
     assert written == {"houses.png", "near-x0-y1-h0-r8.png", "near-x0-y1-h3-r8.png"}
     refusal(lambda: draw(planner=("dc2g",)), "episodes.csv", "no episode of dc2g")
     refusal(lambda: draw(house=("far",)), "no episode in far")
-
-
-@pytest.mark.parametrize("command", ["explore_map", "reproduce_fig8", "draw_dataset", "draw_episodes"])
-def test_help_names_every_option(command):
-    result = run(command, "--help")
-    assert result.returncode == 0
-    assert "--out" in result.stdout
-    if command == "explore_map":
-        for option in ("--palette", "--goals", "--goal-unit", "--cells", "--start", "--planner", "--sensing-range"):
-            assert option in result.stdout
