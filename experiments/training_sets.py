@@ -42,7 +42,7 @@ def kept_arrays(path: Path, names: Sequence[str], collect: Collect, *, unit: str
     """
     if path.exists():
         try:
-            with np.load(path) as file:
+            with path.open("rb") as stream, np.load(stream) as file:
                 return {name: file[name] for name in names}
         except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
             raise InputError(f"{path}: cannot be read ({error}); delete it to collect its contents anew") from None
