@@ -171,7 +171,8 @@ def test_a_network_leads_each_robot_as_if_it_were_alone(terrains):
     episodes, planner = some_episodes(terrains, 9), network_planner(0)
     together = run(terrains, episodes, planner, slots=32, devices=jax.local_devices()[:1])
     cpu = jax.local_devices()[0]
-    assert_equal(run(terrains, episodes, planner, slots=5, devices=[cpu, cpu, cpu]), together)
+    for options in ({"slots": 5}, {"slots": 17, "devices": [cpu, cpu, cpu]}, {"slots": 1}):
+        assert_equal(run(terrains, episodes, planner, **options), together)
     for number in range(0, N_EPISODES, 7):
         alone = run(terrains, jax.tree.map(lambda leaf, n=number: leaf[n : n + 1], episodes), planner)
         assert_equal(alone, jax.tree.map(lambda leaf, n=number: leaf[n : n + 1], together))

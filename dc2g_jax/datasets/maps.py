@@ -154,10 +154,11 @@ def _grid_size(where: str, shape: tuple[int, ...], cells: int | tuple[int, int] 
 
 def _read_array(path: Path) -> ClassImage:
     try:
-        array = np.load(path, allow_pickle=False)
+        with path.open("rb") as stream:
+            array = np.lib.format.read_array(stream, allow_pickle=False)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give a file that numpy.save wrote") from None
-    except (ValueError, EOFError) as error:
+    except ValueError as error:
         problem = " ".join(str(error).split())
         raise InputError(f"{path}: holds no plain array ({problem}); write it with numpy.save") from None
     return check_classes(str(path), array)

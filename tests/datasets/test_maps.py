@@ -183,6 +183,8 @@ def test_files_that_are_no_maps(tmp_path, palette, yard):
     refusal(lambda: read_map(tmp_path / "b.npy"), tmp_path / "b.npy", "no plain array", "numpy.save")
     (tmp_path / "empty.npy").touch()
     refusal(lambda: read_map(tmp_path / "empty.npy"), tmp_path / "empty.npy", "no plain array")
+    (tmp_path / "archive.npy").write_bytes(b"PK\x03\x04nothing else")
+    refusal(lambda: read_map(tmp_path / "archive.npy"), tmp_path / "archive.npy", "no plain array", "numpy.save")
     refusal(lambda: read_map(tmp_path / "gone.npy"), tmp_path / "gone.npy", "cannot be read", "give")
     refusal(lambda: read_map(tmp_path / "gone.png", palette=palette), tmp_path / "gone.png", "cannot be read", "give")
     refusal(lambda: read_map(tmp_path / "a.jpg"), tmp_path / "a.jpg", "is no map", ".png, .npy, .yaml, .yml")

@@ -168,3 +168,10 @@ def test_episodes_are_drawn_from_their_table(streets, tmp_path, capsys):
     assert written == {"houses.png", "near-x0-y1-h0-r8.png", "near-x0-y1-h3-r8.png"}
     refusal(lambda: draw(planner=("dc2g",)), "episodes.csv", "no episode of dc2g")
     refusal(lambda: draw(house=("far",)), "no episode in far")
+
+
+def test_help_names_the_options_of_a_map():
+    result = run("explore_map", "--help")
+    assert result.returncode == 0
+    for option in ("--palette", "--goals", "--goal-unit", "--cells", "--start", "--planner", "--sensing-range"):
+        assert option in result.stdout
