@@ -188,8 +188,8 @@ def run_steps(
                     raise KeyboardInterrupt
                 mean = np.mean([np.asarray(loss) for loss in losses], axis=0)
                 step += len(losses)
+                bar.set_postfix(loss=f"{np.mean(mean):.4f}", refresh=False)
                 bar.update(len(losses))
-                bar.set_postfix(loss=f"{np.mean(mean):.4f}")
                 look(step, mean)
                 watch(state, step, mean)
                 if _is_validated(step, steps, validate_every):
