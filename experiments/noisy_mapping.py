@@ -1,6 +1,5 @@
 """The whole loop from camera to door, with more and more noise: `python -m experiments.noisy_mapping`."""
 
-import csv
 import dataclasses
 import json
 from collections.abc import Mapping, Sequence
@@ -16,7 +15,7 @@ from dc2g_jax.driving.loop import STATUS_NAMES
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.evaluation import Runner, house_bootstrap
-from dc2g_jax.files.tables import write_table
+from dc2g_jax.files.tables import read_table, write_table
 from dc2g_jax.inspection.driving_figures import plot_noise
 from dc2g_jax.planning.rules import SETTINGS
 from experiments.common import (
@@ -32,6 +31,7 @@ from experiments.episodes import EpisodeProgress, EpisodeTable
 from experiments.outputs import output_folder
 
 _COLUMNS = ("house", "x", "y", "heading", "seconds", "status", "off_ground", "touched")
+_REMEDY = "remove the file to drive these anew"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,11 +76,26 @@ class DriveTable:
         path = self._folder / f"{name}.csv"
         if not path.exists():
             self._write(path, drive_it())
-        with path.open(newline="") as file:
-            rows = list(csv.DictReader(file))
-        columns = {name: np.array([float(row[name]) for row in rows]) for name in ("seconds", "off_ground", "touched")}
-        status = np.array([STATUS_NAMES.index(row["status"]) for row in rows])
-        return Drives(status=status, **columns)
+        return self._read(path)
+
+    def _read(self, path: Path) -> Drives:
+        rows = read_table(path, _COLUMNS, remedy=_REMEDY)
+        if len(rows) != len(self._starts):
+            raise InputError(f"{path}: {len(rows)} drives, but the run has {len(self._starts)} starts; {_REMEDY}")
+        drives = []
+        for (line, row), start in zip(rows, self._starts, strict=True):
+            at = f"{path}: line {line}"
+            place = f"{start.house},{start.x},{start.y},{start.heading}"
+            if ",".join(row[name] for name in _COLUMNS[:4]) != place:
+                raise InputError(f"{at}: is not the drive from {place}; {_REMEDY}")
+            if row["status"] not in STATUS_NAMES:
+                raise InputError(f"{at}: status {row['status']!r} is none of {', '.join(STATUS_NAMES)}; {_REMEDY}")
+            try:
+                seconds, off_ground, touched = (float(row[name]) for name in ("seconds", "off_ground", "touched"))
+            except ValueError as error:
+                raise InputError(f"{at}: {error}; {_REMEDY}") from None
+            drives.append((seconds, STATUS_NAMES.index(row["status"]), off_ground, touched))
+        return Drives(*(np.array(column) for column in zip(*drives, strict=True)))
 
     def _write(self, path: Path, drives: Drives) -> None:
         rows = []

@@ -11,8 +11,8 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from dc2g_jax.datasets.houses import open_dataset
-from dc2g_jax.datasets.starts import sample_starts
+from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
+from dc2g_jax.datasets.starts import why_no_episode
 from dc2g_jax.driving.fleet import sites_of
 from dc2g_jax.driving.loop import STATUS_NAMES, Equipment, set_out
 from dc2g_jax.driving.trace import Moment, moments
@@ -68,15 +68,24 @@ def record(file: Path, drive: list[Moment], robot: Equipment, name: str) -> None
             recording.add(MappedFrame(moment.frame, encoded.tobytes(), moment.robot.map, moment.robot.terrain))
 
 
+def first_house(dataset: HouseDataset) -> House:
+    """The first test house in which an episode can be run.
+
+    Raises:
+      InputError: if there is none.
+    """
+    for house in dataset.split("test"):
+        if why_no_episode(house) is None:
+            return house
+    raise InputError(f"{dataset.name}: no episode can be run in any of its test houses; name another --house")
+
+
 def main(options: Options) -> None:
     """Drive, draw, record."""
     if options.noise < 0:
         raise InputError(f"--noise {options.noise:g}: give 0 or more")
     dataset = open_dataset(options.dataset)
-    if options.house is None:
-        house = dataset.house(sample_starts(dataset.split("test"), 1, seed=options.seed)[0].house)
-    else:
-        house = dataset.house(options.house)
+    house = first_house(dataset) if options.house is None else dataset.house(options.house)
     start = start_in(house.name, house, options.start, options.seed)
     out = output_folder(options, "reproduce_fig9")
     robot = equipment(

@@ -6,12 +6,14 @@ import json
 import numpy as np
 import pytest
 
+from dc2g_jax.datasets.houses import House, HouseDataset
+from dc2g_jax.datasets.starts import Start
 from dc2g_jax.estimation.estimators import ExactCostToGo
 from dc2g_jax.planning.planners import DC2G, Frontier
 from dc2g_jax.planning.selection import ENDLESS
 from experiments import noisy_mapping, reproduce_fig9
 from experiments.driving import DrivingOptions, equipment
-from tests.driving.test_loop import STREET
+from tests.driving.test_loop import STREET, WALLED
 from tests.refusals import refusal
 
 #: Images small enough to be rendered quickly.
@@ -77,6 +79,33 @@ def test_options_of_no_use_are_refused(street, tmp_path, options, mentions):
     refusal(
         lambda: noisy_mapping.main(noisy_mapping.Options(dataset=street, out=tmp_path / "out", **options)), *mentions
     )
+
+
+def test_figure_9_shows_the_first_test_house_with_a_way_to_its_door():
+    walled, street = House("walled", "test", WALLED), House("street", "test", STREET)
+    assert reproduce_fig9.first_house(HouseDataset("two", "folder", (walled, street))) is street
+    none = HouseDataset("one", "folder", (walled,))
+    refusal(lambda: reproduce_fig9.first_house(none), "one", "no episode can be run", "name another --house")
+
+
+DRIVE = "street,9,2,2,4.0,arrived,0.0,0.0"
+
+
+@pytest.mark.parametrize(
+    ("lines", "mentions"),
+    [
+        ([], ["oracle.csv", "no rows"]),
+        ([DRIVE, DRIVE], ["oracle.csv", "2 drives", "1 starts", "remove the file"]),
+        ([DRIVE.replace("9", "8")], ["oracle.csv: line 2", "not the drive from", "remove the file"]),
+        ([DRIVE.replace("arrived", "flown")], ["oracle.csv: line 2", "'flown'", "arrived", "remove the file"]),
+        ([DRIVE.replace("4.0", "soon")], ["oracle.csv: line 2", "soon", "remove the file"]),
+    ],
+)
+def test_kept_drives_that_are_not_of_this_run_are_refused(tmp_path, lines, mentions):
+    header = "house,x,y,heading,seconds,status,off_ground,touched"
+    (tmp_path / "oracle.csv").write_text("\n".join([header, *lines]) + "\n")
+    table = noisy_mapping.DriveTable(tmp_path, [Start("street", 9, 2, 2)])
+    refusal(lambda: table.run("oracle", lambda: pytest.fail("they are there")), *mentions)
 
 
 @pytest.mark.parametrize(("planner", "kind"), [("dc2g", DC2G), ("frontier", Frontier)])
