@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Array, Float, Int, UInt8
 
 from dc2g_jax.datasets.image_pairs import ImageSet, labelled_grid, labelled_map, make_image_pair, masked_pair
-from dc2g_jax.estimation import translator
 from dc2g_jax.estimation.estimators import Estimator, TranslatorCostToGo
 from dc2g_jax.estimation.images import cost_to_go_image
 from dc2g_jax.estimation.metrics import ImageMetrics, image_metrics
@@ -85,7 +84,7 @@ def as_floats(metrics: ImageMetrics) -> dict[str, float]:
 @jax.jit
 def _pair_metrics(network: TranslatorCostToGo, data: ImageSet, index: Int[Array, ""]) -> ImageMetrics:
     pair = make_image_pair(data, index)
-    return image_metrics(translator.translate(network.architecture, network.weights, pair.image[None])[0], pair.target)
+    return image_metrics(network.answer(pair.image[None])[0], pair.target)
 
 
 def mean_metrics(network: TranslatorCostToGo, data: ImageSet) -> dict[str, float]:

@@ -10,6 +10,7 @@ from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.image_pairs import all_pairs, make_image_pair
 from dc2g_jax.estimation import translator
 from dc2g_jax.estimation.estimators import ExactCostToGo, TranslatorCostToGo
+from dc2g_jax.estimation.images import in_eight_bits
 from dc2g_jax.estimation.metrics import image_metrics
 from dc2g_jax.estimation.translator import TranslatorArchitecture
 from dc2g_jax.grid.search import EIGHT_CONNECTED
@@ -38,7 +39,7 @@ def test_the_translator_is_judged_by_what_it_draws(network):
     seen = drawn_masks(1, 64, seed=0)[0]
     metrics, image, predicted, true = compare(network, jnp.asarray(terrain), jnp.asarray(cost), jnp.asarray(seen))
     drawn = translator.translate(network.architecture, network.weights, image[None])[0]
-    np.testing.assert_allclose(predicted, drawn, atol=1e-5)
+    np.testing.assert_allclose(predicted, in_eight_bits(drawn), atol=1.01 / 255)  # a rounding error counts one
     assert as_floats(metrics) == pytest.approx(as_floats(image_metrics(predicted, true)), abs=1e-5)
 
 
@@ -49,6 +50,6 @@ def test_the_mean_over_pairs(network):
     for index in range(6):
         pair = make_image_pair(data, jnp.int32(index))
         drawn = translator.translate(network.architecture, network.weights, pair.image[None])[0]
-        rows.append(as_floats(image_metrics(drawn, pair.target)))
+        rows.append(as_floats(image_metrics(in_eight_bits(drawn), pair.target)))
     mean = {name: np.mean([row[name] for row in rows]) for name in rows[0]}
-    assert mean_metrics(network, data) == pytest.approx(mean, abs=1e-4)
+    assert mean_metrics(network, data) == pytest.approx(mean, abs=1e-3)

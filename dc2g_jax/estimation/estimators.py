@@ -206,8 +206,11 @@ class TranslatorCostToGo:
     def translate(self, terrain: UInt8[Array, "b h w"]) -> Float[Array, "b s s 3"]:
         """Pictures of the cost-to-go of partial maps, which are resized to the network's own size first."""
         size = self.architecture.size
-        pictures = jax.vmap(lambda one: images.semantic_image(resize_nearest(one, size, size)))(terrain)
-        return translator.translate(self.architecture, self.weights, pictures)
+        return self.answer(jax.vmap(lambda one: images.semantic_image(resize_nearest(one, size, size)))(terrain))
+
+    def answer(self, pictures: Float[Array, "b s s 3"]) -> Float[Array, "b s s 3"]:
+        """Pictures of the cost-to-go, in 8 bits, of pictures of partial maps in the network's own size."""
+        return jax.vmap(images.in_eight_bits)(translator.translate(self.architecture, self.weights, pictures))
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "1 h w *batch"]:
         """1 - brightness in the network's picture; 1 where it shows ground that cannot be driven on."""

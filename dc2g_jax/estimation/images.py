@@ -43,6 +43,14 @@ def cost_to_go_image(cost_to_go: Float[Array, "h w"], terrain: UInt8[Array, "h w
     return jnp.where(blocked[..., None], jnp.asarray(RED, jnp.float32), grey)
 
 
+def in_eight_bits(image: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
+    """A picture as a file of 8 bits a colour holds it, rounded down as the implementation that the paper names does.
+
+    So black that a network draws as nearly black is black; it would have a saturation of any size otherwise.
+    """
+    return jnp.floor(jnp.minimum(255.5 * image, 255)) / 255
+
+
 def saturation(image: Float[Array, "h w 3"]) -> Float[Array, "h w"]:
     """S of HSV: 0 for greys, 1 for pure colours; 0 for black."""
     high, low = jnp.max(image, axis=-1), jnp.min(image, axis=-1)

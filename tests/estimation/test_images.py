@@ -83,6 +83,21 @@ def test_saturation_and_brightness_are_those_of_opencv(seed):
     )
 
 
+@given(st.integers(0, 2**32 - 1))
+def test_eight_bits_hold_what_a_file_of_bytes_does(seed):
+    picture = np.random.default_rng(seed).random((20, 30, 3), dtype=np.float32)
+    stored = np.minimum(picture * np.float32(255.5), 255).astype(np.uint8)
+    np.testing.assert_allclose(images.in_eight_bits(jnp.asarray(picture)), stored / 255, atol=1e-6)
+    kept = jnp.asarray(stored / np.float32(255))
+    np.testing.assert_allclose(images.in_eight_bits(kept), kept, atol=1e-6)
+
+
+def test_nearly_black_is_black():
+    picture = images.in_eight_bits(jnp.asarray([[[0.003, 0.0, 0.001]]]))
+    assert np.all(np.asarray(picture) == 0)
+    assert images.looks_traversable(picture).all()
+
+
 def test_a_colour_that_is_not_grey_has_the_worst_cost():
     image = np.array([[(1, 1, 1), (0.5, 0.5, 0.5), (1, 0, 0), (0.8, 0.2, 0.2), (0.8, 0.7, 0.7)]], np.float32)
     np.testing.assert_allclose(read_back(image, 1, 5), [[0, 0.5, 1, 1, 0.2]], atol=1e-6)

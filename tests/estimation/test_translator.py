@@ -119,8 +119,9 @@ def test_the_estimate_is_read_off_the_picture(weights, street):
     ask = jax.jit(network.estimate)
     estimate = ask(jnp.asarray(street), network.init(world_from_terrain(street)))
     large = resize_nearest(jnp.asarray(street), 32, 32)
-    picture = translate(weights, images.semantic_image(large)[None])[0]
-    np.testing.assert_allclose(estimate[0], images.read_cost_to_go(picture, *street.shape), atol=1e-5)
+    picture = images.in_eight_bits(translate(weights, images.semantic_image(large)[None])[0])
+    read = images.read_cost_to_go(picture, *street.shape)
+    np.testing.assert_allclose(estimate[0], read, atol=1.01 / 255)  # a rounding error counts one
     assert estimate.shape == (1, *street.shape)
     assert np.isfinite(estimate).all()
     many = ask(jnp.stack([jnp.asarray(street)] * 3, axis=-1), ())
