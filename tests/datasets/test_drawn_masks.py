@@ -1,4 +1,4 @@
-"""Drawn observation masks: reproducible, neither empty nor full, and complete in their variants."""
+"""Drawn observation masks: reproducible, never empty, whole now and then, and complete in their variants."""
 
 import numpy as np
 import pytest
@@ -26,6 +26,13 @@ def test_drawings_cover_some_of_the_map_and_differ(size):
     assert len({mask.tobytes() for mask in masks}) > 9.5 * VARIANTS
     # Shapes, not noise: hardly any cell differs from the one beside it.
     assert np.mean(masks[:, 1:] != masks[:, :-1]) < 0.1
+
+
+def test_one_drawing_in_sixteen_leaves_the_map_whole():
+    share = drawn_masks(33 * VARIANTS, 32, seed=3).mean(axis=(1, 2)).reshape(33, VARIANTS)
+    whole = np.isin(np.arange(33), (15, 31))
+    assert (share[whole] == 1).all()
+    assert (share[~whole] < 1).all()
 
 
 def test_masks_depend_on_the_seed_alone():
