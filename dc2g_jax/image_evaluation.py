@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt8
 
-from dc2g_jax.datasets.image_pairs import ImageSet, labelled_grid, labelled_map, make_image_pair, masked_pair
+from dc2g_jax.datasets.image_pairs import ImageSet, MaskedMap, labelled_grid, labelled_map, masked_map
 from dc2g_jax.estimation.estimators import Estimator, TranslatorCostToGo
-from dc2g_jax.estimation.images import cost_to_go_image
-from dc2g_jax.estimation.metrics import ImageMetrics, image_metrics
+from dc2g_jax.estimation.images import cost_to_go_image, largest_cost
+from dc2g_jax.estimation.metrics import Comparison, ImageMetrics, compare_images
 from dc2g_jax.grid.sampling import ClassImage, resize_nearest
 from dc2g_jax.grid.terrain import TRAVERSABLE
 from dc2g_jax.grid.world import world_from_terrain
@@ -29,20 +29,30 @@ def map_for(estimator: Estimator, image: ClassImage) -> tuple[UInt8[np.ndarray, 
     return labelled_grid(image, GRID_CELLS)
 
 
-def predicted_image(estimator: Estimator, terrain: UInt8[Array, "s s"]) -> Float[Array, "s s 3"]:
+def _costs_to_drive(estimator: Estimator, terrain: UInt8[Array, "s s"]) -> Float[Array, "s s"]:
+    """The expected cost-to-go of every cell that can be driven on; infinity elsewhere."""
+    cost = jnp.mean(estimator.estimate(terrain, estimator.init(world_from_terrain(terrain))), axis=0)
+    return jnp.where(jnp.asarray(TRAVERSABLE)[terrain], cost, jnp.inf)
+
+
+def predicted_image(
+    estimator: Estimator, observed: UInt8[Array, "s s"], whole: UInt8[Array, "s s"]
+) -> Float[Array, "s s 3"]:
     """The picture of the cost-to-go that an estimator has in mind.
 
     The translator draws it. Any other estimator gives a cost for every cell, from which the picture is made as the true
-    one is; what can be driven on is then known from the map, not estimated.
+    one is; what can be driven on is then known from the map, not estimated, and black is the largest cost that it gives
+    on the whole map, as it is the largest of the whole map in the true picture.
 
     Args:
       estimator: what to ask.
-      terrain: observed class indices, see `map_for`.
+      observed: observed class indices, see `map_for`.
+      whole: class indices of the whole map.
     """
     if isinstance(estimator, TranslatorCostToGo):
-        return estimator.translate(terrain[None])[0]
-    cost = jnp.mean(estimator.estimate(terrain, estimator.init(world_from_terrain(terrain))), axis=0)
-    return cost_to_go_image(jnp.where(jnp.asarray(TRAVERSABLE)[terrain], cost, jnp.inf), terrain)
+        return estimator.translate(observed[None])[0]
+    largest = largest_cost(_costs_to_drive(estimator, whole))
+    return cost_to_go_image(_costs_to_drive(estimator, observed), observed, largest)
 
 
 @jax.jit
@@ -61,9 +71,9 @@ def compare(
       The metrics, and three pictures: input, prediction and truth.
     """
     observed = resize_nearest(seen, *terrain.shape)
-    pair = masked_pair(terrain, cost_to_go, observed)
-    predicted = predicted_image(estimator, jnp.where(observed, terrain, jnp.uint8(0)))
-    return image_metrics(predicted, pair.target), pair.image, predicted, pair.target
+    pair = MaskedMap(terrain, cost_to_go, observed, largest_cost(cost_to_go)).pictures()
+    predicted = predicted_image(estimator, jnp.where(observed, terrain, jnp.uint8(0)), terrain)
+    return compare_images(predicted, pair.target).metrics(), pair.image, predicted, pair.target
 
 
 def full_map_metrics(estimator: Estimator, images: Iterable[ClassImage]) -> list[dict[str, float]]:
@@ -82,12 +92,16 @@ def as_floats(metrics: ImageMetrics) -> dict[str, float]:
 
 
 @jax.jit
-def _pair_metrics(network: TranslatorCostToGo, data: ImageSet, index: Int[Array, ""]) -> ImageMetrics:
-    pair = make_image_pair(data, index)
-    return image_metrics(network.answer(pair.image[None])[0], pair.target)
+def _compare_pair(network: TranslatorCostToGo, data: ImageSet, index: Int[Array, ""]) -> Comparison:
+    pair = masked_map(data, index).pictures()
+    return compare_images(network.answer(pair.image[None])[0], pair.target)
 
 
-def mean_metrics(network: TranslatorCostToGo, data: ImageSet) -> dict[str, float]:
-    """Mean of each metric over all pairs of a set (Fig. 5), which are asked about one at a time."""
-    rows = [_pair_metrics(network, data, index) for index in range(len(data.pair_house))]
-    return as_floats(jax.tree.map(lambda *values: np.mean(values), *rows))
+def metrics_over_pairs(network: TranslatorCostToGo, data: ImageSet) -> dict[str, float]:
+    """Metrics over all pairs of a set (Fig. 5), which are asked about one at a time.
+
+    Precision and recall are of the pixels of all pictures together: of a picture in which nothing is predicted to be
+    near a goal there is no precision, and a network that says little is not to be rewarded.
+    """
+    rows = [_compare_pair(network, data, index) for index in range(len(data.pair_house))]
+    return as_floats(jax.tree.map(lambda *values: jnp.sum(jnp.stack(values)), *rows).metrics(len(rows)))

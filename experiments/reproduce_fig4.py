@@ -8,7 +8,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax.datasets.drawn_masks import drawn_masks
+from dc2g_jax.datasets.drawn_masks import VARIANTS, drawn_masks
 from dc2g_jax.datasets.houses import House, open_dataset
 from dc2g_jax.datasets.image_pairs import houses_with_door
 from dc2g_jax.errors import InputError
@@ -56,8 +56,8 @@ def main(options: Options) -> None:
     out = output_folder(options, "reproduce_fig4")
     chosen = [houses[place] for place in np.linspace(0, len(houses) - 1, 2 * options.rows).round().astype(int)]
     everything = np.ones((256, 256), bool)
-    # Every 17th mask: each of another drawing, and in another variant.
-    masks = drawn_masks(17 * options.rows, 256, seed=options.seed)[::17]
+    # One mask a row, each of another drawing and in another variant.
+    masks = drawn_masks((VARIANTS + 1) * options.rows, 256, seed=options.seed)[:: VARIANTS + 1]
     full = [example(network, house, everything) for house in chosen[::2]]
     partial = [example(network, house, mask) for house, mask in zip(chosen[1::2], masks, strict=True)]
     name = "the network that comes with the package" if options.network is None else str(options.network)

@@ -15,7 +15,7 @@ from dc2g_jax.datasets.image_pairs import houses_with_door
 from dc2g_jax.datasets.similarity import distance_to_training, similarity_scale
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.grid.sampling import resize_nearest
-from dc2g_jax.image_evaluation import full_map_metrics
+from dc2g_jax.image_evaluation import GRID_CELLS, full_map_metrics
 from dc2g_jax.inspection.image_figures import METRIC_LABELS, Points, plot_by_similarity
 from experiments.common import DatasetOption, OutOption, command_line, open_network
 from experiments.outputs import output_folder
@@ -52,15 +52,23 @@ def distances(dataset: HouseDataset, houses: Sequence[House]) -> list[float]:
 def points_of(distance: Sequence[float], rows: Sequence[dict[str, float]]) -> Points:
     """A network's metrics by name, with the straight line that fits each best in the least-squares sense.
 
-    Houses that are all equally far from training have no such line.
+    Houses that are all equally far from training have no such line; a house without a value has no part in it.
     """
     metrics = {name: [row[name] for row in rows] for name in METRIC_LABELS}
     fits = {}
-    if np.ptp(distance) > 0:
-        for name, values in metrics.items():
-            slope, intercept = np.polyfit(distance, values, 1)
+    for name, values in metrics.items():
+        known = np.isfinite(values)
+        apart = np.asarray(distance)[known]
+        if apart.size and np.ptp(apart) > 0:
+            slope, intercept = np.polyfit(apart, np.asarray(values)[known], 1)
             fits[name] = (float(slope), float(intercept))
     return Points(distance, metrics, fits)
+
+
+def mean_of(values: Sequence[float]) -> float:
+    """Mean over the houses that have a value; no number where none has."""
+    known = [value for value in values if np.isfinite(value)]
+    return float(np.mean(known)) if known else float("nan")
 
 
 def print_table(networks: dict[str, Points]) -> None:
@@ -69,7 +77,7 @@ def print_table(networks: dict[str, Points]) -> None:
     print(f"{'':24}" + "".join(f"{name:>24}" for name in METRIC_LABELS))
     for network, points in networks.items():
         cells = [
-            f"{np.mean(values):.3f} ({points.fits[name][0] if name in points.fits else float('nan'):+.3f})"
+            f"{mean_of(values):.3f} ({points.fits[name][0] if name in points.fits else float('nan'):+.3f})"
             for name, values in points.metrics.items()
         ]
         print(f"{network:24}" + "".join(f"{cell:>24}" for cell in cells))
@@ -81,7 +89,8 @@ def write_houses(path: Path, houses: Sequence[House], networks: dict[str, Points
     for network, points in networks.items():
         for number, house in enumerate(houses):
             values = (points.distance[number], *(points.metrics[name][number] for name in METRIC_LABELS))
-            rows.append((network, house.name, group_of(house), *(round(value, 5) for value in values)))
+            cells = (round(value, 5) if np.isfinite(value) else "" for value in values)
+            rows.append((network, house.name, group_of(house), *cells))
     write_table(path, ("network", "house", "group", "distance", *METRIC_LABELS), rows)
 
 
@@ -97,8 +106,9 @@ def main(options: Options) -> None:
     print_table(networks)
     write_houses(out / "houses.csv", houses, networks)
     caption = (
-        f"{len(houses)} test houses of {dataset.name}, fully observed.\n"
-        "A network that gives a cost for every cell takes traversability from the map."
+        f"{len(houses)} test houses of {dataset.name}, fully observed. A network that gives a cost for every cell\n"
+        f"takes traversability from the map, and is compared on the {GRID_CELLS} x {GRID_CELLS} grid of robots, a "
+        "translator on its own picture.\nWhere nothing is predicted to be near a goal there is no precision."
     )
     plot_by_similarity(out / "fig6", networks, caption)
     facts = {
@@ -107,7 +117,7 @@ def main(options: Options) -> None:
         "networks": {
             name: {
                 metric: {
-                    "mean": float(np.mean(values)),
+                    "mean": None if np.isnan(mean_of(values)) else mean_of(values),
                     "slope_and_intercept": points.fits.get(metric),
                 }
                 for metric, values in points.metrics.items()

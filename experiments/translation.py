@@ -7,6 +7,7 @@ from typing import Any, Literal, NamedTuple
 
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.datasets.image_pairs import ImageSet, draw_image_pairs
+from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
 from dc2g_jax.estimation.estimators import TranslatorCostToGo
 from dc2g_jax.estimation.translator import TranslatorArchitecture
@@ -16,7 +17,7 @@ from dc2g_jax.estimation.translator_training import (
     init_translator,
     translator_step,
 )
-from dc2g_jax.image_evaluation import mean_metrics
+from dc2g_jax.image_evaluation import metrics_over_pairs
 from dc2g_jax.image_training_data import MaskKind, image_set
 from experiments.outputs import command_written, commit
 from experiments.training_loop import FiniteLoss, Log, check_validate_every, run_steps
@@ -33,6 +34,9 @@ class TranslationOptions:
       masks: what is observed: `paper` draws strokes, blobs and strips, `rollout` takes what robots under way had seen.
       train_masks: observation masks of each training house.
       validation_masks: observation masks of each validation house.
+      whole_share: share of training pairs in which all of the map is observed. The paper does not say how many are;
+        a network that is never shown a whole map draws one as badly as if it had learned nothing.
+      augment: shift, enlarge and mirror the maps at random, as pix2pix does.
       steps: optimiser steps.
       batch_size: pairs a step.
       learning_rate: of Adam.
@@ -46,6 +50,8 @@ class TranslationOptions:
     masks: MaskKind = "paper"
     train_masks: int = 256
     validation_masks: int = 80
+    whole_share: float = 0.0625
+    augment: bool = True
     steps: int = TranslatorConfig.steps
     batch_size: int = TranslatorConfig.batch_size
     learning_rate: float = TranslatorConfig.learning_rate
@@ -62,12 +68,15 @@ class TranslationOptions:
           InputError: for networks that cannot be built.
         """
         check_validate_every(self.validate_every)
+        if not 0 <= self.whole_share <= 1:
+            raise InputError(f"--whole-share {self.whole_share:g}: give a share from 0 to 1")
         architecture = TranslatorArchitecture(self.size, self.base_filters, self.compute_dtype)
         return TranslatorConfig(architecture, loss, self.steps, self.batch_size, self.learning_rate)
 
     def facts(self, dataset: HouseDataset, seed: int) -> dict[str, Any]:
         """What must be the same for a run to be resumed, beside the configuration."""
-        return {"seed": seed, "dataset": dataset.name, "masks": self.masks, "train_masks": self.train_masks}
+        names = ("masks", "train_masks", "whole_share", "augment")
+        return {"seed": seed, "dataset": dataset.name, **{name: getattr(self, name) for name in names}}
 
 
 class TranslationData(NamedTuple):
@@ -90,7 +99,8 @@ def _card(
 ) -> dict[str, Any]:
     """What to know about a network: where it comes from."""
     return {
-        "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks})",
+        "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks}), "
+        f"{100 * options.whole_share:g} % of pairs whole" + ", shifted, enlarged and mirrored" * options.augment,
         "target": "8-connected cost-to-go as a picture, brightest visible pixel 1",
         "loss": config.loss,
         "command": command_written(),
@@ -115,14 +125,19 @@ def train_translator(
     """
     first_state = partial(init_translator, seed=seed)
     checkpoints = TrainingCheckpoints(out, config, options.facts(dataset, seed), first_state=first_state)
-    draw = partial(draw_image_pairs, batch_size=config.batch_size)
+    draw = partial(
+        draw_image_pairs,
+        batch_size=config.batch_size,
+        whole_share=options.whole_share,
+        augment=options.augment,
+    )
     difference, log = FiniteLoss(out), Log(out)
 
     def validate(state: TranslatorState, step: int) -> None:
         network = TranslatorCostToGo(weights=state.generator, architecture=config.architecture)
         save_network(out / "network", network, _card(dataset, config, options, seed, step))
         if options.validate_every:
-            log.write({"step": step, "train_l1": difference.latest, **mean_metrics(network, data.validation)})
+            log.write({"step": step, "train_l1": difference.latest, **metrics_over_pairs(network, data.validation)})
 
     try:
         state = checkpoints.restore() or first_state(config)

@@ -1,23 +1,35 @@
 """Any estimator can be judged by pictures, and exact values make perfect ones."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import struct
 
 from dc2g_jax.datasets.drawn_masks import drawn_masks
 from dc2g_jax.datasets.houses import House
-from dc2g_jax.datasets.image_pairs import all_pairs, make_image_pair
+from dc2g_jax.datasets.image_pairs import all_pairs, masked_map
 from dc2g_jax.estimation import translator
 from dc2g_jax.estimation.estimators import ExactCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.images import in_eight_bits
-from dc2g_jax.estimation.metrics import image_metrics
+from dc2g_jax.estimation.metrics import ImageMetrics, compare_images
 from dc2g_jax.estimation.translator import TranslatorArchitecture
 from dc2g_jax.grid.search import EIGHT_CONNECTED
-from dc2g_jax.image_evaluation import as_floats, compare, full_map_metrics, map_for, mean_metrics
+from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
+from dc2g_jax.image_evaluation import as_floats, compare, full_map_metrics, map_for, metrics_over_pairs
 from tests import maps
 
-IMAGES = [maps.random_terrain(seed, (60, 80), 0.8) for seed in range(3)]
+
+def house_with_door(seed: int) -> np.ndarray:
+    """A random map of which a door is part, on ground that can be driven on."""
+    terrain = maps.random_terrain(seed, (60, 80), 0.8)
+    terrain[20:40, 30:50], terrain[28:32, 38:42] = ROAD, FRONT_DOOR
+    return terrain
+
+
+IMAGES = [house_with_door(seed) for seed in range(3)]
 
 
 @pytest.fixture(scope="module")
@@ -40,16 +52,42 @@ def test_the_translator_is_judged_by_what_it_draws(network):
     metrics, image, predicted, true = compare(network, jnp.asarray(terrain), jnp.asarray(cost), jnp.asarray(seen))
     drawn = translator.translate(network.architecture, network.weights, image[None])[0]
     np.testing.assert_allclose(predicted, in_eight_bits(drawn), atol=1.01 / 255)  # a rounding error counts one
-    assert as_floats(metrics) == pytest.approx(as_floats(image_metrics(predicted, true)), abs=1e-5)
+    assert as_floats(metrics) == pytest.approx(
+        as_floats(compare_images(predicted, true).metrics()), abs=1e-5, nan_ok=True
+    )
 
 
-def test_the_mean_over_pairs(network):
+@struct.dataclass
+class Known:
+    """An estimator that knows the costs of the whole map, whatever is observed of it."""
+
+    cost: Any
+
+    def init(self, world):
+        return ()
+
+    def estimate(self, terrain, state):
+        return jnp.where(jnp.isfinite(self.cost), self.cost, 1e9)[None]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_exact_values_make_a_perfect_picture_of_a_partial_map(seed):
+    terrain, cost = map_for(Known(None), IMAGES[0])
+    reachable = np.where(TRAVERSABLE[terrain] & ~np.isfinite(cost), GRASS, terrain)
+    seen = drawn_masks(8 * seed + 1, 64, seed=0)[-1]
+    metrics, *_ = compare(Known(jnp.asarray(cost)), jnp.asarray(reachable), jnp.asarray(cost), jnp.asarray(seen))
+    assert as_floats(metrics) == pytest.approx(dict.fromkeys(ImageMetrics._fields, 1.0) | {"l1": 0.0}, abs=1e-6)
+
+
+def test_metrics_over_pairs_count_the_pixels_of_all(network):
     houses = [House(f"h{number}", "val", image) for number, image in enumerate(IMAGES)]
     data = all_pairs(houses, drawn_masks(2, 32, seed=0))
-    rows = []
+    drawn, true = [], []
     for index in range(6):
-        pair = make_image_pair(data, jnp.int32(index))
-        drawn = translator.translate(network.architecture, network.weights, pair.image[None])[0]
-        rows.append(as_floats(image_metrics(in_eight_bits(drawn), pair.target)))
-    mean = {name: np.mean([row[name] for row in rows]) for name in rows[0]}
-    assert mean_metrics(network, data) == pytest.approx(mean, abs=1e-3)
+        pair = masked_map(data, jnp.int32(index)).pictures()
+        drawn.append(in_eight_bits(translator.translate(network.architecture, network.weights, pair.image[None])[0]))
+        true.append(pair.target)
+    # One long picture has the pixels of all.
+    together = compare_images(jnp.concatenate(drawn), jnp.concatenate(true)).metrics()
+    found = metrics_over_pairs(network, data)
+    assert found == pytest.approx(as_floats(together), abs=1e-3, nan_ok=True)

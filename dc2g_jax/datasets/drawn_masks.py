@@ -1,19 +1,15 @@
 """Observation masks as a hand would draw them: strokes, blobs and strips (the masks of Algorithm 1).
 
-The paper's own masks were not published; its figures show broad strokes that uncover parts of a map. Whole maps are
-among them here: a network that is never shown one draws it as badly as if it had learned nothing, and the paper
-judges its network on whole maps.
+The paper's own masks were not published; its figures show broad strokes that uncover parts of a map, and the authors'
+scripts turn each of them by quarters and invert it.
 """
 
 import cv2
 import numpy as np
 from jaxtyping import Bool
 
-#: Each drawing is used in the 8 symmetries of the square, covering and uncovering.
-VARIANTS = 16
-
-#: The last of so many drawings leaves the map whole.
-_DRAWINGS_PER_WHOLE_MAP = 16
+#: Each drawing is used turned by quarters, covering and uncovering.
+VARIANTS = 8
 
 #: A drawing covers at least this share of the map, and leaves as much free.
 _LEAST_SHARE = 0.1
@@ -60,9 +56,9 @@ def _drawing(size: int, rng: np.random.Generator) -> Bool[np.ndarray, "s s"]:
             return canvas.astype(bool)
 
 
-def mask_variants(mask: Bool[np.ndarray, "s s"]) -> Bool[np.ndarray, "16 s s"]:
-    """A mask in the 8 symmetries of the square, then the inverse of each."""
-    turned = [np.rot90(side, quarter) for side in (mask, mask[:, ::-1]) for quarter in range(4)]
+def mask_variants(mask: Bool[np.ndarray, "s s"]) -> Bool[np.ndarray, "8 s s"]:
+    """A mask turned by 0 to 3 quarters, then the inverse of each."""
+    turned = [np.rot90(mask, quarter) for quarter in range(4)]
     return np.stack(turned + [~variant for variant in turned])
 
 
@@ -70,15 +66,10 @@ def drawn_masks(count: int, size: int, *, seed: int) -> Bool[np.ndarray, "count 
     """Random drawings in all their variants: what is observed.
 
     Args:
-      count: how many masks; the last drawing gives fewer variants where this is no multiple of `VARIANTS`. One drawing
-        in 16, of those of more than 240 masks, leaves the map whole.
+      count: how many masks; the last drawing gives fewer variants where this is no multiple of `VARIANTS`.
       size: rows and columns.
       seed: of the drawings.
     """
     rng = np.random.default_rng(seed)
-    whole = np.ones((VARIANTS, size, size), bool)
-    drawings = [
-        mask_variants(_drawing(size, rng)) if number % _DRAWINGS_PER_WHOLE_MAP else whole
-        for number in range(1, 1 - (-count // VARIANTS))
-    ]
-    return np.concatenate([whole[:0], *drawings])[:count]
+    drawings = [mask_variants(_drawing(size, rng)) for _ in range(-(-count // VARIANTS))]
+    return np.concatenate([np.zeros((0, size, size), bool), *drawings])[:count]

@@ -1,6 +1,7 @@
 """Pairs of pictures for the image-to-image translator: partial maps and their cost-to-go (Algorithm 1)."""
 
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,10 +11,13 @@ from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
 
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.images import cost_to_go_image, semantic_image
+from dc2g_jax.estimation.images import cost_to_go_image, largest_cost, semantic_image
 from dc2g_jax.grid import bitboard, search
 from dc2g_jax.grid.sampling import ClassImage, resize_nearest, sample_grid
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE, UNKNOWN
+
+#: Pictures are enlarged by so much before they are cut at random, as in pix2pix.
+_ENLARGED = 286 / 256
 
 
 @struct.dataclass
@@ -116,21 +120,53 @@ def all_pairs(houses: Sequence[House], masks: Bool[np.ndarray, "masks s s"]) -> 
     )
 
 
-def masked_pair(terrain: UInt8[Array, "s s"], cost_to_go: Float[Array, "s s"], seen: Bool[Array, "s s"]) -> ImagePair:
-    """The pictures of a house under a mask (Algorithm 1, lines 7 and 8)."""
-    observed = jnp.where(seen, terrain, jnp.uint8(UNKNOWN))
-    return ImagePair(image=semantic_image(observed), target=cost_to_go_image(cost_to_go, observed))
+class MaskedMap(NamedTuple):
+    """A house, its cost-to-go and what is observed of it.
+
+    Attributes:
+      terrain: class indices of the whole house.
+      cost_to_go: exact cost-to-go, infinity where there is none.
+      seen: what is observed.
+      largest: the largest finite cost of the whole house.
+    """
+
+    terrain: UInt8[Array, "s s"]
+    cost_to_go: Float[Array, "s s"]
+    seen: Bool[Array, "s s"]
+    largest: Float[Array, ""]
+
+    def pictures(self) -> ImagePair:
+        """The pictures of the house under the mask (Algorithm 1, lines 7 and 8)."""
+        observed = jnp.where(self.seen, self.terrain, jnp.uint8(UNKNOWN))
+        return ImagePair(semantic_image(observed), cost_to_go_image(self.cost_to_go, observed, self.largest))
 
 
-def make_image_pair(data: ImageSet, index: Int[Array, ""]) -> ImagePair:
-    """One of the pairs of a set."""
+def masked_map(data: ImageSet, index: Int[Array, ""]) -> MaskedMap:
+    """What one of the pairs of a set is made of."""
     size, mask_size = data.terrain.shape[-1], data.masks.shape[-1]
     mask = bitboard.unpack(data.masks[data.pair_mask[index]], mask_size)
-    house = data.pair_house[index]
-    return masked_pair(data.terrain[house], data.cost_to_go[house], resize_nearest(mask, size, size))
+    cost = data.cost_to_go[data.pair_house[index]]
+    return MaskedMap(data.terrain[data.pair_house[index]], cost, resize_nearest(mask, size, size), largest_cost(cost))
 
 
-def draw_image_pairs(key: Array, step: Int[Array, ""], data: ImageSet, *, batch_size: int) -> ImagePair:
+def _jittered(whole: MaskedMap, key: Array) -> MaskedMap:
+    """Enlarged by 286 / 256, cut to its old size at random, and mirrored left to right every other time."""
+    size = whole.terrain.shape[-1]
+    enlarged = round(size * _ENLARGED)
+    corner_key, mirror_key = jax.random.split(key)
+    corner = jax.random.randint(corner_key, (2,), 0, enlarged - size + 1)
+    mirrored = jax.random.bernoulli(mirror_key)
+
+    def piece(part: Array) -> Array:
+        cut = jax.lax.dynamic_slice(resize_nearest(part, enlarged, enlarged), corner, (size, size))
+        return jnp.where(mirrored, cut[:, ::-1], cut)
+
+    return MaskedMap(piece(whole.terrain), piece(whole.cost_to_go), piece(whole.seen), whole.largest)
+
+
+def draw_image_pairs(
+    key: Array, step: Int[Array, ""], data: ImageSet, *, batch_size: int, whole_share: float, augment: bool
+) -> ImagePair:
     """The batch of a step: all pairs in random order, then all of them in another order, and so on.
 
     Args:
@@ -138,12 +174,18 @@ def draw_image_pairs(key: Array, step: Int[Array, ""], data: ImageSet, *, batch_
       step: number of the step.
       data: the pairs.
       batch_size: pairs a step.
+      whole_share: share of pairs in which all of the map is observed, instead of what the mask shows.
+      augment: shift, enlarge and mirror maps at random, as pix2pix does.
     """
     n_pairs = len(data.pair_house)
+    order_key, own_key = jax.random.split(key)
 
     def pair(place: Int[Array, ""]) -> ImagePair:
         epoch, rank = place // n_pairs, place % n_pairs
-        order = jax.random.permutation(jax.random.fold_in(key, epoch), n_pairs)
-        return make_image_pair(data, order[rank])
+        order = jax.random.permutation(jax.random.fold_in(order_key, epoch), n_pairs)
+        whole_key, jitter_key = jax.random.split(jax.random.fold_in(own_key, place))
+        drawn = masked_map(data, order[rank])
+        drawn = drawn._replace(seen=drawn.seen | jax.random.bernoulli(whole_key, whole_share))
+        return (_jittered(drawn, jitter_key) if augment else drawn).pictures()
 
     return jax.vmap(pair)(step * batch_size + jnp.arange(batch_size))

@@ -21,19 +21,26 @@ def semantic_image(terrain: UInt8[Array, "h w"]) -> Float[Array, "h w 3"]:
     return jnp.asarray(CLASS_COLORS / 255.0, jnp.float32)[terrain]
 
 
-def cost_to_go_image(cost_to_go: Float[Array, "h w"], terrain: UInt8[Array, "h w"]) -> Float[Array, "h w 3"]:
+def largest_cost(cost_to_go: Float[Array, "h w"]) -> Float[Array, ""]:
+    """The largest finite cost; 0 where there is none."""
+    return jnp.max(jnp.where(jnp.isfinite(cost_to_go), cost_to_go, 0.0))
+
+
+def cost_to_go_image(
+    cost_to_go: Float[Array, "h w"], terrain: UInt8[Array, "h w"], largest: Float[Array, ""]
+) -> Float[Array, "h w 3"]:
     """The picture of a cost-to-go: what the paper's network learns to draw (section III-A, Fig. 3).
 
-    Grey 1 - d / max, where max is the largest finite cost of the map, whether or not it is visible; then scaled so that
-    the brightest visible pixel is 1. Red where the ground cannot be driven on. Black where nothing has been observed
-    and where there is no way to a goal.
+    Grey 1 - d / `largest`; then scaled so that the brightest visible pixel is 1, which the authors' scripts do and the
+    paper does not say. Red where the ground cannot be driven on. Black where nothing has been observed and where there
+    is no way to a goal.
 
     Args:
-      cost_to_go: cost of every cell of the whole map, infinity where there is none.
+      cost_to_go: cost of every cell, infinity where there is none.
       terrain: observed class indices, 0 where not observed.
+      largest: cost of the whole map that is drawn black, whether or not it is visible; see `largest_cost`.
     """
     drivable = jnp.asarray(TRAVERSABLE)[terrain]
-    largest = jnp.max(jnp.where(jnp.isfinite(cost_to_go), cost_to_go, 0.0))
     value = 1 - cost_to_go / jnp.maximum(largest, jnp.finfo(jnp.float32).tiny)
     value = jnp.where(drivable & jnp.isfinite(cost_to_go), value, 0.0)
     brightest = jnp.max(value)

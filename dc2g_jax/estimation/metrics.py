@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from dc2g_jax.estimation.images import brightness, looks_traversable
 
@@ -12,7 +12,7 @@ LOW_COST_BRIGHTNESS = 0.9
 
 
 class ImageMetrics(NamedTuple):
-    """A predicted picture against the true one.
+    """Predicted pictures against the true ones. A share of nothing is no number.
 
     Attributes:
       l1: mean absolute difference over pixels and colours.
@@ -29,10 +29,41 @@ class ImageMetrics(NamedTuple):
     traversable_recall: Float[Array, ""]
 
 
-def share(part: Bool[Array, "h w"], whole: Bool[Array, "h w"]) -> Float[Array, ""]:
-    """Share of a set's pixels that are in another; 1 where the set is empty: nothing in it was wrong or missed."""
-    count = jnp.sum(whole)
-    return jnp.where(count > 0, jnp.sum(part & whole) / jnp.maximum(count, 1), 1.0)
+class Counts(NamedTuple):
+    """Pixels that are predicted to be in a set, that are in it, and both; of one picture, or of several added up."""
+
+    predicted: Int[Array, ""]
+    true: Int[Array, ""]
+    both: Int[Array, ""]
+
+    @property
+    def precision(self) -> Float[Array, ""]:
+        """Of the predicted pixels, the share that is in the set."""
+        return self.both / self.predicted
+
+    @property
+    def recall(self) -> Float[Array, ""]:
+        """Of the pixels in the set, the share that is predicted."""
+        return self.both / self.true
+
+
+class Comparison(NamedTuple):
+    """What the metrics of a picture, or of several, are made of.
+
+    Attributes:
+      l1: mean absolute difference over pixels and colours; added up, where pictures are.
+      low: pixels of low cost-to-go.
+      traversable: pixels that can be driven on.
+    """
+
+    l1: Float[Array, ""]
+    low: Counts
+    traversable: Counts
+
+    def metrics(self, pictures: int = 1) -> ImageMetrics:
+        """The metrics of so many pictures that were added up."""
+        low, drivable = self.low, self.traversable
+        return ImageMetrics(self.l1 / pictures, low.precision, low.recall, drivable.precision, drivable.recall)
 
 
 def low_cost(image: Float[Array, "h w 3"]) -> Bool[Array, "h w"]:
@@ -40,17 +71,14 @@ def low_cost(image: Float[Array, "h w 3"]) -> Bool[Array, "h w"]:
     return looks_traversable(image) & (brightness(image) > LOW_COST_BRIGHTNESS)
 
 
-def image_metrics(predicted: Float[Array, "h w 3"], true: Float[Array, "h w 3"]) -> ImageMetrics:
-    """Compare a predicted picture with the true one; `jax.vmap` makes it take many.
+def _counts(predicted: Bool[Array, "h w"], true: Bool[Array, "h w"]) -> Counts:
+    return Counts(jnp.sum(predicted), jnp.sum(true), jnp.sum(predicted & true))
 
-    A precision is 1 where nothing is predicted, a recall is 1 where there is nothing to find.
-    """
-    low, true_low = low_cost(predicted), low_cost(true)
-    drivable, true_drivable = looks_traversable(predicted), looks_traversable(true)
-    return ImageMetrics(
+
+def compare_images(predicted: Float[Array, "h w 3"], true: Float[Array, "h w 3"]) -> Comparison:
+    """Compare a predicted picture with the true one; `jax.vmap` makes it take many."""
+    return Comparison(
         l1=jnp.mean(jnp.abs(predicted - true)),
-        low_precision=share(true_low, low),
-        low_recall=share(low, true_low),
-        traversable_precision=share(true_drivable, drivable),
-        traversable_recall=share(drivable, true_drivable),
+        low=_counts(low_cost(predicted), low_cost(true)),
+        traversable=_counts(looks_traversable(predicted), looks_traversable(true)),
     )

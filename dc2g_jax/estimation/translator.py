@@ -3,7 +3,8 @@
 The details that the paper leaves open are those of the implementation it names, Hesse's pix2pix in TensorFlow: 4x4
 convolutions, weights drawn with standard deviation 0.02, and normalisation by the statistics of the batch at hand, of
 one picture, which is instance normalisation. The innermost feature is left as it is: it is a single pixel, whose
-normalised value would be zero.
+normalised value would be zero. And nothing is dropped when the network is asked, so that an answer depends on its
+question alone; there, features are dropped then as well.
 """
 
 import dataclasses

@@ -29,6 +29,9 @@ class LossWeights(NamedTuple):
     gan: float
 
 
+#: pix2pix takes the absolute difference of pictures from -1 to 1; here they are from 0 to 1.
+_L1_SCALE = 2.0
+
 #: The paper's three losses, by name; weights as in pix2pix.
 LOSSES = {"l1": LossWeights(100.0, 0.0), "gan": LossWeights(0.0, 1.0), "l1+gan": LossWeights(100.0, 1.0)}
 
@@ -136,6 +139,23 @@ def discriminator_loss(
     return jnp.mean(jax.nn.softplus(-true)) + jnp.mean(jax.nn.softplus(false))
 
 
+def generator_loss(
+    config: TranslatorConfig, discriminator: Any, batch: ImageBatch, generated: Float[Array, "b s s 3"]
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """What the generator minimises, and the mean absolute difference from the true pictures.
+
+    The sum, weighted as in `LOSSES`, of the mean absolute difference of pictures from -1 to 1 and of the cross-entropy
+    of being taken for true, patch by patch.
+    """
+    loss = LOSSES[config.loss]
+    difference = jnp.mean(jnp.abs(generated - batch.target))
+    total = loss.l1 * _L1_SCALE * difference
+    if loss.gan:
+        odds = translator.discriminate(config.architecture, discriminator, batch.image, generated)
+        total += loss.gan * jnp.mean(jax.nn.softplus(-odds))
+    return total, difference
+
+
 def _updated(config: TranslatorConfig, weights: Any, gradient: Any, optimizer: Any) -> tuple[Any, Any]:
     updates, optimizer = _optimizer(config).update(gradient, optimizer, weights)
     return optax.apply_updates(weights, updates), optimizer
@@ -153,7 +173,7 @@ def translator_step(
     Returns:
       The new state and the mean absolute difference of the generated pictures from the true ones.
     """
-    loss, architecture = LOSSES[config.loss], config.architecture
+    architecture = config.architecture
     batch_key, dropout_key = jax.random.split(jax.random.wrap_key_data(state.key))
     batch = draw_batch(batch_key, state.step, data)
     dropout_key = jax.random.fold_in(dropout_key, state.step)
@@ -161,19 +181,11 @@ def translator_step(
         lambda weights: translator.translate(architecture, weights, batch.image, dropout_key), state.generator
     )
     discriminator, discriminator_optimizer = state.discriminator, state.discriminator_optimizer
-    if loss.gan:
+    if LOSSES[config.loss].gan:
         gradient = jax.grad(lambda weights: discriminator_loss(architecture, weights, batch, generated))(discriminator)
         discriminator, discriminator_optimizer = _updated(config, discriminator, gradient, discriminator_optimizer)
-
-    def generator_loss(generated: Float[Array, "b s s 3"]) -> tuple[Array, Array]:
-        difference = jnp.mean(jnp.abs(generated - batch.target))
-        total = loss.l1 * difference
-        if loss.gan:
-            odds = translator.discriminate(architecture, discriminator, batch.image, generated)
-            total += loss.gan * jnp.mean(jax.nn.softplus(-odds))
-        return total, difference
-
-    by_picture, difference = jax.grad(generator_loss, has_aux=True)(generated)
+    loss_of = functools.partial(generator_loss, config, discriminator, batch)
+    by_picture, difference = jax.grad(loss_of, has_aux=True)(generated)
     (gradient,) = backward(by_picture)
     generator, generator_optimizer = _updated(config, state.generator, gradient, state.generator_optimizer)
     new = TranslatorState(

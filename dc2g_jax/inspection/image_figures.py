@@ -13,8 +13,9 @@ from matplotlib.patches import Patch
 from dc2g_jax.inspection.figures import PAGE_WIDTH, bare_axes, plain_axes, save_figure
 from dc2g_jax.inspection.training_figures import draw_band
 
-#: Colours (Okabe and Ito), markers and line styles of networks and losses, in the order they are given.
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+#: Colours (Okabe and Ito; the first three as in the paper: L1, GAN, both), markers and line styles of networks and
+#: losses, in the order they are given.
+_COLOURS = ("#009e73", "#cc79a7", "#0072b2", "#d55e00", "#e69f00", "#56b4e9")
 _MARKERS = ("o", "^", "s", "D", "v", "P")
 _LINES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
 
@@ -92,7 +93,12 @@ def plot_translations(
                 axes.imshow(np.clip(picture, 0, 1), interpolation="nearest")
                 bare_axes(axes, "" if number else name)
             row[0].set_ylabel(example.name, fontsize=7)
-    legend = {"white": "near the goal", "#555555": "far", "red": "not traversable", "black": "not observed, or cut off"}
+    legend = {
+        "white": "visible, nearest to the goal",
+        "#777777": "farther",
+        "black": "farthest, not observed, or cut off",
+        "red": "not traversable",
+    }
     patches = [Patch(facecolor=colour, edgecolor="#333333", label=label) for colour, label in legend.items()]
     options = {"ncols": len(patches), "frameon": False, "fontsize": 7.5, "title_fontsize": 7.5}
     figure.legend(handles=patches, title=caption, loc="outside lower center", **options)
@@ -100,11 +106,16 @@ def plot_translations(
 
 
 def _moving_average(values: Float[np.ndarray, "n"], window: int) -> Float[np.ndarray, "n"]:
-    """Mean over the last `window` values, or over as many as there are."""
-    total = np.cumsum(np.concatenate([[0.0], values]))
-    end = np.arange(1, len(values) + 1)
-    start = np.maximum(end - window, 0)
-    return (total[end] - total[start]) / (end - start)
+    """Mean over the last `window` values, or over as many as there are; values that are no number do not count."""
+    known = np.isfinite(values)
+
+    def last(counted: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        total = np.cumsum(np.concatenate([[0.0], counted]))
+        end = np.arange(1, len(values) + 1)
+        return total[end] - total[np.maximum(end - window, 0)]
+
+    count = last(known.astype(float))
+    return np.where(count > 0, last(np.where(known, values, 0.0)) / np.maximum(count, 1), np.nan)
 
 
 def plot_training(
@@ -134,7 +145,7 @@ def plot_training(
         for (loss, logs), colour, line in zip(runs.items(), _COLOURS, _LINES, strict=False):
             steps = np.array(sorted(logs[0]))
             curves = np.stack(
-                [_moving_average(np.array([log[step][metric] for step in steps]), window) for log in logs]
+                [_moving_average(np.array([log[step][metric] for step in steps], float), window) for log in logs]
             )
             draw_band(axes, steps, curves, color=colour, linestyle=line, label=loss)
         axes.set_xlabel("training steps", fontsize=8)

@@ -1,4 +1,4 @@
-"""Drawn observation masks: reproducible, never empty, whole now and then, and complete in their variants."""
+"""Drawn observation masks: reproducible, neither empty nor full, and complete in their variants."""
 
 import numpy as np
 import pytest
@@ -6,15 +6,15 @@ import pytest
 from dc2g_jax.datasets.drawn_masks import VARIANTS, drawn_masks, mask_variants
 
 
-def test_a_mask_has_sixteen_variants():
+def test_a_mask_has_eight_variants():
     mask = np.zeros((6, 6), bool)
     mask[0, 1:3] = mask[2, 4] = True
     variants = mask_variants(mask)
     assert variants.shape == (VARIANTS, 6, 6)
     assert len({variant.tobytes() for variant in variants}) == VARIANTS
-    np.testing.assert_array_equal(variants[8:], ~variants[:8])
+    np.testing.assert_array_equal(variants[4:], ~variants[:4])
     np.testing.assert_array_equal(variants[0], mask)
-    assert {variant.sum() for variant in variants[:8]} == {mask.sum()}
+    assert {variant.sum() for variant in variants[:4]} == {mask.sum()}
 
 
 @pytest.mark.parametrize("size", [32, 100])
@@ -26,13 +26,6 @@ def test_drawings_cover_some_of_the_map_and_differ(size):
     assert len({mask.tobytes() for mask in masks}) > 9.5 * VARIANTS
     # Shapes, not noise: hardly any cell differs from the one beside it.
     assert np.mean(masks[:, 1:] != masks[:, :-1]) < 0.1
-
-
-def test_one_drawing_in_sixteen_leaves_the_map_whole():
-    share = drawn_masks(33 * VARIANTS, 32, seed=3).mean(axis=(1, 2)).reshape(33, VARIANTS)
-    whole = np.isin(np.arange(33), (15, 31))
-    assert (share[whole] == 1).all()
-    assert (share[~whole] < 1).all()
 
 
 def test_masks_depend_on_the_seed_alone():

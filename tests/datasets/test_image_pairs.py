@@ -18,17 +18,17 @@ from dc2g_jax.datasets.image_pairs import (
     houses_with_door,
     labelled_grid,
     labelled_map,
-    make_image_pair,
+    masked_map,
 )
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.images import cost_to_go_image
+from dc2g_jax.estimation.images import cost_to_go_image, largest_cost
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.sampling import resize_nearest, sample_grid
 from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
 from tests import maps
 from tests.conftest import PUBLISHED
 
-make_pairs = jax.jit(jax.vmap(make_image_pair, in_axes=(None, 0)))
+make_pairs = jax.jit(jax.vmap(lambda data, index: masked_map(data, index).pictures(), in_axes=(None, 0)))
 
 
 def dijkstra_oracle(terrain: np.ndarray) -> np.ndarray:
@@ -76,7 +76,7 @@ def test_labels_agree_with_the_authors_images(shared):
         path = PUBLISHED / "full_c2g" / house.split / f"world{house.name}-front_door.png"
         theirs = resize_nearest(cv2.imread(str(path))[..., ::-1], 256, 256) / 255.0
         terrain, cost = labelled_map(house.terrain, 256)
-        ours = np.asarray(cost_to_go_image(jnp.asarray(cost), jnp.asarray(terrain)))
+        ours = np.asarray(cost_to_go_image(jnp.asarray(cost), jnp.asarray(terrain), largest_cost(jnp.asarray(cost))))
         red, our_red = (image[..., 0] > image[..., 1] + 0.5 for image in (theirs, ours))
         assert np.mean(red == our_red) > 0.98
         # Their search overestimates slightly.
@@ -108,7 +108,7 @@ def test_a_mask_only_hides():
 
 def test_an_epoch_has_every_pair_once():
     data = all_pairs(some_houses(), drawn_masks(4, 32, seed=0))
-    draw = jax.jit(functools.partial(draw_image_pairs, batch_size=2))
+    draw = jax.jit(functools.partial(draw_image_pairs, batch_size=2, whole_share=0.0, augment=False))
     every = {np.asarray(image).tobytes() for image in make_pairs(data, jnp.arange(12)).image}
     epochs = []
     for epoch in range(2):
@@ -118,6 +118,41 @@ def test_an_epoch_has_every_pair_once():
     assert epochs[0] != epochs[1]
     again = draw(jax.random.key(0), jnp.int32(7), data).image
     assert [np.asarray(image).tobytes() for image in again] == epochs[1][2:4]
+
+
+def test_a_share_of_pairs_is_whole():
+    data = all_pairs(some_houses(), drawn_masks(16, 32, seed=0))
+    draw = jax.jit(functools.partial(draw_image_pairs, batch_size=48, whole_share=0.25, augment=False))
+    images = np.concatenate([draw(jax.random.key(0), jnp.int32(step), data).image for step in range(10)])
+    whole = (images.any(axis=-1)).all(axis=(1, 2))
+    assert 0.18 < whole.mean() < 0.32
+    assert len({image.tobytes() for image in images[whole]}) == 3
+
+
+def test_augmented_maps_are_larger_pieces_of_the_old_ones():
+    data = all_pairs(some_houses()[:1], np.ones((1, 64, 64), bool))
+    draw = jax.jit(functools.partial(draw_image_pairs, batch_size=64, whole_share=0.0, augment=True))
+    batch, whole = draw(jax.random.key(0), jnp.int32(0), data), make_pairs(data, jnp.arange(1))
+    enlarged = [np.asarray(resize_nearest(picture[0], 72, 72)) for picture in (whole.image, whole.target)]
+    found = set()
+    for image, target in zip(np.asarray(batch.image), np.asarray(batch.target), strict=True):
+        places = [
+            (top, left, mirrored)
+            for top in range(9)
+            for left in range(9)
+            for mirrored in (False, True)
+            if np.array_equal(image, enlarged[0][top : top + 64, left : left + 64][:, :: -1 if mirrored else 1])
+        ]
+        ((top, left, mirrored),) = places
+        found.add(places[0])
+        grey = enlarged[1][top : top + 64, left : left + 64][:, :: -1 if mirrored else 1]
+        red = grey[..., 0] != grey[..., 1]
+        np.testing.assert_array_equal(target[..., 0] != target[..., 1], red)
+        # The nearest cell that is left is white, and greys are brightened alike.
+        brightest = np.where(red, 0, grey[..., 2]).max()
+        np.testing.assert_allclose(target[..., 2] * brightest, grey[..., 2], atol=1e-5)
+    assert len(found) > 40
+    assert {mirrored for _, _, mirrored in found} == {False, True}
 
 
 @pytest.mark.parametrize("size", [16, 50])

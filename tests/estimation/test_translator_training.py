@@ -19,6 +19,7 @@ from dc2g_jax.estimation.translator_training import (
     LOSSES,
     TranslatorConfig,
     discriminator_loss,
+    generator_loss,
     init_translator,
     translator_step,
 )
@@ -28,7 +29,7 @@ from tests.estimation.test_training import assert_same_bits
 CONFIG = TranslatorConfig(
     architecture=TranslatorArchitecture(size=32, base_filters=4), steps=30, batch_size=2, learning_rate=2e-3
 )
-DRAW = functools.partial(draw_image_pairs, batch_size=CONFIG.batch_size)
+DRAW = functools.partial(draw_image_pairs, batch_size=CONFIG.batch_size, whole_share=0.1, augment=True)
 
 
 @pytest.fixture(scope="module")
@@ -102,6 +103,35 @@ def test_the_discriminator_loss_is_the_cross_entropy(data):
     )
     loss = jax.jit(functools.partial(discriminator_loss, CONFIG.architecture))(weights, batch, generated)
     assert float(loss) == pytest.approx(np.mean(-np.log(believed)) + np.mean(-np.log(1 - doubted)), rel=1e-5)
+
+
+@pytest.mark.parametrize(("loss", "by_difference", "by_doubt"), [("l1", 100, 0), ("gan", 0, 1), ("l1+gan", 100, 1)])
+def test_the_generator_loss_is_that_of_pix2pix(data, loss, by_difference, by_doubt):
+    batch = DRAW(jax.random.key(0), jnp.int32(0), data)
+    generated, weights = 0.7 * batch.target, init_translator(CONFIG, seed=0).discriminator
+    odds = jax.jit(functools.partial(translator.discriminate, CONFIG.architecture))(weights, batch.image, generated)
+    doubt = np.mean(-np.log(1 / (1 + np.exp(-np.asarray(odds, np.float64)))))
+    # pix2pix takes pictures from -1 to 1.
+    difference = np.mean(np.abs((2 * np.asarray(generated) - 1) - (2 * np.asarray(batch.target) - 1)))
+    config = dataclasses.replace(CONFIG, loss=loss)
+    total, half = jax.jit(functools.partial(generator_loss, config))(weights, batch, generated)
+    assert float(total) == pytest.approx(by_difference * difference + by_doubt * doubt, rel=1e-5)
+    assert float(half) == pytest.approx(difference / 2, rel=1e-5)
+
+
+def test_with_the_gan_loss_alone_the_generator_fools_the_discriminator(data):
+    config = dataclasses.replace(CONFIG, loss="gan", learning_rate=2e-4)
+    before = init_translator(config, seed=0)
+    kept = jax.tree.map(np.array, before)
+    after, _ = train(data, 1, before, config)
+    dropout = jax.random.split(jax.random.wrap_key_data(jnp.asarray(kept.key)))
+    batch = DRAW(dropout[0], jnp.int32(0), data)
+
+    def doubt(generator) -> float:
+        drawn = translator.translate(config.architecture, generator, batch.image, jax.random.fold_in(dropout[1], 0))
+        return float(generator_loss(config, after.discriminator, batch, drawn)[0])
+
+    assert doubt(after.generator) < doubt(kept.generator)
 
 
 def test_another_seed_gives_other_weights():

@@ -50,7 +50,7 @@ def steps(monkeypatch):
         return state.replace(step=state.step + 1), jnp.float32(trouble.get(number, 0.5))
 
     monkeypatch.setattr(translation, "translator_step", step)
-    monkeypatch.setattr(translation, "mean_metrics", lambda network, data: dict(METRICS))
+    monkeypatch.setattr(translation, "metrics_over_pairs", lambda network, data: dict(METRICS))
     return taken, trouble
 
 
