@@ -10,7 +10,8 @@ import pytest
 
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
-from experiments import reproduce_fig4, reproduce_fig5, translation
+from dc2g_jax.inspection.image_figures import METRIC_LABELS
+from experiments import reproduce_fig4, reproduce_fig5, reproduce_fig6, translation
 from experiments.training_loop import Log
 from experiments.translation import TranslationOptions, train_translator, translation_data
 from tests import maps
@@ -18,7 +19,7 @@ from tests import maps
 OPTIONS = TranslationOptions(
     size=32, base_filters=2, train_masks=5, validation_masks=1, steps=30, validate_every=10
 )  # fmt: skip
-METRICS = {"l1": 0.25, "low_precision": 0.9, "low_recall": 0.5}
+METRICS = {"l1": 0.25, "low_precision": np.nan, "low_recall": 0.5}
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +71,7 @@ def test_an_interrupted_run_goes_on_where_it_was(dataset, tmp_path, steps):
     assert taken == list(range(30))
     log = Log(tmp_path / "run").by_step()
     assert list(log) == [10, 20, 30]
-    assert log[30] == {"step": 30, "train_l1": 0.5, **METRICS}
+    assert log[30] == {"step": 30, "train_l1": 0.5, **METRICS, "low_precision": None}
     assert (tmp_path / "run" / "network" / "network.json").is_file()
     with pytest.raises(InputError, match="train_masks was 5"):
         train(tmp_path / "run", dataset, train_masks=4)
@@ -108,6 +109,22 @@ def test_figure_4_shows_as_many_houses_as_asked_for(dataset, compact_network, tm
     assert {path.name for path in (tmp_path / "fig4").iterdir()} == {"fig4.png", "fig4.svg", "run.json"}
     with pytest.raises(InputError, match="rows: 0"):
         reproduce_fig4.main(reproduce_fig4.Options(rows=0, out=tmp_path / "no"))
+
+
+def test_a_house_without_a_value_has_no_part_in_means_and_lines():
+    rows = [dict.fromkeys(METRIC_LABELS, value) for value in (0.2, np.nan, 0.6)]
+    points = reproduce_fig6.points_of([0.0, 0.1, 0.4], rows)
+    assert points.fits["l1"] == pytest.approx((1.0, 0.2))
+    assert reproduce_fig6.mean_of(points.metrics["l1"]) == pytest.approx(0.4)
+    nothing = reproduce_fig6.points_of([0.0, 0.1, 0.4], [dict.fromkeys(METRIC_LABELS, np.nan)] * 3)
+    assert nothing.fits == {}
+    assert np.isnan(reproduce_fig6.mean_of(nothing.metrics["l1"]))
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.5])
+def test_a_share_of_whole_maps_is_a_share(share):
+    with pytest.raises(InputError, match=f"--whole-share {share:g}: give a share from 0 to 1"):
+        dataclasses.replace(OPTIONS, whole_share=share).config("l1")
 
 
 def test_networks_that_cannot_be_built_are_refused_in_one_line():

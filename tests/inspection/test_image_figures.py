@@ -31,6 +31,8 @@ def test_the_moving_average():
     smooth = image_figures._moving_average(np.array([4.0, 2.0, 0.0, 6.0]), 2)
     assert smooth == pytest.approx([4, 3, 1, 3])
     assert image_figures._moving_average(np.array([4.0, 2.0]), 9) == pytest.approx([4, 3])
+    gaps = image_figures._moving_average(np.array([np.nan, np.nan, 2.0, 4.0]), 2)
+    assert gaps == pytest.approx([np.nan, np.nan, 2, 3], nan_ok=True)
 
 
 def test_figure_6(tmp_path):
