@@ -56,13 +56,11 @@ class Log:
         self._path = out / "log.jsonl"
 
     def write(self, *lines: Mapping[str, Any]) -> None:
-        """Add validations; each has a `step`, and a `run` where several are trained together. NaN becomes null."""
+        """Add validations; each has a `step`, and a `run` where several are trained together."""
         cut_off = self._path.exists() and not self._path.read_bytes().endswith(b"\n")
         with self._path.open("a") as file:
             file.write("\n" * cut_off)
-            for line in lines:
-                known = {name: None if value != value else value for name, value in line.items()}
-                file.write(json.dumps(known) + "\n")
+            file.writelines(json.dumps(line) + "\n" for line in lines)
 
     def by_step(self, run: str | None = None) -> dict[int, dict[str, Any]]:
         """Validations by step, in order; of one run where several are trained together. None before the first."""

@@ -1,6 +1,7 @@
 """What the commands about the image-to-image translator share: its training pairs and its training."""
 
 import dataclasses
+import math
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -137,7 +138,9 @@ def train_translator(
         network = TranslatorCostToGo(weights=state.generator, architecture=config.architecture)
         save_network(out / "network", network, _card(dataset, config, options, seed, step))
         if options.validate_every:
-            log.write({"step": step, "train_l1": difference.latest, **metrics_over_pairs(network, data.validation)})
+            metrics = metrics_over_pairs(network, data.validation)
+            known = {name: value if math.isfinite(value) else None for name, value in metrics.items()}
+            log.write({"step": step, "train_l1": difference.latest, **known})
 
     try:
         state = checkpoints.restore() or first_state(config)
