@@ -5,6 +5,7 @@ import datetime
 import functools
 import importlib.metadata
 import json
+import math
 import shlex
 import subprocess
 import sys
@@ -21,6 +22,11 @@ RUN_FILE = "run.json"
 
 #: Options that may change when a run is resumed: they decide where it goes on, not what comes out.
 _WHERE = ("out", "resume")
+
+
+def number_or_null(value: float) -> float | None:
+    """A number as JSON can hold it, which knows no NaN."""
+    return value if math.isfinite(value) else None
 
 
 class OutputOptions(Protocol):

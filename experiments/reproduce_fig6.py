@@ -18,7 +18,7 @@ from dc2g_jax.grid.sampling import resize_nearest
 from dc2g_jax.image_evaluation import GRID_CELLS, full_map_metrics
 from dc2g_jax.inspection.image_figures import METRIC_LABELS, Points, plot_by_similarity
 from experiments.common import DatasetOption, OutOption, command_line, open_network
-from experiments.outputs import output_folder
+from experiments.outputs import number_or_null, output_folder
 
 #: Pixels a side of the maps that are compared with the training maps.
 _SIZE = 256
@@ -117,7 +117,7 @@ def main(options: Options) -> None:
         "networks": {
             name: {
                 metric: {
-                    "mean": None if np.isnan(mean_of(values)) else mean_of(values),
+                    "mean": number_or_null(mean_of(values)),
                     "slope_and_intercept": points.fits.get(metric),
                 }
                 for metric, values in points.metrics.items()

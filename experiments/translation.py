@@ -1,7 +1,6 @@
 """What the commands about the image-to-image translator share: its training pairs and its training."""
 
 import dataclasses
-import math
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -20,7 +19,7 @@ from dc2g_jax.estimation.translator_training import (
 )
 from dc2g_jax.image_evaluation import metrics_over_pairs
 from dc2g_jax.image_training_data import MaskKind, image_set
-from experiments.outputs import command_written, commit
+from experiments.outputs import command_written, commit, number_or_null
 from experiments.training_loop import FiniteLoss, Log, check_validate_every, run_steps
 
 #: A step takes seconds on a CPU.
@@ -139,7 +138,7 @@ def train_translator(
         save_network(out / "network", network, _card(dataset, config, options, seed, step))
         if options.validate_every:
             metrics = metrics_over_pairs(network, data.validation)
-            known = {name: value if math.isfinite(value) else None for name, value in metrics.items()}
+            known = {name: number_or_null(value) for name, value in metrics.items()}
             log.write({"step": step, "train_l1": difference.latest, **known})
 
     try:
