@@ -61,16 +61,19 @@ def runs_of_grid(
             raise InputError(f"{name}: no value to try; give one at least")
         if len({str(value) for value in values}) < len(values):
             raise InputError(f"{name}: {', '.join(map(str, values))} has a value twice; give each once")
-    runs = {}
+    runs: dict[str, TrainingConfig] = {}
     for width, loss, rate, seed in itertools.product(widths, losses, learning_rates, seeds):
-        name = f"{loss}_rate{rate:g}_width{'-'.join(map(str, width))}_seed{seed}".replace(",", "+")
-        runs[name] = dataclasses.replace(
+        name = f"{loss}_rate{float(rate)!r}_width{'-'.join(map(str, width))}_seed{seed}".replace(",", "+")
+        run = dataclasses.replace(
             base,
             architecture=dataclasses.replace(base.architecture, widths=tuple(width)),
             losses=parse_losses(loss),
             learning_rate=float(rate),
             seed=seed,
         )
+        if run in runs.values():
+            raise InputError(f"loss: {', '.join(losses)} names the same loss twice; give each once")
+        runs[name] = run
     return runs
 
 

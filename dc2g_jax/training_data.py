@@ -94,7 +94,7 @@ class DataConfig:
         return functools.partial(
             draw_pairs,
             batch_size=batch_size,
-            own_share=self.own_share if self.extra_houses else 1.0,
+            own_share=self.own_share,
             edge_weight=self.edge_weight,
             half_weight_cost=self.half_weight_cost,
             jitter=self.jitter,

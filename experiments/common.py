@@ -34,6 +34,7 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
     parsed = tyro.cli(options, prog=program, config=(tyro.conf.FlagCreatePairsOff,))
     try:
         keep_compiled_programs()
+        check_seed(getattr(parsed, "seed", 0))
         main(parsed)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -42,9 +43,22 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
         # Or they would be drawn once more, below the line.
         for bar in list(getattr(tqdm, "_instances", ())):
             bar.close()
-        kept = "; what is done is kept: the same command with --resume goes on" if hasattr(parsed, "resume") else ""
+        kept = ""
+        if hasattr(parsed, "resume"):
+            where = "" if getattr(parsed, "out", None) else " and, as --out, its folder below outputs/"
+            kept = f"; what is done is kept: the same command with --resume{where} goes on"
         print(f"interrupted{kept}", file=sys.stderr)
         sys.exit(130)
+
+
+def check_seed(seed: int, option: str = "seed") -> None:
+    """Refuse a seed that is none.
+
+    Raises:
+      InputError: it is negative, or has more than 32 bits, of which random numbers would leave some out.
+    """
+    if not 0 <= seed < 2**32:
+        raise InputError(f"--{option} {seed}: give a number from 0 to {2**32 - 1}")
 
 
 def keep_compiled_programs() -> None:

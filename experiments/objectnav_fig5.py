@@ -41,7 +41,7 @@ from dc2g_jax.objectnav.searches import TIME_LIMIT, Episode, Searches, sample_ep
 from dc2g_jax.objectnav.starts import sample_starts
 from experiments.common import NetworkOption, OutOption, command_line
 from experiments.outputs import output_folder
-from experiments.searches import TITLES, AgentName, agent_with, check_seed, costs_for
+from experiments.searches import TITLES, AgentName, agent_with, costs_for
 
 #: Moments that the figure shows.
 _COLUMNS = 5
@@ -85,8 +85,14 @@ def house_of(options: Options) -> IndoorHouse:
       InputError: no house of the split has that name.
     """
     count = 1 if options.house is None else None
-    if options.houses == PROCEDURAL and options.house is not None and options.house.split("-")[-1].isdecimal():
-        count = int(options.house.split("-")[-1]) + 1  # there is no end of them
+    if options.houses == PROCEDURAL and options.house is not None:
+        split, _, number = options.house.rpartition("-")
+        if split != options.split or not number.isdecimal():
+            raise InputError(
+                f"--house {options.house}: the embedded houses of the split {options.split} are called "
+                f"{options.split}-0, {options.split}-1 and so on; give one of these, or another --split"
+            )
+        count = int(number) + 1  # there is no end of them
     houses = indoor_houses(options.houses, options.split, count=count, cell_size=MapSettings.cell_size)
     for house in houses:
         if options.house in (None, house.name):
@@ -180,7 +186,6 @@ def main(options: Options) -> None:
     for name in ("samples", "limit"):
         if getattr(options, name) < 1:
             raise InputError(f"--{name} {getattr(options, name)}: give 1 or more")
-    check_seed(options.seed)
     house = house_of(options)
     episode = episode_in(house, options)
     agent = agent_with(options.agent, costs_for([options.agent], options.network), options.samples)

@@ -7,6 +7,7 @@ import dataclasses
 import functools
 import hashlib
 import json
+import math
 import shutil
 import sys
 from collections.abc import Callable
@@ -37,7 +38,7 @@ from dc2g_jax.objectnav.training import (
     train_step,
     validation_samples,
 )
-from experiments.common import OutOption, command_line
+from experiments.common import check_seed, command_line
 from experiments.outputs import command_written, commit, output_folder
 from experiments.training_loop import FiniteLoss, Log, check_validate_every, run_steps
 from experiments.training_sets import kept_arrays
@@ -61,7 +62,8 @@ class Options:
       validation_houses: houses of the validation split to try the network on.
       cell_size: side of a map's cell, metres.
       collection: what to collect in the houses.
-      encoder: safetensors file with an encoder of pictures, copied to `out`; where not given one is trained first.
+      encoder: safetensors file with an encoder of pictures, such as another training's `encoder.safetensors`, copied
+        to `out`; where not given one is trained first.
       encoder_steps: optimiser steps of that encoder.
       recipe: `paper` for the paper's, `better` for the one that does better in minutes.
       learning_rate: the highest one, where it is to be another than the recipe's.
@@ -84,7 +86,7 @@ class Options:
     validation_houses: int = 20
     cell_size: float = MapSettings.cell_size
     collection: tyro.conf.OmitArgPrefixes[CollectionConfig] = dataclasses.field(default_factory=CollectionConfig)
-    encoder: OutOption = None
+    encoder: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     encoder_steps: int = 3000
     recipe: Literal["better", "paper"] = "better"
     learning_rate: Annotated[float | None, tyro.conf.arg(help_behavior_hint="")] = None
@@ -111,6 +113,10 @@ class Options:
             )
         except ValueError as error:
             raise InputError(f"--widths or --patch: {error}") from None
+        if MapSettings.local % self.patch:
+            raise InputError(f"--patch {self.patch}: give a divisor of {MapSettings.local}, the map's sides in cells")
+        if self.learning_rate is not None and not 0 < self.learning_rate < math.inf:
+            raise InputError(f"--learning-rate {self.learning_rate}: give a number above 0")
         recipe: Recipe = RECIPES[self.recipe]
         if self.learning_rate is not None:
             recipe = dataclasses.replace(recipe, peak=self.learning_rate)
@@ -121,7 +127,6 @@ def open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
     """The encoder that is named, or the one that was trained for this run, or is now."""
     own = options.out / ENCODER_FILE
     if options.encoder is not None and not own.exists():
-        load_encoder(options.encoder)  # refused before it is copied
         shutil.copyfile(options.encoder, own)
     if own.exists():
         return load_encoder(own)
@@ -215,13 +220,10 @@ def main(options: Options) -> None:
         value = getattr(options, name)
         if value is not None and value < 1:
             raise InputError(f"--{name.replace('_', '-')} {value}: give at least 1")
-    for name, value in (
-        ("seed", options.seed),
-        ("data-seed", options.collection.data_seed),
-    ):
-        if value < 0:
-            raise InputError(f"--{name} {value}: give at least 0")
+    check_seed(options.collection.data_seed, "data-seed")
     check_validate_every(options.validate_every)
+    if options.encoder is not None:
+        load_encoder(options.encoder)
     output_folder(options, "objectnav_train", free=("validate_every", "minutes_per_checkpoint", "validation_samples"))
     count = 500 if options.count is None and options.houses == PROCEDURAL else options.count
     print(f"Houses: {count or 'all'} of {options.houses}", flush=True)

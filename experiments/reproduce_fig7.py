@@ -221,6 +221,8 @@ def as_json(table: Table) -> dict[str, dict[str, dict[str, float]]]:
 def main(options: Options) -> None:
     """Run, tabulate, draw."""
     began = time.perf_counter()
+    if options.record < 0:
+        raise InputError(f"--record {options.record}: give the number of episodes to record, 0 for none")
     dataset = open_dataset(options.dataset)
     if options.settings == "published" and dataset.source != "published":
         raise InputError(

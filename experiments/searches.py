@@ -95,7 +95,6 @@ class SearchOptions:
         for name in ("count", "episodes", "samples", "limit", "resamples"):
             if getattr(self, name) < 1:
                 raise InputError(f"--{name} {getattr(self, name)}: give 1 or more")
-        check_seed(self.seed)
 
     def places(self) -> tuple[list[IndoorHouse], list[Episode]]:
         """The houses, and the searches to be made in them."""
@@ -109,16 +108,6 @@ class SearchOptions:
         """The houses in words."""
         kind = "embedded floor plans" if self.houses == PROCEDURAL else f"houses of {self.houses}"
         return f"{self.count} {kind}, {self.split}"
-
-
-def check_seed(seed: int) -> None:
-    """Refuse a seed that is none.
-
-    Raises:
-      InputError: it is negative.
-    """
-    if seed < 0:
-        raise InputError(f"--seed {seed}: give 0 or more")
 
 
 def open_costs(folder: NetworkOption) -> PredictedCosts[CostMapEstimator]:

@@ -215,12 +215,17 @@ def write_results(
 def run_episodes(dataset: HouseDataset, networks: Mapping[str, NetworkCostToGo], path: Path) -> dict[str, Any]:
     """Extra steps in validation houses with every network; those found before are kept in a file."""
     validation = Validation(dataset, drawn=16)
-    found: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
+    try:
+        found: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); delete it to run its episodes anew") from None
     for number, (run, network) in enumerate(networks.items(), start=1):
         if run not in found:
             print(f"episodes in validation houses: {run} ({number} of {len(networks)})", flush=True)
             found[run] = validation.figures(network)
-            path.write_text(json.dumps(found, indent=2) + "\n")
+            unfinished = path.with_suffix(".partial.json")
+            unfinished.write_text(json.dumps(found, indent=2) + "\n")
+            unfinished.rename(path)
     return found
 
 

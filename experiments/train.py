@@ -139,9 +139,9 @@ def train(
     state = checkpoints.restore() or first_state(config)
     first_step = int(state.step)
     recording = open_recording(options, dataset) if first_step < config.steps else None
+    validation = Validation(dataset) if options.validate_every else None  # refused before minutes of collecting
     data = open_training_set(options.out, dataset, options.data, network)
     draw = options.data.draw_batch(config.batch_size)
-    validation = Validation(dataset) if options.validate_every else None
     recipe, hyperparameters = config.recipe, config.hyperparameters
     if network is not None and not first_step:
         fresh = [jax.tree.map(jnp.array, network.weights) for _ in range(2)]  # a step uses them up

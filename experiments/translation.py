@@ -36,7 +36,7 @@ class TranslationOptions:
       validation_masks: observation masks of each validation house.
       whole_share: share of training pairs in which all of the map is observed. The paper does not say how many are;
         a network that is never shown a whole map draws one as badly as if it had learned nothing.
-      augment: shift, enlarge and mirror the maps at random, as pix2pix does.
+      augment: maps are shifted, enlarged and mirrored at random, as pix2pix does; `--no-augment` leaves that out.
       steps: optimiser steps.
       batch_size: pairs a step.
       learning_rate: of Adam.

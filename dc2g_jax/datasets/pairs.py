@@ -159,7 +159,7 @@ def draw_pairs(
       key: PRNG key.
       data: labels and masks.
       batch_size: number of pairs.
-      own_share: probability that a pair is of one of the dataset's own houses; must be 0 or 1 where there are masks of
+      own_share: probability that a pair is of one of the dataset's own houses; of no weight where there are masks of
         one kind only.
       edge_weight: see `make_pair`.
       jitter: see `jittered`; 0 for none.
@@ -168,8 +168,9 @@ def draw_pairs(
       degrade: what becomes of each observed map, as a camera may make it out; `None` for nothing.
     """
     which, place, turn, change, lift = jax.random.split(key, 5)
-    own = jax.random.uniform(which, (batch_size,)) < own_share
-    low, high = jnp.where(own, 0, data.n_own), jnp.where(own, data.n_own, len(data.mask_world))
+    count = len(data.mask_world)
+    own = (jax.random.uniform(which, (batch_size,)) < own_share) & (data.n_own > 0) | (data.n_own == count)
+    low, high = jnp.where(own, 0, data.n_own), jnp.where(own, data.n_own, count)
     position = jax.random.uniform(place, (batch_size,))
     index = jnp.minimum(low + (position * (high - low)).astype(jnp.int32), high - 1)
     symmetry = jax.random.randint(turn, (batch_size,), 0, SYMMETRIES)

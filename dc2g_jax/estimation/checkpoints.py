@@ -130,6 +130,8 @@ def _read_json(path: Path, remedy: str) -> dict[str, Any]:
 def _read_card(folder: Path) -> tuple[_Kind, Any, str | None]:
     """Kind, architecture and digest of a saved network, once it is sure that this package can run it."""
     remedy = "give a folder written by `python -m experiments.train` or `python -m experiments.train_translator`"
+    if (folder / "network" / _CARD).exists():
+        remedy = f"give {folder / 'network'}"
     facts = _read_json(folder / _CARD, remedy)
     kind = _KINDS.get(str(facts.get("network")))
     if kind is None:

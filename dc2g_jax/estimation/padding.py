@@ -24,7 +24,7 @@ OUTSIDE = 255
 
 def _convolved(
     map_shape: tuple[Int[Array, ""], Int[Array, ""]],
-    grid_rows: int,
+    grid_shape: tuple[int, ...],
     features: Float[Array, "1 h w c"],
     kernel: Float[Array, "3 3 c d"],
     strides: tuple[int, int],
@@ -37,7 +37,7 @@ def _convolved(
     """
     del padding
     stride, shape = strides[0], features.shape[1:3]
-    halvings = next(number for number in itertools.count() if -(-grid_rows >> number) == shape[0])
+    halvings = next(number for number in itertools.count() if tuple(-(-size >> number) for size in grid_shape) == shape)
     inside, first, sizes = jnp.ones(shape, bool), [], []
     for axis, size in enumerate(shape):
         map_size = -(-map_shape[axis] >> halvings)
@@ -73,5 +73,5 @@ class PaddedNetwork:
         network = networks.build(self.network.architecture, self.network.weights)
         for _, module in nnx.iter_modules(network):
             if isinstance(module, nnx.Conv):
-                module.conv_general_dilated = functools.partial(_convolved, (rows, columns), terrain.shape[0])
+                module.conv_general_dilated = functools.partial(_convolved, (rows, columns), terrain.shape)
         return jnp.moveaxis(network(terrain[None])[0], -1, 0)

@@ -59,7 +59,7 @@ class MapSettings:
     def __post_init__(self) -> None:
         for name, sound, remedy in (
             ("local", self.local >= 1, "give 1 or more"),
-            ("cells", self.cells >= self.local and self.cells % self.local == 0, f"give a multiple of {self.local}"),
+            ("cells", self.cells >= self.local > 0 and not self.cells % self.local, f"give a multiple of {self.local}"),
             ("cell_size", 0 < self.cell_size < math.inf, "give metres above 0"),
             ("reach", 0 < self.reach < math.inf, "give metres above 0"),
             ("highest", self.highest > self.lowest, f"give metres above {self.lowest}"),

@@ -1,5 +1,6 @@
 """Training pairs: masks hide, labels are exact, symmetries agree; and the masks a moving robot makes."""
 
+import dataclasses
 import functools
 
 import jax
@@ -163,6 +164,19 @@ def test_batches_are_drawn_from_the_masks_asked_for(own_share, low, high):
     jax.tree.map(np.testing.assert_array_equal, again, batch)
     other = draw(jax.random.key(1), data)
     assert not np.array_equal(other.terrain, batch.terrain)
+
+
+@pytest.mark.parametrize("n_own", [0, N_MASKS])
+def test_masks_of_one_kind_are_all_drawn_alike(n_own):
+    data, _ = training_set((12, 12))
+    data = dataclasses.replace(data, n_own=jnp.int32(n_own))
+    draw = functools.partial(draw_pairs, edge_weight=4.0, jitter=0.0, whole_share=0.0)
+    batch = jax.jit(functools.partial(draw, batch_size=64 * N_MASKS, own_share=0.4))(jax.random.key(0), data)
+    every = pair_maker()(data, jnp.repeat(jnp.arange(N_MASKS), 8), jnp.tile(jnp.arange(8), N_MASKS))
+    owner = {np.asarray(grid).tobytes(): number // 8 for number, grid in enumerate(every.terrain)}
+    drawn = np.bincount([owner[np.asarray(grid).tobytes()] for grid in batch.terrain], minlength=N_MASKS)
+    assert drawn.min() > 32
+    assert drawn.max() < 128
 
 
 def test_a_share_of_pairs_shows_the_whole_map():

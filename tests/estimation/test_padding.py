@@ -41,6 +41,16 @@ def test_the_answer_is_that_to_the_map_alone(network, shape):
     assert padded._cache_size() <= 2
 
 
+@pytest.mark.parametrize("grid_shape", [(4, 64), (64, 3), (1, 20)], ids="{0[0]}x{0[1]}".format)
+def test_a_grid_that_is_halved_to_one_row_before_its_columns_are(network, grid_shape):
+    shape = tuple(min(side, 18) for side in grid_shape)
+    terrain = maps.random_terrain(1, shape, 0.6)
+    grid = np.full(grid_shape, OUTSIDE, np.uint8)
+    grid[: shape[0], : shape[1]] = terrain
+    answer = np.asarray(jax.jit(PaddedNetwork(network).estimate)(grid, ()))[:, : shape[0], : shape[1]]
+    np.testing.assert_allclose(answer, np.asarray(alone(network, terrain)), rtol=1e-4, atol=1e-4)
+
+
 def test_where_the_map_ends_makes_a_difference(network):
     grid = np.full((32, 32), OUTSIDE, np.uint8)
     grid[:20, :20] = 3

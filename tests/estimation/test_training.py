@@ -169,14 +169,19 @@ def test_the_loss_goes_down(trained):
     assert np.mean(losses[-5:]) < 0.6 * np.mean(losses[:5])
 
 
-def test_the_average_follows_the_weights(trained):
-    state, _ = trained
-    distance = [
-        float(np.abs(average - weights).max())
-        for average, weights in zip(jax.tree.leaves(state.average), jax.tree.leaves(state.weights), strict=True)
-    ]
-    assert 0 < max(distance) < 1
-    assert int(state.step) == CONFIG.steps
+def test_the_average_follows_the_weights(data, trained):
+    assert int(trained[0].step) == CONFIG.steps
+    state = first_state(CONFIG)
+    wanted = jax.tree.leaves(jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), state.weights))
+    for step in range(12):
+        state, _ = train(data, 1, state)
+        decay = min(CONFIG.average_decay, (1 + step) / (10 + step))
+        wanted = [
+            decay * average + (1 - decay) * np.asarray(weights)
+            for average, weights in zip(wanted, jax.tree.leaves(state.weights), strict=True)
+        ]
+    for average, expected in zip(jax.tree.leaves(state.average), wanted, strict=True):
+        np.testing.assert_allclose(average, expected, rtol=1e-4, atol=1e-6)
 
 
 def test_a_step_is_compiled_once(data):

@@ -21,6 +21,7 @@ from dc2g_jax.datasets.procedural import procedural_houses
 from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD
 from experiments import head_to_head, reproduce_fig7, run_episodes, sweep_losses, train
+from experiments.common import command_line
 from tests.refusals import refusal
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -171,6 +172,15 @@ def test_bad_input_is_refused_in_one_line(few_houses, tmp_path):
     assert not (tmp_path / "a").exists()
 
 
+@pytest.mark.parametrize("seed", [-1, 2**32])
+def test_a_seed_that_is_none_is_refused_by_every_command(seed, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["reproduce_fig7.py", "--seed", str(seed)])
+    with pytest.raises(SystemExit) as stopped:
+        command_line(reproduce_fig7.Options, lambda options: pytest.fail("has begun"))
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err.startswith(f"error: --seed {seed}: give a number from 0")
+
+
 def test_commands_refuse_what_they_cannot_use(few_houses, tmp_path):
     """As above, without a process for each."""
     out = tmp_path / "out"
@@ -185,6 +195,7 @@ def test_commands_refuse_what_they_cannot_use(few_houses, tmp_path):
     refused(reproduce_fig7, "nowhere", dataset=str(tmp_path / "nowhere"))
     refused(reproduce_fig7, "published houses", settings="published")
     refused(reproduce_fig7, "network.json", network=tmp_path)
+    refused(reproduce_fig7, "--record -1", record=-1)
     refused(head_to_head, "published houses")
     refused(train, "known losses: quantile, l1", loss="l9")
     refused(sweep_losses, "'none'", losses=("l1=none",))

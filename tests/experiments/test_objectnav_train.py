@@ -48,7 +48,12 @@ def test_an_encoder_that_is_none_and_numbers_that_make_no_sense_are_refused(opti
     wrong.write_bytes(b"nothing")
     refusal(lambda: main(dataclasses.replace(options, encoder=wrong)), wrong)
     refusal(lambda: main(dataclasses.replace(options, count=0)), "--count 0", "at least 1")
-    refusal(lambda: main(dataclasses.replace(options, seed=-1)), "--seed -1", "at least 0")
+    for name, value in (("patch", 3), ("learning_rate", float("nan")), ("learning_rate", 0.0)):
+        option = f"--{name.replace('_', '-')} {value}"
+        refusal(lambda: main(dataclasses.replace(options, **{name: value})), option, "give")  # noqa: B023
+    collection = dataclasses.replace(options.collection, data_seed=2**64)
+    refusal(lambda: main(dataclasses.replace(options, collection=collection)), "--data-seed", "give")
+    assert not options.out.exists()
     damaged = tmp_path / "data.npz"
     damaged.write_bytes(b"PK\x03\x04garbage")
     refusal(lambda: objectnav_train.kept(damaged, lambda report: None, 1), damaged, "delete it")

@@ -17,7 +17,7 @@ from dc2g_jax.objectnav.classes import (
     SINK,
     TOILET,
 )
-from dc2g_jax.objectnav.floor_plans import draw_plan
+from dc2g_jax.objectnav.floor_plans import draw_plan, layouts
 from dc2g_jax.objectnav.houses import indoor_houses
 from dc2g_jax.objectnav.plan_cells import world_from_plan
 from dc2g_jax.objectnav.starts import rooms_cut_off, start_cells
@@ -33,6 +33,16 @@ def plans() -> list:
 @pytest.fixture(scope="module")
 def worlds(plans) -> list:
     return [world_from_plan(plan, 0.1) for plan in plans]
+
+
+@pytest.mark.parametrize(
+    ("room", "corners"),
+    [(("##", "#."), 6), (("####", "#..#", ".###", ".#.."), None), (("###", "#.#", "###"), None), (("#.", ".#"), None)],
+)
+def test_the_outline_of_a_room_that_has_one(room, corners):
+    squares = {(x, y) for y, row in enumerate(room) for x, mark in enumerate(row) if mark == "#"}
+    outline = layouts._outline(squares)
+    assert (None if outline is None else len(outline)) == corners
 
 
 def fits(free: np.ndarray, radius: float) -> np.ndarray:

@@ -119,7 +119,12 @@ def test_crops_are_centred_on_the_robot_and_empty_off_the_map():
 
 @pytest.mark.parametrize(
     ("wrong", "mentions"),
-    [({"cells": 100}, "multiple of 140"), ({"cell_size": 0.0}, "cell_size"), ({"highest": 0.05}, "highest")],
+    [
+        ({"cells": 100}, "multiple of 140"),
+        ({"local": 0}, "local"),
+        ({"cell_size": 0.0}, "cell_size"),
+        ({"highest": 0.05}, "highest"),
+    ],
 )
 def test_settings_without_sense_are_refused(wrong, mentions):
     refusal(lambda: MapSettings(**wrong), mentions, "give")

@@ -223,6 +223,8 @@ def _outline(room: set[Square]) -> list[Square] | None:
             if neighbour not in room:
                 sides[start] = end
                 count += 1
+    if len(sides) != count:
+        return None  # two sides begin at one corner: there is no one way around
     first = min(sides)
     walk = [first]
     while (following := sides[walk[-1]]) != first:

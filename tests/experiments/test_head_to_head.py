@@ -1,0 +1,61 @@
+"""The figures of two sides of the same episodes, from pairs made by hand."""
+
+import numpy as np
+import pytest
+
+from dc2g_jax.evaluation import house_bootstrap
+from experiments.head_to_head import Pair, compare
+
+
+def pair(house: str, *, dc2g: int, authors: int, frontier: int, authors_frontier: int = 300, oracle: int = 50) -> Pair:
+    return Pair(
+        house=house,
+        x=0,
+        y=0,
+        heading=0,
+        group="urban",
+        oracle=oracle,
+        authors_oracle=oracle,
+        frontier=frontier,
+        authors_frontier=authors_frontier,
+        dc2g=dc2g,
+        authors_dc2g=authors,
+        extra=100 * (dc2g / oracle - 1),
+        authors_extra=100 * (authors / oracle - 1),
+    )
+
+
+def test_figures_of_a_few_pairs():
+    pairs = [
+        pair("a", dc2g=50, authors=75, frontier=100),
+        pair("a", dc2g=60, authors=60, frontier=240),
+        pair("b", dc2g=100, authors=75, frontier=50),
+        pair("c", dc2g=55, authors=500, frontier=165, authors_frontier=500),
+    ]
+    found = compare(pairs, resamples=200, seed=0)
+    assert (found["episodes"], found["houses"]) == (4, 3)
+    assert (found["shorter"], found["equal"], found["longer"]) == (2, 1, 1)
+    assert found["shorter_of_differing"] == pytest.approx(2 / 3, abs=1e-4)
+    assert found["mean_extra"] == pytest.approx((0 + 20 + 100 + 10) / 4)
+    assert found["median_extra"] == pytest.approx(15)
+    assert found["authors_mean_extra"] == pytest.approx((50 + 20 + 50 + 900) / 4)
+    assert found["authors_median_extra"] == pytest.approx(50)
+    assert found["difference"] == pytest.approx((130 - 1020) / 4)
+    assert found["frontier_over_dc2g"] == pytest.approx(100 * (2 + 4 + 0.5 + 3) / 4 - 100)
+    assert found["authors_frontier_over_dc2g"] == pytest.approx(100 * (4 + 5 + 4 + 1) / 4 - 100)
+    assert (found["time_outs"], found["authors_time_outs"]) == (0, 1)
+
+
+def test_an_interval_is_that_of_houses_drawn_one_by_one():
+    rng = np.random.default_rng(3)
+    counts = np.arange(1, 11)
+    houses = np.repeat([f"house{number}" for number in range(10)], counts)
+    values = np.repeat(rng.normal(0, 10, 10), counts) + rng.normal(0, 1, counts.sum())
+    means = []
+    for _ in range(4000):
+        drawn = [values[houses == f"house{number}"] for number in rng.integers(10, size=10)]
+        means.append(np.mean(np.concatenate(drawn)))
+    for share in (0.6, 0.95):
+        wanted = np.quantile(means, ((1 - share) / 2, (1 + share) / 2))
+        found = house_bootstrap(values, list(houses), resamples=4000, seed=0, share=share)
+        np.testing.assert_allclose(found, wanted, atol=0.05 * np.ptp(means))
