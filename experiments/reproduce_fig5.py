@@ -64,8 +64,8 @@ def main(options: Options) -> None:
         f"{len(data.train.pair_house)} training and {len(data.validation.pair_house)} validation pairs of "
         f"{dataset.name}; {training.base_filters} filters, {training.size} x {training.size} pixels; "
         f"mean and one standard deviation of {len(options.seeds)} runs, moving average of {options.window}. "
-        "Precision and recall of the pixels of all validation pairs together; there is no precision where none is "
-        "predicted."
+        "Precision and recall of the pixels of all validation pairs together; a run that predicts none near a goal has "
+        "no precision, and no part in the mean."
     )
     plot_training(options.out / "fig5", runs, caption, window=options.window)
     facts = {

@@ -1,5 +1,6 @@
 """Figures 4 to 6 of the paper: what a network draws, how that changed in training, and how it fares house by house."""
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -127,7 +128,8 @@ def plot_training(
 ) -> list[Path]:
     """Draw Fig. 5: validation metrics throughout training, one curve a loss.
 
-    Each run is smoothed by a moving average; curves are the mean over a loss's runs, bands one standard deviation.
+    Each run is smoothed by a moving average; curves are the mean over a loss's runs that have a value, bands one
+    standard deviation.
 
     Args:
       path: where to write, without an ending.
@@ -144,16 +146,14 @@ def plot_training(
     for axes, metric in zip(panels, metrics, strict=True):
         for (loss, logs), colour, line in zip(runs.items(), _COLOURS, _LINES, strict=False):
             steps = np.array(sorted(logs[0]))
-            curves = np.stack(
-                [_moving_average(np.array([log[step][metric] for step in steps], float), window) for log in logs]
-            )
-            draw_band(axes, steps, curves, color=colour, linestyle=line, label=loss)
+            curves = [_moving_average(np.array([log[step][metric] for step in steps], float), window) for log in logs]
+            draw_band(axes, steps, np.ma.masked_invalid(np.stack(curves)), color=colour, linestyle=line, label=loss)
         axes.set_xlabel("training steps", fontsize=8)
         axes.set_title(METRIC_LABELS[metric].replace("\n", " "), fontsize=8.5)
         _plain(axes, metric)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=8)
-    figure.supxlabel(caption, fontsize=8, color="#555555")
+    figure.supxlabel(textwrap.fill(caption, 115), fontsize=8, color="#555555")
     return save_figure(figure, path)
 
 

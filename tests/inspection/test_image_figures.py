@@ -23,7 +23,8 @@ def test_figure_5(tmp_path):
         values = np.random.default_rng(seed).random((4, 3))
         return {10 * n: dict(zip(("l1", "low_precision", "low_recall"), v, strict=True)) for n, v in enumerate(values)}
 
-    runs = {"l1": [run(0), run(1)], "gan": [run(2)]}
+    silent = {step: line | {"low_precision": None} for step, line in run(1).items()}
+    runs = {"l1": [run(0), silent], "gan": [run(2)], "l1+gan": [silent]}
     check(image_figures.plot_training(tmp_path / "fig5", runs, "caption", window=2))
 
 
