@@ -60,7 +60,6 @@ class Options:
       count: training houses; all of a folder's where not given, 500 procedural ones.
       strict: refuse a file of houses for its first line that is none, instead of skipping it.
       validation_houses: houses of the validation split to try the network on.
-      cell_size: side of a map's cell, metres.
       collection: what to collect in the houses.
       encoder: safetensors file with an encoder of pictures, such as another training's `encoder.safetensors`, copied
         to `out`; where not given one is trained first.
@@ -84,7 +83,6 @@ class Options:
     count: Annotated[int | None, tyro.conf.arg(help_behavior_hint="")] = None
     strict: bool = False
     validation_houses: int = 20
-    cell_size: float = MapSettings.cell_size
     collection: tyro.conf.OmitArgPrefixes[CollectionConfig] = dataclasses.field(default_factory=CollectionConfig)
     encoder: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     encoder_steps: int = 3000
@@ -166,7 +164,7 @@ def kept(path: Path, make: Callable[[Callable[[int], None]], TrainingSet], house
 
 def train(options: Options, config: CostMapConfig, data: TrainingSet, validation: TrainingSet) -> None:
     """Train to the end, saving now and then, and at Ctrl-C."""
-    facts = {name: str(getattr(options, name)) for name in ("houses", "count", "cell_size", "collection")}
+    facts = {name: str(getattr(options, name)) for name in ("houses", "count", "collection")}
     checkpoints = TrainingCheckpoints(options.out, config, facts, first_state=first_state)
     batches = validation_samples(validation, config, options.validation_samples)
     loss = FiniteLoss(options.out)
@@ -177,7 +175,7 @@ def train(options: Options, config: CostMapConfig, data: TrainingSet, validation
         found = {"step": step, "training_loss": loss.latest, **figures(estimator, batches, config)}
         card: dict[str, Any] = {
             "houses": options.houses,
-            "cell_size": options.cell_size,
+            "cell_size": MapSettings.cell_size,
             "recipe": dataclasses.asdict(config.recipe),
             "command": command_written(),
             "commit": commit(),
@@ -227,8 +225,10 @@ def main(options: Options) -> None:
     output_folder(options, "objectnav_train", free=("validate_every", "minutes_per_checkpoint", "validation_samples"))
     count = 500 if options.count is None and options.houses == PROCEDURAL else options.count
     print(f"Houses: {count or 'all'} of {options.houses}", flush=True)
-    read = functools.partial(indoor_houses, options.houses, cell_size=options.cell_size, strict=options.strict)
-    houses, unknown = read("train", count=count), read("val")[: options.validation_houses]
+    read = functools.partial(indoor_houses, options.houses, cell_size=MapSettings.cell_size, strict=options.strict)
+    houses = read("train", count=count)
+    unknown = read("val", count=options.validation_houses if options.houses == PROCEDURAL else None)
+    unknown = unknown[: options.validation_houses]
     encoder = open_encoder(options, houses)
     collection = options.collection
     data = kept(options.out / "data.npz", functools.partial(collect, houses, encoder, collection), len(houses))

@@ -4,6 +4,7 @@ Made from distances and obstacles, exact or predicted. Cells lie in the world as
 columns, y against rows, metres.
 """
 
+import functools
 import math
 
 import jax
@@ -14,6 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from dc2g_jax.control.mppi import CostOfPose
 from dc2g_jax.grid.fast_marching import geodesic_distance, travel_cost
+from dc2g_jax.grid.shifting import shifted
 
 
 def inflated(cells: Bool[Array, "h w"], radius: float, cell_size: float) -> Bool[Array, "h w"]:
@@ -34,10 +36,43 @@ def inflated(cells: Bool[Array, "h w"], radius: float, cell_size: float) -> Bool
     return touched[0, 0] > 0.5
 
 
+def straight_distance(
+    goals: Bool[Array, "h w"], walls: Bool[Array, "h w"], cell_size: float, most: float
+) -> Float[Array, "h w"]:
+    """Distance of cells to an object near them, as the crow flies, over furniture but not through walls.
+
+    Just around the end of a wall counts: what can be reached on the grid within `most` without crossing a wall.
+
+    Args:
+      goals: cells of the object.
+      walls: cells that nothing reaches through.
+      cell_size: metres.
+      most: the longest distance that counts, metres.
+
+    Returns:
+      float32 metres between the middles of cells; infinity farther away and behind walls.
+    """
+    steps = round(most / cell_size)
+    reached = goals
+    for number in range(steps):
+        # By turns to four neighbours and to eight, an octagon that holds the circle.
+        across = reached | shifted(reached, 0, 1, False) | shifted(reached, 0, -1, False)
+        last = across if number % 2 else reached
+        reached = (across | shifted(last, 1, 0, False) | shifted(last, -1, 0, False)) & ~walls
+    offsets = range(-steps, steps + 1)
+    along = [jnp.where(shifted(goals, offset, 0, False), jnp.float32(offset**2), jnp.inf) for offset in offsets]
+    in_row = functools.reduce(jnp.minimum, along)
+    square = functools.reduce(jnp.minimum, (shifted(in_row, 0, offset, jnp.inf) + offset**2 for offset in offsets))
+    distance = jnp.sqrt(square) * cell_size
+    return jnp.where(reached & (distance <= most + 1e-4), distance, jnp.inf)
+
+
 def distance_for_vehicle(
     obstacles: Bool[Array, "h w"], goals: Bool[Array, "h w"], radius: float, cell_size: float
 ) -> Float[Array, "h w"]:
     """Distance that the centre of a round vehicle has to drive until it touches the goal (fast marching method).
+
+    It does not touch the goal through an obstacle.
 
     Args:
       obstacles: cells it may not touch, but on the goal.
@@ -48,9 +83,9 @@ def distance_for_vehicle(
     Returns:
       float32 metres; infinity where it does not fit and where no way leads to the goal.
     """
-    return geodesic_distance(
-        ~inflated(obstacles, radius, cell_size), goals | (inflated(goals, radius, cell_size) & ~obstacles), cell_size
-    )
+    near = jnp.isfinite(straight_distance(goals, obstacles & ~goals, cell_size, radius + cell_size))
+    touching = goals | (inflated(goals, radius, cell_size) & near & ~obstacles)
+    return geodesic_distance(~inflated(obstacles, radius, cell_size), touching, cell_size)
 
 
 def with_tight_cells(distance: Float[Array, "h w"], free: Bool[Array, "h w"], cell_size: float) -> Float[Array, "h w"]:

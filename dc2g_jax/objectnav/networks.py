@@ -87,10 +87,6 @@ class CostMapArchitecture:
             raise ValueError(f"{self.features} features: give at least 1; networks that see none have other inputs")
 
 
-#: The widths of the paper's Fig. 2 are not in its text; these are the usual ones of U-Net, which it names.
-PAPER = CostMapArchitecture(patch=1, widths=(64, 128, 256, 512), features=6144)
-
-
 @struct.dataclass
 class Prediction:
     """What the network answers.

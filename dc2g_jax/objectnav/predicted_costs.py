@@ -92,7 +92,7 @@ def load_costs(folder: Path) -> PredictedCosts[CostMapEstimator]:
     if card.get("cell_size", MapSettings.cell_size) != MapSettings.cell_size:
         raise InputError(
             f"{folder}: the network was trained on cells of {card['cell_size']:g} m, maps here have "
-            f"{MapSettings.cell_size:g} m; train one with --cell-size {MapSettings.cell_size:g}"
+            f"{MapSettings.cell_size:g} m; train one anew"
         )
     if encoder.size != estimator.architecture.features:
         raise InputError(

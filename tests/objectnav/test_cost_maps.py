@@ -35,12 +35,23 @@ def test_a_vehicle_drives_through_a_door_only_if_it_fits():
     assert np.isinf(from_other_side(0.45))
 
 
-def test_a_goal_is_touched_on_the_near_side_of_a_wall():
+def test_distances_lead_over_furniture_and_not_through_walls():
+    goals, walls = np.zeros((2, 30, 30), bool)
+    goals[15, 10] = walls[5:25, 13] = True
+    found = np.asarray(cost_maps.straight_distance(jnp.asarray(goals), jnp.asarray(walls), 0.1, 0.7))
+    straight = 0.1 * np.hypot(*(np.mgrid[:30, :30] - np.array([15, 10])[:, None, None]))
+    near = (straight <= 0.7 + 1e-6) & (np.arange(30) < 13)
+    np.testing.assert_allclose(found[near], straight[near], atol=1e-6)
+    assert np.isinf(found[~near]).all()
+
+
+@pytest.mark.parametrize("thick", [1, 2])
+def test_a_goal_is_touched_on_the_near_side_of_a_wall(thick):
     obstacles, goals = np.zeros((2, 20, 30), bool)
-    obstacles[:, 14:16] = True
+    obstacles[:, 16 - thick : 16] = True
     obstacles[8:12, 16:18] = goals[8:12, 16:18] = True
     distance = np.asarray(cost_maps.distance_for_vehicle(jnp.asarray(obstacles), jnp.asarray(goals), 0.25, 0.1))
-    assert np.isinf(distance[:, :14]).all()
+    assert np.isinf(distance[:, : 16 - thick]).all()
     assert np.isfinite(distance[10, 18:]).all()
     np.testing.assert_allclose(distance[10, [18, 19, 24]], [0, 0, 0.5], atol=0.11)
 

@@ -5,7 +5,7 @@ from collections import deque
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax.objectnav.goal_reacher import ARM, STOP, distance_to_object, straight_distance, without_specks
+from dc2g_jax.objectnav.goal_reacher import ARM, STOP, distance_to_object, without_specks
 
 
 def distances(obstacles, walls, goals):
@@ -20,16 +20,6 @@ def test_specks_go_and_objects_stay():
         around = cells[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3].sum()
         assert kept[row, column] == (cells[row, column] and around >= 3)
     assert 0 < kept.sum() < cells.sum()
-
-
-def test_distances_lead_over_furniture_and_not_through_walls():
-    goals, walls = np.zeros((2, 30, 30), bool)
-    goals[15, 10] = walls[5:25, 13] = True
-    found = np.asarray(straight_distance(jnp.asarray(goals), jnp.asarray(walls), 0.1, 0.7))
-    straight = 0.1 * np.hypot(*(np.mgrid[:30, :30] - np.array([15, 10])[:, None, None]))
-    near = (straight <= 0.7 + 1e-6) & (np.arange(30) < 13)
-    np.testing.assert_allclose(found[near], straight[near], atol=1e-6)
-    assert np.isinf(found[~near]).all()
 
 
 def test_the_way_ends_at_arms_length_from_a_plant_on_a_table():
