@@ -78,6 +78,12 @@ def test_an_axis_without_values_or_with_one_twice_is_refused(axis):
         grid(**{axis: [value, value]})
 
 
+def test_one_loss_in_two_spellings_is_refused_and_close_rates_are_not():
+    with pytest.raises(InputError, match="l1, l1=1 names the same loss twice"):
+        grid(losses=["l1", "l1=1"])
+    assert len(grid(learning_rates=[0.002, 0.0020000001])) == 2
+
+
 @pytest.mark.parametrize("rate", [0.0, -1.0, float("nan")])
 def test_learning_rates_that_are_refused(rate):
     with pytest.raises(InputError, match="above 0"):

@@ -115,6 +115,11 @@ def test_an_empty_folder(tmp_path):
     refusal(tmp_path, "network.json", "not found")
 
 
+def test_the_folder_of_a_training_names_its_network(tmp_path):
+    save_network(tmp_path / "network", network())
+    refusal(tmp_path, "not found", f"give {tmp_path / 'network'}")
+
+
 @pytest.mark.parametrize("content", [b"", b"{", b"not JSON", b"[]", b"3", b"\xff\xfe\x00"])
 def test_a_broken_card(folder, content):
     (folder / "network.json").write_bytes(content)
