@@ -220,7 +220,7 @@ def main(options: Options) -> None:
             raise InputError(f"--{name.replace('_', '-')} {value}: give at least 1")
     check_seed(options.collection.data_seed, "data-seed")
     check_validate_every(options.validate_every)
-    if options.encoder is not None:
+    if options.encoder is not None and not (options.out / ENCODER_FILE).exists():
         load_encoder(options.encoder)
     output_folder(options, "objectnav_train", free=("validate_every", "minutes_per_checkpoint", "validation_samples"))
     count = 500 if options.count is None and options.houses == PROCEDURAL else options.count

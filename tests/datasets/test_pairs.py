@@ -148,6 +148,13 @@ def test_a_map_that_is_not_square_keeps_its_shape():
     assert len({np.asarray(grid).tobytes() for grid in pairs.terrain}) == 4
 
 
+def masks_drawn(data: TrainingSet, batch: Pair) -> list[int]:
+    """The mask of each pair of a batch, told by what it shows."""
+    every = pair_maker()(data, jnp.repeat(jnp.arange(N_MASKS), 8), jnp.tile(jnp.arange(8), N_MASKS))
+    owner = {np.asarray(grid).tobytes(): number // 8 for number, grid in enumerate(every.terrain)}
+    return [owner[np.asarray(grid).tobytes()] for grid in batch.terrain]
+
+
 @pytest.mark.parametrize(("own_share", "low", "high"), [(1.0, 0, N_OWN), (0.0, N_OWN, N_MASKS)])
 def test_batches_are_drawn_from_the_masks_asked_for(own_share, low, high):
     data, _ = training_set((12, 12))
@@ -156,10 +163,7 @@ def test_batches_are_drawn_from_the_masks_asked_for(own_share, low, high):
     )
     batch = draw(jax.random.key(0), data)
     assert batch.terrain.shape == (200, 12, 12)
-    every = pair_maker()(data, jnp.repeat(jnp.arange(N_MASKS), 8), jnp.tile(jnp.arange(8), N_MASKS))
-    owner = {np.asarray(grid).tobytes(): number // 8 for number, grid in enumerate(every.terrain)}
-    drawn = {owner[np.asarray(grid).tobytes()] for grid in batch.terrain}
-    assert drawn == set(range(low, high))
+    assert set(masks_drawn(data, batch)) == set(range(low, high))
     again = draw(jax.random.key(0), data)
     jax.tree.map(np.testing.assert_array_equal, again, batch)
     other = draw(jax.random.key(1), data)
@@ -172,9 +176,7 @@ def test_masks_of_one_kind_are_all_drawn_alike(n_own):
     data = dataclasses.replace(data, n_own=jnp.int32(n_own))
     draw = functools.partial(draw_pairs, edge_weight=4.0, jitter=0.0, whole_share=0.0)
     batch = jax.jit(functools.partial(draw, batch_size=64 * N_MASKS, own_share=0.4))(jax.random.key(0), data)
-    every = pair_maker()(data, jnp.repeat(jnp.arange(N_MASKS), 8), jnp.tile(jnp.arange(8), N_MASKS))
-    owner = {np.asarray(grid).tobytes(): number // 8 for number, grid in enumerate(every.terrain)}
-    drawn = np.bincount([owner[np.asarray(grid).tobytes()] for grid in batch.terrain], minlength=N_MASKS)
+    drawn = np.bincount(masks_drawn(data, batch), minlength=N_MASKS)
     assert drawn.min() > 32
     assert drawn.max() < 128
 

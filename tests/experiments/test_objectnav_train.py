@@ -41,6 +41,8 @@ def test_it_writes_a_network_its_encoder_and_their_card_and_goes_on_where_it_was
     taken = dataclasses.replace(options, out=options.out.parent / "other", encoder=options.out / ENCODER_FILE)
     main(taken)
     np.testing.assert_array_equal((taken.out / ENCODER_FILE).read_bytes(), (options.out / ENCODER_FILE).read_bytes())
+    (options.out / ENCODER_FILE).unlink()
+    main(dataclasses.replace(taken, resume=True))  # has its own copy
 
 
 def test_an_encoder_that_is_none_and_numbers_that_make_no_sense_are_refused(options, tmp_path):
