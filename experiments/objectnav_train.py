@@ -7,7 +7,6 @@ import dataclasses
 import functools
 import hashlib
 import json
-import math
 import shutil
 import sys
 from collections.abc import Callable
@@ -113,8 +112,6 @@ class Options:
             raise InputError(f"--widths or --patch: {error}") from None
         if MapSettings.local % self.patch:
             raise InputError(f"--patch {self.patch}: give a divisor of {MapSettings.local}, the map's sides in cells")
-        if self.learning_rate is not None and not 0 < self.learning_rate < math.inf:
-            raise InputError(f"--learning-rate {self.learning_rate}: give a number above 0")
         recipe: Recipe = RECIPES[self.recipe]
         if self.learning_rate is not None:
             recipe = dataclasses.replace(recipe, peak=self.learning_rate)
@@ -214,7 +211,7 @@ def write_card(folder: Path, card: dict[str, Any]) -> None:
 def main(options: Options) -> None:
     """Collect, train, save and validate."""
     options.training(1)  # refused before anything is written
-    for name in ("count", "validation_houses", "encoder_steps", "steps", "batch_size", "validation_samples"):
+    for name in ("count", "validation_houses", "encoder_steps", "validation_samples"):
         value = getattr(options, name)
         if value is not None and value < 1:
             raise InputError(f"--{name.replace('_', '-')} {value}: give at least 1")

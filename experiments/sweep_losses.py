@@ -26,6 +26,7 @@ from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.estimation.networks import Architecture, multiply_accumulates
 from dc2g_jax.estimation.training import TrainingConfig, TrainingState, init_states, mean_error, train_steps
 from dc2g_jax.files.tables import write_table
+from dc2g_jax.files.whole import replacing
 from dc2g_jax.inspection.training_figures import plot_sweep
 from dc2g_jax.sweeps import group_by_shape, runs_of_grid, stacked_hyperparameters
 from dc2g_jax.training_data import DataConfig, Validation, validation_pairs
@@ -223,9 +224,8 @@ def run_episodes(dataset: HouseDataset, networks: Mapping[str, NetworkCostToGo],
         if run not in found:
             print(f"episodes in validation houses: {run} ({number} of {len(networks)})", flush=True)
             found[run] = validation.figures(network)
-            unfinished = path.with_suffix(".partial.json")
-            unfinished.write_text(json.dumps(found, indent=2) + "\n")
-            unfinished.rename(path)
+            with replacing(path) as unfinished:
+                unfinished.write_text(json.dumps(found, indent=2) + "\n")
     return found
 
 

@@ -13,6 +13,7 @@ from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.files.whole import replacing
 from dc2g_jax.mask_collection import Masks
 from dc2g_jax.training_data import (
     DataConfig,
@@ -53,9 +54,8 @@ def kept_arrays(path: Path, names: Sequence[str], collect: Collect, *, unit: str
             bar.update(done - bar.n)
 
         arrays = {name: np.asarray(array) for name, array in collect(show).items()}
-    unfinished = path.with_suffix(".partial.npz")
-    np.savez(unfinished, **arrays)  # type: ignore[arg-type]
-    unfinished.rename(path)
+    with replacing(path) as unfinished:
+        np.savez(unfinished, **arrays)  # type: ignore[arg-type]
     return arrays
 
 

@@ -2,11 +2,11 @@
 
 import csv
 import io
-import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.whole import replacing
 
 
 def read_table(
@@ -61,12 +61,10 @@ def write_table(path: Path, columns: Sequence[str], rows: Iterable[Iterable[obje
         columns: names for the header.
         rows: values in the order of the columns.
     """
-    unfinished = path.with_name(f".{path.name}.unfinished")
-    with unfinished.open("w", newline="", encoding="utf-8") as file:
+    with replacing(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows(rows)
-    os.replace(unfinished, path)
 
 
 def _read_text(path: Path, remedy: str) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from dc2g_jax.estimation.training import TrainingState
+from dc2g_jax.estimation.training import TrainingState, check_numbers
 from dc2g_jax.objectnav import networks
 from dc2g_jax.objectnav.data import (
     ALL_SYMMETRIES,
@@ -85,6 +85,9 @@ class CostMapConfig:
       steps: optimiser steps in all.
       batch_size: samples a step.
       seed: of weights and batches.
+
+    Raises:
+      InputError: for numbers that no training can have.
     """
 
     architecture: CostMapArchitecture = dataclasses.field(default_factory=CostMapArchitecture)
@@ -93,6 +96,9 @@ class CostMapConfig:
     steps: int = 5000
     batch_size: int = 16
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_numbers(self.steps, self.batch_size, self.recipe.peak)
 
 
 def optimizer(config: CostMapConfig) -> optax.GradientTransformation:

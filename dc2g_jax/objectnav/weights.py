@@ -10,6 +10,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.whole import replacing
 
 
 def write_safetensors(path: str | Path, tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> None:
@@ -20,10 +21,9 @@ def write_safetensors(path: str | Path, tensors: Mapping[str, np.ndarray], metad
       tensors: name -> array.
       metadata: further facts, text by name.
     """
-    unfinished = Path(path).with_name(f".{Path(path).name}.partial")
     dense = {name: np.asarray(tensor, order="C") for name, tensor in tensors.items()}
-    unfinished.write_bytes(save(dense, dict(metadata)))
-    unfinished.rename(path)
+    with replacing(path) as unfinished:
+        unfinished.write_bytes(save(dense, dict(metadata)))
 
 
 def read_safetensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:

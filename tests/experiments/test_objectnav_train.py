@@ -50,9 +50,10 @@ def test_an_encoder_that_is_none_and_numbers_that_make_no_sense_are_refused(opti
     wrong.write_bytes(b"nothing")
     refusal(lambda: main(dataclasses.replace(options, encoder=wrong)), wrong)
     refusal(lambda: main(dataclasses.replace(options, count=0)), "--count 0", "at least 1")
-    for name, value in (("patch", 3), ("learning_rate", float("nan")), ("learning_rate", 0.0)):
-        option = f"--{name.replace('_', '-')} {value}"
-        refusal(lambda: main(dataclasses.replace(options, **{name: value})), option, "give")  # noqa: B023
+    refusal(lambda: main(dataclasses.replace(options, patch=3)), "--patch 3", "give")
+    for name, value in (("learning_rate", float("nan")), ("learning_rate", 0.0), ("steps", 0), ("batch_size", 0)):
+        number = f"{name.replace('_', ' ')} {value}"
+        refusal(lambda: main(dataclasses.replace(options, **{name: value})), number, "give")  # noqa: B023
     collection = dataclasses.replace(options.collection, data_seed=2**64)
     refusal(lambda: main(dataclasses.replace(options, collection=collection)), "--data-seed", "give")
     assert not options.out.exists()
