@@ -121,11 +121,30 @@ def usable(dataset: HouseDataset, split: str) -> list[House]:
     return houses
 
 
+def _with_drawn(own: list[House], prefix: str, count: int, seed: int) -> list[House]:
+    """Houses of a dataset, then procedural ones on a grid of the same size.
+
+    Raises:
+      InputError: drawn houses cannot be run beside one of the dataset's: it is not square, or called like one of them.
+    """
+    height, width = own[0].terrain.shape
+    if count and height != width:
+        raise InputError(
+            f"{own[0].name}: has {width} x {height} cells, and drawn houses, which are square, are run beside it; "
+            "sample the maps to squares, or train with --extra-houses 0 --validate-every 0"
+        )
+    drawn = drawn_houses(prefix, own[0].split, count, seed, height)
+    taken = {house.name for house in drawn}
+    for house in own:
+        if house.name in taken:
+            raise InputError(f"{house.name}: a drawn house that is run beside it has this name; rename the house")
+    return own + drawn
+
+
 def training_houses(dataset: HouseDataset, config: DataConfig) -> tuple[list[House], int]:
     """The dataset's own training houses, then procedural ones on a grid of the same size; and how many are its own."""
     own = usable(dataset, "train")
-    cells = own[0].terrain.shape[0]
-    return own + drawn_houses("e", "train", config.extra_houses, config.data_seed, cells), len(own)
+    return _with_drawn(own, "e", config.extra_houses, config.data_seed), len(own)
 
 
 def _led_masks(
@@ -260,7 +279,7 @@ def validation_pairs(dataset: HouseDataset, *, count: int, edge_weight: float) -
       edge_weight: see `dc2g_jax.datasets.pairs.make_pair`.
     """
     own = usable(dataset, "val")
-    houses = own + drawn_houses("v", "val", 32, _VALIDATION_SEED, own[0].terrain.shape[0])
+    houses = _with_drawn(own, "v", 32, _VALIDATION_SEED)
     config = DataConfig(ranges=(5, 8), starts_per_house=8)
     masks = observation_masks(config, houses, len(own), lambda done, total: None)
     data = training_set(houses, len(own), masks)
@@ -277,17 +296,17 @@ class Validation:
       drawn: how many procedural houses.
 
     Raises:
-      InputError: no episode can be run in any validation house, or even the oracle needs too many steps in one.
+      InputError: no episode can be run in any validation house, or even the oracle needs too many steps in one, or
+        drawn houses cannot be run beside them.
     """
 
     def __init__(self, dataset: HouseDataset, drawn: int = 64):
         own = usable(dataset, "val")
-        procedural = drawn_houses("v", "val", drawn, _VALIDATION_SEED, own[0].terrain.shape[0])
-        houses = HouseDataset(name="validation", source="folder", houses=(*own, *procedural))
+        houses = HouseDataset("validation", "folder", tuple(_with_drawn(own, "v", drawn, _VALIDATION_SEED)))
         self._runners = {name: Runner(houses, SETTINGS[name]) for name in ("published", "paper")}
         self._starts: Mapping[str, list[Start]] = {
             "own": sample_starts(own, 20, seed=0),
-            "procedural": sample_starts(procedural, 3, seed=0),
+            "procedural": sample_starts(houses.houses[len(own) :], 3, seed=0),
         }
         for runner in self._runners.values():
             for starts in self._starts.values():

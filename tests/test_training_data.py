@@ -8,7 +8,8 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.mask_collection import Masks
-from dc2g_jax.training_data import DataConfig, check_masks, training_set, usable
+from dc2g_jax.training_data import DataConfig, check_masks, training_houses, training_set, usable
+from tests.refusals import refusal
 
 
 def masks(**changes) -> Masks:
@@ -41,6 +42,16 @@ def test_data_that_cannot_be_made_is_refused(options, mention):
 def test_an_empty_split_is_refused_by_name(split):
     with pytest.raises(InputError, match=f"empty: .*any {split} house"):
         usable(HouseDataset(name="empty", source="folder", houses=()), split)
+
+
+def test_houses_that_drawn_ones_cannot_stand_beside_are_refused(street):
+    config = DataConfig(extra_houses=2)
+    own = House("e00001", "train", street[:, :8])
+    refusal(lambda: training_houses(HouseDataset("mine", "folder", (own,)), config), "e00001", "rename")
+    oblong = House("long", "train", street)
+    mine = HouseDataset("mine", "folder", (oblong,))
+    refusal(lambda: training_houses(mine, config), "long", "square", "--extra-houses 0")
+    assert training_houses(mine, DataConfig(extra_houses=0)) == ([oblong], 1)
 
 
 def test_masks_of_other_maps_are_refused(houses):
