@@ -16,7 +16,7 @@ import numpy as np
 from tqdm import tqdm
 
 from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset, tell_on_stderr
-from dc2g_jax.datasets.starts import published_episodes, sample_starts, why_no_episode
+from dc2g_jax.datasets.starts import Start, published_episodes, sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.evaluation import PLANNERS, EpisodeResult, Runner, Summary, extra_steps, summarize
@@ -138,22 +138,20 @@ def frontier_over_dc2g(results: list[EpisodeResult]) -> dict[str, dict[str, floa
     }
 
 
-def run_sampled(
-    dataset: HouseDataset, network: TrainedNetwork, options: Options, table: EpisodeTable
-) -> tuple[list[EpisodeResult], list[Episode]]:
-    """Sampled starts in every test house in which an episode can be run; as many in each, so houses weigh equally."""
+def sampled_episodes(dataset: HouseDataset, options: Options) -> tuple[Runner, list[Start]]:
+    """As many sampled starts in every test house in which an episode can be run, so that houses weigh equally; and what
+    runs them.
+
+    Raises:
+      InputError: there are none, or the houses cannot be run together.
+    """
     houses: tuple[House, ...] = dataset.split("test")
     if not houses:
         raise InputError(f"{dataset.name}: has no test houses; list some in testing_houses.csv")
-    for house in houses:
-        if reason := why_no_episode(house):
-            tell_on_stderr(f"Left out: house {house.name}: {reason}")
     starts = sample_starts(houses, options.starts_per_house, seed=options.seed)
     if not starts:
         raise InputError(f"{dataset.name}: no episode can be run in any of its test houses; add a front door and roads")
-    runner = Runner(dataset, SETTINGS["paper"], step_limit=options.step_limit, progress=EpisodeProgress())
-    results = table.run(runner, starts, PLANNERS, network)
-    return results, [_episode(result, group_of(dataset.house(result.house)) or "test") for result in results]
+    return Runner(dataset, SETTINGS["paper"], step_limit=options.step_limit, progress=EpisodeProgress()), starts
 
 
 def record(
@@ -230,6 +228,7 @@ def main(options: Options) -> None:
             "them, or --settings paper for sampled starts"
         )
     network = open_network(options.network)
+    sampled = None if options.settings == "published" else sampled_episodes(dataset, options)
     out = output_folder(options, "reproduce_fig7")
     table = EpisodeTable(out / "episodes.csv")
     label = "procedural houses" if dataset.source == "procedural" else dataset.name
@@ -247,8 +246,15 @@ def main(options: Options) -> None:
             print(f"{whose:18}" + "".join(f"{row[group]:>11.1f}{'':9}" for group in PUBLISHED_GROUPS))
     elif options.settings != "paper":
         tell_on_stderr(f"Left out: the 400 published episodes, which need the published houses, not {dataset.name}")
-    if options.settings != "published":
-        results["paper"], entries["paper"] = run_sampled(dataset, network, options, table)
+    if sampled is not None:
+        for house in dataset.split("test"):
+            if reason := why_no_episode(house):
+                tell_on_stderr(f"Left out: house {house.name}: {reason}")
+        runner, starts = sampled
+        results["paper"] = table.run(runner, starts, PLANNERS, network)
+        entries["paper"] = [
+            _episode(result, group_of(dataset.house(result.house)) or "test") for result in results["paper"]
+        ]
         tables["paper"] = tabulate(entries["paper"], PAPER_GROUPS)
         houses = len({episode.house for episode in entries["paper"]})
         print_table(

@@ -196,6 +196,7 @@ def test_commands_refuse_what_they_cannot_use(few_houses, tmp_path):
     refused(reproduce_fig7, "published houses", settings="published")
     refused(reproduce_fig7, "network.json", network=tmp_path)
     refused(reproduce_fig7, "--record -1", record=-1)
+    refused(reproduce_fig7, "step limit 0", step_limit=0)
     refused(head_to_head, "published houses")
     refused(train, "known losses: quantile, l1", loss="l9")
     refused(sweep_losses, "'none'", losses=("l1=none",))
