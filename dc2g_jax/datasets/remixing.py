@@ -68,7 +68,7 @@ def _joined(
     height, width = left.shape
     row, column = np.arange(height)[:, None], np.arange(width)
     best, found = _ALIKE, None
-    for _ in range(_PIECES):
+    for _ in range(_PIECES if width >= 4 else 0):
         piece = _turned(rng, right)
         cut = int(rng.integers(width // 4, width - width // 4 + 1))
         down, aside = int(rng.integers(-height // 3, height // 3 + 1)), int(rng.integers(-width // 5, width // 5 + 1))

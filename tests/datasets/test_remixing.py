@@ -4,15 +4,16 @@ import numpy as np
 import pytest
 
 from dc2g_jax.datasets import remixing
-from dc2g_jax.datasets.houses import House, procedural_dataset
+from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.remixing import remix, remixed_houses
 from dc2g_jax.datasets.starts import start_cells, why_no_episode
 from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD
+from dc2g_jax.training_data import drawn_houses
 
 
 @pytest.fixture(scope="module")
 def houses() -> list[House]:
-    return [house for house in procedural_dataset().split("train") if why_no_episode(house) is None][:6]
+    return drawn_houses("e", "train", 6, seed=0, cells=50)
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +58,12 @@ def test_a_piece_goes_on_where_the_cut_is():
     assert joined is not None
     np.testing.assert_array_equal(joined == ROAD, maps[0] == ROAD)
     assert remixing._joined(rng, maps[0], np.full((40, 40), FRONT_DOOR, np.uint8)) is None
+
+
+def test_narrow_maps():
+    lane = House("lane", "train", np.array([[ROAD, ROAD, FRONT_DOOR]] * 4, np.uint8).T)
+    for house in remixed_houses([lane, lane], 8, seed=0):
+        assert why_no_episode(house) is None
 
 
 def test_oblong_maps_and_maps_without_a_chance(street):
