@@ -13,7 +13,6 @@ from jaxtyping import Array, UInt8
 from dc2g_jax.datasets.houses import House, HouseDataset, stack_worlds
 from dc2g_jax.datasets.pairs import Pair, TrainingSet, draw_pairs
 from dc2g_jax.datasets.procedural import extra_training_houses
-from dc2g_jax.datasets.remixing import remixed_houses
 from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, world_cost_to_go
@@ -45,12 +44,11 @@ class DataConfig:
 
     Attributes:
       extra_houses: procedural houses beside the dataset's training houses.
-      remixed_houses: maps made of pieces of the dataset's training houses, see `dc2g_jax.datasets.remixing`.
       starts_per_house: episodes in each of the dataset's training houses, for every sensing range and leading planner.
-      starts_per_extra_house: the same for all others.
+      starts_per_extra_house: the same for the procedural houses.
       masks_per_episode: moments of each episode that become observation masks.
       ranges: sensing ranges, in cells, of the robots whose masks are learned from.
-      own_share: share of a batch drawn from the dataset's own houses and remixed ones, not procedural ones, 0 to 1.
+      own_share: share of a batch drawn from the dataset's own houses rather than procedural ones, 0 to 1.
       edge_weight: weight in the loss of cells within 2 cells of unobserved ground; others have weight 1.
       half_weight_cost: cost-to-go, in cells, at which a cell weighs half as much as at a goal; `inf` for all alike.
       jitter: logarithm of the largest factor by which half of the maps are stretched, and moved by 40 cells times it.
@@ -60,12 +58,11 @@ class DataConfig:
     """
 
     extra_houses: int = 2000
-    remixed_houses: int = 2000
     starts_per_house: int = 12
     starts_per_extra_house: int = 1
     masks_per_episode: int = 4
     ranges: tuple[int, ...] = (4, 5, 6, 8, 10, 12)
-    own_share: float = 0.5
+    own_share: float = 0.4
     edge_weight: float = 4.0
     half_weight_cost: float = 16.0
     jitter: float = 0.15
@@ -81,9 +78,8 @@ class DataConfig:
         for name in ("starts_per_house", "starts_per_extra_house", "masks_per_episode"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} {getattr(self, name)}: give at least 1")
-        for name in ("extra_houses", "remixed_houses"):
-            if getattr(self, name) < 0:
-                raise InputError(f"{name} {getattr(self, name)}: give 0 or more")
+        if self.extra_houses < 0:
+            raise InputError(f"extra houses {self.extra_houses}: give 0 or more")
         for name in ("own_share", "whole_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"{name} {getattr(self, name)}: give a share from 0 to 1")
@@ -125,11 +121,11 @@ def usable(dataset: HouseDataset, split: str) -> list[House]:
     return houses
 
 
-def _with_drawn(own: list[House], prefix: str, count: int, seed: int, *, remixed: Sequence[House] = ()) -> list[House]:
-    """Houses of a dataset, remixed ones, then procedural ones on a grid of the same size.
+def _with_drawn(own: list[House], prefix: str, count: int, seed: int) -> list[House]:
+    """Houses of a dataset, then procedural ones on a grid of the same size.
 
     Raises:
-      InputError: others cannot be run beside one of the dataset's: it is not square, or called like one of them.
+      InputError: drawn houses cannot be run beside one of the dataset's: it is not square, or called like one of them.
     """
     height, width = own[0].terrain.shape
     if count and height != width:
@@ -137,19 +133,18 @@ def _with_drawn(own: list[House], prefix: str, count: int, seed: int, *, remixed
             f"{own[0].name}: has {width} x {height} cells, and drawn houses, which are square, are run beside it; "
             "sample the maps to squares, or train with --extra-houses 0 --validate-every 0"
         )
-    others = [*remixed, *drawn_houses(prefix, own[0].split, count, seed, height)]
-    taken = {house.name for house in others}
+    drawn = drawn_houses(prefix, own[0].split, count, seed, height)
+    taken = {house.name for house in drawn}
     for house in own:
         if house.name in taken:
-            raise InputError(f"{house.name}: a house that is made and run beside it has this name; rename the house")
-    return own + others
+            raise InputError(f"{house.name}: a drawn house that is run beside it has this name; rename the house")
+    return own + drawn
 
 
 def training_houses(dataset: HouseDataset, config: DataConfig) -> tuple[list[House], int]:
-    """The dataset's own training houses, remixed ones, then procedural ones of the same size; how many are its own."""
+    """The dataset's own training houses, then procedural ones on a grid of the same size; and how many are its own."""
     own = usable(dataset, "train")
-    remixed = remixed_houses(own, config.remixed_houses, config.data_seed)
-    return _with_drawn(own, "e", config.extra_houses, config.data_seed, remixed=remixed), len(own)
+    return _with_drawn(own, "e", config.extra_houses, config.data_seed), len(own)
 
 
 def _led_masks(
@@ -259,13 +254,7 @@ def check_masks(masks: Masks, houses: Sequence[House], where: str) -> None:
 
 
 def training_set(houses: Sequence[House], n_own: int, masks: Masks) -> TrainingSet:
-    """Labels of all houses (Algorithm 1, line 5) beside their masks.
-
-    Args:
-      houses: the houses; the dataset's own and remixed ones first.
-      n_own: how many those are.
-      masks: the masks, ordered by house.
-    """
+    """Labels of all houses (Algorithm 1, line 5) beside their masks."""
     solve = jax.jit(world_cost_to_go)
     labels = []
     for first in range(0, len(houses), _LABELS_AT_A_TIME):

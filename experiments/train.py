@@ -108,8 +108,7 @@ def model_card(options: Options, dataset: HouseDataset, step: int, figures: dict
     """What to know about a network: where it comes from and how good it is on validation houses."""
     data = options.data
     return {
-        "data": f"{dataset.name}, training split, {data.remixed_houses} houses remixed of it and {data.extra_houses} "
-        f"procedural ones (seed {data.data_seed})",
+        "data": f"{dataset.name}, training split, and {data.extra_houses} procedural houses (seed {data.data_seed})",
         "masks": f"rollouts of exploring robots with sensing ranges {', '.join(map(str, data.ranges))} cells"
         + ("" if options.after is None else ", and of robots led by the network below"),
         "target": "4-connected cost-to-go in cells",

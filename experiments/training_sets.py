@@ -85,9 +85,9 @@ def open_training_set(
     if network is not None:
         path = folder / "masks_of_network.npz"
         parts.append(_kept_masks(path, houses, lambda show: masks_of_network(config, houses, n_own, network, show)))
-    data = training_set(houses, n_own + config.remixed_houses, by_house(parts))
+    data = training_set(houses, n_own, by_house(parts))
     print(
-        f"Training on {n_own} houses of the dataset ({dataset.name}), {config.remixed_houses} remixed and "
-        f"{config.extra_houses} drawn ones: {len(data.mask_world)} observation masks, {int(data.n_own)} not of drawn"
+        f"Training on {n_own} houses of the dataset ({dataset.name}) and {config.extra_houses} more that are drawn: "
+        f"{len(data.mask_world)} observation masks, {int(data.n_own)} of the dataset's houses"
     )
     return data

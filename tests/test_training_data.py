@@ -29,8 +29,7 @@ def houses(street) -> list[House]:
         ({"ranges": ()}, "sensing ranges"),
         ({"ranges": (0, 5)}, "sensing ranges"),
         ({"masks_per_episode": 0}, "masks_per_episode 0"),
-        ({"extra_houses": -1}, "extra_houses -1"),
-        ({"remixed_houses": -1}, "remixed_houses -1"),
+        ({"extra_houses": -1}, "extra houses -1"),
         ({"half_weight_cost": 0.0}, "half_weight_cost 0.0"),
     ],
 )
@@ -46,13 +45,13 @@ def test_an_empty_split_is_refused_by_name(split):
 
 
 def test_houses_that_drawn_ones_cannot_stand_beside_are_refused(street):
-    config = DataConfig(extra_houses=2, remixed_houses=0)
-    own = HouseDataset("mine", "folder", (House("e00001", "train", street[:, :8]),))
-    refusal(lambda: training_houses(own, config), "e00001", "rename")
+    config = DataConfig(extra_houses=2)
+    own = House("e00001", "train", street[:, :8])
+    refusal(lambda: training_houses(HouseDataset("mine", "folder", (own,)), config), "e00001", "rename")
     oblong = House("long", "train", street)
     mine = HouseDataset("mine", "folder", (oblong,))
     refusal(lambda: training_houses(mine, config), "long", "square", "--extra-houses 0")
-    assert training_houses(mine, DataConfig(extra_houses=0, remixed_houses=0)) == ([oblong], 1)
+    assert training_houses(mine, DataConfig(extra_houses=0)) == ([oblong], 1)
 
 
 def test_masks_of_other_maps_are_refused(houses):

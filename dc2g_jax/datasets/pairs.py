@@ -28,7 +28,7 @@ class TrainingSet:
       cost_to_go: exact cost-to-go of every world in cells, infinity where there is none.
       masks: boards of observed cells.
       mask_world: index of the world that each mask belongs to.
-      n_own: how many of the masks, the first ones, are of the dataset's own houses or made of them, not procedural.
+      n_own: how many of the masks, the first ones, are of the dataset's own houses rather than procedural ones.
     """
 
     terrain: UInt8[Array, "worlds h w"]
@@ -159,15 +159,15 @@ def draw_pairs(
       key: PRNG key.
       data: labels and masks.
       batch_size: number of pairs.
-      own_share: probability that a pair is of one of the dataset's own houses or of one made of them; of no weight
-        where there are masks of one kind only.
+      own_share: probability that a pair is of one of the dataset's own houses; of no weight where there are masks of
+        one kind only.
       edge_weight: see `make_pair`.
       jitter: see `jittered`; 0 for none.
       whole_share: probability that all of a map is observed.
       half_weight_cost: see `make_pair`.
       degrade: what becomes of each observed map, as a camera may make it out; `None` for nothing.
     """
-    which, place, turn, change, lift, spoil = jax.random.split(key, 6)
+    which, place, turn, change, lift = jax.random.split(key, 5)
     count = len(data.mask_world)
     own = (jax.random.uniform(which, (batch_size,)) < own_share) & (data.n_own > 0) | (data.n_own == count)
     low, high = jnp.where(own, 0, data.n_own), jnp.where(own, data.n_own, count)
@@ -178,7 +178,7 @@ def draw_pairs(
     make = functools.partial(make_pair, data, edge_weight=edge_weight, half_weight_cost=half_weight_cost)
     pairs = jax.vmap(make)(index, symmetry, whole)
     if degrade is not None:
-        keys = jax.random.split(spoil, batch_size)
+        keys = jax.random.split(jax.random.fold_in(key, 1), batch_size)
         pairs = dataclasses.replace(pairs, terrain=jax.vmap(degrade)(keys, pairs.terrain))
     if not jitter:
         return pairs

@@ -147,8 +147,7 @@ def optimizer(recipe: TrainingConfig) -> optax.GradientTransformation:
 
 def init_state(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> TrainingState:
     """The state before the first step."""
-    weights_key, _ = jax.random.split(jax.random.key(hyperparameters.seed))
-    weights = networks.init_weights(recipe.architecture, weights_key)
+    weights = networks.init_weights(recipe.architecture, jax.random.key(hyperparameters.seed))
     return TrainingState(
         step=jnp.int32(0),
         weights=weights,
@@ -186,8 +185,8 @@ def _step(
     draw_batch: DrawBatch,
 ) -> tuple[TrainingState, Float[Array, ""]]:
     transform = optimizer(recipe)
-    _, batches_key = jax.random.split(jax.random.key(hyperparameters.seed))
-    batch = draw_batch(jax.random.fold_in(batches_key, state.step), data)
+    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(hyperparameters.seed), 1), state.step)
+    batch = draw_batch(key, data)
     loss, gradient = jax.value_and_grad(
         lambda weights: mean_loss(recipe, hyperparameters.loss_weights, weights, batch)
     )(state.weights)

@@ -207,9 +207,8 @@ def test_commands_refuse_what_they_cannot_use(few_houses, tmp_path):
 def test_training_resumes_and_its_network_plans(few_houses, tmp_path):
     out = tmp_path / "run"
     options = [
-        "train", "--dataset", few_houses, "--out", out, "--remixed-houses", 2, "--extra-houses", 2,
-        "--starts-per-house", 1, "--masks-per-episode", 2, "--steps", 4, "--batch-size", 4, "--ranges", 6,
-        "--validate-every", 0, "--record",
+        "train", "--dataset", few_houses, "--out", out, "--extra-houses", 2, "--starts-per-house", 1,
+        "--masks-per-episode", 2, "--steps", 4, "--batch-size", 4, "--ranges", 6, "--validate-every", 0, "--record",
     ]  # fmt: skip
     first = run(*options)
     assert first.returncode == 0, first.stderr
@@ -238,9 +237,8 @@ def test_training_resumes_and_its_network_plans(few_houses, tmp_path):
 def test_a_sweep_that_was_killed_ends_like_one_that_was_not(few_houses, tmp_path):
     def options(out: Path) -> list[object]:
         return [
-            "sweep_losses", "--dataset", few_houses, "--out", out, "--remixed-houses", 0, "--extra-houses", 0,
-            "--starts-per-house", 1, "--ranges", 6, "--steps", 300, "--batch-size", 4, "--widths", "4,4,4,4",
-            "--losses", "l1", "l2",
+            "sweep_losses", "--dataset", few_houses, "--out", out, "--extra-houses", 0, "--starts-per-house", 1,
+            "--ranges", 6, "--steps", 300, "--batch-size", 4, "--widths", "4,4,4,4", "--losses", "l1", "l2",
             "--seeds", 0, "--validate-every", 100, "--no-episodes", "--minutes-per-checkpoint", 0.01,
         ]  # fmt: skip
 
