@@ -23,9 +23,9 @@ os.environ["DC2G_CACHE"] = str(CACHE / "dc2g")
 
 # Compiled programs are kept between runs, and shared with the commands that tests start.
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE / "jax")
-os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
+os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.0"
 jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 # Most tests spend their time on compiling programs that run but briefly: these do without most optimisations.
 # What runs for longer takes `optimized`. (Users' programs are optimised: `.ci/run` runs the main job as they do.)

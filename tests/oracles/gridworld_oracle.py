@@ -110,16 +110,20 @@ def visible_past(opaque: Array, pose: Pose, radius: int) -> Array:
     return seen
 
 
+def _counts(cells: Array, offsets: Sequence[Offset]) -> Array:
+    """For each cell, at how many of the offsets from it one of `cells` lies: int [h w]."""
+    height, width = cells.shape
+    margin = max(abs(part) for offset in offsets for part in offset)
+    framed = np.pad(cells, margin).astype(np.int64)
+    counts = np.zeros(cells.shape, np.int64)
+    for dx, dy in offsets:
+        counts += framed[margin + dy : margin + dy + height, margin + dx : margin + dx + width]
+    return counts
+
+
 def _sources(cells: Array, offsets: Sequence[Offset]) -> Array:
     """Cells from which at least one of `cells` lies at one of the offsets: bool [h w]."""
-    height, width = cells.shape
-    found = np.zeros_like(cells)
-    rows, columns = np.nonzero(cells)
-    for dx, dy in offsets:
-        y, x = rows - dy, columns - dx
-        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-        found[y[inside], x[inside]] = True
-    return found
+    return _counts(cells, offsets) > 0
 
 
 # ---- frontiers ----
@@ -327,22 +331,16 @@ def revealing_poses(
 
 def opening_poses(poses: Array, seen: Array, depth: int, sensing_radius: int) -> Array:
     """Those of `poses` (bool [4 h w]) that see a cell farther than `depth` moves from all that has been seen."""
-    kept = np.zeros_like(poses)
-    seen_cells = np.argwhere(seen)
-    for heading, y, x in np.argwhere(poses):
-        view = np.argwhere(visible((int(x), int(y), int(heading)), sensing_radius, seen.shape))
-        moves = np.abs(view[:, None] - seen_cells).sum(axis=-1).min(axis=1)
-        kept[heading, y, x] = (moves > depth).any()
-    return kept
+    near = seen
+    for _ in range(depth):
+        near = near | _neighbour_of(near)
+    return poses & np.stack([_sources(~near, sensing_offsets(sensing_radius, heading)) for heading in range(4)])
 
 
 def newly_seen(poses: Array, seen: Array, sensing_radius: int) -> Array:
     """Most cells that would be seen for the first time in one of each cell's `poses` (bool [4 h w]): int [h w]."""
-    most = np.zeros(seen.shape, int)
-    for heading, y, x in np.argwhere(poses):
-        new = visible((int(x), int(y), int(heading)), sensing_radius, seen.shape) & ~seen
-        most[y, x] = max(most[y, x], new.sum())
-    return most
+    new = np.stack([_counts(~seen, sensing_offsets(sensing_radius, heading)) for heading in range(4)])
+    return np.where(poses, new, 0).max(axis=0)
 
 
 def facing_most_unseen(poses: Array, seen: Array) -> Array:
