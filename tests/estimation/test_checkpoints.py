@@ -218,7 +218,7 @@ def truncated(path: Path) -> None:
 @pytest.mark.parametrize("damage", [deleted, truncated])
 def test_every_damaged_weight_file_is_noticed_or_does_not_matter(folder, tmp_path, damage):
     saved = load_network(folder)
-    noticed = []
+    noticed = {}
     for number, name in enumerate(path.relative_to(folder) for path in weight_files(folder)):
         copy = tmp_path / f"copy{number}"
         shutil.copytree(folder, copy)
@@ -226,8 +226,11 @@ def test_every_damaged_weight_file_is_noticed_or_does_not_matter(folder, tmp_pat
         try:
             loaded = load_network(copy)
         except InputError as error:
-            noticed.append(str(error))
+            noticed[copy] = str(error)
         else:
             assert_equal(loaded, saved)
     assert noticed
-    assert all("weights" in message and "\n" not in message for message in noticed)
+    for copy, message in noticed.items():
+        assert str(copy) in message
+        assert "weights" in message
+        assert "\n" not in message
