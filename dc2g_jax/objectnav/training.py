@@ -109,9 +109,16 @@ def optimizer(config: CostMapConfig) -> optax.GradientTransformation:
     return OPTIMIZERS[recipe.optimizer](rate, recipe.weight_decay)
 
 
+def _keys(seed: int) -> tuple[Array, Array]:
+    """Of a run's first weights, and of its batches."""
+    weights_key, batches_key = jax.random.split(jax.random.key(seed))
+    return weights_key, batches_key
+
+
 def first_state(config: CostMapConfig) -> TrainingState:
     """The state before the first step."""
-    weights = networks.init_weights(config.architecture, jax.random.key(config.seed))
+    weights_key, _ = _keys(config.seed)
+    weights = networks.init_weights(config.architecture, weights_key)
     return TrainingState(
         step=jnp.int32(0),
         weights=weights,
@@ -142,9 +149,9 @@ def train_step(
       The new state and the loss.
     """
     recipe = config.recipe
-    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(config.seed), 1), state.step)
+    _, batches_key = _keys(config.seed)
     samples = draw_samples(
-        key,
+        jax.random.fold_in(batches_key, state.step),
         data,
         batch_size=config.batch_size,
         symmetries=recipe.symmetries,
