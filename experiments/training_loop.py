@@ -184,13 +184,14 @@ def run_steps(
             while step < steps:
                 count = _next_stop(step, steps, validate_every, steps_per_look) - step
                 state, losses, interrupted = _take_steps(state, count, take_step)
+                if losses:
+                    mean = np.mean([np.asarray(loss) for loss in losses], axis=0)
+                    step += len(losses)
+                    bar.set_postfix(loss=f"{np.mean(mean):.4f}", refresh=False)
+                    bar.update(len(losses))
+                    look(step, mean)
                 if interrupted:
                     raise KeyboardInterrupt
-                mean = np.mean([np.asarray(loss) for loss in losses], axis=0)
-                step += len(losses)
-                bar.set_postfix(loss=f"{np.mean(mean):.4f}", refresh=False)
-                bar.update(len(losses))
-                look(step, mean)
                 watch(state, step, mean)
                 if _is_validated(step, steps, validate_every):
                     validate_now()

@@ -176,6 +176,18 @@ def mean_loss(
     return jnp.sum(loss_weights * jnp.stack([mean(name) for name, _ in recipe.losses]))
 
 
+def loss_or_nan(loss: Float[Array, ""], weights: Any) -> Float[Array, ""]:
+    """A step's loss; NaN where it is infinite, or a weight after the step is not finite."""
+    finite = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(weights)]
+    return jnp.where(functools.reduce(jnp.logical_and, finite, jnp.isfinite(loss)), loss, jnp.nan)
+
+
+def running_average(average: Any, weights: Any, step: Int[Array, ""], decay: float) -> Any:
+    """The average of weights after one more step: early on of the steps so far, later exponential."""
+    kept = jnp.minimum(decay, (1.0 + step) / (10.0 + step))
+    return jax.tree.map(lambda a, w: kept * a + (1 - kept) * w, average, weights)
+
+
 def _step(
     state: TrainingState,
     hyperparameters: Hyperparameters,
@@ -192,11 +204,9 @@ def _step(
     )(state.weights)
     updates, optimizer_state = transform.update(gradient, state.optimizer, state.weights)
     weights = jax.tree.map(lambda w, u: w + hyperparameters.learning_rate * u, state.weights, updates)
-    # Early on the average is of the steps so far, later exponential.
-    decay = jnp.minimum(recipe.average_decay, (1.0 + state.step) / (10.0 + state.step))
-    average = jax.tree.map(lambda a, w: decay * a + (1 - decay) * w, state.average, weights)
+    average = running_average(state.average, weights, state.step, recipe.average_decay)
     new = TrainingState(step=state.step + 1, weights=weights, average=average, optimizer=optimizer_state)
-    return new, loss
+    return new, loss_or_nan(loss, weights)
 
 
 @functools.partial(jax.jit, static_argnames=("recipe", "draw_batch"), donate_argnames=("state",))
@@ -215,7 +225,7 @@ def train_step(
     backend runs the gradients of convolutions some twenty times slower.
 
     Returns:
-      The new state and the loss.
+      The new state and the loss, as `loss_or_nan` has it.
     """
     return _step(state, hyperparameters, data, recipe=recipe, draw_batch=draw_batch)
 
@@ -250,13 +260,12 @@ def train_steps(
     """
     one_step = functools.partial(_step, recipe=recipe, draw_batch=draw_batch)
     new, losses = jax.vmap(one_step, in_axes=(0, 0, None))(states, hyperparameters, data)
-    of_leaves = [jnp.isfinite(leaf).reshape(len(losses), -1).all(axis=1) for leaf in jax.tree.leaves(new.weights)]
-    finite = functools.reduce(jnp.logical_and, of_leaves, jnp.isfinite(losses))
+    finite = jnp.isfinite(losses)
 
     def kept(now: Array, before: Array) -> Array:
         return jnp.where(finite.reshape(-1, *(1 for _ in now.shape[1:])), now, before)
 
-    return jax.tree.map(kept, new, states).replace(step=new.step), jnp.where(finite, losses, jnp.nan)
+    return jax.tree.map(kept, new, states).replace(step=new.step), losses
 
 
 def mean_error(architecture: Architecture, weights: Any, batch: Batch) -> Float[Array, ""]:

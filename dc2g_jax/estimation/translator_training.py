@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int, UInt32
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import translator
-from dc2g_jax.estimation.training import check_numbers
+from dc2g_jax.estimation.training import check_numbers, loss_or_nan
 from dc2g_jax.estimation.translator import Discriminator, Generator, TranslatorArchitecture
 
 
@@ -171,7 +171,8 @@ def translator_step(
     interrupted and resumed gives the same weights as training that was not.
 
     Returns:
-      The new state and the mean absolute difference of the generated pictures from the true ones.
+      The new state and the mean absolute difference of the generated pictures from the true ones, NaN where a weight
+      of either network is no longer finite.
     """
     architecture = config.architecture
     batch_key, dropout_key = jax.random.split(jax.random.wrap_key_data(state.key))
@@ -196,4 +197,4 @@ def translator_step(
         generator_optimizer=generator_optimizer,
         discriminator_optimizer=discriminator_optimizer,
     )
-    return new, difference
+    return new, loss_or_nan(difference, (generator, discriminator))

@@ -11,7 +11,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from dc2g_jax.estimation.training import TrainingState, check_numbers
+from dc2g_jax.estimation.training import TrainingState, check_numbers, loss_or_nan, running_average
 from dc2g_jax.objectnav import networks
 from dc2g_jax.objectnav.data import (
     ALL_SYMMETRIES,
@@ -146,7 +146,7 @@ def train_step(
     the same weights as training that was not.
 
     Returns:
-      The new state and the loss.
+      The new state and the loss, as `dc2g_jax.estimation.training.loss_or_nan` has it.
     """
     recipe = config.recipe
     _, batches_key = _keys(config.seed)
@@ -162,10 +162,9 @@ def train_step(
     )
     updates, optimizer_state = optimizer(config).update(gradient, state.optimizer, state.weights)
     weights = optax.apply_updates(state.weights, updates)
-    # Early on the average is of the steps so far, later exponential.
-    decay = jnp.minimum(recipe.average_decay, (1.0 + state.step) / (10.0 + state.step))
-    average = jax.tree.map(lambda a, w: decay * a + (1 - decay) * w, state.average, weights)
-    return TrainingState(step=state.step + 1, weights=weights, average=average, optimizer=optimizer_state), loss
+    average = running_average(state.average, weights, state.step, recipe.average_decay)
+    new = TrainingState(step=state.step + 1, weights=weights, average=average, optimizer=optimizer_state)
+    return new, loss_or_nan(loss, weights)
 
 
 @functools.partial(jax.jit, static_argnames="config")

@@ -19,6 +19,7 @@ from dc2g_jax.estimation.translator_training import TranslatorConfig
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.world import world_from_terrain
 from tests import maps
+from tests.states import assert_same_bits, infinite
 
 CONFIG = TrainingConfig(
     architecture=Architecture(widths=(8,) * len(Architecture().widths)),
@@ -61,13 +62,6 @@ def trained(data):
     """A run without interruption."""
     state, losses = train(data, CONFIG.steps)
     return jax.tree.map(np.array, state), losses
-
-
-def assert_same_bits(one, other) -> None:
-    assert jax.tree.structure(one) == jax.tree.structure(other)
-    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
-        assert np.asarray(a).dtype == np.asarray(b).dtype
-        assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
 
 
 def test_the_same_configuration_gives_the_same_bits(data, trained):
@@ -182,6 +176,12 @@ def test_the_average_follows_the_weights(data, trained):
         ]
     for average, expected in zip(jax.tree.leaves(state.average), wanted, strict=True):
         np.testing.assert_allclose(average, expected, rtol=1e-4, atol=1e-6)
+
+
+def test_weights_that_are_not_finite_are_noticed_in_the_step_that_makes_them(data):
+    state = first_state(CONFIG)
+    _, losses = train(data, 1, state.replace(optimizer=infinite(state.optimizer)))
+    assert np.isnan(losses[0])
 
 
 def test_a_step_is_compiled_once(data):

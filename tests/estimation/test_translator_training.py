@@ -24,7 +24,7 @@ from dc2g_jax.estimation.translator_training import (
     translator_step,
 )
 from tests import maps
-from tests.estimation.test_training import assert_same_bits
+from tests.states import assert_same_bits, infinite
 
 CONFIG = TranslatorConfig(
     architecture=TranslatorArchitecture(size=32, base_filters=4), steps=30, batch_size=2, learning_rate=2e-3
@@ -131,6 +131,13 @@ def test_an_unknown_loss_is_refused_with_those_there_are():
     assert "\n" not in message
     for name in ("l2", *LOSSES):
         assert repr(name) in message or name in message
+
+
+@pytest.mark.parametrize("network", ["generator_optimizer", "discriminator_optimizer"])
+def test_weights_that_are_not_finite_are_noticed_in_the_step_that_makes_them(data, network):
+    state = init_translator(CONFIG, seed=0)
+    _, differences = train(data, 1, state.replace(**{network: infinite(getattr(state, network))}))
+    assert np.isnan(differences[0])
 
 
 def test_a_step_is_compiled_once(data):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax.errors import InputError
-from experiments.training_loop import Log, check_validate_every, run_steps
+from experiments.training_loop import FiniteLoss, Log, check_validate_every, run_steps
 
 
 @functools.partial(jax.jit, donate_argnames=("state",))
@@ -88,6 +88,16 @@ def test_a_second_interrupt_breaks_a_step_off():
     with pytest.raises(KeyboardInterrupt):
         training.run()
     assert training.saved == []  # the step had used its state up
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_what_diverged_before_an_interrupt_is_not_saved(tmp_path):
+    training = Training()
+    training.interrupt_step = 5
+    look = FiniteLoss(tmp_path)
+    with pytest.raises(InputError, match="the loss is nan at step 6; lower --learning-rate"):
+        training.run(look=lambda step, loss: look(step, loss if step < 6 else np.float32(np.nan)))
+    assert training.saved == []
 
 
 def test_a_negative_number_of_steps_between_validations_is_refused():

@@ -20,6 +20,7 @@ from dc2g_jax.objectnav.training import (
     train_step,
     validation_samples,
 )
+from tests.states import assert_same_bits, infinite
 
 CONFIG = CostMapConfig(
     architecture=CostMapArchitecture(patch=20, widths=(8, 8), embedding=4, features=2, feature_width=4),
@@ -60,12 +61,6 @@ def train(data, steps, state=None):
 def trained(data):
     state, losses = train(data, CONFIG.steps)
     return jax.tree.map(np.array, state), losses
-
-
-def assert_same_bits(one, other) -> None:
-    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
-        assert np.asarray(a).dtype == np.asarray(b).dtype
-        assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
 
 
 def test_the_loss_goes_down(trained):
@@ -122,3 +117,9 @@ def test_the_papers_recipe():
     assert PAPER_RECIPE.warmup == 25 / 200
     assert sum(PAPER_RECIPE.symmetries[1:4]) == pytest.approx(0.15)
     assert sum(PAPER_RECIPE.symmetries) == pytest.approx(1)
+
+
+def test_weights_that_are_not_finite_are_noticed_in_the_step_that_makes_them(data):
+    state = first_state(CONFIG)
+    _, losses = train(data, 1, state.replace(optimizer=infinite(state.optimizer)))
+    assert np.isnan(losses[0])
