@@ -1,5 +1,6 @@
 """Houses as class grids: the published dataset, folders in its format or of maps, and the procedural ones."""
 
+import collections
 import difflib
 import os
 import re
@@ -63,11 +64,19 @@ class HouseDataset:
         name: what to call the dataset in results.
         source: 'published' (every file equals the authors'), 'procedural' or 'folder'.
         houses: all of them; names are unique.
+
+    Raises:
+        InputError: two houses have one name.
     """
 
     name: str
     source: str
     houses: tuple[House, ...]
+
+    def __post_init__(self) -> None:
+        for name, count in collections.Counter(house.name for house in self.houses).items():
+            if count > 1:
+                raise InputError(f"{self.name}: {count} houses are called {name!r}; names must be unique")
 
     def split(self, split: str) -> tuple[House, ...]:
         """Return the houses of 'train', 'val' or 'test'; InputError for any other word."""

@@ -1,5 +1,6 @@
 """Loading houses: the golden grids cell for cell, and one clear line for everything that can be wrong."""
 
+import dataclasses
 import struct
 import zlib
 from pathlib import Path
@@ -424,6 +425,12 @@ def test_what_may_not_be_read_is_named(folder, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(Path, method, deny)
             refusal(lambda: load_dataset(folder), folder, "cannot be read", "Permission denied")
+
+
+def test_two_houses_of_one_name_are_refused():
+    house = House("n000m000h000", "train", np.full((4, 4), ROAD, np.uint8))
+    with pytest.raises(InputError, match="mine: 2 houses are called 'n000m000h000'; names must be unique"):
+        HouseDataset("mine", "folder", (house, dataclasses.replace(house, split="test")))
 
 
 def test_wrong_grid_size(folder):
