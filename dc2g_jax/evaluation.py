@@ -4,7 +4,7 @@ import collections
 import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import jax.numpy as jnp
 import numpy as np
@@ -23,8 +23,10 @@ from dc2g_jax.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
 #: A map of this many cells has one more action in its step limit: 500 for the published ones, of 50 x 50 cells.
 _CELLS_A_STEP = 50 * 50 // STEP_LIMIT
 
+PlannerName = Literal["oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go"]
+
 #: Planner names, in the order of the tables.
-PLANNERS = ("oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go")
+PLANNERS: tuple[PlannerName, ...] = get_args(PlannerName)
 
 
 def _on_network(selection: Selection, estimator: Estimator, rules: Rules) -> DC2G:

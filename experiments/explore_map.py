@@ -5,12 +5,12 @@ import sys
 
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.maps import require_way_to_goal
+from dc2g_jax.evaluation import PlannerName
 from experiments.common import NetworkOption, OutOption, StepLimitOption, command_line
 from experiments.episodes import EpisodeTable
 from experiments.map_options import MapOptions, StartOption, doubts_about, start_in, terrain_of
 from experiments.one_start import Animation, Request, draw_request, require_sensing_range, run_request, tell_files
 from experiments.outputs import output_folder
-from experiments.run_episodes import PlannerName
 
 
 @dataclasses.dataclass(frozen=True)

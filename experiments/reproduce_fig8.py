@@ -11,14 +11,13 @@ import tyro
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import Start, sample_starts
 from dc2g_jax.errors import InputError
-from dc2g_jax.evaluation import Runner
+from dc2g_jax.evaluation import PlannerName, Runner
 from dc2g_jax.planning.rules import SETTINGS
 from experiments.common import DatasetOption, NetworkOption, OutOption, command_line
 from experiments.episodes import EpisodeProgress, EpisodeTable
 from experiments.map_options import StartOption, start_in
 from experiments.one_start import Animation, Request, draw_request, require_sensing_range, run_request, tell_files
 from experiments.outputs import output_folder
-from experiments.run_episodes import PlannerName
 
 
 @dataclasses.dataclass(frozen=True)

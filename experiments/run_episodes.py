@@ -8,13 +8,11 @@ import tyro
 
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import read_starts
-from dc2g_jax.evaluation import NETWORK_PLANNERS, Runner, summarize
+from dc2g_jax.evaluation import NETWORK_PLANNERS, PlannerName, Runner, summarize
 from dc2g_jax.planning.rules import SETTINGS
 from experiments.common import DatasetOption, NetworkOption, OutOption, StepLimitOption, command_line, open_network
 from experiments.episodes import EpisodeProgress, EpisodeTable
 from experiments.outputs import output_folder
-
-PlannerName = Literal["oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go"]
 
 
 @dataclasses.dataclass(frozen=True)
