@@ -52,7 +52,8 @@ def path_through(cells: Int[Array, "n 2"], length: ArrayLike, heading: ArrayLike
     """The path through the centres of cells.
 
     Args:
-      cells: column and row, one after the other; a cell may follow itself, where the plan turns on the spot.
+      cells: column and row, one after the other, two at least; a cell may follow itself, where the plan turns
+        on the spot.
       length: how many of them count, at least 1.
       heading: of the plan's last pose, as in `dc2g_jax.grid.poses`: 0 = +x, 1 = +row, 2 = -x, 3 = -row.
       cell_size: side of a cell, metres.

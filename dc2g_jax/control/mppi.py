@@ -14,7 +14,7 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Float, Key
 
-from dc2g_jax.control.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, drive
+from dc2g_jax.control.vehicle import VehicleLimits, VehicleState, drive
 from dc2g_jax.errors import InputError
 
 #: What it costs to be at a position (x and y, metres) facing a yaw (radians): a finite number.
@@ -29,7 +29,6 @@ class MPPISettings:
       limits: of the vehicle.
       horizon: commands in a plan, H.
       samples: noisy copies of the plan a call drives, K.
-      period: seconds a command lasts.
       noise: standard deviation of the noise on speed (metres per second) and turn rate (radians per second), sigma.
       correlation: of the noise of a command with that of the next, at least 0 and below 1. The paper's noise is
         independent, 0: then sampled headings hardly leave the plan's, as turns to the left and right cancel.
@@ -43,7 +42,6 @@ class MPPISettings:
     limits: VehicleLimits = struct.field(pytree_node=False, default=VehicleLimits())
     horizon: int = struct.field(pytree_node=False, default=50)
     samples: int = struct.field(pytree_node=False, default=512)
-    period: float = struct.field(pytree_node=False, default=CONTROL_PERIOD)
     noise: tuple[float, float] = struct.field(pytree_node=False, default=(0.35, 0.35))
     correlation: float = struct.field(pytree_node=False, default=0.9)
     temperature: float = struct.field(pytree_node=False, default=1.0)
@@ -59,7 +57,6 @@ class MPPISettings:
         for name, sound, remedy in (
             ("horizon", self.horizon >= 1, "give 1 or more"),
             ("samples", self.samples >= 1, "give 1 or more"),
-            ("period", self.period > 0, "give seconds above 0"),
             ("noise", len(self.noise) == 2 and min(self.noise) >= 0, "give two numbers of 0 or more"),
             ("correlation", 0 <= self.correlation < 1, "give a number from 0 to below 1"),
             ("temperature", self.temperature > 0, "give a number above 0"),
@@ -163,7 +160,7 @@ def _driven(state: VehicleState, commands: Float[Array, "k h 2"], settings: MPPI
     """The vehicle after each command of each copy, `[k h ...]`."""
 
     def step(state: VehicleState, command: Float[Array, "2"]) -> tuple[VehicleState, VehicleState]:
-        state = drive(state, command, settings.limits, settings.period)
+        state = drive(state, command, settings.limits)
         return state, state
 
     return jax.vmap(lambda sequence: jax.lax.scan(step, state, sequence)[1])(commands)

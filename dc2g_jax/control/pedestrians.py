@@ -85,7 +85,7 @@ def walkable_cells(terrain: UInt8[Array, "h w"] | UInt8[np.ndarray, "h w"]) -> B
 def place(
     key: Array, sidewalks: Ground, count: int, away_from: Float[Array, "2"], walking: Walking | None = None
 ) -> Pedestrians:
-    """People at random places on the sidewalks, standing, none within three metres of a place.
+    """People at random places on the sidewalks, standing, in cells whose middle is over three metres from a place.
 
     Args:
       key: of the random numbers.

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt8
 from dc2g_jax.control.vehicle import CONTROL_PERIOD
 from dc2g_jax.devices import Report, every_device, share_out
 from dc2g_jax.driving.loop import ARRIVED, UNDER_WAY, Equipment, Robot, Site, set_out, step
+from dc2g_jax.errors import InputError
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.mapping.scene import CELL_SIZE, scene_from_terrain
 from dc2g_jax.rollout import Episodes
@@ -51,7 +52,14 @@ def sites_of(terrains: Sequence[UInt8[np.ndarray, "h w"]], cell_size: float = CE
     Args:
       terrains: class index of every cell, house after house.
       cell_size: side of a cell, metres.
+
+    Raises:
+      InputError: there is no house, or two differ in size.
     """
+    shapes = sorted({terrain.shape for terrain in terrains})
+    if len(shapes) != 1:
+        found = " and ".join(f"{width} x {height}" for height, width in shapes[:2])
+        raise InputError(f"houses of {found or 'no'} cells: give one at least, all of one size")
     sites = [Site(terrain=jnp.asarray(terrain), scene=scene_from_terrain(terrain, cell_size)) for terrain in terrains]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sites)
 

@@ -50,7 +50,7 @@ _MAX_SENSING_RANGE, _MAX_STEP_LIMIT = 64, 2**31 - 1
 
 @struct.dataclass
 class Params:
-    """Where episodes take place. Values, not shapes, so one compiled program serves all sets of as many houses.
+    """Where episodes take place. Values, not settings: a program is compiled once for all of the same shapes.
 
     Attributes:
       worlds: the houses, stacked along the last axis.

@@ -98,8 +98,9 @@ def _chance(key: Key[Array, ""], share: ArrayLike, shape: tuple[int, ...]) -> Bo
 
 
 def _wrong(key: Key[Array, ""], classes: UInt8[Array, "*shape"]) -> UInt8[Array, "*shape"]:
-    """For each class another one, all the others alike."""
-    shift = jax.random.randint(key, classes.shape, 1, _WRONG_LABELS)
+    """For each class another one of those that things are taken for, all of these alike."""
+    is_one = (classes >= _FIRST_WRONG) & (classes < _FIRST_WRONG + _WRONG_LABELS)
+    shift = jax.random.randint(key, classes.shape, jnp.where(is_one, 1, 0), _WRONG_LABELS)
     wrong = _FIRST_WRONG + (classes.astype(jnp.int32) - _FIRST_WRONG + shift) % _WRONG_LABELS
     return wrong.astype(jnp.uint8)
 

@@ -47,6 +47,9 @@ TOLERANCE = 0.02
 DEPTH_LIST, CLASS_LIST, PICTURE_LIST = "depth.txt", "classes.txt", "rgb.txt"
 POSE_LIST, CAMERA_FILE = "groundtruth.txt", "camera.txt"
 
+#: Shots a second, at most: their times are written in microseconds.
+_HIGHEST_RATE = 100_000
+
 _LIST_FIELDS = ("time", "file")
 _POSE_FIELDS = ("time", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 _CAMERA_FIELDS = ("focal_x", "focal_y", "center_x", "center_y", "width", "height")
@@ -219,15 +222,17 @@ def write_sequence(folder: str | Path, intrinsics: Intrinsics, shots: Iterable[S
       folder: to write to; new or empty.
       intrinsics: of the camera.
       shots: in the order of time. Depth that 16 bits cannot hold (13.107 m and more, or not finite) becomes none.
-      rate: shots a second.
+      rate: shots a second, above 0, at most 100,000.
 
     Returns:
       The folder.
 
     Raises:
-      InputError: the folder is in use or cannot be made, or the intrinsics form no image.
+      InputError: the folder is in use or cannot be made, the intrinsics form no image, or the rate is out of range.
     """
     check_intrinsics(intrinsics)
+    if not 0 < rate <= _HIGHEST_RATE:
+        raise InputError(f"{rate} shots a second: give a number above 0, at most {_HIGHEST_RATE:,}")
     folder = Path(folder)
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):

@@ -22,7 +22,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 from dc2g_jax.control import mppi
 from dc2g_jax.control.footprint import Ground, clearance, surroundings
 from dc2g_jax.control.mppi import CostOfPose, MPPISettings
-from dc2g_jax.control.vehicle import VehicleLimits, VehicleState, at_rest, drive, wrapped
+from dc2g_jax.control.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive, wrapped
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, intrinsics, level_camera
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.mapping.simulator import render
@@ -204,7 +204,7 @@ def descent(vehicle: VehicleState, costs: CostOfPose, agent: Agent) -> Float[Arr
         error = wrapped(jnp.arctan2(south - north, west - east) - vehicle.yaw)
         ahead = jnp.maximum(jnp.cos(error), 0) ** 2
         command = jnp.stack([limits.max_speed * ahead, error / _TURNING_TIME])
-        return drive(vehicle, command, limits, settings.period), command
+        return drive(vehicle, command, limits), command
 
     return jax.lax.scan(follow, vehicle, length=settings.horizon)[1]
 
@@ -221,8 +221,8 @@ class LookAround:
 
     def plan(self, key: Key[Array, ""], robot: Robot, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
         """See `Steering`."""
-        limits, settings = agent.controller.limits, agent.controller
-        looks = ~robot.to_goal & (robot.periods * settings.period * limits.max_turn_rate < 2 * math.pi)
+        limits = agent.controller.limits
+        looks = ~robot.to_goal & (robot.periods * CONTROL_PERIOD * limits.max_turn_rate < 2 * math.pi)
         turning = jnp.zeros_like(robot.controls).at[0, 1].set(limits.max_turn_rate)
         return jax.lax.cond(looks, lambda: turning, lambda: self.steering.plan(key, robot, costs, agent))
 
@@ -355,7 +355,7 @@ def act(robot: Robot, site: Site, agent: Agent) -> Robot:
     size, limits = agent.mapping.cell_size, agent.controller.limits
     first = robot.local_middle - agent.mapping.local // 2
     plan = agent.steering.plan(own_key, robot, cost_of_pose(robot, agent), agent)
-    driven = drive(robot.vehicle, plan[0], limits, agent.controller.period)
+    driven = drive(robot.vehicle, plan[0], limits)
     vehicle, bumped = stopped_by_obstacles(robot.vehicle, driven, Ground(site.free, size), limits.radius)
     row, column = grid_cell(vehicle.position, size) - first
     arrived = robot.to_goal & (robot.distance[row, column] <= STOP)

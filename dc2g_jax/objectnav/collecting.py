@@ -15,7 +15,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.mapping.camera import level_camera
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.objectnav.agent import CAMERA_HEIGHT, CAMERA_PITCH
-from dc2g_jax.objectnav.cost_maps import distance_for_vehicle, with_tight_cells
+from dc2g_jax.objectnav.cost_maps import distance_for_vehicle, inflated, with_tight_cells
 from dc2g_jax.objectnav.data import (
     TrainingSet,
     cell_codes,
@@ -121,8 +121,12 @@ def _distances(
         goal = jnp.zeros(free.shape, bool).at[place[0], place[1]].set(True)
         return distance_for_vehicle(~free, goal, ROBOT_RADIUS, cell_size)
 
+    def label(distance: Float[Array, "h w"]) -> UInt16[Array, "h w"]:
+        return in_millimetres(with_tight_cells(distance, free, fits, cell_size))
+
+    fits = ~inflated(~free, ROBOT_RADIUS, cell_size)
     to_goals = drive_to_goals(free, classes, cell_size)
-    labels = jax.lax.map(lambda distance: in_millimetres(with_tight_cells(distance, free, cell_size)), to_goals)
+    labels = jax.lax.map(label, to_goals)
     return labels, jnp.concatenate([jax.lax.map(drive_to, places), to_goals])
 
 

@@ -88,16 +88,19 @@ def distance_for_vehicle(
     return geodesic_distance(~inflated(obstacles, radius, cell_size), touching, cell_size)
 
 
-def with_tight_cells(distance: Float[Array, "h w"], free: Bool[Array, "h w"], cell_size: float) -> Float[Array, "h w"]:
+def with_tight_cells(
+    distance: Float[Array, "h w"], free: Bool[Array, "h w"], fits: Bool[Array, "h w"], cell_size: float
+) -> Float[Array, "h w"]:
     """Distances on free floor alone: from where a robot does not fit, they count from where it could be.
 
     Args:
-      distance: metres, infinite where the robot does not fit and where no way leads to the goal.
+      distance: metres, infinite where the robot does not fit and where no way leads to the goal; the latter stay so.
       free: floor on which nothing stands.
+      fits: where the robot fits.
       cell_size: metres.
     """
     known = jnp.where(free, distance, jnp.inf)
-    tight = free & ~jnp.isfinite(known)
+    tight = free & ~fits & ~jnp.isfinite(known)
     return travel_cost(jnp.where(tight, jnp.float32(cell_size), jnp.inf), known)
 
 

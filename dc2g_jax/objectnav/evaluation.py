@@ -111,7 +111,7 @@ def _near(goals: Array, closed: Array, cell_size: float) -> Bool[Array, "h w"]:
 @functools.partial(jax.jit, static_argnames=("cell_size",))
 def _distance_there(free: Array, fits: Array, region: Array, cell_size: float) -> Float[Array, "h w"]:
     """Metres to a region; where a robot does not fit, over free floor to where it does."""
-    return with_tight_cells(geodesic_distance(fits, fits & region, cell_size), free, cell_size)
+    return with_tight_cells(geodesic_distance(fits, fits & region, cell_size), free, fits, cell_size)
 
 
 def results_of(

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
+from dc2g_jax.control.vehicle import wrapped
 from dc2g_jax.objectnav.agent import CAMERA_HEIGHT, CAMERA_PITCH, FIELD_OF_VIEW, IMAGE_SIZE
 from dc2g_jax.objectnav.mapping import MapSettings
 
@@ -121,18 +122,13 @@ def explore(
         time = jnp.where(seen, number, NEVER).astype(jnp.uint8)
         first_seen = first_seen.at[cells[..., 0], cells[..., 1]].min(time, mode="drop")
         drive = max(round(_DRIVE_A_VIEW / cell_size), 1)
-        return (_driven(robot, distances, places, drive), first_seen), (robot.cell, _wrapped(heading))
+        return (_driven(robot, distances, places, drive), first_seen), (robot.cell, wrapped(heading))
 
     never = jnp.full(heights.shape, NEVER, jnp.uint8)
     (_, first_seen), (cells, headings) = jax.lax.scan(
         look, (begin, never), (jnp.arange(views), jax.random.split(views_key, views))
     )
     return Journey(cells, headings, first_seen)
-
-
-def _wrapped(angle: Float[Array, ""]) -> Float[Array, ""]:
-    """The same angle from -pi to pi."""
-    return jnp.arctan2(jnp.sin(angle), jnp.cos(angle))
 
 
 def _driven(robot: _Robot, distances: Float[Array, "place h w"], places: Int[Array, "stage"], cells: int) -> _Robot:
@@ -152,7 +148,7 @@ def _driven(robot: _Robot, distances: Float[Array, "place h w"], places: Int[Arr
     ahead, _ = jax.lax.scan(step, robot.cell, length=cells)
     down, right = ahead - robot.cell
     moves = (down != 0) | (right != 0)
-    error = jnp.where(moves, _wrapped(jnp.arctan2(-down, right) - robot.heading), 0)
+    error = jnp.where(moves, wrapped(jnp.arctan2(-down, right) - robot.heading), 0)
     heading = robot.heading + jnp.clip(error, -_TURN_A_VIEW, _TURN_A_VIEW)
     drives = jnp.abs(error) < _AHEAD
     return _Robot(jnp.where(drives, ahead, robot.cell), heading, stage)

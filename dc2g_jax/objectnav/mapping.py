@@ -57,11 +57,14 @@ class MapSettings:
     inset: float = struct.field(pytree_node=False, default=0.001)
 
     def __post_init__(self) -> None:
+        whole = [isinstance(value, int) for value in (self.local, self.cells)]
+        multiple = self.cells >= self.local > 0 and not self.cells % self.local
         for name, sound, remedy in (
-            ("local", self.local >= 1, "give 1 or more"),
-            ("cells", self.cells >= self.local > 0 and not self.cells % self.local, f"give a multiple of {self.local}"),
+            ("local", whole[0] and self.local >= 1, "give a whole number above 0"),
+            ("cells", whole[1] and multiple, f"give a multiple of {self.local}"),
             ("cell_size", 0 < self.cell_size < math.inf, "give metres above 0"),
             ("reach", 0 < self.reach < math.inf, "give metres above 0"),
+            ("inset", 0 <= self.inset < math.inf, "give metres, 0 or more"),
             ("highest", self.highest > self.lowest, f"give metres above {self.lowest}"),
         ):
             if not sound:

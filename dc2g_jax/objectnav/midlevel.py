@@ -322,9 +322,9 @@ def train_encoder(
         history.append(losses)
         if on_step is not None:
             on_step(number + 1)
-    size = max(steps // 10, 1)
+    tenths = np.array_split(np.arange(steps), min(10, steps)) if steps else []
     means = [
-        {name: float(np.mean([np.asarray(one[name]) for one in part])) for name in part[0]}
-        for part in (history[first : first + size] for first in range(0, len(history), size))
+        {name: float(np.mean([np.asarray(history[number][name]) for number in tenth])) for name in history[0]}
+        for tenth in tenths
     ]
     return TrainedEncoder(weights=weights, architecture=architecture), means

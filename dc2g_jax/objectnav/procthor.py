@@ -236,8 +236,9 @@ def _pieces(entry: Any, boxes: Mapping[str, AssetBox], *, on_floor: bool) -> Ite
     x, middle, z = (_number(_field(position, axis), axis) for axis in "xyz")
     turn = _number(_field(_field(entry, "rotation"), "y"), "y", _FULLY_TURNED)
     kind = PROCTHOR_CLASSES.get(box.kind, OTHER)
-    hangs = middle - box.height / 2 > _HANGING
-    if kind != OTHER or (on_floor and not hangs):
-        yield Furniture(kind, x, z, box.width, box.depth, -math.radians(turn), middle + box.height / 2)
+    bottom, top = middle - box.height / 2, middle + box.height / 2
+    stands = on_floor and bottom <= _HANGING
+    if top > 0 and (kind != OTHER or stands):  # what the floor hides is nothing that a robot sees or touches
+        yield Furniture(kind, x, z, box.width, box.depth, -math.radians(turn), top)
     for child in _list(entry, "children") if entry.get("children") else ():
         yield from _pieces(child, boxes, on_floor=False)

@@ -11,7 +11,7 @@ import pytest
 
 from dc2g_jax.control import mppi
 from dc2g_jax.control.mppi import MPPISettings
-from dc2g_jax.control.vehicle import VehicleLimits, VehicleState, at_rest, drive
+from dc2g_jax.control.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive
 from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav import cost_maps
 from tests.oracles import mppi_oracle
@@ -63,7 +63,7 @@ def test_the_update_is_that_of_plain_numpy(settings):
         (0.2, -0.4, 0.7, 0.3, -0.4),
         lambda x, y, yaw: 3 * math.hypot(x - 1, y + 2) + 1 - math.sin(yaw),
         limits=(limits.max_speed, limits.max_turn_rate, limits.max_acceleration, limits.max_turn_acceleration),
-        period=settings.period,
+        period=CONTROL_PERIOD,
         temperature=settings.temperature,
         effort=settings.effort,
     )
@@ -147,7 +147,6 @@ def test_many_robots_at_once_each_as_alone():
     [
         ("horizon", 0),
         ("samples", 0),
-        ("period", 0.0),
         ("noise", (0.1, -0.1)),
         ("correlation", 1.0),
         ("temperature", 0.0),

@@ -21,6 +21,7 @@ from dc2g_jax.mapping.semantic_map import MapSettings
 from dc2g_jax.planning.planners import Frontier, Oracle
 from dc2g_jax.planning.rules import complete_rules
 from tests import maps
+from tests.refusals import refusal
 
 STREET = maps.drawn("""
     ..........
@@ -103,6 +104,11 @@ SHUT_OUT = Start("walled", 9, 2, 2)
 
 
 @pytest.mark.slow
+def test_houses_that_cannot_be_stacked_are_refused():
+    refusal(lambda: fleet.sites_of([STREET, STREET[:, 1:]]), "9 x 8", "10 x 8", "all of one size")
+    refusal(lambda: fleet.sites_of([]), "no cells", "at least")
+
+
 def test_who_knows_the_map_drives_the_shortest_way():
     # From column 9 along the road to column 2, then down and along the path: 14 m, with a start and three corners.
     done = drives(Oracle(), EAST, WEST, MIDDLE, EAST, knows_map=True, time_limit=60.0)

@@ -1,5 +1,6 @@
 import dataclasses
 import io
+import math
 
 import jax.numpy as jnp
 import numpy as np
@@ -116,6 +117,12 @@ def test_a_writer_that_stops_leaves_what_it_has_written(tmp_path):
     assert len(sequence.moments) == 2
     assert read_picture(sequence.moments[0]) is None
     refusal(lambda: write_sequence(tmp_path / "out", CAMERA, []), tmp_path / "out", "not an empty folder")
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, 1e7, math.nan])
+def test_a_rate_that_gives_no_times_is_refused_before_anything_is_written(tmp_path, rate):
+    refusal(lambda: write_sequence(tmp_path / "out", CAMERA, [], rate=rate), rate, "give a number above 0")
+    assert not (tmp_path / "out").exists()
 
 
 def test_colours_are_classes_by_the_palette(recording):

@@ -35,6 +35,25 @@ def test_a_vehicle_drives_through_a_door_only_if_it_fits():
     assert np.isinf(from_other_side(0.45))
 
 
+def test_no_way_leads_through_a_gap_that_is_too_tight():
+    free = np.ones((20, 30), bool)
+    free[:, 15] = False
+    free[10, 15] = True  # too narrow for the robot
+    free[2:5, 5], free[2:5, 7] = False, False  # and so is the floor between these
+    goals = np.zeros_like(free)
+    goals[17, 2] = True
+    free, goals = jnp.asarray(free), jnp.asarray(goals)
+    fits = ~cost_maps.inflated(~free, 0.2, 0.1)
+    distance = cost_maps.distance_for_vehicle(~free, goals, 0.2, 0.1)
+    filled = np.asarray(cost_maps.with_tight_cells(distance, free, fits, 0.1))
+    fits, known = np.asarray(fits), np.isfinite(np.asarray(distance))
+    assert (fits & ~known)[:, 18:].any()
+    np.testing.assert_array_equal(filled[fits], np.asarray(distance)[fits])  # no way through the gap
+    assert not fits[3, 6]
+    assert 1.2 < filled[3, 6] < 1.6  # out of the gap, then as the crow flies until it touches the goal
+    assert np.isinf(filled[~np.asarray(free)]).all()
+
+
 def test_distances_lead_over_furniture_and_not_through_walls():
     goals, walls = np.zeros((2, 30, 30), bool)
     goals[15, 10] = walls[5:25, 13] = True

@@ -1,5 +1,7 @@
 """The indoor map against plain loops and against the house that it is of."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -124,6 +126,8 @@ def test_crops_are_centred_on_the_robot_and_empty_off_the_map():
         ({"local": 0}, "local"),
         ({"cell_size": 0.0}, "cell_size"),
         ({"highest": 0.05}, "highest"),
+        ({"cells": 420.0}, "cells"),
+        ({"inset": math.nan}, "inset"),
     ],
 )
 def test_settings_without_sense_are_refused(wrong, mentions):
