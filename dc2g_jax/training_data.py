@@ -53,8 +53,6 @@ class DataConfig:
       half_weight_cost: cost-to-go, in cells, at which a cell weighs half as much as at a goal; `inf` for all alike.
       jitter: logarithm of the largest factor by which half of the maps are stretched, and moved by 40 cells times it.
       whole_share: share of pairs in which all of the map is observed, 0 to 1.
-      aligned_share: share of the pairs of the dataset's own houses that are as the house lies or turned by half a
-        circle; the others, and procedural houses, are in any of the 8 symmetries. 0 to 1.
       map_noise: highest level of noise in the maps, as a camera's leaves it; 0 for none.
       data_seed: of houses and masks, 0 to 9999.
     """
@@ -69,7 +67,6 @@ class DataConfig:
     half_weight_cost: float = 16.0
     jitter: float = 0.15
     whole_share: float = 0.2
-    aligned_share: float = 0.75
     map_noise: float = 0.0
     data_seed: int = 0
 
@@ -83,7 +80,7 @@ class DataConfig:
                 raise InputError(f"{name} {getattr(self, name)}: give at least 1")
         if self.extra_houses < 0:
             raise InputError(f"extra houses {self.extra_houses}: give 0 or more")
-        for name in ("own_share", "whole_share", "aligned_share"):
+        for name in ("own_share", "whole_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"{name} {getattr(self, name)}: give a share from 0 to 1")
         for name in ("edge_weight", "jitter", "map_noise"):
@@ -102,7 +99,6 @@ class DataConfig:
             half_weight_cost=self.half_weight_cost,
             jitter=self.jitter,
             whole_share=self.whole_share,
-            aligned_share=self.aligned_share,
             degrade=functools.partial(_with_noise, highest=self.map_noise) if self.map_noise else None,
         )
 

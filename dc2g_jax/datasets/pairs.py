@@ -18,9 +18,6 @@ Degrade = Callable[[Array, UInt8[Array, "h w"]], UInt8[Array, "h w"]]
 #: Number of ways to turn and mirror a square map.
 SYMMETRIES = 8
 
-#: The symmetry that turns a map by half a circle: streets keep their axis, and driveways the side of the house.
-HALF_TURN = 3
-
 
 @struct.dataclass
 class TrainingSet:
@@ -153,7 +150,6 @@ def draw_pairs(
     edge_weight: float,
     jitter: float,
     whole_share: float,
-    aligned_share: float = 0.0,
     half_weight_cost: float = math.inf,
     degrade: Degrade | None = None,
 ) -> Pair:
@@ -168,26 +164,22 @@ def draw_pairs(
       edge_weight: see `make_pair`.
       jitter: see `jittered`; 0 for none.
       whole_share: probability that all of a map is observed.
-      aligned_share: probability that a pair of one of the dataset's own houses is as it lies or turned by half a
-        circle, one as likely as the other, and not in any of the symmetries.
       half_weight_cost: see `make_pair`.
       degrade: what becomes of each observed map, as a camera may make it out; `None` for nothing.
     """
-    which, place, turn, align, change, lift, spoil = jax.random.split(key, 7)
+    which, place, turn, change, lift = jax.random.split(key, 5)
     count = len(data.mask_world)
     own = (jax.random.uniform(which, (batch_size,)) < own_share) & (data.n_own > 0) | (data.n_own == count)
     low, high = jnp.where(own, 0, data.n_own), jnp.where(own, data.n_own, count)
     position = jax.random.uniform(place, (batch_size,))
     index = jnp.minimum(low + (position * (high - low)).astype(jnp.int32), high - 1)
     symmetry = jax.random.randint(turn, (batch_size,), 0, SYMMETRIES)
-    aligned = own & jax.random.bernoulli(align, aligned_share, (batch_size,))
-    symmetry = jnp.where(aligned, HALF_TURN * (symmetry & 1), symmetry)
     whole = jax.random.bernoulli(lift, whole_share, (batch_size,))
     make = functools.partial(make_pair, data, edge_weight=edge_weight, half_weight_cost=half_weight_cost)
     pairs = jax.vmap(make)(index, symmetry, whole)
     if degrade is not None:
-        terrain = jax.vmap(degrade)(jax.random.split(spoil, batch_size), pairs.terrain)
-        pairs = dataclasses.replace(pairs, terrain=terrain)
+        keys = jax.random.split(jax.random.fold_in(key, 1), batch_size)
+        pairs = dataclasses.replace(pairs, terrain=jax.vmap(degrade)(keys, pairs.terrain))
     if not jitter:
         return pairs
     return jax.vmap(functools.partial(jittered, jitter=jitter))(jax.random.split(change, batch_size), pairs)

@@ -145,15 +145,9 @@ def optimizer(recipe: TrainingConfig) -> optax.GradientTransformation:
     return optax.chain(optax.clip_by_global_norm(1.0), adamw)
 
 
-def keys_of_run(seed: int | Int[Array, ""]) -> tuple[Array, Array]:
-    """Of a run's first weights, and of its batches."""
-    weights_key, batches_key = jax.random.split(jax.random.key(seed))
-    return weights_key, batches_key
-
-
 def init_state(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> TrainingState:
     """The state before the first step."""
-    weights = networks.init_weights(recipe.architecture, keys_of_run(hyperparameters.seed)[0])
+    weights = networks.init_weights(recipe.architecture, jax.random.key(hyperparameters.seed))
     return TrainingState(
         step=jnp.int32(0),
         weights=weights,
@@ -203,8 +197,8 @@ def _step(
     draw_batch: DrawBatch,
 ) -> tuple[TrainingState, Float[Array, ""]]:
     transform = optimizer(recipe)
-    _, batches_key = keys_of_run(hyperparameters.seed)
-    batch = draw_batch(jax.random.fold_in(batches_key, state.step), data)
+    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(hyperparameters.seed), 1), state.step)
+    batch = draw_batch(key, data)
     loss, gradient = jax.value_and_grad(
         lambda weights: mean_loss(recipe, hyperparameters.loss_weights, weights, batch)
     )(state.weights)

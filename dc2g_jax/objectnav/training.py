@@ -11,7 +11,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from dc2g_jax.estimation.training import TrainingState, check_numbers, keys_of_run, loss_or_nan, running_average
+from dc2g_jax.estimation.training import TrainingState, check_numbers, loss_or_nan, running_average
 from dc2g_jax.objectnav import networks
 from dc2g_jax.objectnav.data import (
     ALL_SYMMETRIES,
@@ -109,9 +109,15 @@ def optimizer(config: CostMapConfig) -> optax.GradientTransformation:
     return OPTIMIZERS[recipe.optimizer](rate, recipe.weight_decay)
 
 
+def _keys(seed: int) -> tuple[Array, Array]:
+    """Of a run's first weights, and of its batches."""
+    weights_key, batches_key = jax.random.split(jax.random.key(seed))
+    return weights_key, batches_key
+
+
 def first_state(config: CostMapConfig) -> TrainingState:
     """The state before the first step."""
-    weights_key, _ = keys_of_run(config.seed)
+    weights_key, _ = _keys(config.seed)
     weights = networks.init_weights(config.architecture, weights_key)
     return TrainingState(
         step=jnp.int32(0),
@@ -143,7 +149,7 @@ def train_step(
       The new state and the loss, as `dc2g_jax.estimation.training.loss_or_nan` has it.
     """
     recipe = config.recipe
-    _, batches_key = keys_of_run(config.seed)
+    _, batches_key = _keys(config.seed)
     samples = draw_samples(
         jax.random.fold_in(batches_key, state.step),
         data,

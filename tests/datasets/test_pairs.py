@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import itertools
 
 import jax
 import jax.numpy as jnp
@@ -180,32 +179,6 @@ def test_masks_of_one_kind_are_all_drawn_alike(n_own):
     drawn = np.bincount(masks_drawn(data, batch), minlength=N_MASKS)
     assert drawn.min() > 32
     assert drawn.max() < 128
-
-
-def symmetries_drawn(own_share: float, aligned_share: float) -> np.ndarray:
-    """How many of 800 whole maps are as they lie, mirrored left and right, up and down, both; then transposed ones."""
-    data, _ = training_set((12, 12))
-    draw = functools.partial(draw_pairs, batch_size=800, edge_weight=4.0, jitter=0.0, whole_share=1.0)
-    batch = jax.jit(functools.partial(draw, own_share=own_share, aligned_share=aligned_share))(jax.random.key(0), data)
-    which = {}
-    for terrain in np.asarray(data.terrain):
-        for number, (transposed, rows, columns) in enumerate(itertools.product((0, 1), (1, -1), (1, -1))):
-            turned = terrain[::rows, ::columns]
-            which[(turned.T if transposed else turned).tobytes()] = number
-    assert len(which) == SYMMETRIES * N_WORLDS
-    drawn = [which[np.asarray(terrain).tobytes()] for terrain in batch.terrain]
-    return np.bincount(drawn, minlength=SYMMETRIES)
-
-
-def test_houses_of_the_dataset_keep_their_axes_and_handedness_as_often_as_asked():
-    all_aligned = symmetries_drawn(own_share=1.0, aligned_share=1.0)
-    assert np.flatnonzero(all_aligned).tolist() == [0, 3]  # as it lies, and turned by half a circle
-    assert all_aligned.min(where=all_aligned > 0, initial=800) > 300
-    some = symmetries_drawn(own_share=1.0, aligned_share=0.5)
-    assert 400 < some[[0, 3]].sum() < 600
-    assert some.min() > 20
-    assert symmetries_drawn(own_share=1.0, aligned_share=0.0).max() < 150
-    assert symmetries_drawn(own_share=0.0, aligned_share=1.0).max() < 150  # procedural houses in all
 
 
 def test_a_share_of_pairs_shows_the_whole_map():
