@@ -40,8 +40,8 @@ class Candidate(NamedTuple):
       y: row.
       heading: of those in which something new can be seen from there, the one that is reached soonest; of equal ones,
         for a planner that weighs information gain, the one that faces the most unobserved cells.
-      cost_to_go: predicted cost from there to the door in cells: the mean, or what the planner's selection rule takes
-        in its place; `None` for frontier exploration, which predicts nothing.
+      cost_to_go: predicted cost from there to the door, in cells where the estimator answers in cells: the mean, or
+        what the planner's selection rule takes in its place; `None` for frontier exploration, which predicts nothing.
       distance: actions from the robot to this pose.
       score: what the planner compares, the lowest wins: the cost-to-go plus the weighted distance, less what would be
         new in view from there; for frontier exploration, the distance.

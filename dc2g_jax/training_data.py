@@ -131,7 +131,7 @@ def _with_drawn(own: list[House], prefix: str, count: int, seed: int) -> list[Ho
     if count and height != width:
         raise InputError(
             f"{own[0].name}: has {width} x {height} cells, and drawn houses, which are square, are run beside it; "
-            "sample the maps to squares, or train with --extra-houses 0 --validate-every 0"
+            "sample the maps to squares; `python -m experiments.train --extra-houses 0 --validate-every 0` draws none"
         )
     drawn = drawn_houses(prefix, own[0].split, count, seed, height)
     taken = {house.name for house in drawn}

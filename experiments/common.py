@@ -10,8 +10,9 @@ import tyro
 from tqdm import tqdm
 
 from dc2g_jax.datasets.download import cache_folder
+from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network
+from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network, weights_sha256
 from dc2g_jax.shipped import shipped
 
 _Options = TypeVar("_Options")
@@ -72,3 +73,9 @@ def keep_compiled_programs() -> None:
 def open_network(folder: Path | None, otherwise: str = SHIPPED_NETWORK) -> TrainedNetwork:
     """The network in a folder, or one that comes with the package."""
     return load_network(shipped(otherwise) if folder is None else folder)
+
+
+def digests(dataset: HouseDataset, **networks: TrainedNetwork | None) -> dict[str, str]:
+    """SHA-256 by option of what a run depends on and a folder may hold another of when it is resumed."""
+    given = {name: network for name, network in networks.items() if network is not None}
+    return {"dataset": dataset.sha256, **{name: weights_sha256(one.weights) for name, one in given.items()}}

@@ -9,7 +9,7 @@ from dc2g_jax.evaluation import PlannerName
 from experiments.common import NetworkOption, OutOption, StepLimitOption, command_line
 from experiments.episodes import EpisodeTable
 from experiments.map_options import MapOptions, StartOption, doubts_about, start_in, terrain_of
-from experiments.one_start import Animation, Request, draw_request, require_sensing_range, run_request, tell_files
+from experiments.one_start import Animation, draw_request, make_request, require_sensing_range, run_request, tell_files
 from experiments.outputs import output_folder
 
 
@@ -47,12 +47,12 @@ def main(options: Options) -> None:
     require_way_to_goal(str(options.map), terrain)
     house = House(options.map.stem, "test", terrain)
     start = start_in(str(options.map), house, options.start, options.seed)._replace(sensing_range=sensing_range)
+    request = make_request(house, start, options.planner, options.network, options.step_limit)
     out = output_folder(options, "explore_map")
     for doubt in doubts_about(options):
         print(f"warning: {doubt}", file=sys.stderr)
-    request = Request(house, start, options.planner, options.step_limit, options.network)
-    results, network = run_request(request, EpisodeTable(out / "episodes.csv"))
-    draw_request(out, "episode", request, results, network, options.animation)
+    results = run_request(request, EpisodeTable(out / "episodes.csv"))
+    draw_request(out, "episode", request, results, options.animation)
     tell_files(out)
     print(
         "One start says little: --seed gives another; reproduce_fig7 --settings paper --dataset FOLDER runs many. The "

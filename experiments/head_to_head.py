@@ -19,7 +19,7 @@ from dc2g_jax.files.tables import write_table
 from dc2g_jax.inspection.figures import plot_head_to_head
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollout import STEP_LIMIT
-from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, digests, open_network
 from experiments.episodes import EpisodeProgress, EpisodeTable
 from experiments.outputs import output_folder
 
@@ -179,7 +179,7 @@ def main(options: Options) -> None:
             f"{dataset.name}: the authors' episodes are in the published houses; give --dataset with a copy of them"
         )
     network = open_network(options.network)
-    out = output_folder(options, "head_to_head")
+    out = output_folder(options, "head_to_head", inputs=digests(dataset, network=network))
     published = published_episodes()
     results = run_published(dataset, network, EpisodeTable(out / "episodes.csv"))
     pairs = pair_up(published, results[: len(published)], results[len(published) :])

@@ -97,8 +97,8 @@ def waits(planner: OnlinePlanner, workload: Workload, sensing_range: int) -> Ite
 
 def main(options: Options) -> None:
     """Time the decisions, print a table and write `latency.json`."""
-    if min(*options.cells, options.calls, options.repeats) < 1:
-        raise InputError("cells, calls and repeats must be at least 1 each; give larger numbers")
+    if min(*options.cells, options.calls, options.repeats, options.sensing_range) < 1:
+        raise InputError("cells, calls, repeats and sensing range must be at least 1 each; give larger numbers")
     houses = make_workload(open_dataset(options.dataset), per_house=1)
     network = None if options.planner == "frontier" else open_network(options.network)
     out = output_folder(options, "latency")

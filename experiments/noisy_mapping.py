@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -24,6 +25,7 @@ from experiments.common import (
     NetworkOption,
     OutOption,
     command_line,
+    digests,
     open_network,
 )
 from experiments.driving import DrivingOptions, drive, equipment
@@ -141,18 +143,16 @@ def tell(results: Mapping[str, Mapping[str, float]]) -> None:
 
 def main(options: Options) -> None:
     """Drive in the gridworld, then on wheels, level by level."""
-    if not options.levels or min(options.levels) < 0:
-        raise InputError(f"--levels {' '.join(map(str, options.levels))}: give one at least, none negative")
+    if not options.levels or not all(0 <= level < math.inf for level in options.levels):
+        raise InputError(f"--levels {' '.join(map(str, options.levels))}: give one at least, all of them from 0 on")
     dataset = open_dataset(options.dataset)
-    networks: dict[str, Estimator] = {
-        "clean": open_network(options.network),
-        "noisy": open_network(options.noisy_network, SHIPPED_NOISY_NETWORK),
-    }
+    clean, noisy = open_network(options.network), open_network(options.noisy_network, SHIPPED_NOISY_NETWORK)
+    networks: dict[str, Estimator] = {"clean": clean, "noisy": noisy}
     houses = dataset.split(options.split)
     starts = sample_starts(houses, options.starts_per_house, seed=options.seed)
     if not starts:
         raise InputError(f"{dataset.name}: no episode can be run in its {options.split} houses; give another --split")
-    out = output_folder(options, "noisy_mapping")
+    out = output_folder(options, "noisy_mapping", inputs=digests(dataset, network=clean, noisy_network=noisy))
     names = [start.house for start in starts]
     results: dict[str, dict[str, float]] = {}
     for settings in ("paper", "occluded"):

@@ -21,6 +21,7 @@ from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.estimation.training import TrainingState
+from dc2g_jax.files.whole import replacing
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect, random_views
 from dc2g_jax.objectnav.data import TrainingSet
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
@@ -205,7 +206,8 @@ def train(options: Options, config: CostMapConfig, data: TrainingSet, validation
 def write_card(folder: Path, card: dict[str, Any]) -> None:
     """Write the card of a network beside it, as `network.json`, with what tells whether the files are whole."""
     digests = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in (NETWORK_FILE, ENCODER_FILE)}
-    (folder / "network.json").write_text(json.dumps({**card, "sha256": digests}, indent=2) + "\n")
+    with replacing(folder / "network.json") as unfinished:
+        unfinished.write_text(json.dumps({**card, "sha256": digests}, indent=2) + "\n")
 
 
 def main(options: Options) -> None:

@@ -35,17 +35,38 @@ class Request(NamedTuple):
 
     Attributes:
       house: where.
-      start: from which pose, with which sensing range; rules are those of the paper's text.
+      start: from which pose, with which sensing range.
       planners: names, in the order of the figures.
-      step_limit: actions after which an episode ends without success; `None` for as many as suit its size.
-      network: folder of the network, `None` for the shipped one.
+      network: what planners on a network go by; `None` where none of them does.
+      runner: runs them, by the rules of the paper's text.
     """
 
     house: House
     start: Start
     planners: Sequence[str]
-    step_limit: int | None
-    network: Path | None
+    network: TrainedNetwork | None
+    runner: Runner
+
+
+def make_request(
+    house: House, start: Start, planners: Sequence[str], network: Path | None, step_limit: int | None = None
+) -> Request:
+    """What is asked for, once it is sure that it can be run.
+
+    Args:
+      house: where.
+      start: from which pose, with which sensing range.
+      planners: names, in the order of the figures.
+      network: folder of the network, `None` for the shipped one.
+      step_limit: actions after which an episode ends without success; `None` for as many as suit the map's size.
+
+    Raises:
+      InputError: the network cannot be read, or the step limit is none.
+    """
+    loaded = open_network(network) if NETWORK_PLANNERS.keys() & set(planners) else None
+    dataset = HouseDataset(house.name, "folder", (house,))
+    runner = Runner(dataset, SETTINGS["paper"], step_limit=step_limit, progress=EpisodeProgress())
+    return Request(house, start, planners, loaded, runner)
 
 
 def require_sensing_range(cells: int) -> int:
@@ -56,23 +77,19 @@ def require_sensing_range(cells: int) -> int:
     return cells
 
 
-def run_request(request: Request, table: EpisodeTable) -> tuple[dict[str, EpisodeResult], TrainedNetwork | None]:
+def run_request(request: Request, table: EpisodeTable) -> dict[str, EpisodeResult]:
     """Run the oracle and the planners, and print what came of it.
 
     Returns:
-      Planner -> its episode, the oracle first, and the network they used.
+      Planner -> its episode, the oracle first.
 
     Raises:
-      InputError: if the step limit is none, or not even the oracle reaches a goal within it.
+      InputError: if not even the oracle reaches a goal within the step limit.
     """
-    house, start = request.house, request.start
-    network = open_network(request.network) if NETWORK_PLANNERS.keys() & set(request.planners) else None
-    dataset = HouseDataset(house.name, "folder", (house,))
-    runner = Runner(dataset, SETTINGS["paper"], step_limit=request.step_limit, progress=EpisodeProgress())
     names = list(dict.fromkeys(("oracle", *request.planners)))
-    results = table.run(runner, [start], names, network)
-    _print_results(results, house, runner.step_limit)
-    return {result.planner: result for result in results}, network
+    results = table.run(request.runner, [request.start], names, request.network)
+    _print_results(results, request.house, request.runner.step_limit)
+    return {result.planner: result for result in results}
 
 
 def _print_results(results: Sequence[EpisodeResult], house: House, limit: int) -> None:
@@ -92,9 +109,8 @@ def _print_results(results: Sequence[EpisodeResult], house: House, limit: int) -
 
 
 def draw_request(
-    out: Path, name: str, request: Request, results: dict[str, EpisodeResult], network: TrainedNetwork | None,
-    animations: Sequence[Animation],
-) -> None:  # fmt: skip
+    out: Path, name: str, request: Request, results: dict[str, EpisodeResult], animations: Sequence[Animation]
+) -> None:
     """Write the figure, the ways on the map, the animations and the recording of an episode.
 
     Args:
@@ -102,7 +118,6 @@ def draw_request(
       name: of the files, without an ending.
       request: what was run.
       results: planner -> its episode.
-      network: the network they used.
       animations: formats of the animation.
     """
     plot_trajectories(out / "trajectories", request.house, results)
@@ -113,7 +128,7 @@ def draw_request(
     bar = tqdm(total=len(chosen) + len(animations) + 2, desc=f"{'drawing':>16}", unit="file", file=sys.stderr)
     episodes = {}
     for planner, result in chosen.items():
-        episodes[planner] = Episode(result, replay_result(result, request.house, rules, network))
+        episodes[planner] = Episode(result, replay_result(result, request.house, rules, request.network))
         bar.update()
     frames = {planner: episode.frames for planner, episode in episodes.items()}
     plot_episode(out / name, request.house, frames)

@@ -9,13 +9,14 @@ import math
 import shlex
 import subprocess
 import sys
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
 import jax
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.whole import replacing
 
 #: File in every output folder that says how it was made.
 RUN_FILE = "run.json"
@@ -38,7 +39,9 @@ class OutputOptions(Protocol):
         ...
 
 
-def output_folder(options: OutputOptions, command: str, *, free: Collection[str] = ()) -> Path:
+def output_folder(
+    options: OutputOptions, command: str, *, free: Collection[str] = (), inputs: Mapping[str, str] | None = None
+) -> Path:
     """The folder to write to, with a `run.json` that holds the command, all options, versions, commit and time.
 
     Nothing that lies there is overwritten: a folder in use is refused, but for `--resume` with the options that it was
@@ -48,6 +51,7 @@ def output_folder(options: OutputOptions, command: str, *, free: Collection[str]
       options: the command's options.
       command: name of the command.
       free: further options that may differ from the run that is resumed.
+      inputs: name of an option -> SHA-256 of what is read where it says; the same when a run is resumed.
 
     Raises:
       InputError: if the folder is in use, cannot be made, or holds no such run to resume.
@@ -63,12 +67,14 @@ def output_folder(options: OutputOptions, command: str, *, free: Collection[str]
     if resume:
         before = _read_run(folder)
         _require_same(folder, before, command, given, {*_WHERE, *free})
+        _require_same_inputs(folder, before.get("inputs", {}), inputs or {})
         runs = before["runs"]
     else:
         _make_new(folder, resumable=hasattr(options, "resume"))
     facts = {
         "experiment": command,
         "options": given,
+        "inputs": dict(inputs or {}),
         "runs": [
             *runs,
             {
@@ -80,7 +86,8 @@ def output_folder(options: OutputOptions, command: str, *, free: Collection[str]
         ],
     }
     try:
-        (folder / RUN_FILE).write_text(json.dumps(facts, indent=2) + "\n")
+        with replacing(folder / RUN_FILE) as unfinished:
+            unfinished.write_text(json.dumps(facts, indent=2) + "\n")
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror}); give --out another folder") from None
     return folder
@@ -135,6 +142,16 @@ def _require_same(
             )
 
 
+def _require_same_inputs(folder: Path, before: Mapping[str, str], now: Mapping[str, str]) -> None:
+    """See that a run is resumed with what it has read so far."""
+    for name, digest in now.items():
+        if before.get(name) != digest:
+            raise InputError(
+                f"{folder}: what is read for --{name.replace('_', '-')} has changed since the run was begun; bring it "
+                "back to resume the run, or give --out another folder"
+            )
+
+
 def command_written() -> str:
     """The command as it was typed, with `python -m` before the name of the experiment."""
     return shlex.join(["python", "-m", f"experiments.{Path(sys.argv[0]).stem}", *sys.argv[1:]])
@@ -142,13 +159,21 @@ def command_written() -> str:
 
 @functools.cache
 def commit() -> str:
-    """The git commit of the code, with `+` after it where files have changed since; `unknown` outside a repository."""
-    here = Path(__file__).parent
-    found = [
-        subprocess.run(["git", *command], capture_output=True, text=True, check=False, cwd=here).stdout.strip()
-        for command in (("rev-parse", "HEAD"), ("status", "--porcelain", "--untracked-files=no"))
-    ]
-    return (found[0] or "unknown") + ("+" if found[1] else "")
+    """The git commit of the code, with `+` after it where files have changed since; `unknown` outside a repository, or
+    without git.
+    """
+
+    def asked(*command: str) -> str:
+        here = Path(__file__).parent
+        try:
+            return subprocess.run(
+                ["git", *command], capture_output=True, text=True, check=False, cwd=here
+            ).stdout.strip()
+        except OSError:
+            return ""
+
+    changed = asked("status", "--porcelain", "--untracked-files=no")
+    return (asked("rev-parse", "HEAD") or "unknown") + ("+" if changed else "")
 
 
 def versions() -> dict[str, str]:

@@ -14,7 +14,7 @@ from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.translator_training import LOSSES
 from dc2g_jax.inspection.image_figures import plot_training
-from experiments.common import DatasetOption, command_line
+from experiments.common import DatasetOption, check_seed, command_line, digests
 from experiments.outputs import output_folder
 from experiments.training_loop import Log
 from experiments.translation import TranslationOptions, train_translator, translation_data
@@ -49,9 +49,13 @@ def main(options: Options) -> None:
     """Train all runs one after another, then draw them."""
     if not options.losses or not options.seeds or options.window < 1 or options.training.validate_every < 1:
         raise InputError("losses, seeds, window and validate-every: Fig. 5 needs at least one of each")
+    for seed in options.seeds:
+        check_seed(seed, "seeds")
+    if len(set(options.seeds)) < len(options.seeds) or len(set(options.losses)) < len(options.losses):
+        raise InputError("losses and seeds: give each once; a run counted twice would look like less spread")
     configs = {loss: options.training.config(loss) for loss in options.losses}
     dataset = open_dataset(options.dataset, cells=None)
-    output_folder(options, "reproduce_fig5", free=("minutes_per_checkpoint",))
+    output_folder(options, "reproduce_fig5", free=("minutes_per_checkpoint",), inputs=digests(dataset))
     data = translation_data(dataset, options.training)
     runs: dict[str, list[dict[int, dict[str, float]]]] = {loss: [] for loss in options.losses}
     for loss, config in configs.items():

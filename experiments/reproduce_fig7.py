@@ -27,7 +27,15 @@ from dc2g_jax.inspection.figures import plot_extra_steps, plot_house_strips
 from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollout import STEP_LIMIT
-from experiments.common import DatasetOption, NetworkOption, OutOption, StepLimitOption, command_line, open_network
+from experiments.common import (
+    DatasetOption,
+    NetworkOption,
+    OutOption,
+    StepLimitOption,
+    command_line,
+    digests,
+    open_network,
+)
 from experiments.episodes import EpisodeProgress, EpisodeTable
 from experiments.outputs import output_folder
 
@@ -229,7 +237,7 @@ def main(options: Options) -> None:
         )
     network = open_network(options.network)
     sampled = None if options.settings == "published" else sampled_episodes(dataset, options)
-    out = output_folder(options, "reproduce_fig7")
+    out = output_folder(options, "reproduce_fig7", inputs=digests(dataset, network=network))
     table = EpisodeTable(out / "episodes.csv")
     label = "procedural houses" if dataset.source == "procedural" else dataset.name
     tables: dict[str, Table] = {}

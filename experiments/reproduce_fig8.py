@@ -16,7 +16,7 @@ from dc2g_jax.planning.rules import SETTINGS
 from experiments.common import DatasetOption, NetworkOption, OutOption, command_line
 from experiments.episodes import EpisodeProgress, EpisodeTable
 from experiments.map_options import StartOption, start_in
-from experiments.one_start import Animation, Request, draw_request, require_sensing_range, run_request, tell_files
+from experiments.one_start import Animation, draw_request, make_request, require_sensing_range, run_request, tell_files
 from experiments.outputs import output_folder
 
 
@@ -76,11 +76,11 @@ def main(options: Options) -> None:
         start = median_start(dataset, options.seed)
     else:
         start = start_in(options.house, dataset.house(options.house), options.start, options.seed)
+    start = start._replace(sensing_range=sensing_range)
+    request = make_request(dataset.house(start.house), start, options.planner, options.network)
     out = output_folder(options, "reproduce_fig8")
-    house = dataset.house(start.house)
-    request = Request(house, start._replace(sensing_range=sensing_range), options.planner, None, options.network)
-    results, network = run_request(request, EpisodeTable(out / "episodes.csv"))
-    draw_request(out, "fig8", request, results, network, options.animation)
+    results = run_request(request, EpisodeTable(out / "episodes.csv"))
+    draw_request(out, "fig8", request, results, options.animation)
     tell_files(out)
 
 

@@ -1,6 +1,7 @@
 """The paper's Fig. 9: from camera to door, `python -m experiments.reproduce_fig9`."""
 
 import dataclasses
+import math
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -82,15 +83,15 @@ def first_house(dataset: HouseDataset) -> House:
 
 def main(options: Options) -> None:
     """Drive, draw, record."""
-    if options.noise < 0:
-        raise InputError(f"--noise {options.noise:g}: give 0 or more")
+    if not 0 <= options.noise < math.inf:
+        raise InputError(f"--noise {options.noise:g}: give a number from 0 on")
     dataset = open_dataset(options.dataset)
     house = first_house(dataset) if options.house is None else dataset.house(options.house)
     start = start_in(house.name, house, options.start, options.seed)
-    out = output_folder(options, "reproduce_fig9")
     robot = equipment(
         "dc2g", open_network(options.network, SHIPPED_NOISY_NETWORK), house.terrain.shape, options.noise, options
     )
+    out = output_folder(options, "reproduce_fig9")
     site = jax.tree.map(lambda leaf: leaf[0], sites_of([house.terrain]))
     pose = make_pose(start.x, start.y, start.heading)
     first = set_out(jax.random.key(options.seed), pose, site, robot, pedestrians=options.pedestrians)

@@ -8,9 +8,18 @@ import tyro
 
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import read_starts
+from dc2g_jax.errors import InputError
 from dc2g_jax.evaluation import NETWORK_PLANNERS, PlannerName, Runner, summarize
 from dc2g_jax.planning.rules import SETTINGS
-from experiments.common import DatasetOption, NetworkOption, OutOption, StepLimitOption, command_line, open_network
+from experiments.common import (
+    DatasetOption,
+    NetworkOption,
+    OutOption,
+    StepLimitOption,
+    command_line,
+    digests,
+    open_network,
+)
 from experiments.episodes import EpisodeProgress, EpisodeTable
 from experiments.outputs import output_folder
 
@@ -46,11 +55,13 @@ class Options:
 
 def main(options: Options) -> None:
     """Run the episodes."""
+    if not options.planner or len(set(options.planner)) < len(options.planner):
+        raise InputError(f"--planner {' '.join(options.planner)}: give each planner once, one at least")
     dataset = open_dataset(options.dataset)
     starts = read_starts(options.starts, dataset)
     network = open_network(options.network) if NETWORK_PLANNERS.keys() & set(options.planner) else None
-    out = output_folder(options, "run_episodes")
     runner = Runner(dataset, SETTINGS[options.settings], step_limit=options.step_limit, progress=EpisodeProgress())
+    out = output_folder(options, "run_episodes", inputs=digests(dataset, network=network))
     results = EpisodeTable(out / "episodes.csv").run(runner, starts, options.planner, network)
     print(f"{len(starts)} episodes in houses of {dataset.name}, settings {options.settings}")
     for planner in options.planner:

@@ -18,7 +18,7 @@ import numpy as np
 import tyro
 from jaxtyping import Array, Float
 
-from dc2g_jax.datasets.houses import HouseDataset, open_dataset
+from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
@@ -30,7 +30,7 @@ from dc2g_jax.files.whole import replacing
 from dc2g_jax.inspection.training_figures import plot_sweep
 from dc2g_jax.sweeps import group_by_shape, runs_of_grid, stacked_hyperparameters
 from dc2g_jax.training_data import DataConfig, Validation, validation_pairs
-from experiments.common import DatasetOption, command_line
+from experiments.common import DatasetOption, command_line, digests
 from experiments.outputs import output_folder
 from experiments.training_loop import Log, check_validate_every, run_steps
 from experiments.training_sets import open_training_set
@@ -213,9 +213,8 @@ def write_results(
     return rows
 
 
-def run_episodes(dataset: HouseDataset, networks: Mapping[str, NetworkCostToGo], path: Path) -> dict[str, Any]:
+def run_episodes(validation: Validation, networks: Mapping[str, NetworkCostToGo], path: Path) -> dict[str, Any]:
     """Extra steps in validation houses with every network; those found before are kept in a file."""
-    validation = Validation(dataset, drawn=16)
     try:
         found: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
     except (OSError, ValueError) as error:
@@ -235,16 +234,18 @@ def main(options: Options) -> None:
     runs = options.runs
     groups = group_by_shape(runs)
     dataset = open_dataset(options.dataset)
-    output_folder(options, "sweep_losses", free=("minutes_per_checkpoint",))
+    output_folder(options, "sweep_losses", free=("minutes_per_checkpoint",), inputs=digests(dataset))
     facts = {"data": dataclasses.asdict(options.data), "dataset": dataset.name}
-    data = open_training_set(options.out, dataset, options.data)
+    # Houses that these cannot be made of are refused before minutes of collecting.
     pairs = validation_pairs(dataset, count=_PAIRS, edge_weight=options.data.edge_weight)
+    validation = Validation(dataset, drawn=16) if options.episodes else None
+    data = open_training_set(options.out, dataset, options.data)
     log = Log(options.out)
     print(f"{len(runs)} runs in {len(groups)} programs")
     networks: dict[str, NetworkCostToGo] = {}
     for group in groups:
         networks |= train_group(options, group, data, pairs, log, facts)
-    episodes = run_episodes(dataset, networks, options.out / "episodes.json") if options.episodes else {}
+    episodes = run_episodes(validation, networks, options.out / "episodes.json") if validation else {}
     height, width = data.terrain.shape[1:]
     rows = write_results(options.out, runs, log, episodes, (height, width))
     by_loss: dict[str, list[dict[int, float]]] = {}

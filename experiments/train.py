@@ -26,7 +26,7 @@ from dc2g_jax.estimation.training import TrainingConfig, TrainingState, first_st
 from dc2g_jax.inspection.columns import viewer_sink
 from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_watch, next_file
 from dc2g_jax.training_data import DataConfig, Validation
-from experiments.common import DatasetOption, NetworkOption, command_line
+from experiments.common import DatasetOption, NetworkOption, command_line, digests
 from experiments.outputs import command_written, commit, output_folder
 from experiments.training_loop import FiniteLoss, Log, check_validate_every, run_steps
 from experiments.training_sets import open_training_set
@@ -212,7 +212,7 @@ def main(options: Options) -> None:
         viewer_sink(options.connect)  # an address that is none is refused before anything is written
     dataset = open_dataset(options.dataset)
     free = {"validate_every", "minutes_per_checkpoint", "record", "connect"}
-    output_folder(options, "train", free=free)
+    output_folder(options, "train", free=free, inputs=digests(dataset, after=network))
     apart = {"out", "resume", "dataset", *free}
     facts = {name: value for name, value in dataclasses.asdict(options).items() if name not in apart}
     facts["after"] = None if options.after is None else str(options.after)

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import tyro
 
 from dc2g_jax.datasets.houses import open_dataset
-from experiments.common import DatasetOption, command_line
+from experiments.common import DatasetOption, command_line, digests
 from experiments.outputs import output_folder
 from experiments.translation import TranslationOptions, train_translator, translation_data
 
@@ -42,7 +42,7 @@ def main(options: Options) -> None:
     """Make the pairs, train."""
     config = options.training.config(options.loss)
     dataset = open_dataset(options.dataset, cells=None)
-    output_folder(options, "train_translator", free=("minutes_per_checkpoint",))
+    output_folder(options, "train_translator", free=("minutes_per_checkpoint",), inputs=digests(dataset))
     data = translation_data(dataset, options.training)
     print(
         f"Training on {len(data.train.pair_house)} pairs of {len(data.train.terrain)} houses of {dataset.name}, "

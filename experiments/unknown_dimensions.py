@@ -27,7 +27,15 @@ from dc2g_jax.grid.terrain import UNKNOWN
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.training_data import drawn_houses, usable
 from experiments.benchmarks.timing import measure
-from experiments.common import DatasetOption, NetworkOption, OutOption, StepLimitOption, command_line, open_network
+from experiments.common import (
+    DatasetOption,
+    NetworkOption,
+    OutOption,
+    StepLimitOption,
+    command_line,
+    digests,
+    open_network,
+)
 from experiments.episodes import EpisodeProgress, EpisodeTable
 from experiments.outputs import output_folder
 
@@ -168,14 +176,15 @@ def milliseconds(estimators: Mapping[str, Estimator], house: House) -> dict[str,
 
 def main(options: Options) -> None:
     """Run all planners on all maps, print and write tables."""
-    if min(options.starts_per_house, *options.doors, *options.windows) < 1 or options.cells < 50:
+    if any(n < 1 for n in (options.starts_per_house, *options.doors, *options.windows)) or options.cells < 50:
         raise InputError("give --starts-per-house, --doors and --windows of at least 1, and --cells of at least 50")
     if min(options.drawn, options.rows) < 0:
         raise InputError(f"--drawn {options.drawn}, --rows {options.rows}: give 0 or more maps")
     network = open_network(options.network)
     estimators = estimators_by_planner(network, options.windows)
-    worlds = all_worlds(options, open_dataset(options.dataset))
-    out = output_folder(options, "unknown_dimensions")
+    dataset = open_dataset(options.dataset)
+    worlds = all_worlds(options, dataset)
+    out = output_folder(options, "unknown_dimensions", inputs=digests(dataset, network=network))
     table, planners = EpisodeTable(out / "episodes.csv"), ("frontier", *estimators)
     facts: dict[str, dict[str, Any]] = {}
     for name, (houses, starts) in worlds.items():

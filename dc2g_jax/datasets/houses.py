@@ -2,6 +2,7 @@
 
 import collections
 import difflib
+import hashlib
 import os
 import re
 import sys
@@ -77,6 +78,15 @@ class HouseDataset:
         for name, count in collections.Counter(house.name for house in self.houses).items():
             if count > 1:
                 raise InputError(f"{self.name}: {count} houses are called {name!r}; names must be unique")
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of the houses' names, splits and terrain."""
+        digest = hashlib.sha256()
+        for house in self.houses:
+            digest.update(f"{house.name} {house.split} {house.terrain.shape} ".encode())
+            digest.update(house.terrain.tobytes())
+        return digest.hexdigest()
 
     def split(self, split: str) -> tuple[House, ...]:
         """Return the houses of 'train', 'val' or 'test'; InputError for any other word."""

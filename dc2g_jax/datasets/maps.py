@@ -173,6 +173,8 @@ def _with_goals(
     ground = TRAVERSABLE[terrain]
     for goal in goals:
         name = f"goal ({goal.x:g}, {goal.y:g})"
+        if not (math.isfinite(goal.x) and math.isfinite(goal.y)):
+            raise InputError(f"{where}: {name} is nowhere; give two numbers")
         if goal.unit == "metres":
             if occupancy is None:
                 raise InputError(f"{where}: {name} is in metres, which only a ROS map knows; give its column and row")

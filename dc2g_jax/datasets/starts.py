@@ -95,7 +95,12 @@ def sample_starts(houses: Iterable[House], per_house: int, *, seed: int) -> list
 
     The starts of a house depend on the seed and the house's name alone. Houses in which no episode can be run have
     none; see `why_no_episode`.
+
+    Raises:
+      InputError: `per_house` is below 1.
     """
+    if per_house < 1:
+        raise InputError(f"{per_house} starts per house: give 1 or more")
     starts = []
     for house in houses:
         if why_no_episode(house) is not None:

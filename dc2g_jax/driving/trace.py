@@ -24,7 +24,7 @@ class Moment(NamedTuple):
       frame: what it delivers.
       robot: after it.
       believed: where it then takes itself to be.
-      cost_to_go: what the planner expects of each cell, in cells; `None` where it expects nothing.
+      cost_to_go: what the planner expects of each cell, in the estimator's unit; `None` where it expects nothing.
     """
 
     seconds: float

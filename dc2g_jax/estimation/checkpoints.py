@@ -21,6 +21,7 @@ from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.networks import Architecture
 from dc2g_jax.estimation.training import first_state
 from dc2g_jax.estimation.translator import TranslatorArchitecture
+from dc2g_jax.files.whole import replacing
 from dc2g_jax.grid.terrain import CLASS_NAMES
 
 _CARD = "network.json"
@@ -77,8 +78,8 @@ def _reason(error: Exception) -> str:
     return str(error).splitlines()[0][:120] if str(error) else type(error).__name__
 
 
-def _digest(weights: Any) -> str:
-    """SHA-256 of all weights: their names and their bytes, in order."""
+def weights_sha256(weights: Any) -> str:
+    """SHA-256 of all weights of a network: their names and their bytes, in order."""
     digest = hashlib.sha256()
     for path, leaf in jax.tree_util.tree_leaves_with_path(weights):
         digest.update(jax.tree_util.keystr(path).encode())
@@ -108,10 +109,11 @@ def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, An
         "network": next(name for name, kind in _KINDS.items() if isinstance(network, kind.estimator)),
         "architecture": dataclasses.asdict(network.architecture),
         "classes": list(CLASS_NAMES),
-        "sha256": _digest(network.weights),
+        "sha256": weights_sha256(network.weights),
         **(card or {}),
     }
-    (folder / _CARD).write_text(json.dumps(facts, indent=2) + "\n")
+    with replacing(folder / _CARD) as unfinished:
+        unfinished.write_text(json.dumps(facts, indent=2) + "\n")
     return folder
 
 
@@ -188,7 +190,7 @@ def load_network(folder: str | Path) -> TrainedNetwork:
         raise InputError(
             f"{folder / _WEIGHTS}: cannot be read ({_reason(error)}); save or copy the network again"
         ) from None
-    if digest not in (None, _digest(weights)):
+    if digest not in (None, weights_sha256(weights)):
         raise InputError(
             f"{folder / _WEIGHTS}: the SHA-256 of the weights is not {digest}, as {_CARD} says; "
             "keep the two files of one training together"
@@ -229,7 +231,9 @@ class TrainingCheckpoints:
                     f"{folder / _CONFIG}: {changed[0]} was {found.get(changed[0])!r} in the run that is there, "
                     f"now {wanted[changed[0]]!r}; give the same options to resume it, or another folder"
                 )
-        (folder / _CONFIG).write_text(json.dumps(wanted, indent=2) + "\n")
+        else:
+            with replacing(folder / _CONFIG) as unfinished:
+                unfinished.write_text(json.dumps(wanted, indent=2) + "\n")
         self._folder = folder / "states"
         with _quiet():
             self._manager = ocp.CheckpointManager(

@@ -15,7 +15,14 @@ from PIL import Image, ImageDraw, ImageFont
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import CLASS_NAMES, TRAVERSABLE
-from dc2g_jax.inspection.costs import BLOCKED_COLOUR, COST_COLOURS, cost_image, exact_cost_to_go, highest_cost
+from dc2g_jax.inspection.costs import (
+    BLOCKED_COLOUR,
+    COST_COLOURS,
+    cost_image,
+    cost_shares,
+    exact_cost_to_go,
+    highest_cost,
+)
 from dc2g_jax.inspection.episode_figures import goal_marks, outcome
 from dc2g_jax.inspection.figures import CLASS_COLOURS, hidden_colour, map_image, planner_style, present_classes
 from dc2g_jax.inspection.replay import Frames, running_extra_steps
@@ -236,8 +243,7 @@ class _Painter:
 
     def _costs(self, frames: Frames, frame: int) -> np.ndarray:
         """Predicted costs-to-go of seen ground: RGB from 0 to 1, `[h w 3]`."""
-        assert frames.cost_to_go is not None
-        share = np.rint(_COST_LEVELS * frames.cost_to_go[frame] / self._high) / _COST_LEVELS
+        share = np.rint(_COST_LEVELS * cost_shares(frames, self._high)[frame]) / _COST_LEVELS
         ground, seen = TRAVERSABLE[self._terrain], frames.seen[frame]
         return cost_image(share, seen & ground, seen & ~ground)
 
@@ -293,7 +299,7 @@ class _Painter:
         x, upper, lower = corner[0], corner[1] - _CAPTION + 2, corner[1] - _CAPTION + 19
         if panel.cost:
             draw.text((x, upper), "predicted cost-to-go", _INK, self._font)
-            self._draw_scale(draw, x, lower)
+            self._draw_scale(draw, x, lower, in_cells=panel.frames.in_cells)
             return
         draw.text((x, upper), style.label, style.colour, self._bold)
         draw.text((x, lower), f"step {frame}: {_doing(panel.frames, frame)}", _INK, self._font)
@@ -302,14 +308,19 @@ class _Painter:
             right = x + max(self._layout.width, _LEAST_WIDE)
             draw.text((right, lower), f"{extra:+.0f} %", _PALE_INK, self._font, anchor="ra")
 
-    def _draw_scale(self, draw: ImageDraw.ImageDraw, x: int, y: int) -> None:
+    def _draw_scale(self, draw: ImageDraw.ImageDraw, x: int, y: int, *, in_cells: bool) -> None:
         """The colours of costs, from 0 to the highest."""
         draw.text((x, y), "0", _PALE_INK, self._font)
         for level in range(_COST_LEVELS):
             colour = tuple(int(255 * value) for value in colormaps[COST_COLOURS](level / _COST_LEVELS)[:3])
             left = x + 14 + 2 * level
             draw.rectangle((left, y + 3, left + 1, y + 12), fill=colour)
-        draw.text((x + 20 + 2 * _COST_LEVELS, y), f"{self._high:.0f} cells or more", _PALE_INK, self._font)
+        draw.text(
+            (x + 20 + 2 * _COST_LEVELS, y),
+            f"{self._high:.0f} cells or more" if in_cells else "highest",
+            _PALE_INK,
+            self._font,
+        )
 
 
 def _doing(frames: Frames, frame: int) -> str:

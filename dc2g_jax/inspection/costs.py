@@ -29,7 +29,7 @@ def exact_cost_to_go(house: House) -> Float[np.ndarray, "h w"]:
 
 
 def highest_cost(house: House, frames_by_planner: Mapping[str, Frames], exact: Float[np.ndarray, "h w"]) -> float:
-    """The cost at the end of the colours: nearly all that is shown of what robots had observed lies below.
+    """The cost in cells at the end of the colours: nearly all that is shown of what robots had observed lies below.
 
     Args:
       house: the house.
@@ -38,11 +38,17 @@ def highest_cost(house: House, frames_by_planner: Mapping[str, Frames], exact: F
     """
     shown = []
     for frames in frames_by_planner.values():
-        if frames.cost_to_go is not None:
+        if frames.cost_to_go is not None and frames.in_cells:
             ground = frames.seen[-1] & TRAVERSABLE[house.terrain] & np.isfinite(exact)
             shown += [exact[ground], frames.cost_to_go[-1][ground], frames.cost_to_go[0][ground & frames.seen[0]]]
     costs = np.concatenate(shown) if shown else np.zeros(0)
     return max(float(np.percentile(costs, 99)), 1.0) if costs.size else 1.0
+
+
+def cost_shares(frames: Frames, high: float) -> Float[np.ndarray, "t h w"]:
+    """Predicted costs in parts of the one at the end of the colours; those that are not in cells are such parts."""
+    assert frames.cost_to_go is not None
+    return frames.cost_to_go / (high if frames.in_cells else 1.0)
 
 
 def cost_image(

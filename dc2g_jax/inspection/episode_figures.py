@@ -21,7 +21,14 @@ from dc2g_jax.evaluation import EpisodeResult
 from dc2g_jax.grid.ground import pieces
 from dc2g_jax.grid.poses import Pose, make_pose, moved
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
-from dc2g_jax.inspection.costs import BLOCKED_COLOUR, COST_COLOURS, cost_image, exact_cost_to_go, highest_cost
+from dc2g_jax.inspection.costs import (
+    BLOCKED_COLOUR,
+    COST_COLOURS,
+    cost_image,
+    cost_shares,
+    exact_cost_to_go,
+    highest_cost,
+)
 from dc2g_jax.inspection.figures import (
     class_patch,
     hidden_patch,
@@ -148,9 +155,9 @@ def _way_bar(sheet: Sheet, place: float) -> None:
     sheet.bar(place, colours, "the way", ticks=[0, 1], format=lambda value, _: ("start", "end")[int(value)])
 
 
-def _draw_cost(axes: Axes, cost: Float[np.ndarray, "h w"], shown: np.ndarray, blocked: np.ndarray, high: float) -> None:
-    """Costs-to-go where they are shown; blocked ground and the rest in greys."""
-    axes.imshow(cost_image(cost / high, shown, blocked), interpolation="nearest", aspect="auto")
+def _draw_cost(axes: Axes, share: Float[np.ndarray, "h w"], shown: np.ndarray, blocked: np.ndarray) -> None:
+    """Costs-to-go, in parts of the one at the end of the colours; blocked ground and the rest in greys."""
+    axes.imshow(cost_image(share, shown, blocked), interpolation="nearest", aspect="auto")
     # In grey, costs near the goal look like blocked ground: a line parts them.
     rims = cell_rim(shown + 2 * blocked)
     axes.add_collection(LineCollection(rims, colors=_GREY, linewidths=0.5), autolim=False)
@@ -233,19 +240,19 @@ def plot_episode(
         if frames.cost_to_go is not None:
             _draw_costs([sheet.panel(row, column) for column in range(len(chosen))], house, frames, chosen, high)
             ground = TRAVERSABLE[house.terrain]
-            _draw_cost(sheet.panel(row, count, "exact"), exact, ground & np.isfinite(exact), ~ground, high)
+            _draw_cost(sheet.panel(row, count, "exact"), exact / high, ground & np.isfinite(exact), ~ground)
             row += 1
     return save_figure(sheet.figure, path, dpi=DPI)
 
 
 def _draw_costs(panels: Sequence[Axes], house: House, frames: Frames, chosen: Sequence[int], high: float) -> None:
     """What a planner expected at the chosen moments, on the ground that it had seen."""
-    panels[0].set_ylabel("predicted\ncost-to-go", fontsize=FONT, labelpad=3)
-    ground = TRAVERSABLE[house.terrain]
-    assert frames.cost_to_go is not None
+    unit = "" if frames.in_cells else "\n(relative)"
+    panels[0].set_ylabel(f"predicted\ncost-to-go{unit}", fontsize=FONT, labelpad=3)
+    ground, share = TRAVERSABLE[house.terrain], cost_shares(frames, high)
     for axes, frame in zip(panels, chosen, strict=True):
         seen = frames.seen[frame]
-        _draw_cost(axes, frames.cost_to_go[frame], seen & ground, seen & ~ground, high)
+        _draw_cost(axes, share[frame], seen & ground, seen & ~ground)
         _draw_robot(axes, frames, frame)
 
 

@@ -86,12 +86,14 @@ class CostScale(NamedTuple):
     """How costs-to-go become classes of an image.
 
     Attributes:
-      farthest: largest exact cost to be shown, in cells; where the colours end.
-      cells: cells of cost in one class.
+      farthest: largest exact cost to be shown; where the colours end.
+      step: cost of one class.
+      words: what to say of a cost.
     """
 
     farthest: float
-    cells: int
+    step: float
+    words: str = "{:g} cells to go"
 
     @classmethod
     def of(cls, exact: Float[np.ndarray, "*n h w"]) -> "CostScale":
@@ -103,20 +105,24 @@ class CostScale(NamedTuple):
         self, cost: Float[np.ndarray, "*n h w"], shown: Bool[np.ndarray, "*n h w"]
     ) -> UInt8[np.ndarray, "*n h w"]:
         """Class indices of images of costs."""
-        level = np.clip(cost / self.cells, 0, LAST_COST - FIRST_COST)
+        level = np.clip(cost / self.step, 0, LAST_COST - FIRST_COST)
         level = np.where(np.isfinite(cost), np.rint(level) + FIRST_COST, NO_WAY)
         return np.where(shown, level, NOT_SHOWN).astype(np.uint8)
 
     def context(self) -> rr.AnnotationContext:
         """Names and colours of the classes."""
-        costs = self.cells * np.arange(LAST_COST - FIRST_COST + 1)
+        costs = self.step * np.arange(LAST_COST - FIRST_COST + 1)
         colors = _colors("viridis_r", _BRIGHT * np.minimum(costs / self.farthest, 1))
         known = [
-            (FIRST_COST + index, f"{cost} cells to go", tuple(color))
+            (FIRST_COST + index, self.words.format(cost), tuple(color))
             for index, (cost, color) in enumerate(zip(costs.tolist(), colors.tolist(), strict=True))
         ]
         none = [(NOT_SHOWN, "not observed", _NOT_SHOWN_COLOR), (NO_WAY, "no way", _NO_WAY_COLOR)]
         return rr.AnnotationContext([*none, *known])
+
+
+#: Costs in parts of the highest one, 0 to 1.
+RELATIVE = CostScale(1.0, 1 / (LAST_COST - FIRST_COST), "{:.0%} of the highest cost")
 
 
 def difference_classes(

@@ -64,6 +64,7 @@ def _send_maps(stream: rr.RecordingStream, entity: str, frames: Frames, scale: C
         send_images(stream, f"{entity}/map/{layer}", steps, cells.astype(np.uint8))
     if frames.cost_to_go is not None:
         known = frames.seen & TRAVERSABLE[frames.terrain]
+        scale = scale if frames.in_cells else legend.RELATIVE
         image_style(stream, f"{entity}/cost_to_go", scale.context(), 0)
         send_images(stream, f"{entity}/cost_to_go", steps, scale.classes(frames.cost_to_go, known))
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Float32, Int, Int8, UInt8, UInt32
 from dc2g_jax import gridworld
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.decisions import FAR, View, decide
-from dc2g_jax.estimation.estimators import Estimator
+from dc2g_jax.estimation.estimators import Estimator, answers_in_cells
 from dc2g_jax.evaluation import EpisodeResult, make_planner
 from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.poses import ACTION_LETTERS, Pose, every_heading, make_pose
@@ -44,8 +44,8 @@ class Frames:
         episode; without meaning in the last frame.
       length: actions from the robot to the subgoal.
       to_goal: actions an oracle needs from here to the nearest goal, -1 where there is no way.
-      cost_to_go: the planner's estimate of the cost-to-go in cells, as its selection rule takes it: most often the mean
-        of its outcomes. Where it does not explore and asks for none, what it would be told. `None` if it makes none.
+      cost_to_go: the planner's estimate of the cost-to-go, as its selection rule takes it: most often the mean of its
+        outcomes. Where it does not explore and asks for none, what it would be told. `None` if it makes none.
       frontier: frontier cells, whatever the rules count: reachable, with an unobserved 4-neighbour (paper, section
         III-D).
       score: while exploring, what the planner compares on the cells it chooses from, the lowest wins: cost-to-go plus
@@ -53,6 +53,7 @@ class Frames:
         all other cells.
       path: the plan as poses from the robot's own to the subgoal, both included: columns, rows, headings; none where
         there is no way.
+      in_cells: is `cost_to_go` in cells? Otherwise in parts of the highest cost, 0 to 1.
     """
 
     pose: Pose
@@ -70,6 +71,7 @@ class Frames:
     frontier: Bool[np.ndarray, "t h w"]
     score: Float32[np.ndarray, "t h w"]
     path: tuple[Int[np.ndarray, "poses 3"], ...]
+    in_cells: bool
 
     def __len__(self) -> int:
         """Number of frames, one more than actions."""
@@ -199,7 +201,8 @@ def replay(
         path += map(_path, fetched.pop("distance"), fetched["subgoals"])
         chunks.append(fetched)
     whole = jax.tree.map(lambda *parts: np.concatenate(parts)[:n_frames], *chunks)
-    return Frames(**whole, path=tuple(path[:n_frames]))
+    in_cells = not isinstance(planner, DC2G) or answers_in_cells(planner.estimator)
+    return Frames(**whole, path=tuple(path[:n_frames]), in_cells=in_cells)
 
 
 def actions_from_letters(letters: str) -> Int8[np.ndarray, "actions"]:

@@ -433,6 +433,17 @@ def test_two_houses_of_one_name_are_refused():
         HouseDataset("mine", "folder", (house, dataclasses.replace(house, split="test")))
 
 
+def test_houses_are_told_apart_by_what_they_hold():
+    house = House("n000m000h000", "train", np.zeros((2, 3), np.uint8))
+    other = np.zeros((2, 3), np.uint8)
+    other[0, 1] = 4
+    changed = [{"name": "a"}, {"split": "val"}, {"terrain": other}, {"terrain": np.zeros((3, 2), np.uint8)}]
+    houses = [house, *(dataclasses.replace(house, **change) for change in changed)]
+    digests = [HouseDataset("mine", "folder", (one,)).sha256 for one in houses]
+    assert len(set(digests)) == len(houses)
+    assert HouseDataset("moved", "folder", (house,)).sha256 == digests[0]
+
+
 def test_wrong_grid_size(folder):
     refusal(
         lambda: load_dataset(folder, cells=61),

@@ -213,6 +213,8 @@ def test_doors_that_a_coarse_grid_would_lose(yard):
     [
         (Goal(5, 0), ["goal (5, 0) lies at column 5, row 0, off the map of 5 x 7 cells"]),
         (Goal(0, -1), ["goal (0, -1) lies at column 0, row -1, off the map"]),
+        (Goal(float("nan"), 1), ["goal (nan, 1) is nowhere"]),
+        (Goal(1, float("inf"), "metres"), ["goal (1, inf) is nowhere"]),
         (Goal(1.5, 1), ["goal (1.5, 1) is between cells", "whole numbers"]),
         (Goal(1, 1, "metres"), ["goal (1, 1) is in metres", "only a ROS map"]),
         (Goal(0, 6), ["goal (0, 6) lies at column 0, row 6 on 'house'", "not traversable", "column 0, row 3"]),

@@ -15,6 +15,7 @@ from dc2g_jax.datasets.starts import (
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.ground import connected_to_goal
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, ROAD, TRAVERSABLE
+from tests.refusals import refusal
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +37,10 @@ def test_sampled_starts_are_on_road_connected_to_a_door(dataset):
     assert len(set(starts)) > 25
     assert all(type(value) is int for start in starts for value in start[1:4])
     assert all((start.sensing_range, start.expanding_range) == (None, None) for start in starts)
+
+
+def test_no_starts_at_all_are_refused(dataset):
+    refusal(lambda: sample_starts(dataset.houses, 0, seed=0), "0 starts per house", "1 or more")
 
 
 def test_road_cut_off_from_the_doors_is_not_sampled(street):

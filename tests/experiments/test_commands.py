@@ -20,7 +20,18 @@ from dc2g_jax.datasets.houses import load_dataset, save_dataset
 from dc2g_jax.datasets.procedural import procedural_houses
 from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD
-from experiments import head_to_head, reproduce_fig7, run_episodes, sweep_losses, train
+from experiments import (
+    head_to_head,
+    latency,
+    noisy_mapping,
+    reproduce_fig5,
+    reproduce_fig7,
+    reproduce_fig8,
+    reproduce_fig9,
+    run_episodes,
+    sweep_losses,
+    train,
+)
 from experiments.common import command_line
 from tests.refusals import refusal
 
@@ -200,6 +211,14 @@ def test_commands_refuse_what_they_cannot_use(few_houses, tmp_path):
     refused(head_to_head, "published houses")
     refused(train, "known losses: quantile, l1", loss="l9")
     refused(sweep_losses, "'none'", losses=("l1=none",))
+    refused(run_episodes, "--planner dc2g dc2g", "once", starts=starts, planner=("dc2g", "dc2g"))
+    refused(reproduce_fig5, "each once", seeds=(0, 0))
+    refused(reproduce_fig5, "--seeds -1", seeds=(-1,))
+    refused(reproduce_fig8, "network.json", network=tmp_path)
+    refused(reproduce_fig9, "network.json", network=tmp_path)
+    refused(reproduce_fig9, "--noise inf", noise=float("inf"))
+    refused(noisy_mapping, "--levels 0 nan", levels=(0, float("nan")))
+    refused(latency, "sensing range", sensing_range=0)
     assert not out.exists()
 
 
@@ -221,6 +240,8 @@ def test_training_resumes_and_its_network_plans(few_houses, tmp_path):
     assert sorted(path.name for path in (out / "network" / "weights").iterdir()) == weights
     changed = complaint(run(*options, "--seed", 7, "--resume"))
     assert "begun with seed 0, now it is 7" in changed
+    facts = json.loads((out / "run.json").read_text())
+    assert facts["inputs"] == {"dataset": load_dataset(few_houses).sha256}
     with np.load(out / "masks.npz") as masks:
         np.savez(out / "masks.npz", boards=masks["boards"][:, :, 1:], world=masks["world"])
     other = complaint(run(*options, "--resume"))

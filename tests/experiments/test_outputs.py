@@ -2,13 +2,14 @@
 
 import dataclasses
 import json
+import subprocess
 from pathlib import Path
 
 import jax
 import pytest
 
 from dc2g_jax.errors import InputError
-from experiments.outputs import output_folder
+from experiments.outputs import commit, output_folder
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,6 +78,24 @@ def test_a_run_is_resumed_with_the_options_it_was_begun_with(tmp_path):
     output_folder(other, "wander", free=("minutes",))
     with pytest.raises(InputError, match="a run of wander, not of rest"):
         output_folder(again, "rest")
+
+
+def test_a_run_is_resumed_with_what_it_has_read(tmp_path):
+    options = Resumable(out=tmp_path / "run")
+    output_folder(options, "wander", inputs={"dataset": "1a", "noisy_network": "2b"})
+    again = dataclasses.replace(options, resume=True)
+    output_folder(again, "wander", inputs={"dataset": "1a", "noisy_network": "2b"})
+    with pytest.raises(InputError, match=r"what is read for --noisy-network has changed since .* give --out another"):
+        output_folder(again, "wander", inputs={"dataset": "1a", "noisy_network": "3c"})
+    assert len(json.loads((tmp_path / "run" / "run.json").read_text())["runs"]) == 2
+
+
+def test_without_git_the_commit_is_unknown(monkeypatch):
+    def missing(*arguments, **options):
+        raise FileNotFoundError("git")
+
+    monkeypatch.setattr(subprocess, "run", missing)
+    assert commit.__wrapped__() == "unknown"
 
 
 def test_what_cannot_be_resumed_is_refused(tmp_path):

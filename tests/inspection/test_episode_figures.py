@@ -1,17 +1,20 @@
 """Figures of episodes show what was replayed, and cells of one size."""
 
 import itertools
+from typing import ClassVar
 
 import cv2
 import numpy as np
 import pytest
+from flax import struct
 from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 
+from dc2g_jax.estimation.estimators import ExactCostToGo
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, HOUSE, ROAD
 from dc2g_jax.inspection import episode_figures
-from dc2g_jax.inspection.costs import cost_image, exact_cost_to_go, highest_cost
+from dc2g_jax.inspection.costs import cost_image, cost_shares, exact_cost_to_go, highest_cost
 from dc2g_jax.inspection.episode_figures import (
     goal_marks,
     moments,
@@ -21,8 +24,10 @@ from dc2g_jax.inspection.episode_figures import (
     poses_along,
 )
 from dc2g_jax.inspection.figures import CLASS_COLOURS, map_image
+from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.inspection.sheets import DPI, empty_sheet
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
+from dc2g_jax.planning.rules import SETTINGS
 from tests.inspection import toy
 
 
@@ -133,6 +138,26 @@ def test_colours_of_costs_end_where_nearly_all_lies_below():
     beyond = frames.replace(cost_to_go=frames.cost_to_go + 100)
     assert highest_cost(toy.HOUSE, {"dc2g": beyond}, exact) > 100
     assert highest_cost(toy.HOUSE, {"frontier": toy.replayed()["frontier"]}, exact) == 1
+
+
+def test_costs_that_are_not_in_cells_have_a_scale_of_their_own(drawn_figure):
+    frames = toy.replayed()["dc2g"]
+    relative = frames.replace(cost_to_go=np.full_like(frames.cost_to_go, 0.5), in_cells=False)
+    assert highest_cost(toy.HOUSE, {"dc2g": relative}, exact_cost_to_go(toy.HOUSE)) == 1
+    np.testing.assert_array_equal(cost_shares(relative, 40.0), relative.cost_to_go)
+    np.testing.assert_array_equal(cost_shares(frames, 40.0), frames.cost_to_go / 40)
+    plot_episode("x", toy.HOUSE, {"dc2g": relative})
+    assert "predicted\ncost-to-go\n(relative)" in [axes.get_ylabel() for axes in drawn_figure[0].axes]
+
+
+def test_a_replay_says_whether_costs_are_in_cells():
+    @struct.dataclass
+    class Brightness(ExactCostToGo):
+        in_cells: ClassVar[bool] = False
+
+    rules = SETTINGS["paper"].rules(3)
+    assert toy.replayed()["dc2g"].in_cells
+    assert not replay_result(toy.RESULTS["dc2g"], toy.HOUSE, rules, Brightness()).in_cells
 
 
 def test_costs_are_coloured_where_shown_and_grey_where_blocked():

@@ -419,9 +419,15 @@ def test_costs_beyond_the_classes_share_them():
     exact = np.array([[0.0, 500.0, np.inf]])
     scale = legend.CostScale.of(exact)
     classes = scale.classes(np.array([[0.0, 1e6, np.inf, 3.0]]), np.array([[True, True, True, False]]))
-    assert scale.cells == 3
+    assert scale.step == 3
     assert classes.tolist() == [[legend.FIRST_COST, 255, legend.NO_WAY, legend.NOT_SHOWN]]
-    assert legend.CostScale.of(np.full((2, 2), np.inf)).cells == 1
+    assert legend.CostScale.of(np.full((2, 2), np.inf)).step == 1
+
+
+def test_costs_that_are_not_in_cells_have_classes_of_their_own():
+    classes = legend.RELATIVE.classes(np.array([[0.0, 0.25, 1.0]]), np.ones((1, 3), bool))[0]
+    assert classes.tolist() == [legend.FIRST_COST, legend.FIRST_COST + 63, legend.LAST_COST]
+    assert legend.RELATIVE.words.format(0.5) == "50% of the highest cost"
 
 
 def test_episodes_that_do_not_belong_together_are_refused(results, tmp_path):
