@@ -6,6 +6,7 @@ that also drives the robot, prices them with any function of a pose, and moves t
 them take many.
 """
 
+import numbers
 from collections.abc import Callable
 
 import jax
@@ -52,14 +53,29 @@ class MPPISettings:
     def __post_init__(self) -> None:
         effort = np.array(self.effort, float)
         sound_effort = (
-            effort.shape == (2, 2) and np.array_equal(effort, effort.T) and np.linalg.eigvalsh(effort)[0] >= 0
+            effort.shape == (2, 2)
+            and np.all(np.isfinite(effort))
+            and np.array_equal(effort, effort.T)
+            and np.linalg.eigvalsh(effort)[0] >= 0
         )
         for name, sound, remedy in (
-            ("horizon", self.horizon >= 1, "give 1 or more"),
-            ("samples", self.samples >= 1, "give 1 or more"),
-            ("noise", len(self.noise) == 2 and min(self.noise) >= 0, "give two numbers of 0 or more"),
+            (
+                "horizon",
+                isinstance(self.horizon, numbers.Integral) and self.horizon >= 1,
+                "give a whole number from 1 on",
+            ),
+            (
+                "samples",
+                isinstance(self.samples, numbers.Integral) and self.samples >= 1,
+                "give a whole number from 1 on",
+            ),
+            (
+                "noise",
+                len(self.noise) == 2 and all(0 <= one < np.inf for one in self.noise),
+                "give two numbers from 0 on",
+            ),
             ("correlation", 0 <= self.correlation < 1, "give a number from 0 to below 1"),
-            ("temperature", self.temperature > 0, "give a number above 0"),
+            ("temperature", 0 < self.temperature < np.inf, "give a number above 0"),
             ("effort", sound_effort, "give a symmetric 2x2 matrix without negative eigenvalues"),
         ):
             if not sound:

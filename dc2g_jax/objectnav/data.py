@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Float16, Int, Int16, UInt8, UInt16
 
 from dc2g_jax.objectnav.classes import GOALS, SEMANTIC_CLASSES
 from dc2g_jax.objectnav.cost_maps import distance_for_vehicle
-from dc2g_jax.objectnav.mapping import MapSettings
+from dc2g_jax.objectnav.mapping import MapSettings, square
 from dc2g_jax.objectnav.starts import ROBOT_RADIUS
 from dc2g_jax.objectnav.worlds import IndoorWorld, Leaf
 
@@ -147,20 +147,6 @@ def in_millimetres(distance: Float[Array, "*n"]) -> UInt16[Array, "*n"]:
     return jnp.where(distance < _NO_WAY / 1000, jnp.round(distance * 1000), _NO_WAY).astype(jnp.uint16)
 
 
-def cut_out(grid: Array, cell: Int[Array, "2"], side: int, beyond: int) -> Array:
-    """A square of a grid around a cell, which comes to lie just below and to the right of its middle.
-
-    Args:
-      grid: [h w] of numbers.
-      cell: row and column, on the grid.
-      side: cells along the square, an even number.
-      beyond: what is off the grid.
-    """
-    reach = side // 2
-    wide = jnp.pad(grid, reach, constant_values=jnp.asarray(beyond, grid.dtype))
-    return jax.lax.dynamic_slice(wide, (cell[0], cell[1]), (side, side))
-
-
 def map_channels(codes: UInt8[Array, "h w"]) -> Bool[Array, "18 h w"]:
     """The semantic classes, obstacle, explored."""
     classes = OBSTACLE + 1 + jnp.arange(SEMANTIC_CLASSES, dtype=jnp.uint8)
@@ -168,7 +154,7 @@ def map_channels(codes: UInt8[Array, "h w"]) -> Bool[Array, "18 h w"]:
 
 
 def network_maps(window: UInt8[Array, "420 420"]) -> UInt8[Array, "36 140 140"]:
-    """The network's input from what is known of the cells around a robot, see `cut_out`: 255 stands for 1."""
+    """The network's input from what is known around a robot, whose cell is at half the side: 255 stands for 1."""
     first = (GLOBAL - LOCAL) // 2
     local = map_channels(window[first : first + LOCAL, first : first + LOCAL])
     counts = sum(
@@ -216,9 +202,13 @@ def make_sample(
     """
     house, cell = data.house[journey], data.places[journey, view].astype(jnp.int32)
     known = jnp.where(data.first_seen[journey] <= view, data.cells[house], jnp.uint8(UNEXPLORED))
-    window = turned_grid(cut_out(known, cell, GLOBAL, UNEXPLORED), symmetry)
-    truth = turned_grid(cut_out(data.cells[house], cell, LOCAL, UNEXPLORED), symmetry)
-    way = turned_grid(cut_out(data.distance[house, target], cell, LOCAL, _NO_WAY), symmetry)
+
+    def around(grid: Array, side: int, beyond: int) -> Array:
+        return turned_grid(square(grid, cell - side // 2, side, beyond), symmetry)
+
+    window = around(known, GLOBAL, UNEXPLORED)
+    truth = around(data.cells[house], LOCAL, UNEXPLORED)
+    way = around(data.distance[house, target], LOCAL, _NO_WAY)
     navigable = (truth == FREE) & (way != _NO_WAY)
     mirrored = jnp.sum(symmetry) % 2
     return Samples(

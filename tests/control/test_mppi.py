@@ -146,7 +146,11 @@ def test_many_robots_at_once_each_as_alone():
     ("name", "value"),
     [
         ("horizon", 0),
+        ("horizon", 2.5),
         ("samples", 0),
+        ("noise", (0.1, float("inf"))),
+        ("temperature", float("inf")),
+        ("effort", ((1.0, 0.0), (0.0, float("nan")))),
         ("noise", (0.1, -0.1)),
         ("correlation", 1.0),
         ("temperature", 0.0),
