@@ -6,7 +6,6 @@ that also drives the robot, prices them with any function of a pose, and moves t
 them take many.
 """
 
-import numbers
 from collections.abc import Callable
 
 import jax
@@ -20,6 +19,11 @@ from dc2g_jax.errors import InputError
 
 #: What it costs to be at a position (x and y, metres) facing a yaw (radians): a finite number.
 CostOfPose = Callable[[Float[Array, "2"], Float[Array, ""]], Float[Array, ""]]
+
+
+def _is_count(number: float) -> bool:
+    """Is it a whole number of at least 1?"""
+    return isinstance(number, int | np.integer) and number >= 1
 
 
 @struct.dataclass
@@ -51,32 +55,19 @@ class MPPISettings:
     )
 
     def __post_init__(self) -> None:
-        effort = np.array(self.effort, float)
-        sound_effort = (
-            effort.shape == (2, 2)
-            and np.all(np.isfinite(effort))
-            and np.array_equal(effort, effort.T)
-            and np.linalg.eigvalsh(effort)[0] >= 0
-        )
+        effort, noise = np.array(self.effort, float), np.array(self.noise, float)
+        symmetric = effort.shape == (2, 2) and np.all(np.isfinite(effort)) and np.array_equal(effort, effort.T)
         for name, sound, remedy in (
-            (
-                "horizon",
-                isinstance(self.horizon, numbers.Integral) and self.horizon >= 1,
-                "give a whole number from 1 on",
-            ),
-            (
-                "samples",
-                isinstance(self.samples, numbers.Integral) and self.samples >= 1,
-                "give a whole number from 1 on",
-            ),
-            (
-                "noise",
-                len(self.noise) == 2 and all(0 <= one < np.inf for one in self.noise),
-                "give two numbers from 0 on",
-            ),
+            ("horizon", _is_count(self.horizon), "give a whole number from 1 on"),
+            ("samples", _is_count(self.samples), "give a whole number from 1 on"),
+            ("noise", noise.shape == (2,) and np.all((noise >= 0) & (noise < np.inf)), "give two numbers from 0 on"),
             ("correlation", 0 <= self.correlation < 1, "give a number from 0 to below 1"),
             ("temperature", 0 < self.temperature < np.inf, "give a number above 0"),
-            ("effort", sound_effort, "give a symmetric 2x2 matrix without negative eigenvalues"),
+            (
+                "effort",
+                symmetric and np.linalg.eigvalsh(effort)[0] >= 0,
+                "give a symmetric 2x2 matrix without negative eigenvalues",
+            ),
         ):
             if not sound:
                 raise InputError(f"{name} of the controller is {getattr(self, name)}; {remedy}")
