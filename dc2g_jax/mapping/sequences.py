@@ -32,7 +32,7 @@ from jaxtyping import Float, Int, UInt8, UInt16
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import PALETTE_FILE, Palette, read_class_image, read_palette
-from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics
+from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, check_shapes
 from dc2g_jax.mapping.checks import check_intrinsics
 from dc2g_jax.mapping.quaternions import quaternion_from_rotation, rotation_from_quaternion
 from dc2g_jax.mapping.semantic_map import MapSettings
@@ -228,7 +228,8 @@ def write_sequence(folder: str | Path, intrinsics: Intrinsics, shots: Iterable[S
       The folder.
 
     Raises:
-      InputError: the folder is in use or cannot be made, the intrinsics form no image, or the rate is out of range.
+      InputError: the folder is in use or cannot be made, the intrinsics form no image, a shot's images are not those
+        of the camera, or the rate is out of range.
     """
     check_intrinsics(intrinsics)
     if not 0 < rate <= _HIGHEST_RATE:
@@ -243,6 +244,7 @@ def write_sequence(folder: str | Path, intrinsics: Intrinsics, shots: Iterable[S
     numbers = [getattr(intrinsics, name) for name in _CAMERA_FIELDS]
     (folder / CAMERA_FILE).write_text(f"# {' '.join(_CAMERA_FIELDS)}\n{' '.join(f'{n:.9g}' for n in numbers)}\n")
     for number, shot in enumerate(shots):
+        check_shapes(shot.frame, intrinsics)
         for (name, fields), line in _write_shot(folder, f"{number / rate:.6f}", shot).items():
             begun = (folder / name).exists()
             with (folder / name).open("a") as file:

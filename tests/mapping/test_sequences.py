@@ -125,6 +125,13 @@ def test_a_rate_that_gives_no_times_is_refused_before_anything_is_written(tmp_pa
     assert not (tmp_path / "out").exists()
 
 
+def test_images_of_another_camera_are_not_written(tmp_path):
+    frame = random_frame(np.random.default_rng(1))
+    other = dataclasses.replace(frame, classes=frame.classes[1:])
+    refusal(lambda: write_sequence(tmp_path / "out", CAMERA, [Shot(frame), Shot(other)]), "classes has shape")
+    assert len(read_sequence(tmp_path / "out").moments) == 1
+
+
 def test_colours_are_classes_by_the_palette(recording):
     rows = [f"{name},{','.join(map(str, color))}" for name, color in zip(CLASS_NAMES, CLASS_COLORS, strict=True)]
     (recording / "labels_colors.csv").write_text("\n".join(["class,r,g,b", *rows]))
