@@ -44,9 +44,9 @@ class Options:
     """Map a recorded sequence of depth images with classes, frame by frame: the map, a figure and a rerun recording.
 
     Attributes:
-      sequence: folder of the recording, laid out as by the TUM RGB-D benchmark, with class images (classes.txt) and
+      sequence: folder of the sequence, laid out as by the TUM RGB-D benchmark, with class images (classes.txt) and
         intrinsics (camera.txt) besides; `dc2g_jax.mapping.sequences` says how.
-      simulate: make the recording instead, by driving a simulated camera along the shortest way in this house.
+      simulate: make the sequence instead, by driving a simulated camera along the shortest way in this house.
       dataset: where the house is, a folder or `procedural`; where not given, DC2G_DATA, the cache, or a download.
       start: where the simulated drive starts: column, row (growing downward) and heading (0 right, 1 down, 2 left,
         3 up); sampled where not given.
@@ -54,7 +54,7 @@ class Options:
       image_size: width and height of the simulated images, pixels.
       cell_size: side of the map's cells, metres.
       reach: returns from farther away are skipped, metres from the camera.
-      ground: height of the ground in the world of the recording, metres.
+      ground: height of the ground in the world of the sequence, metres.
       out: folder to write to; a new one below outputs/ where not given.
     """
 
@@ -135,7 +135,7 @@ def map_sequence(sequence: ImageSequence, settings: MapSettings, out: Path, name
 def check_options(options: Options) -> None:
     """Refuse options that make no map, before anything is written."""
     if (options.sequence is None) == (options.simulate is None):
-        raise InputError("give either --sequence with the folder of a recording, or --simulate with a house")
+        raise InputError("give either --sequence with the folder of a sequence, or --simulate with a house")
     for option, value in (("--cell-size", options.cell_size), ("--reach", options.reach)):
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"{option} {value:g}: give metres, above 0")
@@ -146,7 +146,7 @@ def check_options(options: Options) -> None:
 
 
 def main(options: Options) -> None:
-    """Make or read the recording, map it, draw and write the map."""
+    """Make or read the sequence, map it, draw and write the map."""
     check_options(options)
     house = None
     if options.sequence is not None:

@@ -28,10 +28,11 @@ _STEPS_PER_LOOK = 10
 
 @dataclasses.dataclass(frozen=True)
 class TranslationOptions:
-    """How a translator is trained; the defaults are the paper's.
+    """How a translator is trained; the defaults are the paper's where it gives them.
 
     Attributes:
-      masks: what is observed: `paper` draws strokes, blobs and strips, `rollout` takes what robots under way had seen.
+      masks: what is observed: `paper` draws strokes, blobs and strips in place of the paper's, which
+        were not published, `rollout` takes what robots under way had seen.
       train_masks: observation masks of each training house.
       validation_masks: observation masks of each validation house.
       whole_share: share of training pairs in which all of the map is observed. The paper does not say how many are;

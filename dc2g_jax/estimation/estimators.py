@@ -223,7 +223,7 @@ class TranslatorCostToGo:
 
 @struct.dataclass
 class ExactCostToGo:
-    """The exact cost-to-go of the hidden map in the network's place: the ceiling of what any estimator can reach.
+    """The exact cost-to-go of the hidden map in the network's place: an estimator that leaves nothing to gain.
 
     Attributes:
       log_error: natural logarithm of a factor by which each cell's value is wrong; 0 for the exact values. A field of

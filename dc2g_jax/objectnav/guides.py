@@ -100,8 +100,9 @@ class Predicted:
 class PromisingFrontier:
     """Goes where the way to unseen floor and the cost that a network predicts there are least together.
 
-    That is DC2G's rule in place of the paper's, which drives down the predicted costs themselves: those have hollows
-    that lead nowhere, the way over seen floor has none. Where nothing near is left to be seen, it is `Frontier`.
+    That is the rule of this package's `dc2g` in place of the paper's, which drives down the predicted costs themselves:
+    those have hollows that lead nowhere, the way over seen floor has none. Where nothing near is left to be seen, it is
+    `Frontier`.
 
     Attributes:
       costs: predicted.
