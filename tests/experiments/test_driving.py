@@ -70,7 +70,7 @@ def test_noise_is_swept_and_a_run_goes_on_where_it_stopped(street, tmp_path, cap
     ("options", "mentions"),
     [
         ({"levels": ()}, ["--levels", "give one at least"]),
-        ({"levels": (1.0, -1.0)}, ["--levels 1.0 -1.0", "none negative"]),
+        ({"levels": (1.0, -1.0)}, ["--levels 1.0 -1.0", "from 0 on"]),
         ({"pedestrians": -1}, ["--pedestrians -1", "0 or more"]),
         ({"image_size": (4, 100)}, ["--image-size 4 100", "8 by 8"]),
     ],
