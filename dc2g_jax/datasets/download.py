@@ -53,7 +53,7 @@ _REMEDY = "pass --dataset FOLDER (or set DC2G_DATA) with a copy of the dataset, 
 
 
 class NetworkUnavailable(Exception):
-    """The files cannot be reached: no route, no name service, refused, timed out or a broken connection.
+    """Nothing answers where the files lie: no route, no name service, refused, timed out or a broken connection.
 
     The message says in a few words why.
     """
@@ -64,7 +64,15 @@ class _MissingFile(InputError):
 
 
 class _MayPass(Exception):
-    """Trouble that another try may not meet."""
+    """Trouble that another try may not meet.
+
+    Args:
+        lasting: what to raise where it lasts.
+    """
+
+    def __init__(self, lasting: Exception):
+        super().__init__(str(lasting))
+        self.lasting = lasting
 
 
 def read_manifest(path: Path | None = None) -> dict[str, str]:
@@ -128,10 +136,9 @@ def fetch_dataset(
         The folder, every file in it verified just now.
 
     Raises:
-        NetworkUnavailable: the files cannot be reached; found out within `PROBE_SECONDS` where there is no
-            network at all.
-        InputError: a file is not the one in the manifest (in the cache or as sent), is gone from the server,
-            or the cache folder cannot be read or written.
+        NetworkUnavailable: nothing answers; found out within `PROBE_SECONDS`.
+        InputError: a file is not the one in the manifest (in the cache or as sent), the server does not hand it
+            out, the download breaks off midway, or the cache folder cannot be read or written.
     """
     entries = read_manifest(manifest)
     cache = cache_folder() if cache_dir is None else Path(cache_dir)
@@ -208,7 +215,14 @@ def _download(final: Path, entries: Mapping[str, str], base_urls: Sequence[str],
             (working / name).write_bytes(first)
             del wanted[name]
             bar.update()
-        _fetch_all(wanted, base_url, working, bar)
+        try:
+            _fetch_all(wanted, base_url, working, bar)
+        except NetworkUnavailable as reason:
+            kept = sum(_has(working / name, digest) for name, digest in entries.items())
+            raise InputError(
+                f"{final}: the download broke off ({reason}); {kept} of {len(entries)} files are kept: run again to "
+                f"fetch the others, or {_REMEDY}"
+            ) from None
     _publish(working, final, entries)
 
 
@@ -315,7 +329,7 @@ def _fetch(base_url: str, name: str, digest: str, stop: threading.Event) -> byte
             break
         except _MayPass as trouble:
             if wait is None or stop.wait(wait):
-                raise NetworkUnavailable(str(trouble)) from None
+                raise trouble.lasting from None
     found = hashlib.sha256(data).hexdigest()
     if found != digest:
         raise InputError(
@@ -346,15 +360,17 @@ def _request(url: str, stop: threading.Event) -> bytes:
         raise _judge_failure(host, error) from None
     data = b"".join(pieces)
     if expected is not None and expected.isdecimal() and len(data) != int(expected):
-        raise _MayPass(f"{host} closed the connection after {len(data)} of {expected} bytes of {url}")
+        raise _MayPass(
+            NetworkUnavailable(f"{host} closed the connection after {len(data)} of {expected} bytes of {url}")
+        )
     return data
 
 
 def _judge_status(url: str, status: int) -> Exception:
     if status in (404, 410):
         return _MissingFile(f"{url}: the server has no such file (HTTP {status}); {_REMEDY}")
-    answer = f"{urllib.parse.urlsplit(url).netloc} answers HTTP {status}"
-    return _MayPass(answer) if status >= 500 or status in (408, 429) else NetworkUnavailable(answer)
+    refused = InputError(f"{url}: the server answers HTTP {status}; run again later, or {_REMEDY}")
+    return _MayPass(refused) if status >= 500 or status in (408, 429) else refused
 
 
 def _judge_failure(host: str, error: Exception) -> Exception:
@@ -364,4 +380,4 @@ def _judge_failure(host: str, error: Exception) -> Exception:
     unreachable = isinstance(cause, OSError) and cause.errno in (errno.ENETUNREACH, errno.EHOSTUNREACH)
     if unreachable or isinstance(cause, socket.gaierror | ConnectionRefusedError):
         return NetworkUnavailable(message)
-    return _MayPass(message)
+    return _MayPass(NetworkUnavailable(message))

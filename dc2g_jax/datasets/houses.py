@@ -257,7 +257,7 @@ def open_dataset(
     """Open the dataset that is meant, fetching the published one where nothing else is said.
 
     In this order: `location`; the environment variable `DC2G_DATA`; the copy downloaded earlier; a download
-    from the authors' repository; and, only where there is no network, the embedded procedural houses with
+    from the authors' repository; and, only where nothing answers there, the embedded procedural houses with
     one line through `log`.
 
     Args:
@@ -267,8 +267,8 @@ def open_dataset(
         log: takes the line about the fallback.
 
     Raises:
-        InputError: a location that was asked for is no good, or a downloaded file is not the published one.
-            Neither is ever replaced by other houses.
+        InputError: a location that was asked for is no good, a downloaded file is not the published one, or the
+            download is refused or breaks off midway. None of them is ever replaced by other houses.
     """
     if location is not None:
         return _open_location(os.fspath(location), "the dataset location", cells)

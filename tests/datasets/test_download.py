@@ -231,7 +231,7 @@ def test_a_server_that_dies_midway_leaves_no_half_dataset_and_the_rest_is_fetche
 ):
     monkeypatch.setattr(download, "THREADS", 1)
     server.open_after = 6
-    refusal_of(NetworkUnavailable, fetch, "127.0.0.1")
+    refusal_of(InputError, fetch, "127.0.0.1", "6 of 12 files are kept", "run again")
     assert no_half_dataset(tmp_path / "cache")
     assert len(list((tmp_path / "cache").glob("*.partial-*"))) == 1
     server.open_after = 10**9
@@ -329,14 +329,29 @@ def test_a_file_that_is_gone_from_the_server(fetch, server, source, tmp_path, na
     assert no_half_dataset(tmp_path / "cache")
 
 
-@pytest.mark.parametrize("name", ["list.csv", "full/train/a 11.png"])
-@pytest.mark.parametrize(
-    ("step", "words"), [("cut", "bytes of"), (503, "HTTP 503"), (403, "HTTP 403"), ("hang up", "")]
-)
-def test_trouble_that_stays_is_a_missing_network(fetch, server, source, tmp_path, name, step, words):
-    server.script = {name: [step] * 9}
+#: The first file that is asked for, and one of those after it.
+_FIRST, _LATER = "full/test/a 10.png", "full/train/a 11.png"
+
+
+@pytest.mark.parametrize("name", [_FIRST, _LATER])
+@pytest.mark.parametrize("status", [503, 429, 403])
+def test_a_server_that_refuses_is_no_missing_network(fetch, server, name, status, tmp_path):
+    server.script = {name: [status] * 9}
+    refusal_of(InputError, fetch, server.url + name.replace(" ", "%20"), f"HTTP {status}", "run again", "--dataset")
+    assert server.requests[name] == (1 if status == 403 else 3)
+    assert no_half_dataset(tmp_path / "cache")
+
+
+@pytest.mark.parametrize(("step", "words"), [("cut", "bytes of"), ("hang up", "")])
+def test_a_connection_that_breaks_every_time_is_a_missing_network_only_at_the_first_file(
+    fetch, server, tmp_path, step, words
+):
+    server.script = {_FIRST: [step] * 9}
     refusal_of(NetworkUnavailable, fetch, "127.0.0.1", words)
-    assert server.requests[name] == (1 if step == 403 else 3)
+    assert server.requests[_FIRST] == 3
+    server.script = {_LATER: [step] * 9}
+    refusal_of(InputError, fetch, "127.0.0.1", words, "files are kept")
+    assert server.requests[_LATER] == 3
     assert no_half_dataset(tmp_path / "cache")
 
 
