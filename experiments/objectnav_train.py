@@ -40,7 +40,7 @@ from dc2g_jax.objectnav.training import (
 )
 from experiments.common import check_seed, command_line
 from experiments.outputs import command_written, commit, output_folder
-from experiments.training_loop import FiniteLoss, Log, check_validate_every, run_steps
+from experiments.training_loop import FiniteLoss, Log, check_pauses, run_steps
 from experiments.training_sets import kept_arrays
 
 #: The encoder that is trained where none is given: houses of the training split, pictures of each.
@@ -218,7 +218,7 @@ def main(options: Options) -> None:
         if value is not None and value < 1:
             raise InputError(f"--{name.replace('_', '-')} {value}: give at least 1")
     check_seed(options.collection.data_seed, "data-seed")
-    check_validate_every(options.validate_every)
+    check_pauses(options.validate_every, options.minutes_per_checkpoint)
     if options.encoder is not None and not (options.out / ENCODER_FILE).exists():
         load_encoder(options.encoder)
     output_folder(options, "objectnav_train", free=("validate_every", "minutes_per_checkpoint", "validation_samples"))

@@ -32,7 +32,7 @@ from dc2g_jax.sweeps import group_by_shape, runs_of_grid, stacked_hyperparameter
 from dc2g_jax.training_data import DataConfig, Validation, validation_pairs
 from experiments.common import DatasetOption, command_line, digests
 from experiments.outputs import output_folder
-from experiments.training_loop import Log, check_validate_every, run_steps
+from experiments.training_loop import Log, check_pauses, run_steps
 from experiments.training_sets import open_training_set
 
 #: Validation pairs, and how many of them at a time.
@@ -230,7 +230,7 @@ def run_episodes(validation: Validation, networks: Mapping[str, NetworkCostToGo]
 
 def main(options: Options) -> None:
     """Train all, validate all, tabulate."""
-    check_validate_every(options.validate_every)
+    check_pauses(options.validate_every, options.minutes_per_checkpoint)
     runs = options.runs
     groups = group_by_shape(runs)
     dataset = open_dataset(options.dataset)

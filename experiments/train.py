@@ -28,7 +28,7 @@ from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_wa
 from dc2g_jax.training_data import DataConfig, Validation
 from experiments.common import DatasetOption, NetworkOption, command_line, digests
 from experiments.outputs import command_written, commit, output_folder
-from experiments.training_loop import FiniteLoss, Log, check_validate_every, run_steps
+from experiments.training_loop import FiniteLoss, Log, check_pauses, run_steps
 from experiments.training_sets import open_training_set
 
 #: Maps that a recording shows predictions on.
@@ -206,7 +206,7 @@ def main(options: Options) -> None:
     """Train, save and validate."""
     check_loss_names([options.loss])
     config = options.training  # refused before anything is written, as are all other options
-    check_validate_every(options.validate_every)
+    check_pauses(options.validate_every, options.minutes_per_checkpoint)
     network = None if options.after is None else compact_network(options.after, config.architecture)
     if options.connect is not None:
         viewer_sink(options.connect)  # an address that is none is refused before anything is written

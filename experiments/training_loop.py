@@ -123,14 +123,16 @@ def _is_validated(step: int, steps: int, validate_every: int) -> bool:
     return step == steps or (validate_every > 0 and step > 0 and step % validate_every == 0)
 
 
-def check_validate_every(steps: int) -> None:
-    """Refuse a number of steps between validations that is none.
+def check_pauses(validate_every: int, minutes_per_checkpoint: float) -> None:
+    """Refuse a number of steps between validations, or of minutes between checkpoints, that is none.
 
     Raises:
-      InputError: if it is less than 0.
+      InputError: if one of them is less than 0, or not a number.
     """
-    if steps < 0:
-        raise InputError(f"--validate-every {steps}: give at least 1, or 0 for none")
+    if validate_every < 0:
+        raise InputError(f"--validate-every {validate_every}: give at least 1, or 0 for none")
+    if not minutes_per_checkpoint >= 0:
+        raise InputError(f"--minutes-per-checkpoint {minutes_per_checkpoint}: give a number from 0 on")
 
 
 def run_steps(
@@ -170,13 +172,22 @@ def run_steps(
     Returns:
       The last state.
     """
-    step, saved = first_step, time.monotonic()
+    step, begun_saving, last_save = first_step, -1, time.monotonic()
     with tqdm(total=steps, initial=step, desc=description, unit="step", file=sys.stderr) as bar:
 
         def validate_now() -> None:
             bar.set_description("validate")
             validate(state, step)
             bar.set_description(description)
+
+        def save_now() -> None:
+            nonlocal begun_saving, last_save
+            begun_saving = step
+            with _interrupts_noted() as noted:  # a save broken off would leave a part of a state
+                save(state)
+            last_save = time.monotonic()
+            if noted:
+                raise KeyboardInterrupt
 
         try:
             if step not in validated and _is_validated(step, steps, validate_every):
@@ -195,12 +206,13 @@ def run_steps(
                 watch(state, step, mean)
                 if _is_validated(step, steps, validate_every):
                     validate_now()
-                if time.monotonic() - saved > 60 * minutes_per_checkpoint:
-                    save(state)
-                    saved = time.monotonic()
+                if time.monotonic() - last_save > 60 * minutes_per_checkpoint:
+                    save_now()
+            if begun_saving != step:
+                save_now()
         except KeyboardInterrupt:
-            if not _is_used_up(state):  # as it is when a second Ctrl-C breaks a step off
-                save(state)
+            # The state is used up when a second Ctrl-C breaks a step off.
+            if begun_saving != step and not _is_used_up(state):
+                save_now()
             raise
-    save(state)
     return state

@@ -20,7 +20,7 @@ from dc2g_jax.estimation.translator_training import (
 from dc2g_jax.image_evaluation import metrics_over_pairs
 from dc2g_jax.image_training_data import MaskKind, image_set
 from experiments.outputs import command_written, commit, number_or_null
-from experiments.training_loop import FiniteLoss, Log, check_validate_every, run_steps
+from experiments.training_loop import FiniteLoss, Log, check_pauses, run_steps
 
 #: A step takes seconds on a CPU.
 _STEPS_PER_LOOK = 10
@@ -68,7 +68,7 @@ class TranslationOptions:
         Raises:
           InputError: for networks that cannot be built.
         """
-        check_validate_every(self.validate_every)
+        check_pauses(self.validate_every, self.minutes_per_checkpoint)
         if not 0 <= self.whole_share <= 1:
             raise InputError(f"--whole-share {self.whole_share:g}: give a share from 0 to 1")
         architecture = TranslatorArchitecture(self.size, self.base_filters, self.compute_dtype)

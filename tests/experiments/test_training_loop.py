@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax.errors import InputError
-from experiments.training_loop import FiniteLoss, Log, check_validate_every, run_steps
+from experiments.training_loop import FiniteLoss, Log, check_pauses, run_steps
 
 
 @functools.partial(jax.jit, donate_argnames=("state",))
@@ -100,10 +100,42 @@ def test_what_diverged_before_an_interrupt_is_not_saved(tmp_path):
     assert training.saved == []
 
 
-def test_a_negative_number_of_steps_between_validations_is_refused():
+def test_pauses_that_are_none_are_refused():
     with pytest.raises(InputError, match="--validate-every -1: give at least 1"):
-        check_validate_every(-1)
-    check_validate_every(0)
+        check_pauses(-1, 1.0)
+    for minutes in (-0.5, np.nan):
+        with pytest.raises(InputError, match=f"--minutes-per-checkpoint {minutes}: give a number from 0 on"):
+            check_pauses(10, minutes)
+    check_pauses(0, 0.0)
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize(("minutes", "saves", "kept"), [(0.0, 2, [4, 8]), (np.inf, 1, [25])])
+def test_an_interrupt_while_saving_lets_it_finish(minutes, saves, kept):
+    training = Training()
+
+    def save(state):
+        if len(training.saved) == saves - 1:
+            os.kill(os.getpid(), signal.SIGINT)
+        training.saved.append(int(state[0]))
+
+    with pytest.raises(KeyboardInterrupt):
+        training.run(save=save, minutes_per_checkpoint=minutes)
+    assert training.saved == kept  # once each
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_a_save_that_is_broken_off_is_not_begun_again():
+    training = Training()
+
+    def save(state):
+        training.saved.append(int(state[0]))
+        for _ in range(2):
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        training.run(save=save)
+    assert training.saved == [25]
 
 
 @pytest.mark.parametrize("step", [10, 20, 25])
