@@ -12,8 +12,9 @@ from tqdm import tqdm
 from dc2g_jax.datasets.download import cache_folder
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network, weights_sha256
+from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network, network_sha256
 from dc2g_jax.shipped import shipped
+from experiments.outputs import folder_in_use
 
 _Options = TypeVar("_Options")
 
@@ -44,9 +45,9 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
         # Or they would be drawn once more, below the line.
         for bar in list(getattr(tqdm, "_instances", ())):
             bar.close()
-        kept = ""
-        if hasattr(parsed, "resume"):
-            where = "" if getattr(parsed, "out", None) else " and, as --out, its folder below outputs/"
+        kept, folder = "", folder_in_use()
+        if hasattr(parsed, "resume") and folder is not None:
+            where = "" if getattr(parsed, "out", None) else f" --out {folder}"
             kept = f"; what is done is kept: the same command with --resume{where} goes on"
         print(f"interrupted{kept}", file=sys.stderr)
         sys.exit(130)
@@ -78,4 +79,4 @@ def open_network(folder: Path | None, otherwise: str = SHIPPED_NETWORK) -> Train
 def digests(dataset: HouseDataset, **networks: TrainedNetwork | None) -> dict[str, str]:
     """SHA-256 by option of what a run depends on and a folder may hold another of when it is resumed."""
     given = {name: network for name, network in networks.items() if network is not None}
-    return {"dataset": dataset.sha256, **{name: weights_sha256(one.weights) for name, one in given.items()}}
+    return {"dataset": dataset.sha256, **{name: network_sha256(one) for name, one in given.items()}}

@@ -6,6 +6,7 @@ import functools
 import importlib.metadata
 import json
 import math
+import os
 import shlex
 import subprocess
 import sys
@@ -18,11 +19,17 @@ import jax
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.whole import replacing
 
+if sys.platform != "win32":
+    import fcntl
+
 #: File in every output folder that says how it was made.
 RUN_FILE = "run.json"
 
 #: Options that may change when a run is resumed: they decide where it goes on, not what comes out.
 _WHERE = ("out", "resume")
+
+#: Folders that this process writes to, in the order taken, each with the open file that keeps other processes off it.
+_held: dict[Path, int | None] = {}
 
 
 def number_or_null(value: float) -> float | None:
@@ -54,7 +61,7 @@ def output_folder(
       inputs: name of an option -> SHA-256 of what is read where it says; the same when a run is resumed.
 
     Raises:
-      InputError: if the folder is in use, cannot be made, or holds no such run to resume.
+      InputError: if the folder is in use, by another process too, cannot be made, or holds no such run to resume.
     """
     resume = bool(getattr(options, "resume", False))
     folder = options.out
@@ -66,11 +73,13 @@ def output_folder(
     runs: list[dict[str, Any]] = []
     if resume:
         before = _read_run(folder)
+        _hold(folder)
         _require_same(folder, before, command, given, {*_WHERE, *free})
         _require_same_inputs(folder, before.get("inputs", {}), inputs or {})
         runs = before["runs"]
     else:
         _make_new(folder, resumable=hasattr(options, "resume"))
+        _hold(folder)
     facts = {
         "experiment": command,
         "options": given,
@@ -102,6 +111,32 @@ def _make_new(folder: Path, *, resumable: bool) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror}); give --out another folder") from None
+
+
+def _hold(folder: Path) -> None:
+    """Keep other processes off a folder until this one ends, where the system can."""
+    if folder in _held:
+        return
+    _held[folder] = None
+    if sys.platform == "win32":
+        return
+    held = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(held)
+        del _held[folder]
+        raise InputError(
+            f"{folder}: another process is writing to it; wait for its end, or give --out another folder"
+        ) from None
+    except OSError:
+        pass  # a file system without locks
+    _held[folder] = held
+
+
+def folder_in_use() -> Path | None:
+    """The folder that this process took last to write to, `None` before it has any."""
+    return next(reversed(_held), None)
 
 
 def _plain_options(options: Any) -> dict[str, Any]:

@@ -87,6 +87,12 @@ def weights_sha256(weights: Any) -> str:
     return digest.hexdigest()
 
 
+def network_sha256(network: TrainedNetwork) -> str:
+    """SHA-256 of all that decides what a network answers: its architecture and its weights."""
+    architecture = json.dumps(dataclasses.asdict(network.architecture))
+    return hashlib.sha256(f"{architecture} {weights_sha256(network.weights)}".encode()).hexdigest()
+
+
 def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, Any] | None = None) -> Path:
     """Save a network: `network.json` (what it is) and `weights/` (Orbax). Replaces a network already there.
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import secrets
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,10 +15,10 @@ def replacing(path: str | Path) -> Iterator[Path]:
         path: the file to replace, or to make.
 
     Yields:
-        Path of a hidden file beside it, with the same suffix.
+        Path of a hidden file beside it, with the same suffix, that no other writer has.
     """
     path = Path(path)
-    unfinished = path.with_name(f".{path.stem}.unfinished{path.suffix}")
+    unfinished = path.with_name(f".{path.stem}.unfinished-{os.getpid()}-{secrets.token_hex(4)}{path.suffix}")
     try:
         yield unfinished
         os.replace(unfinished, path)

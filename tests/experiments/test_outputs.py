@@ -3,13 +3,14 @@
 import dataclasses
 import json
 import subprocess
+import sys
 from pathlib import Path
 
 import jax
 import pytest
 
 from dc2g_jax.errors import InputError
-from experiments.outputs import commit, output_folder
+from experiments.outputs import commit, folder_in_use, output_folder
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,6 +89,27 @@ def test_a_run_is_resumed_with_what_it_has_read(tmp_path):
     with pytest.raises(InputError, match=r"what is read for --noisy-network has changed since .* give --out another"):
         output_folder(again, "wander", inputs={"dataset": "1a", "noisy_network": "3c"})
     assert len(json.loads((tmp_path / "run" / "run.json").read_text())["runs"]) == 2
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX locks of files")
+def test_a_folder_that_another_process_writes_to_is_refused(tmp_path):
+    run = tmp_path / "run"
+    command = (
+        "import pathlib, sys; from tests.experiments.test_outputs import Resumable, output_folder; "
+        "output_folder(Resumable(out=pathlib.Path(sys.argv[1])), 'wander'); print(flush=True); input()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", command, str(run)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        cwd=Path(__file__).resolve().parents[2],
+    ) as other:
+        assert other.stdout.readline() == b"\n"
+        with pytest.raises(InputError, match="another process is writing to it; wait for its end"):
+            output_folder(Resumable(out=run, resume=True), "wander")
+        other.communicate(b"\n")
+    output_folder(Resumable(out=run, resume=True), "wander")
+    assert folder_in_use() == run
 
 
 def test_without_git_the_commit_is_unknown(monkeypatch):
