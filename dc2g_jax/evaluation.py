@@ -171,6 +171,14 @@ class Runner:
         self._progress = progress
         self._oracles: dict[tuple[Rules, tuple[Start, ...]], Trajectories] = {}
 
+    def rules(self, start: Start) -> Rules:
+        """The rules of an episode.
+
+        Raises:
+          InputError: the start asks for an expanding range, and the settings know none.
+        """
+        return self._settings.rules(start.sensing_range, start.expanding_range)
+
     def trajectories(self, planner: Planner, rules: Rules, starts: Sequence[Start], name: str = "") -> Trajectories:
         """Run one planner from every start, whatever ranges the starts ask for.
 
@@ -219,7 +227,8 @@ class Runner:
 
         Raises:
           ValueError: for a start on a front door: there is nothing to look for.
-          InputError: not even the oracle reaches a goal from a start within the step limit.
+          InputError: not even the oracle reaches a goal from a start within the step limit, or a start asks for an
+            expanding range, and the settings know none.
         """
         for start in starts:
             if self._dataset.house(start.house).terrain[start.y, start.x] == FRONT_DOOR:
@@ -229,9 +238,9 @@ class Runner:
             by_ranges[start.sensing_range, start.expanding_range].append(number)
         names = list(dict.fromkeys(planners))
         results: dict[tuple[str, int], EpisodeResult] = {}
-        for ranges, numbers in by_ranges.items():
-            rules = self._settings.rules(*ranges)
+        for numbers in by_ranges.values():
             chosen = [starts[number] for number in numbers]
+            rules = self.rules(chosen[0])
             oracle = self._oracle(rules, chosen)
             if not np.all(oracle.success):
                 lost = chosen[int(np.argmin(oracle.success))]

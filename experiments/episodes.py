@@ -11,6 +11,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.evaluation import EpisodeResult, Runner, extra_steps
 from dc2g_jax.files.tables import read_table, write_table
+from dc2g_jax.planning.rules import Rules
 
 
 class EpisodeProgress:
@@ -52,7 +53,7 @@ class EpisodeTable:
         """What `Runner.run` gives, planner by planner, each kept as soon as it is done."""
         results: list[EpisodeResult] = []
         for planner in planners:
-            own = self._take_kept(starts, planner)
+            own = self._take_kept(runner, starts, planner)
             if own is None:
                 own = runner.run(starts, [planner], estimator)
                 self._done += own
@@ -60,11 +61,11 @@ class EpisodeTable:
             results += own
         return results
 
-    def _take_kept(self, starts: Sequence[Start], planner: str) -> list[EpisodeResult] | None:
+    def _take_kept(self, runner: Runner, starts: Sequence[Start], planner: str) -> list[EpisodeResult] | None:
         """The next of the kept episodes, if they are the ones asked for; a run asks in the same order every time."""
         own = self._kept[: len(starts)]
         if len(own) < len(starts) or not all(
-            _is_of(result, start, planner) for result, start in zip(own, starts, strict=True)
+            _is_of(result, start, runner.rules(start), planner) for result, start in zip(own, starts, strict=True)
         ):
             self._kept = []
             return None
@@ -73,14 +74,10 @@ class EpisodeTable:
         return own
 
 
-def _is_of(result: EpisodeResult, start: Start, planner: str) -> bool:
-    """Is it the planner's episode from this start? Ranges may be any that the start does not name or the rules lack."""
-    ranges = ((start.sensing_range, result.range), (start.expanding_range, result.expanding_range))
-    return (
-        (result.house, result.x, result.y, result.heading) == (start.house, start.x, start.y, start.heading)
-        and result.planner == planner
-        and all(None in (asked, had) or asked == had for asked, had in ranges)
-    )
+def _is_of(result: EpisodeResult, start: Start, rules: Rules, planner: str) -> bool:
+    """Is it the planner's episode from this start, by these rules?"""
+    asked = (*start[:4], rules.sensing.radius, rules.expanding_range, planner)
+    return asked == (*result[:4], result.range, result.expanding_range, result.planner)
 
 
 def write_episodes(path: Path, results: Sequence[EpisodeResult]) -> None:

@@ -1,6 +1,7 @@
 """Run exactly the episodes listed in a CSV file: `python -m experiments.run_episodes --starts starts.csv --out DIR`."""
 
 import dataclasses
+import hashlib
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -30,7 +31,7 @@ class Options:
 
     Attributes:
       starts: CSV file with columns house,x,y,heading (0 = +x, 1 = +y, 2 = -x, 3 = -y; y grows downward) and,
-        optionally, range,expanding_range in cells.
+        optionally, range and, for the settings `published` and `reference`, expanding_range in cells.
       planner: planners to run.
       settings: rules. `published`: as the paper's 400 episodes were run, 5-cell sensing. `reference`: as the authors'
         code at any range. `paper`: as the paper's text says, 8-cell sensing. `occluded`: the same,
@@ -61,7 +62,10 @@ def main(options: Options) -> None:
     starts = read_starts(options.starts, dataset)
     network = open_network(options.network) if NETWORK_PLANNERS.keys() & set(options.planner) else None
     runner = Runner(dataset, SETTINGS[options.settings], step_limit=options.step_limit, progress=EpisodeProgress())
-    out = output_folder(options, "run_episodes", inputs=digests(dataset, network=network))
+    for start in starts:
+        runner.rules(start)  # a range that cannot be had is refused before anything is written
+    digest = hashlib.sha256(options.starts.read_bytes()).hexdigest()
+    out = output_folder(options, "run_episodes", inputs={"starts": digest, **digests(dataset, network=network)})
     results = EpisodeTable(out / "episodes.csv").run(runner, starts, options.planner, network)
     print(f"{len(starts)} episodes in houses of {dataset.name}, settings {options.settings}")
     for planner in options.planner:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 
+from dc2g_jax.errors import InputError
 from dc2g_jax.grid import bitboard, search
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.poses import PoseSet, every_heading, with_headings
@@ -105,11 +106,20 @@ class Settings:
         """The rules for an episode that asks for these ranges, `None` for the setting's own.
 
         Another sensing range than the setting's own brings an expanding range of its own, where none is given.
+
+        Raises:
+          InputError: an expanding range is asked for, and these rules have no frontier-expanding kernel.
         """
         if sensing_range in (None, self.sensing_range):
             sensing_range = self.sensing_range
             expanding_range = self.expanding_range if expanding_range is None else expanding_range
-        return self.make_rules(sensing_range, expanding_range)
+        rules = self.make_rules(sensing_range, expanding_range)
+        if expanding_range is not None and rules.expanding_range is None:
+            raise InputError(
+                f"expanding range {expanding_range}: the settings {self.name!r} have no frontier-expanding kernel; "
+                "leave expanding_range out, or take the settings 'published' or 'reference'"
+            )
+        return rules
 
 
 #: What the 400 published episodes were run with; what the authors' code does at any range; what the paper's text says,

@@ -18,6 +18,7 @@ import pytest
 
 from dc2g_jax.datasets.houses import load_dataset, save_dataset
 from dc2g_jax.datasets.procedural import procedural_houses
+from dc2g_jax.datasets.starts import sample_starts
 from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD
 from experiments import (
@@ -203,6 +204,9 @@ def test_commands_refuse_what_they_cannot_use(few_houses, tmp_path):
         refusal(lambda: command.main(options), *mentions)
 
     refused(run_episodes, "'heading'", starts=starts)
+    start = sample_starts([load_dataset(few_houses).split("test")[0]], 1, seed=0)[0]
+    starts.write_text(f"house,x,y,heading,expanding_range\n{start.house},{start.x},{start.y},{start.heading},4\n")
+    refused(run_episodes, "expanding range 4", "'paper'", "leave expanding_range out", starts=starts)
     refused(reproduce_fig7, "nowhere", dataset=str(tmp_path / "nowhere"))
     refused(reproduce_fig7, "published houses", settings="published")
     refused(reproduce_fig7, "network.json", network=tmp_path)

@@ -86,12 +86,19 @@ def test_parts_of_a_run_are_kept_one_after_the_other(dataset, results, tmp_path)
 @pytest.mark.parametrize(("further", "asked"), [(0, []), (1, ["oracle"])])
 def test_episodes_of_another_range_are_run_anew(dataset, results, tmp_path, further, asked):
     path = tmp_path / "episodes.csv"
-    # Of rules that have no expanding range, whatever a start asks for.
-    write_episodes(path, [result._replace(expanding_range=None) for result in results])
-    starts = [start._replace(sensing_range=results[0].range + further, expanding_range=4) for start in STARTS]
+    write_episodes(path, results)
+    starts = [start._replace(sensing_range=results[0].range + further) for start in STARTS]
     runner = Interrupted(dataset)
     EpisodeTable(path).run(runner, starts, ["oracle"])
     assert runner.asked == asked
+
+
+def test_episodes_of_another_range_than_the_settings_own_are_run_anew(dataset, results, tmp_path):
+    path = tmp_path / "episodes.csv"
+    write_episodes(path, [result._replace(range=5, expanding_range=5) for result in results])
+    runner = Interrupted(dataset)
+    EpisodeTable(path).run(runner, STARTS, ["oracle"])
+    assert runner.asked == ["oracle"]
 
 
 def test_episodes_of_other_starts_are_run_anew(dataset, results, tmp_path):

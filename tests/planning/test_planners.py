@@ -24,6 +24,7 @@ from dc2g_jax.rollout import Episodes, rollout
 from tests import maps
 from tests.oracles import gridworld_oracle as oracle
 from tests.planning.test_frontiers import belief_of, random_moment
+from tests.refusals import refusal
 
 SENSING, EXPANDING = 4, 3
 RULES = {"reference": reference_rules(SENSING, EXPANDING), "complete": complete_rules(SENSING)}
@@ -326,7 +327,8 @@ def test_named_settings():
     assert (published.rules(6).sensing, published.rules(6).expanding_range) == (field_of_view(6), 6)
     assert (published.rules(None, 3).sensing, published.rules(None, 3).expanding_range) == (field_of_view(5), 3)
     assert (reference.rules(5, 4).sensing, reference.rules(5, 4).expanding_range) == (field_of_view(5), 4)
-    assert paper.rules(6, 4) is complete_rules(6)
+    assert paper.rules(6) is complete_rules(6)
+    refusal(lambda: paper.rules(6, 4), "expanding range 4", "'paper'", "leave expanding_range out")
 
 
 def test_equal_rules_are_one_value():
