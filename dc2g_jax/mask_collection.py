@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Int8, UInt32
 
 from dc2g_jax.datasets.masks import Moments, moments_along
+from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import ExactCostToGo
 from dc2g_jax.grid.sensing import Kernel
 from dc2g_jax.grid.world import World
@@ -117,5 +118,14 @@ def collect_masks(
 
 
 def concatenate_masks(parts: Sequence[Masks]) -> Masks:
-    """One collection out of several."""
+    """One collection out of several.
+
+    Raises:
+      InputError: if there is no mask in any of them.
+    """
+    if not any(len(part.world) for part in parts):
+        raise InputError(
+            "no mask: wherever a robot starts in these houses, it sees a front door at once, so there is nothing to "
+            "learn; give larger houses, or robots that see less far"
+        )
     return Masks(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))

@@ -24,6 +24,7 @@ from dc2g_jax.estimation.padding import OUTSIDE, PaddedNetwork
 from dc2g_jax.evaluation import NETWORK_PLANNERS, make_planner
 from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.poses import HEADINGS, Pose
+from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE, UNKNOWN
 from dc2g_jax.grid.world import World, world_from_terrain
 from dc2g_jax.gridworld import belief_from_map
@@ -121,14 +122,15 @@ class OnlinePlanner:
     the robot, wherever it gets to, observes what its field of view covers there; cells that its sensor cannot make out
     are to be marked `nothing`.
 
-    A program is compiled for each of a few sizes of grid when the planner is made, which takes some seconds each. No
-    call compiles anything after that, and the decision does not depend on the grid that the map is laid into. An
-    estimator other than a `NetworkCostToGo` is asked about grids of exactly the map's size: each new size compiles.
+    A program is compiled for each of a few sizes of grid when the planner is made, which takes some seconds each, and
+    longer the farther the robot sees. No call compiles anything after that, and the decision does not depend on the
+    grid that the map is laid into. An estimator other than a `NetworkCostToGo` is asked about grids of exactly the
+    map's size: each new size compiles.
 
     Args:
       estimator: the trained network, or any other estimator; `None` for frontier exploration.
       planner: one of `PLANNERS`; where `None`, `dc2g`, or `frontier` without an estimator.
-      sensing_range: reach of the robot's 90-degree field of view, in cells.
+      sensing_range: reach of the robot's 90-degree field of view, in cells, 1 to 64.
       largest: rows and columns of the largest map to come.
       open_ended: does the world go on beyond the map's edges? Then the robot explores across them too. Otherwise the
         map's size is the world's, and beyond it there is nothing to observe.
@@ -150,6 +152,8 @@ class OnlinePlanner:
         (reach,) = _whole_numbers("sensing_range", [sensing_range], 1)
         if min(rows, columns, reach) < 1:
             raise InputError(f"largest {rows} x {columns}, sensing_range {reach}: give whole numbers of at least 1")
+        if reach > MAX_SENSING_RANGE:
+            raise InputError(f"sensing_range {reach}: give one of at most {MAX_SENSING_RANGE}")
         self._planner = _make_planner(planner, complete_rules(reach), estimator)
         self._largest = rows, columns
         self._margin = max(_OPEN_MARGIN, reach) if open_ended else 0

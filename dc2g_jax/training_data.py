@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, UInt8
 
-from dc2g_jax.datasets.houses import House, HouseDataset, stack_worlds
+from dc2g_jax.datasets.houses import SPLIT_FILES, House, HouseDataset, stack_worlds
 from dc2g_jax.datasets.pairs import Pair, TrainingSet, draw_pairs
 from dc2g_jax.datasets.procedural import extra_training_houses
 from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
@@ -20,6 +20,7 @@ from dc2g_jax.estimation.training import DrawBatch
 from dc2g_jax.evaluation import Runner, episodes_from, make_planner
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.sampling import sample_grid
+from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax.mapping.noise import IN_MAPS, noisy_map, scaled
 from dc2g_jax.mask_collection import LEADERS, Masks, collect_masks, concatenate_masks, leading_planners
 from dc2g_jax.planning.planners import Planner
@@ -73,8 +74,8 @@ class DataConfig:
     def __post_init__(self) -> None:
         if not 0 <= self.data_seed < _VALIDATION_SEED:
             raise InputError(f"data seed {self.data_seed}: give one from 0 to {_VALIDATION_SEED - 1}")
-        if not self.ranges or min(self.ranges) < 1:
-            raise InputError(f"sensing ranges {self.ranges}: give one at least, of at least one cell")
+        if not self.ranges or not 1 <= min(self.ranges) <= max(self.ranges) <= MAX_SENSING_RANGE:
+            raise InputError(f"sensing ranges {self.ranges}: give one at least, each of 1 to {MAX_SENSING_RANGE} cells")
         for name in ("starts_per_house", "starts_per_extra_house", "masks_per_episode"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} {getattr(self, name)}: give at least 1")
@@ -115,7 +116,13 @@ def usable(dataset: HouseDataset, split: str) -> list[House]:
     Raises:
       InputError: if there is none.
     """
-    houses = [house for house in dataset.split(split) if why_no_episode(house) is None]
+    given = dataset.split(split)
+    if not given:
+        raise InputError(
+            f"{dataset.name}: has no {split} houses, and training needs one at least; put maps into its folder "
+            f"{split}/, or in the published layout name houses in {SPLIT_FILES[split]}"
+        )
+    houses = [house for house in given if why_no_episode(house) is None]
     if not houses:
         raise InputError(f"{dataset.name}: no episode can be run in any {split} house; training needs one at least")
     return houses

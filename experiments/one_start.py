@@ -12,6 +12,7 @@ from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.evaluation import NETWORK_PLANNERS, EpisodeResult, Runner
+from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax.inspection.animation import animate
 from dc2g_jax.inspection.episode_figures import plot_episode, plot_trajectories
 from dc2g_jax.inspection.recording import Episode, record_frames
@@ -20,9 +21,6 @@ from dc2g_jax.planning.planners import GAVE_UP, MODE_NAMES
 from dc2g_jax.planning.rules import SETTINGS
 from experiments.common import open_network
 from experiments.episodes import EpisodeProgress, EpisodeTable
-
-#: Sensing ranges that can be asked for, in cells.
-_RANGES = (1, 64)
 
 #: Bytes that the replay of an episode takes for a cell and a step, and the most that all replays may take.
 _REPLAY_BYTES, _MOST_BYTES = 45, 6e9
@@ -71,9 +69,8 @@ def make_request(
 
 def require_sensing_range(cells: int) -> int:
     """Refuse a sensing range that no kernel has."""
-    low, high = _RANGES
-    if not low <= cells <= high:
-        raise InputError(f"--sensing-range {cells}: give {low} to {high} cells")
+    if not 1 <= cells <= MAX_SENSING_RANGE:
+        raise InputError(f"--sensing-range {cells}: give 1 to {MAX_SENSING_RANGE} cells")
     return cells
 
 

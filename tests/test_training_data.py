@@ -6,9 +6,10 @@ import pytest
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import world_cost_to_go
+from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.mask_collection import Masks
-from dc2g_jax.training_data import DataConfig, check_masks, training_houses, training_set, usable
+from dc2g_jax.training_data import DataConfig, check_masks, observation_masks, training_houses, training_set, usable
 from tests.refusals import refusal
 
 
@@ -28,6 +29,7 @@ def houses(street) -> list[House]:
         ({"data_seed": 10_000}, "10000; give|data seed 10000"),
         ({"ranges": ()}, "sensing ranges"),
         ({"ranges": (0, 5)}, "sensing ranges"),
+        ({"ranges": (5, 65)}, "1 to 64 cells"),
         ({"masks_per_episode": 0}, "masks_per_episode 0"),
         ({"extra_houses": -1}, "extra houses -1"),
         ({"half_weight_cost": 0.0}, "half_weight_cost 0.0"),
@@ -39,9 +41,16 @@ def test_data_that_cannot_be_made_is_refused(options, mention):
 
 
 @pytest.mark.parametrize("split", ["train", "val"])
-def test_an_empty_split_is_refused_by_name(split):
-    with pytest.raises(InputError, match=f"empty: .*any {split} house"):
-        usable(HouseDataset(name="empty", source="folder", houses=()), split)
+def test_an_empty_split_is_refused_by_name(split, street):
+    refusal(lambda: usable(HouseDataset("mine", "folder", ()), split), f"mine: has no {split} houses", f"{split}/")
+    doorless = House("shut", split, np.where(street == FRONT_DOOR, GRASS, street))
+    refusal(lambda: usable(HouseDataset("mine", "folder", (doorless,)), split), f"any {split} house")
+
+
+def test_houses_in_which_nothing_is_to_be_looked_for_are_refused():
+    tiny = House("tiny", "train", np.pad(np.full((1, 1), ROAD, np.uint8), 1, constant_values=FRONT_DOOR))
+    config = DataConfig(extra_houses=0, starts_per_house=1, ranges=(12,))
+    refusal(lambda: observation_masks(config, [tiny], 1, lambda done, total: None), "no mask", "larger houses")
 
 
 def test_houses_that_drawn_ones_cannot_stand_beside_are_refused(street):

@@ -69,6 +69,8 @@ class OccupancyMap:
         east, north, yaw = x - self.origin[0], y - self.origin[1], self.origin[2]
         right = (east * math.cos(yaw) + north * math.sin(yaw)) / self.resolution
         up = (north * math.cos(yaw) - east * math.sin(yaw)) / self.resolution
+        if not (math.isfinite(right) and math.isfinite(up)):  # so far off that no number says where
+            return -1, -1
         return math.floor(right * columns / width), rows - 1 - math.floor(up * rows / height)
 
 
@@ -136,6 +138,8 @@ def _read_facts(path: Path) -> dict[str, Any]:
         where = f" line {mark.line + 1}" if mark else ""
         problem = " ".join(str(getattr(error, "problem", None) or "no YAML").split())
         raise InputError(f"{path}:{where} is not YAML ({problem}); repair the file") from None
+    except (ValueError, RecursionError) as error:  # a date that is none; brackets without end
+        raise InputError(f"{path}: is not YAML ({' '.join(str(error).split())}); repair the file") from None
     if not isinstance(facts, dict):
         raise InputError(f"{path}: holds no keys and values; a ROS map needs {', '.join(_REQUIRED)}")
     missing = [key for key in _REQUIRED if facts.get(key) is None]

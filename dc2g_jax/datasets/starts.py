@@ -16,6 +16,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.files.tables import read_table
 from dc2g_jax.grid.ground import connected_to_goal, why_no_way
 from dc2g_jax.grid.poses import HEADINGS
+from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax.grid.terrain import FRONT_DOOR, ROAD
 from dc2g_jax.shipped import shipped
 
@@ -116,8 +117,8 @@ def sample_starts(houses: Iterable[House], per_house: int, *, seed: int) -> list
 
 _REQUIRED = ("house", "x", "y", "heading")
 _OPTIONAL = ("range", "expanding_range")
-# Kernels of the authors' code need two cells; their size grows with the square of the range.
-_MIN_RANGE, _MAX_RANGE = 2, 64
+# Kernels of the authors' code need two cells.
+_MIN_RANGE = 2
 
 
 def _whole_number(path: Path, line: int, row: dict[str, str], column: str, low: int, high: int | None) -> int:
@@ -150,7 +151,8 @@ def _read_start(path: Path, line: int, row: dict[str, str], dataset: HouseDatase
             "start on a traversable cell that is connected to one"
         )
     ranges = [
-        _whole_number(path, line, row, column, _MIN_RANGE, _MAX_RANGE) if row[column] else None for column in _OPTIONAL
+        _whole_number(path, line, row, column, _MIN_RANGE, MAX_SENSING_RANGE) if row[column] else None
+        for column in _OPTIONAL
     ]
     return Start(house.name, x, y, _whole_number(path, line, row, "heading", 0, HEADINGS - 1), *ranges)
 
@@ -162,9 +164,15 @@ def read_starts(path: str | Path, dataset: HouseDataset) -> list[Start]:
 
     Raises:
       InputError: for a file that cannot be read, a missing column, a bad number, an unknown house, or a start from
-        which no goal can be reached; names the line.
+        which no goal can be reached, naming the line; for a table of episodes of several planners.
     """
     path = Path(path)
     remedy = f"give a CSV file with columns {', '.join(_REQUIRED)}"
-    rows = read_table(path, _REQUIRED, optional=_OPTIONAL, remedy=remedy)
+    rows = read_table(path, _REQUIRED, optional=(*_OPTIONAL, "planner"), remedy=remedy)
+    planners = sorted({row["planner"] for _, row in rows})
+    if len(planners) > 1:
+        raise InputError(
+            f"{path}: holds episodes of {len(planners)} planners, {', '.join(planners)}, so each start more than once; "
+            "leave the lines of one"
+        )
     return [_read_start(path, line, row, dataset) for line, row in rows]

@@ -29,7 +29,7 @@ from dc2g_jax.datasets.starts import start_cells, why_no_episode
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.poses import ACTION_LETTERS, HEADINGS, Pose, moved
-from dc2g_jax.grid.sensing import Kernel, field_of_view
+from dc2g_jax.grid.sensing import MAX_SENSING_RANGE, Kernel, field_of_view
 from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.grid.world import World, unpack_classes
 from dc2g_jax.gridworld import Belief
@@ -45,7 +45,7 @@ STEP_REWARD = -1.0
 SENSING_RANGE = 8
 
 # A field of view grows with the square of its range; steps are counted in 32 bits.
-_MAX_SENSING_RANGE, _MAX_STEP_LIMIT = 64, 2**31 - 1
+_MAX_STEP_LIMIT = 2**31 - 1
 
 
 @struct.dataclass
@@ -208,7 +208,7 @@ def front_door(
         start_count=jnp.asarray(counts, jnp.int32),
         step_limit=jnp.int32(whole_number("step_limit", step_limit, 1, _MAX_STEP_LIMIT)),
     )
-    sensing = field_of_view(whole_number("sensing_range", sensing_range, 1, _MAX_SENSING_RANGE))
+    sensing = field_of_view(whole_number("sensing_range", sensing_range, 1, MAX_SENSING_RANGE))
     return FrontDoor(sensing), params
 
 

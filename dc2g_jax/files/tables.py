@@ -26,8 +26,8 @@ def read_table(
         One `(line number, {column: value})` for each row, in file order; at least one.
 
     Raises:
-        InputError: the file is missing, unreadable, not UTF-8, without one of the columns, without a
-            value in one of them, or without rows.
+        InputError: the file is missing, unreadable, not UTF-8, without one of the columns or
+            with one twice, without a value in one of them, or without rows.
     """
     text = _read_text(path, remedy)
     reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True)
@@ -40,7 +40,7 @@ def read_table(
                 continue
             if header is None:
                 header = cells
-                _check_header(path, header, columns)
+                _check_header(path, header, columns, optional)
             else:
                 values = _pick(path, reader.line_num, header, cells, columns)
                 given = dict(zip(header, cells, strict=False))
@@ -81,13 +81,16 @@ def _read_text(path: Path, remedy: str) -> str:
         raise InputError(f"{path}: byte 0x{byte:02x} at offset {error.start} is not UTF-8 text; {remedy}") from None
 
 
-def _check_header(path: Path, header: list[str], columns: Sequence[str]) -> None:
+def _check_header(path: Path, header: list[str], columns: Sequence[str], optional: Sequence[str]) -> None:
     missing = [column for column in columns if column not in header]
     if missing:
         raise InputError(
             f"{path}: the header {','.join(header)!r} lacks the column {', '.join(map(repr, missing))}; "
             f"the first line must name {','.join(columns)}"
         )
+    for column in (*columns, *optional):
+        if header.count(column) > 1:
+            raise InputError(f"{path}: the header {','.join(header)!r} names {column!r} twice; leave one of them")
 
 
 def _pick(path: Path, line: int, header: list[str], cells: list[str], columns: Sequence[str]) -> dict[str, str]:

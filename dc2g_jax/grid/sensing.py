@@ -17,6 +17,9 @@ from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.bitboard import WORD_BITS, Board
 from dc2g_jax.grid.poses import FORWARD, HEADINGS, Pose, PoseSet
 
+#: Farthest reach of a field of view that can be asked for, in cells: kernels grow with its square.
+MAX_SENSING_RANGE = 64
+
 
 @dataclasses.dataclass(frozen=True)
 class Kernel:

@@ -345,6 +345,7 @@ def test_a_class_the_package_does_not_know_is_refused_where_it_is_drawn(folder):
     [
         ("", ["is empty", "class,r,g,b"]),
         ("class,r,g,b\n", ["no rows", "class,r,g,b"]),
+        ("class,r,g,b,r\nroad,1,2,3,4\n", ["names 'r' twice", "leave one"]),
         ("class,r,g\nroad,1,2\n", ["lacks the column 'b'", "class,r,g,b"]),
         ("road,1,2,3\n", ["'class'", "class,r,g,b"]),
         ("class,r,g,b\nroad,1,x,3\n", ["line 2", "'x'", "'g'", "'road'", "0 to 255"]),

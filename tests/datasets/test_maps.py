@@ -181,6 +181,10 @@ def test_files_that_are_no_maps(tmp_path, palette, yard):
     refusal(lambda: read_map(tmp_path / "cut.npy"), tmp_path / "cut.npy", "no plain array", "numpy.save")
     np.save(tmp_path / "b.npy", np.array([None]), allow_pickle=True)
     refusal(lambda: read_map(tmp_path / "b.npy"), tmp_path / "b.npy", "no plain array", "numpy.save")
+    whole = (tmp_path / "a.npy").read_bytes()
+    for name, damaged in (("open", whole.replace(b"}", b"(", 1)), ("word", whole.replace(b"False", b"F lse", 1))):
+        (tmp_path / f"{name}.npy").write_bytes(damaged)
+        refusal(lambda name=name: read_map(tmp_path / f"{name}.npy"), tmp_path / f"{name}.npy", "no plain array")
     (tmp_path / "empty.npy").touch()
     refusal(lambda: read_map(tmp_path / "empty.npy"), tmp_path / "empty.npy", "no plain array")
     (tmp_path / "archive.npy").write_bytes(b"PK\x03\x04nothing else")

@@ -93,6 +93,10 @@ def test_goals_in_metres_and_in_cells(tmp_path):
     coarse = read_map(path, goals=[Goal(1.99, 1.49, "metres")], cells=(6, 4))
     assert np.argwhere(coarse == FRONT_DOOR).tolist() == [[0, 5]]
     refusal(
+        lambda: read_map(path, goals=[Goal(1e308, -1e308, "metres")]),
+        "in metres lies at column -1, row -1, off",
+    )
+    refusal(
         lambda: read_map(path, goals=[Goal(-1.01, 0, "metres")]),
         path, "goal (-1.01, 0) in metres lies at column -1", "off the map of 60 x 40 cells",
     )  # fmt: skip
@@ -139,6 +143,8 @@ def test_bad_facts(tmp_path, facts, mentions):
         (b"image: [lab\nresolution: 1\n", ["line 2", "is not YAML", "repair"]),
         (b"image: \xff\n", ["offset 7", "not UTF-8"]),
         (b"image: \x00\n", ["is not YAML", "repair"]),
+        (b"image: 2026-13-45\n", ["is not YAML", "month", "repair"]),
+        (b"image: " + b"[" * 5000, ["is not YAML", "recursion", "repair"]),
     ],
 )
 def test_files_that_are_no_yaml(tmp_path, text, mentions):

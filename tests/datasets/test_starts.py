@@ -175,6 +175,7 @@ def test_bad_lines_are_refused_by_file_line_and_value(tmp_path, dataset, line, m
         (b"house,x,y\nstreet,3,4\n", "heading"),
         (b"x,y,heading\n3,4,0\n", "house"),
         (HEADER.encode(), "no rows"),
+        (b"house,x,y,heading,planner\nstreet,3,4,0,oracle\nstreet,3,4,0,frontier\n", "2 planners, frontier, oracle"),
         (b"\x89PNG\r\n\x1a\n\xff\xfe", "UTF-8"),
     ],
 )
