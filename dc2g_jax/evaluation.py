@@ -4,6 +4,7 @@ import collections
 import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Literal, NamedTuple, get_args
 
 import jax.numpy as jnp
@@ -72,8 +73,16 @@ def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) ->
     if name in NETWORK_PLANNERS and estimator is not None:
         # Where costs have no scale, no distance can be added to them: the paper's rule.
         return NETWORK_PLANNERS[name](estimator, rules) if answers_in_cells(estimator) else DC2G(estimator, rules)
-    needing = " and ".join(NETWORK_PLANNERS)
-    raise ValueError(f"no planner {name!r} can be made; known: {', '.join(PLANNERS)} ({needing} need an estimator)")
+    if name in NETWORK_PLANNERS:
+        raise ValueError(f"the planner {name!r} needs an estimator, such as a trained network")
+    raise ValueError(
+        f"no planner is called {name!r}; known: {', '.join(PLANNERS)} (one of your own: give it to Runner.run as own)"
+    )
+
+
+#: Planners beside those of the package: name -> what makes one from the rules of an episode.
+OwnPlanners = Mapping[str, Callable[[Rules], Planner]]
+NO_PLANNERS: OwnPlanners = MappingProxyType({})
 
 
 class EpisodeResult(NamedTuple):
@@ -213,20 +222,26 @@ class Runner:
         return self._oracles[key]
 
     def run(
-        self, starts: Sequence[Start], planners: Iterable[str], estimator: Estimator | None = None
+        self,
+        starts: Sequence[Start],
+        planners: Iterable[str],
+        estimator: Estimator | None = None,
+        *,
+        own: OwnPlanners = NO_PLANNERS,
     ) -> list[EpisodeResult]:
         """Run planners by name from every start.
 
         Args:
           starts: first poses; each may ask for its own ranges.
-          planners: names out of `PLANNERS`.
+          planners: names out of `PLANNERS` and of `own`.
           estimator: the network of `dc2g`.
+          own: further planners, or others in the place of those, by name: each is made from the rules of an episode.
 
         Returns:
           Results, planner by planner in the order given, each in the order of the starts.
 
         Raises:
-          ValueError: for a start on a front door: there is nothing to look for.
+          ValueError: for a start on a front door: there is nothing to look for; for a planner of no known name.
           InputError: not even the oracle reaches a goal from a start within the step limit, or a start asks for an
             expanding range, and the settings know none.
         """
@@ -251,7 +266,8 @@ class Runner:
             for name in names:
                 done = oracle
                 if name != "oracle":
-                    done = self.trajectories(make_planner(name, rules, estimator), rules, chosen, name)
+                    planner = own[name](rules) if name in own else make_planner(name, rules, estimator)
+                    done = self.trajectories(planner, rules, chosen, name)
                 for row, number in enumerate(numbers):
                     results[name, number] = _result(chosen[row], rules, name, done, row, int(oracle.steps[row]))
         return [results[name, number] for name in names for number in range(len(starts))]

@@ -9,8 +9,9 @@ import tyro
 from tqdm import tqdm
 
 from dc2g_jax.datasets.houses import group_of, open_dataset
+from dc2g_jax.datasets.starts import published_episodes
 from dc2g_jax.errors import InputError
-from dc2g_jax.evaluation import PlannerName
+from dc2g_jax.evaluation import EpisodeResult, PlannerName
 from dc2g_jax.inspection.episode_figures import plot_trajectories
 from dc2g_jax.inspection.figures import plot_house_strips
 from experiments.common import DatasetOption, OutOption, command_line
@@ -21,6 +22,8 @@ from experiments.outputs import output_folder
 @dataclasses.dataclass(frozen=True)
 class Options:
     """Draw episodes from an `episodes.csv`: extra steps house by house, and the ways of planners on the map.
+
+    Episodes of other sensing ranges have a figure of their own.
 
     Attributes:
       episodes: the `episodes.csv` of an earlier run.
@@ -43,12 +46,21 @@ def main(options: Options) -> None:
     results = [result for result in read_episodes(options.episodes) if result.planner in options.planner]
     if not results:
         raise InputError(f"{options.episodes}: has no episode of {' or '.join(options.planner)}; give other --planner")
-    group_by_house = {house: group_of(dataset.house(house)) or "test" for house in {one.house for one in results}}
+    published = {one.start.house: one.group for one in published_episodes()} if dataset.source == "published" else {}
+    group_by_house = {
+        house: published.get(house) or group_of(dataset.house(house)) or "test"
+        for house in {one.house for one in results}
+    }
     for name in options.house:
         if name not in group_by_house:
             raise InputError(f"{options.episodes}: has no episode in {name}; give another --house")
     out = output_folder(options, "draw_episodes")
-    plot_house_strips(out / "houses", results, group_by_house)
+    by_ranges: dict[str, list[EpisodeResult]] = {}
+    for one in results:
+        ranges = f"-r{one.range}" + (f"-e{one.expanding_range}" if one.expanding_range else "")
+        by_ranges.setdefault(ranges, []).append(one)
+    for ranges, some in by_ranges.items():
+        plot_house_strips(out / f"houses{ranges if len(by_ranges) > 1 else ''}", some, group_by_house)
     shown = [result for result in results if result.house in options.house]
     starts = {(one.house, one.x, one.y, one.heading, one.range): None for one in shown}
     for start in tqdm(starts, desc="drawing", unit="figure", file=sys.stderr):

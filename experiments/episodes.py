@@ -9,7 +9,7 @@ from tqdm import tqdm
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
-from dc2g_jax.evaluation import EpisodeResult, Runner, extra_steps
+from dc2g_jax.evaluation import NO_PLANNERS, EpisodeResult, OwnPlanners, Runner, extra_steps
 from dc2g_jax.files.tables import read_table, write_table
 from dc2g_jax.planning.rules import Rules
 
@@ -48,17 +48,23 @@ class EpisodeTable:
         self._done: list[EpisodeResult] = []
 
     def run(
-        self, runner: Runner, starts: Sequence[Start], planners: Sequence[str], estimator: Estimator | None = None
+        self,
+        runner: Runner,
+        starts: Sequence[Start],
+        planners: Sequence[str],
+        estimator: Estimator | None = None,
+        *,
+        own: OwnPlanners = NO_PLANNERS,
     ) -> list[EpisodeResult]:
         """What `Runner.run` gives, planner by planner, each kept as soon as it is done."""
         results: list[EpisodeResult] = []
         for planner in planners:
-            own = self._take_kept(runner, starts, planner)
-            if own is None:
-                own = runner.run(starts, [planner], estimator)
-                self._done += own
+            episodes = self._take_kept(runner, starts, planner)
+            if episodes is None:
+                episodes = runner.run(starts, [planner], estimator, own=own)
+                self._done += episodes
                 write_episodes(self._path, self._done)
-            results += own
+            results += episodes
         return results
 
     def _take_kept(self, runner: Runner, starts: Sequence[Start], planner: str) -> list[EpisodeResult] | None:

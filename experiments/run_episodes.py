@@ -67,7 +67,7 @@ def main(options: Options) -> None:
     digest = hashlib.sha256(options.starts.read_bytes()).hexdigest()
     out = output_folder(options, "run_episodes", inputs={"starts": digest, **digests(dataset, network=network)})
     results = EpisodeTable(out / "episodes.csv").run(runner, starts, options.planner, network)
-    print(f"{len(starts)} episodes in houses of {dataset.name}, settings {options.settings}")
+    print(f"houses of {dataset.name}, settings {options.settings}, episodes of each planner: {len(starts)}")
     for planner in options.planner:
         own = [result for result in results if result.planner == planner]
         summary = summarize([result.extra for result in own], [result.success for result in own])

@@ -5,8 +5,9 @@ the robot; everything else, the starts included, is the same.
 """
 
 import dataclasses
+import functools
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -21,7 +22,7 @@ from dc2g_jax.datasets.starts import Start, sample_starts
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, extent_of
 from dc2g_jax.estimation.extents import CroppedEstimator, Window, WindowedEstimator
-from dc2g_jax.evaluation import EpisodeResult, Runner, summarize
+from dc2g_jax.evaluation import Runner, make_planner, summarize
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.terrain import UNKNOWN
 from dc2g_jax.planning.rules import SETTINGS
@@ -95,27 +96,6 @@ def estimators_by_planner(network: Estimator, windows: Iterable[int]) -> dict[st
     return {"dc2g": network, "dc2g_crop": CroppedEstimator(network), **windowed}
 
 
-class ExtentRunner(Runner):
-    """Runs DC2G under several names, each with an estimator of its own; see `Runner` for what else it takes."""
-
-    def __init__(self, estimators: Mapping[str, Estimator], *arguments: Any, **options: Any):
-        super().__init__(*arguments, **options)
-        self._estimators = estimators
-
-    def run(
-        self, starts: Sequence[Start], planners: Iterable[str], estimator: Estimator | None = None
-    ) -> list[EpisodeResult]:
-        """See `Runner.run`; `estimator` is that of planners that have none of their own."""
-        results = []
-        for planner in planners:
-            if planner in self._estimators:
-                own = super().run(starts, ["dc2g"], self._estimators[planner])
-                results += [result._replace(planner=planner) for result in own]
-            else:
-                results += super().run(starts, [planner], estimator)
-        return results
-
-
 def open_ended(worlds: Worlds) -> Worlds:
     """The same houses and starts in larger maps, in which nothing comes to light around the house."""
     houses = [
@@ -186,20 +166,19 @@ def main(options: Options) -> None:
     worlds = all_worlds(options, dataset)
     out = output_folder(options, "unknown_dimensions", inputs=digests(dataset, network=network))
     table, planners = EpisodeTable(out / "episodes.csv"), ("frontier", *estimators)
+    own = {name: functools.partial(make_planner, "dc2g", estimator=one) for name, one in estimators.items()}
     facts: dict[str, dict[str, Any]] = {}
     for name, (houses, starts) in worlds.items():
         maps = HouseDataset(name, "folder", tuple(houses))
-        runner = ExtentRunner(
-            estimators, maps, SETTINGS["paper"], step_limit=options.step_limit, progress=EpisodeProgress()
-        )
-        results = table.run(runner, starts, planners)
+        runner = Runner(maps, SETTINGS["paper"], step_limit=options.step_limit, progress=EpisodeProgress())
+        results = table.run(runner, starts, planners, own=own)
         rows, columns = houses[0].terrain.shape
         print(f"\n{name}: {len(starts)} episodes in {len(houses)} maps of {columns} x {rows} cells, {options.split}")
         taken = milliseconds(estimators, houses[0])
         facts[name] = {}
         for planner in planners:
-            own = [result for result in results if result.planner == planner]
-            summary = summarize([result.extra for result in own], [result.success for result in own])
+            these = [result for result in results if result.planner == planner]
+            summary = summarize([result.extra for result in these], [result.success for result in these])
             facts[name][planner] = {**summary._asdict(), "milliseconds": taken.get(planner)}
             estimate = f", an estimate {taken[planner]} ms" if planner in taken else ""
             print(

@@ -85,6 +85,15 @@ def test_progress_names_the_planner(dataset):
     assert reports[-1] == ("oracle", 2, 2)
 
 
+def test_planners_of_ones_own_are_run_beside_the_others(dataset):
+    runner = Runner(dataset, SETTINGS["reference"])
+    results = runner.run(STARTS, ["mine", "frontier"], own={"mine": Frontier})
+    assert [result._replace(planner="frontier") for result in results[: len(STARTS)]] == results[len(STARTS) :]
+    assert {result.planner for result in results[: len(STARTS)]} == {"mine"}
+    with pytest.raises(ValueError, match=r"no planner is called 'mine'; known: oracle, .*Runner\.run"):
+        runner.run(STARTS, ["mine"])
+
+
 def test_no_starts_no_results(dataset):
     assert Runner(dataset, SETTINGS["paper"]).run([], ["frontier"]) == []
     assert len(episodes_from([], {})) == 0
@@ -123,9 +132,11 @@ def test_a_step_limit_that_not_even_the_oracle_keeps_is_refused(dataset):
     refusal(lambda: runner.run(STARTS[1:3], ["frontier"]), STARTS[1].house, "within 2 actions", "larger step limit")
 
 
-@pytest.mark.parametrize("name", ["", "Oracle", "dc2g", "random"])
-def test_planners_that_cannot_be_made(name):
-    with pytest.raises(ValueError, match="true_cost_to_go") as caught:
+@pytest.mark.parametrize(
+    ("name", "words"), [("", "true_cost_to_go"), ("Oracle", "known: oracle"), ("dc2g", "needs an estimator")]
+)
+def test_planners_that_cannot_be_made(name, words):
+    with pytest.raises(ValueError, match=words) as caught:
         make_planner(name, RULES)
     assert repr(name) in str(caught.value)
 

@@ -92,9 +92,12 @@ _TITLES = {
 
 
 def _compared(planners: Iterable[str]) -> list[str]:
-    """The planners that are compared with the oracle, in the order of their styles."""
-    present = set(planners) - {"oracle"}
-    return [planner for planner in PLANNER_STYLES if planner in present]
+    """The planners that are compared with the oracle, in the order of their styles, others last."""
+    present = dict.fromkeys(planner for planner in planners if planner != "oracle")
+    return [
+        *(name for name in PLANNER_STYLES if name in present),
+        *(name for name in present if name not in PLANNER_STYLES),
+    ]
 
 
 def _bars(axes: Axes, table: Table, groups: Sequence[str]) -> None:
@@ -102,7 +105,7 @@ def _bars(axes: Axes, table: Table, groups: Sequence[str]) -> None:
     planners = _compared(table)
     width = 0.92 / len(planners)
     for place, planner in enumerate(planners):
-        label, colour, hatch, _ = PLANNER_STYLES[planner]
+        label, colour, hatch, _ = planner_style(planner)
         x = np.arange(len(groups)) + (place - (len(planners) - 1) / 2) * width
         mean = [table[planner][group].mean_extra for group in groups]
         median = [table[planner][group].median_extra for group in groups]
@@ -140,19 +143,19 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = 160) -> list[Path]:
     return written
 
 
-def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], dataset: str) -> list[Path]:
+def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], caption: str) -> list[Path]:
     """Draw the bars of Fig. 7: mean extra steps beyond the oracle by planner and group, a panel for each setting.
 
     Args:
       path: where to write, without an ending.
       tables: setting -> planner -> group -> summary.
-      dataset: what the houses are, for the caption.
+      caption: what was run: houses, network.
 
     Returns:
       The files written: PNG and SVG.
     """
     panels = {settings: table for settings, table in tables.items() if table}
-    groups = {settings: list(table["frontier"]) for settings, table in panels.items()}
+    groups = {settings: list(next(iter(table.values()))) for settings, table in panels.items()}
     for names in groups.values():
         names.sort(key=_group_place)
     figure = Figure(figsize=(PAGE_WIDTH, 0.8 + 2.2 * len(panels)), layout="constrained")
@@ -165,7 +168,7 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], dataset: str
     for axes in all_axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
-    labels = [style.label for style in PLANNER_STYLES.values() if style.label in handles]
+    labels = [planner_style(name).label for name in _compared(name for table in panels.values() for name in table)]
     figure.legend(
         [handles[label] for label in labels],
         labels,
@@ -174,8 +177,12 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], dataset: str
         frameon=False,
         fontsize=7.5,
     )
-    figure.supxlabel(f"Bars: mean; black lines: median. Houses: {dataset}.", fontsize=7, color="#555555")
+    figure.supxlabel(f"Bars: mean; black lines: median. {caption}", fontsize=7, color="#555555")
     return save_figure(figure, path, dpi=300)
+
+
+#: What `_scale_extra_steps` does, for captions.
+_SCALE_NOTE = "logarithmic beyond 10 %"
 
 
 def _scale_extra_steps(axes: Axes, direction: str, ends: tuple[float, float]) -> None:
@@ -224,7 +231,9 @@ def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float
             side = "right" if place[0] > 0.5 else "left"
             axes.annotate(text, place, xycoords="axes fraction", ha=side, fontsize=8.5, color="#333333")
     figure.supylabel("extra steps, this package (%)", fontsize=9)
-    figure.supxlabel("extra steps, authors' network (%)      cross: means", fontsize=9)
+    figure.supxlabel(
+        f"extra steps, authors' network (%)\ncross: means; each against its own oracle; axes {_SCALE_NOTE}", fontsize=9
+    )
     return save_figure(figure, path, dpi=200)
 
 
@@ -329,7 +338,7 @@ def plot_house_strips(
         axes.set_axisbelow(True)
         for side in ("top", "right", "left"):
             axes.spines[side].set_visible(False)
-    figure.supxlabel("extra steps beyond the oracle (%); bars: means", fontsize=8.5)
+    figure.supxlabel(f"extra steps beyond the oracle (%), {_SCALE_NOTE}; bars: means", fontsize=8.5)
     handles = [
         Line2D([], [], linestyle="none", marker=style.marker, color=style.colour, markersize=5, label=style.label)
         for style in map(planner_style, planners)

@@ -21,11 +21,11 @@ class Interrupted(Runner):
         super().__init__(dataset, SETTINGS["reference"])
         self.at, self.asked = at, []
 
-    def run(self, starts, planners, estimator=None):
+    def run(self, starts, planners, estimator=None, **options):
         self.asked += planners
         if self.at in planners:
             raise KeyboardInterrupt
-        return super().run(starts, planners, estimator)
+        return super().run(starts, planners, estimator, **options)
 
 
 @pytest.fixture(scope="module")

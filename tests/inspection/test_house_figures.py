@@ -101,7 +101,8 @@ def test_figures_are_a_page_wide_and_their_text_has_7_points_or_more(monkeypatch
     drawn = []
     monkeypatch.setattr(figures, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
     groups = ("train", "urban", "all")
-    table = {planner: dict.fromkeys(groups, Summary(9.5, 7.0, 1.0, 12.0, 1.0, 30)) for planner in PLANNER_STYLES}
+    planners = (*PLANNER_STYLES, "mine")
+    table = {planner: dict.fromkeys(groups, Summary(9.5, 7.0, 1.0, 12.0, 1.0, 30)) for planner in planners}
     figures.plot_extra_steps(tmp_path / "fig7", {"published": table, "paper": table}, "toy")
     figures.plot_head_to_head(tmp_path / "pairs", {group: [(3.0, 1.0), (0.0, 250.0)] for group in groups})
     names = {f"n{number:03}": "test" for number in range(25)}
@@ -114,5 +115,5 @@ def test_figures_are_a_page_wide_and_their_text_has_7_points_or_more(monkeypatch
         assert min(text.get_fontsize() for text in written) >= 7
     # Bars are told apart without their colours, too.
     fills = [(patch.get_hatch(), patch.get_facecolor()) for patch in drawn[0].legends[0].get_patches()]
-    assert len(set(fills)) == len(PLANNER_STYLES) - 1
-    assert [hatch for hatch, _ in fills].count("") == 2
+    assert len(set(fills)) == len(planners) - 1
+    assert [hatch for hatch, _ in fills].count("") == 3

@@ -445,7 +445,7 @@ def test_episodes_that_do_not_belong_together_are_refused(results, tmp_path):
         record(result_by_planner={"a": frontier, "b": frontier._replace(x=2)})
     with pytest.raises(ValueError, match="sensing range 3 is not that of the rules, 8"):
         record(rules=SETTINGS["paper"].rules())
-    with pytest.raises(ValueError, match="dc2g_uncertain need an estimator"):
+    with pytest.raises(ValueError, match="'dc2g' needs an estimator"):
         record(result_by_planner={"dc2g": frontier._replace(planner="dc2g")})
     with pytest.raises(ValueError, match="do not end as the result says"):
         record(result_by_planner={"frontier": frontier._replace(actions=frontier.actions[:-1])})
