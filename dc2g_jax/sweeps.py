@@ -8,32 +8,8 @@ import jax
 import jax.numpy as jnp
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.losses import check_loss_names
+from dc2g_jax.estimation.losses import parse_losses
 from dc2g_jax.estimation.training import Hyperparameters, TrainingConfig
-
-Losses = tuple[tuple[str, float], ...]
-
-
-def parse_losses(text: str) -> Losses:
-    """Losses and their weights from text such as `l1` or `quantile=1,log=0.5`.
-
-    Raises:
-      InputError: for a loss that is not known, twice the same, or a weight that is no number above 0.
-    """
-    losses = []
-    for part in text.split(","):
-        name, _, weight = part.strip().partition("=")
-        try:
-            value = float(weight) if weight else 1.0
-        except ValueError:
-            value = -1.0
-        check_loss_names([name])
-        if not 0 < value < float("inf"):
-            raise InputError(f"loss {text!r}: the weight of {name} is {weight!r}; give a number above 0")
-        losses.append((name, value))
-    if len(dict(losses)) < len(losses):
-        raise InputError(f"loss {text!r}: names a loss twice; give each once")
-    return tuple(losses)
 
 
 def runs_of_grid(
@@ -48,7 +24,7 @@ def runs_of_grid(
 
     Args:
       base: everything else.
-      losses: see `parse_losses`.
+      losses: see `dc2g_jax.estimation.losses.parse_losses`.
       learning_rates: peak learning rates.
       widths: channels of the network at its scales.
       seeds: of weights and batches.

@@ -49,12 +49,12 @@ class Options:
       data: houses and masks.
       losses: losses to try: quantile, l1, l2, huber, log, or weighted sums of them such as quantile=1,log=0.5.
       learning_rates: peak learning rates to try.
-      widths: channels of the network at its four scales to try, such as 16,32,64,128.
+      widths: networks to try, each as its channels at four scales: 16,32,64,128 8,16,32,64 are two.
       seeds: seeds to try.
       steps: optimiser steps of each run.
       batch_size: pairs a step of each run.
       validate_every: steps between validations on pairs; the last step is one too. 0 for the last only.
-      episodes: the planner is run in validation houses with every network in the end; `--no-episodes` leaves that out.
+      episodes: with `--no-episodes`, the planner is not run in validation houses with every network in the end.
       minutes_per_checkpoint: how often to save, in minutes.
       resume: go on with the run in `out`, begun with the same options, where it stopped.
     """
@@ -69,7 +69,7 @@ class Options:
     steps: int = 2000
     batch_size: int = TrainingConfig.batch_size
     validate_every: int = 200
-    episodes: bool = True
+    episodes: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
     minutes_per_checkpoint: float = 5.0
     resume: bool = False
 
@@ -179,6 +179,21 @@ def diverged(validations: Iterable[Mapping[str, Any]]) -> bool:
     return not all(line["loss"] is None or np.isfinite(line["loss"]) for line in validations)
 
 
+def loss_name(config: TrainingConfig) -> str:
+    """The losses of a run and their weights, where there is more than one or it is not 1."""
+    return " + ".join(name if weight == 1 else f"{weight:g} {name}" for name, weight in config.losses)
+
+
+def kind_of(options: Options, config: TrainingConfig) -> str:
+    """What distinguishes a run from those of the sweep that differ from it in more than the seed."""
+    parts = [loss_name(config)]
+    if len(options.learning_rates) > 1:
+        parts.append(f"rate {config.learning_rate:g}")
+    if len(options.widths) > 1:
+        parts.append(f"widths {'-'.join(map(str, config.architecture.widths))}")
+    return ", ".join(parts)
+
+
 def write_results(
     out: Path,
     runs: Mapping[str, TrainingConfig],
@@ -196,7 +211,7 @@ def write_results(
         rows.append(
             {
                 "run": run,
-                "loss": "+".join(f"{weight:g} {name}" for name, weight in config.losses),
+                "loss": loss_name(config),
                 "learning_rate": config.learning_rate,
                 "widths": "-".join(map(str, config.architecture.widths)),
                 "million_multiply_accumulates": round(1e-6 * macs[config.architecture], 2),
@@ -241,22 +256,25 @@ def main(options: Options) -> None:
     validation = Validation(dataset, drawn=16) if options.episodes else None
     data = open_training_set(options.out, dataset, options.data)
     log = Log(options.out)
-    print(f"{len(runs)} runs in {len(groups)} programs")
+    print(f"runs: {len(runs)}; programs that train them: {len(groups)}")
     networks: dict[str, NetworkCostToGo] = {}
     for group in groups:
         networks |= train_group(options, group, data, pairs, log, facts)
     episodes = run_episodes(validation, networks, options.out / "episodes.json") if validation else {}
     height, width = data.terrain.shape[1:]
     rows = write_results(options.out, runs, log, episodes, (height, width))
-    by_loss: dict[str, list[dict[int, float]]] = {}
-    for run in runs:
-        errors = {step: line["error"] for step, line in log.by_step(run).items()}
-        by_loss.setdefault(run.rsplit("_seed", 1)[0], []).append(errors)
-    plot_sweep(options.out / "sweep", by_loss, f"{dataset.name}, {_PAIRS} validation pairs")
+    errors: dict[str, list[dict[int, float]]] = {}
+    extra: dict[str, list[float]] = {}
+    for run, config in runs.items():
+        kind = kind_of(options, config)
+        errors.setdefault(kind, []).append({step: line["error"] for step, line in log.by_step(run).items()})
+        if run in episodes:
+            extra.setdefault(kind, []).append(episodes[run]["mean_extra"])
+    plot_sweep(options.out / "sweep", errors, extra, f"{dataset.name}; errors on {_PAIRS} validation pairs")
     for row in rows:
-        extra = f"   extra steps {row['mean_extra']:.1f} %" if "mean_extra" in row else ""
+        steps = f"   extra steps {row['mean_extra']:.1f} %" if "mean_extra" in row else ""
         warning = "   diverged: its loss is not finite" if row["diverged"] else ""
-        print(f"{row['run']:60} error {row['error']:.2f} cells{extra}{warning}")
+        print(f"{row['run']:60} error {row['error']:.2f} cells{steps}{warning}")
     print(f"Written: {options.out / 'results.csv'}")
 
 

@@ -20,7 +20,7 @@ from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, load_network, save_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.losses import check_loss_names
+from dc2g_jax.estimation.losses import parse_losses
 from dc2g_jax.estimation.networks import Architecture
 from dc2g_jax.estimation.training import TrainingConfig, TrainingState, first_state, train_step
 from dc2g_jax.inspection.columns import viewer_sink
@@ -45,8 +45,8 @@ class Options:
       data: houses and masks.
       after: folder of a trained network to go on from: training begins with its weights, and masks of robots that it
         leads are added to the others (DAgger).
-      loss: name of the loss: quantile, l1, l2, huber or log.
-      widths: channels of the network at 1/2, 1/4, 1/8 and 1/16 of the map's resolution.
+      loss: quantile, l1, l2, huber or log, or a weighted sum of them such as quantile=1,log=0.5.
+      widths: channels of the network at 1/2, 1/4, 1/8 and 1/16 of the map's resolution, such as 16 32 64 128.
       quantiles: levels of the quantiles that the network answers with.
       steps: optimiser steps.
       batch_size: pairs a step.
@@ -84,7 +84,7 @@ class Options:
             architecture=Architecture(widths=self.widths, quantiles=self.quantiles),
             steps=self.steps,
             batch_size=self.batch_size,
-            losses=((self.loss, 1.0),),
+            losses=parse_losses(self.loss),
             learning_rate=self.learning_rate,
             seed=self.seed,
         )
@@ -204,7 +204,6 @@ def report(
 
 def main(options: Options) -> None:
     """Train, save and validate."""
-    check_loss_names([options.loss])
     config = options.training  # refused before anything is written, as are all other options
     check_pauses(options.validate_every, options.minutes_per_checkpoint)
     network = None if options.after is None else compact_network(options.after, config.architecture)

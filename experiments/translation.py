@@ -3,7 +3,9 @@
 import dataclasses
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
+
+import tyro
 
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.datasets.image_pairs import ImageSet, draw_image_pairs
@@ -37,7 +39,7 @@ class TranslationOptions:
       validation_masks: observation masks of each validation house.
       whole_share: share of training pairs in which all of the map is observed. The paper does not say how many are;
         a network that is never shown a whole map draws one as badly as if it had learned nothing.
-      augment: maps are shifted, enlarged and mirrored at random, as pix2pix does; `--no-augment` leaves that out.
+      augment: maps are shifted, enlarged and mirrored at random, as pix2pix does; not with `--no-augment`.
       steps: optimiser steps.
       batch_size: pairs a step.
       learning_rate: of Adam.
@@ -52,7 +54,7 @@ class TranslationOptions:
     train_masks: int = 256
     validation_masks: int = 80
     whole_share: float = 0.0625
-    augment: bool = True
+    augment: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
     steps: int = TranslatorConfig.steps
     batch_size: int = TranslatorConfig.batch_size
     learning_rate: float = TranslatorConfig.learning_rate

@@ -11,11 +11,12 @@ import pytest
 from dc2g_jax.datasets.pairs import TrainingSet, draw_pairs
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import world_cost_to_go
+from dc2g_jax.estimation.losses import parse_losses
 from dc2g_jax.estimation.networks import Architecture
 from dc2g_jax.estimation.training import TrainingConfig, first_state, init_states, train_step, train_steps
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.sweeps import group_by_shape, parse_losses, runs_of_grid, stacked_hyperparameters
+from dc2g_jax.sweeps import group_by_shape, runs_of_grid, stacked_hyperparameters
 from tests import maps
 
 BASE = TrainingConfig(architecture=Architecture(widths=(4, 4, 4, 4), quantiles=(0.3, 0.7)), steps=20, batch_size=4)

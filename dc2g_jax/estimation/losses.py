@@ -79,6 +79,28 @@ def check_loss_names(names: Sequence[str]) -> None:
             raise InputError(f"loss {name!r} is not known; known losses: {', '.join(LOSSES)}")
 
 
+def parse_losses(text: str) -> tuple[tuple[str, float], ...]:
+    """Losses and their weights from text such as `l1` or `quantile=1,log=0.5`.
+
+    Raises:
+      InputError: for a loss that is not known, twice the same, or a weight that is no number above 0.
+    """
+    losses = []
+    for part in text.split(","):
+        name, _, weight = part.strip().partition("=")
+        try:
+            value = float(weight) if weight else 1.0
+        except ValueError:
+            value = -1.0
+        check_loss_names([name])
+        if not 0 < value < float("inf"):
+            raise InputError(f"loss {text!r}: the weight of {name} is {weight!r}; give a number above 0")
+        losses.append((name, value))
+    if len(dict(losses)) < len(losses):
+        raise InputError(f"loss {text!r}: names a loss twice; give each once")
+    return tuple(losses)
+
+
 def map_loss(
     loss: Loss,
     estimate: Float[Array, "h w quantiles"],

@@ -30,30 +30,46 @@ def draw_band(axes: Axes, steps: Int[np.ndarray, "n"], curves: Float[np.ndarray,
     axes.fill_between(steps, mean - deviation, mean + deviation, color=line.get_color(), alpha=0.17, linewidth=0)
 
 
-def plot_sweep(path: str | Path, runs: Mapping[str, Sequence[Mapping[int, float]]], caption: str) -> list[Path]:
-    """Draw validation errors over training steps: a curve for each kind of run, the mean over its seeds.
+def plot_sweep(
+    path: str | Path,
+    runs: Mapping[str, Sequence[Mapping[int, float]]],
+    extra: Mapping[str, Sequence[float]],
+    caption: str,
+) -> list[Path]:
+    """Draw a sweep: validation errors over training steps, and what the planner made of the networks.
 
-    Bands are one standard deviation over seeds.
+    A curve for each kind of run, the mean over its seeds, with a band of one standard deviation; beside them a point a
+    run, its extra steps, with the mean of each kind.
 
     Args:
       path: where to write, without an ending.
       runs: kind -> runs -> step -> error in cells; all runs of a kind were validated at the same steps.
+      extra: kind -> extra steps of each run in percent; empty where no episodes were run.
       caption: what was validated on what.
 
     Returns:
       The files written: PNG and SVG.
     """
-    figure = Figure(figsize=(PAGE_WIDTH, 4.4), layout="constrained")
-    axes = figure.subplots()
+    figure = Figure(figsize=(PAGE_WIDTH, 3.4 + 0.17 * len(runs)), layout="constrained")
+    errors, *planner = figure.subplots(1, 1 + bool(extra), squeeze=False, width_ratios=(1.5, 1)[: 1 + bool(extra)])[0]
     for number, (kind, logs) in enumerate(runs.items()):
-        place = number % len(_COLOURS)
-        style = {"color": _COLOURS[place], "marker": _MARKERS[place], "linestyle": _LINES[number % len(_LINES)]}
+        colour, marker = _COLOURS[number % len(_COLOURS)], _MARKERS[number % len(_MARKERS)]
         steps = np.array(sorted(logs[0]))
         curves = np.array([[log[step] for step in steps] for log in logs])
-        draw_band(axes, steps, curves, markersize=4, label=kind, **style)
-    axes.set_xlabel("training steps")
-    axes.set_ylabel("validation error (cells)")
-    plain_axes(axes)
-    axes.legend(frameon=False, fontsize=8)
+        style = {"color": colour, "marker": marker, "linestyle": _LINES[number % len(_LINES)]}
+        draw_band(errors, steps, curves, markersize=4, label=kind, **style)
+        for axes in planner if kind in extra else []:
+            axes.plot(extra[kind], [number] * len(extra[kind]), marker, color=colour, markersize=5, alpha=0.7)
+            axes.vlines(float(np.mean(extra[kind])), number - 0.35, number + 0.35, color=colour, linewidth=2)
+    errors.set_xlim(0, None)
+    errors.set_xlabel("training steps", fontsize=9)
+    errors.set_ylabel("validation error (cells)", fontsize=9)
+    for axes in planner:
+        axes.set_ylim(len(runs) - 0.4, -0.6)
+        axes.set_yticks([])
+        axes.set_xlabel("extra steps in validation houses (%)\nlines: means", fontsize=9)
+    for axes in (errors, *planner):
+        plain_axes(axes)
+    figure.legend(loc="outside upper left", ncols=2, frameon=False, fontsize=8)
     figure.supxlabel(caption, fontsize=8, color="#555555")
     return save_figure(figure, path)
