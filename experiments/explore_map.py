@@ -54,10 +54,9 @@ def main(options: Options) -> None:
     results = run_request(request, EpisodeTable(out / "episodes.csv"))
     draw_request(out, "episode", request, results, options.animation)
     tell_files(out)
-    print(
-        "One start says little: --seed gives another; reproduce_fig7 --settings paper --dataset FOLDER runs many. The "
-        "shipped network knows suburban houses on 50 x 50 cells; on other maps frontier exploration may be shorter."
-    )
+    print("One start says little: --seed gives another; reproduce_fig7 --settings paper --dataset FOLDER runs many.")
+    if options.network is None:
+        print("The shipped network knows suburban houses on 50 x 50 cells: elsewhere, frontier may be shorter.")
 
 
 if __name__ == "__main__":

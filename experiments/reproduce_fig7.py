@@ -271,7 +271,8 @@ def main(options: Options) -> None:
             PAPER_GROUPS,
         )
     write_tables(out, tables, entries)
-    plot_extra_steps(out / "fig7", tables, label)
+    whose = "" if options.network is None else f" Network: {options.network}."
+    plot_extra_steps(out / "fig7", tables, f"Houses: {label}.{whose}")
     for settings, part in results.items():
         compared = [result for result in part if result.planner in ("frontier", "dc2g")]
         groups = {episode.house: episode.group for episode in entries[settings]}

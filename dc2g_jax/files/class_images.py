@@ -25,7 +25,7 @@ _NO_ENTRY = 255
 _FOREIGN_CLASS = 254
 
 #: Colours that a message lists before it counts the others.
-_LISTED_COLORS = 8
+_LISTED_COLORS = 3
 
 
 @dataclass(frozen=True, eq=False)

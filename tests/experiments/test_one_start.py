@@ -166,6 +166,10 @@ def test_episodes_are_drawn_from_their_table(streets, tmp_path, capsys):
     draw(house=("near",), out=tmp_path / "out")
     written = {path.name for path in (tmp_path / "out").iterdir() if path.suffix == ".png"}
     assert written == {"houses.png", "near-x0-y1-h0-r8.png", "near-x0-y1-h3-r8.png"}
+    with table.open("a") as file:
+        file.write("near,0,1,0,5,4,frontier,1,5,5,0.0,to_goal,FFFLF\n")
+    draw(out=tmp_path / "two")
+    assert {path.name for path in (tmp_path / "two").glob("*.png")} == {"houses-r8.png", "houses-r5-e4.png"}
     refusal(lambda: draw(planner=("dc2g",)), "episodes.csv", "no episode of dc2g")
     refusal(lambda: draw(house=("far",)), "no episode in far")
 
