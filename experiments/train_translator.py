@@ -25,7 +25,7 @@ class Options:
       loss: mean absolute difference, a discriminator's doubt, or their sum weighted 100 to 1.
       seed: of weights, the order of the pairs and dropout.
       training: how it is trained.
-      resume: go on with the run in `out`, begun with the same options, where it stopped.
+      resume: go on with the run in `out`, begun with the same options, where it stopped; `steps` may have become more.
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
@@ -42,7 +42,7 @@ def main(options: Options) -> None:
     """Make the pairs, train."""
     config = options.training.config(options.loss)
     dataset = open_dataset(options.dataset, cells=None)
-    output_folder(options, "train_translator", free=("minutes_per_checkpoint",), inputs=digests(dataset))
+    output_folder(options, "train_translator", free=("minutes_per_checkpoint", "steps"), inputs=digests(dataset))
     data = translation_data(dataset, options.training)
     print(
         f"Training on {len(data.train.pair_house)} pairs of {len(data.train.terrain)} houses of {dataset.name}, "

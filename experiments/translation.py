@@ -12,6 +12,7 @@ from dc2g_jax.datasets.image_pairs import ImageSet, draw_image_pairs
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
 from dc2g_jax.estimation.estimators import TranslatorCostToGo
+from dc2g_jax.estimation.training import check_numbers
 from dc2g_jax.estimation.translator import TranslatorArchitecture
 from dc2g_jax.estimation.translator_training import (
     TranslatorConfig,
@@ -40,7 +41,7 @@ class TranslationOptions:
       whole_share: share of training pairs in which all of the map is observed. The paper does not say how many are;
         a network that is never shown a whole map draws one as badly as if it had learned nothing.
       augment: maps are shifted, enlarged and mirrored at random, as pix2pix does; not with `--no-augment`.
-      steps: optimiser steps.
+      steps: optimiser steps in all.
       batch_size: pairs a step.
       learning_rate: of Adam.
       size: rows and columns of the pictures; a power of two of at least 32.
@@ -55,7 +56,7 @@ class TranslationOptions:
     validation_masks: int = 80
     whole_share: float = 0.0625
     augment: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
-    steps: int = TranslatorConfig.steps
+    steps: int = 20_000
     batch_size: int = TranslatorConfig.batch_size
     learning_rate: float = TranslatorConfig.learning_rate
     size: int = TranslatorArchitecture.size
@@ -70,11 +71,12 @@ class TranslationOptions:
         Raises:
           InputError: for networks that cannot be built.
         """
+        check_numbers(self.learning_rate, steps=self.steps)
         check_pauses(self.validate_every, self.minutes_per_checkpoint)
         if not 0 <= self.whole_share <= 1:
             raise InputError(f"--whole-share {self.whole_share:g}: give a share from 0 to 1")
         architecture = TranslatorArchitecture(self.size, self.base_filters, self.compute_dtype)
-        return TranslatorConfig(architecture, loss, self.steps, self.batch_size, self.learning_rate)
+        return TranslatorConfig(architecture, loss, self.batch_size, self.learning_rate)
 
     def facts(self, dataset: HouseDataset, seed: int) -> dict[str, Any]:
         """What must be the same for a run to be resumed, beside the configuration."""
@@ -124,7 +126,11 @@ def train_translator(
 ) -> None:
     """Train a translator to the end, from where an earlier run in the same folder stopped; save at Ctrl-C.
 
-    Leaves `network/` and `log.jsonl` in the folder, with a line for every validation.
+    Leaves `network/` and `log.jsonl` in the folder, with a line for every validation. As the learning rate stays what
+    it is, a run that is at its end can go on to more steps.
+
+    Raises:
+      InputError: the folder holds a run of other options or of more steps, or the loss is no number.
     """
     first_state = partial(init_translator, seed=seed)
     checkpoints = TrainingCheckpoints(out, config, options.facts(dataset, seed), first_state=first_state)
@@ -146,10 +152,14 @@ def train_translator(
 
     try:
         state = checkpoints.restore() or first_state(config)
+        if int(state.step) > options.steps:
+            raise InputError(
+                f"{out}: has {state.step} steps behind it; give at least as many --steps, or another --out"
+            )
         run_steps(
             state,
             int(state.step),
-            config.steps,
+            options.steps,
             take_step=lambda state: translator_step(state, data.train, config=config, draw_batch=draw),
             look=difference,
             validate=validate,

@@ -17,15 +17,15 @@ from dc2g_jax.estimation.losses import LOSSES, map_loss
 from dc2g_jax.estimation.networks import Architecture
 
 
-def check_numbers(steps: int, batch_size: int, learning_rate: float) -> None:
+def check_numbers(learning_rate: float, **counts: int) -> None:
     """Refuse numbers that no training can have.
 
     Raises:
       InputError: names the number.
     """
-    for name, value in (("steps", steps), ("batch size", batch_size)):
-        if value < 1:
-            raise InputError(f"{name} {value}: give at least 1")
+    for name, count in counts.items():
+        if count < 1:
+            raise InputError(f"{name.replace('_', ' ')} {count}: give at least 1")
     if not 0 < learning_rate < float("inf"):
         raise InputError(f"learning rate {learning_rate}: give a number above 0")
 
@@ -58,7 +58,7 @@ class TrainingConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        check_numbers(self.steps, self.batch_size, self.learning_rate)
+        check_numbers(self.learning_rate, steps=self.steps, batch_size=self.batch_size)
         if not 0 <= self.seed < 2**32:
             raise InputError(f"seed {self.seed}: give a whole number from 0 to {2**32 - 1}")
 

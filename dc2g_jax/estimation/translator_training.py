@@ -43,7 +43,6 @@ class TranslatorConfig:
     Attributes:
       architecture: the networks.
       loss: one of `LOSSES`.
-      steps: optimiser steps in all.
       batch_size: pairs a step.
       learning_rate: of Adam, for both networks.
       beta1: of Adam.
@@ -54,7 +53,6 @@ class TranslatorConfig:
 
     architecture: TranslatorArchitecture = dataclasses.field(default_factory=TranslatorArchitecture)
     loss: str = "l1+gan"
-    steps: int = 20_000
     batch_size: int = 1
     learning_rate: float = 2e-4
     beta1: float = 0.5
@@ -62,7 +60,7 @@ class TranslatorConfig:
     def __post_init__(self) -> None:
         if self.loss not in LOSSES:
             raise InputError(f"loss: no loss is called {self.loss!r}; use one of: {', '.join(LOSSES)}")
-        check_numbers(self.steps, self.batch_size, self.learning_rate)
+        check_numbers(self.learning_rate, batch_size=self.batch_size)
 
 
 @struct.dataclass

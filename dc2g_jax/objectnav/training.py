@@ -98,7 +98,7 @@ class CostMapConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        check_numbers(self.steps, self.batch_size, self.recipe.peak)
+        check_numbers(self.recipe.peak, steps=self.steps, batch_size=self.batch_size)
 
 
 def optimizer(config: CostMapConfig) -> optax.GradientTransformation:

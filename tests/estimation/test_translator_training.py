@@ -27,8 +27,9 @@ from tests import maps
 from tests.states import assert_same_bits, infinite
 
 CONFIG = TranslatorConfig(
-    architecture=TranslatorArchitecture(size=32, base_filters=4), steps=30, batch_size=2, learning_rate=2e-3
+    architecture=TranslatorArchitecture(size=32, base_filters=4), batch_size=2, learning_rate=2e-3
 )
+STEPS = 30
 DRAW = functools.partial(draw_image_pairs, batch_size=CONFIG.batch_size, whole_share=0.1, augment=True)
 
 
@@ -51,13 +52,13 @@ def train(data, steps: int, state=None, config: TranslatorConfig = CONFIG):
 @pytest.fixture(scope="module")
 def trained(data):
     """A run without interruption."""
-    state, differences = train(data, CONFIG.steps)
+    state, differences = train(data, STEPS)
     return jax.tree.map(np.array, state), differences
 
 
 def test_an_interrupted_run_ends_like_one_that_was_not(data, trained, tmp_path):
     state, differences = None, []
-    for steps in (7, CONFIG.steps - 7):
+    for steps in (7, STEPS - 7):
         # A new process each time.
         checkpoints = TrainingCheckpoints(
             tmp_path / "run", CONFIG, first_state=functools.partial(init_translator, seed=0)

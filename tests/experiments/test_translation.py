@@ -77,6 +77,15 @@ def test_an_interrupted_run_goes_on_where_it_was(dataset, tmp_path, steps):
         train(tmp_path / "run", dataset, train_masks=4)
 
 
+def test_a_run_at_its_end_goes_on_to_more_steps(dataset, tmp_path, steps):
+    for count in (20, 40):
+        train(tmp_path / "run", dataset, steps=count)
+    assert steps[0] == list(range(40))
+    assert list(Log(tmp_path / "run").by_step()) == [10, 20, 30, 40]
+    with pytest.raises(InputError, match=r"run: has 40 steps behind it; give --steps as many or more"):
+        train(tmp_path / "run", dataset, steps=30)
+
+
 def test_a_run_that_diverges_stops_and_says_so(dataset, tmp_path, steps):
     steps[1][12] = np.nan
     with pytest.raises(InputError, match=r"run: .* nan at step 20; lower --learning-rate"):
@@ -130,5 +139,7 @@ def test_a_share_of_whole_maps_is_a_share(share):
 def test_networks_that_cannot_be_built_are_refused_in_one_line():
     with pytest.raises(InputError, match="size 48"):
         dataclasses.replace(OPTIONS, size=48).config("l1")
+    with pytest.raises(InputError, match="steps 0: give at least 1"):
+        dataclasses.replace(OPTIONS, steps=0).config("l1")
     with pytest.raises(InputError, match="l1, gan"):
         OPTIONS.config("l3")
