@@ -82,7 +82,7 @@ def test_a_run_at_its_end_goes_on_to_more_steps(dataset, tmp_path, steps):
         train(tmp_path / "run", dataset, steps=count)
     assert steps[0] == list(range(40))
     assert list(Log(tmp_path / "run").by_step()) == [10, 20, 30, 40]
-    with pytest.raises(InputError, match=r"run: has 40 steps behind it; give --steps as many or more"):
+    with pytest.raises(InputError, match=r"run: has 40 steps behind it; give at least as many --steps"):
         train(tmp_path / "run", dataset, steps=30)
 
 
