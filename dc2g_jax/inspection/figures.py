@@ -52,6 +52,9 @@ PLANNER_STYLES = {
     "true_cost_to_go": PlannerStyle("DC2G, exact cost-to-go", "#009e73", hatch="xxx", marker="^"),
 }
 
+#: Colour, hatch and marker of planners of other names, in turn.
+_OTHER_STYLES = (("#777777", "", "P"), ("#aaaaaa", "\\\\\\", "X"), ("#4d4d4d", "...", "v"), ("#909090", "+++", "h"))
+
 #: Class -> colour on maps. Ground is pale and the rest is dark, so that they differ in grey as well; unknown lies
 #: between.
 CLASS_COLOURS = {
@@ -91,21 +94,20 @@ _TITLES = {
 }
 
 
-def _compared(planners: Iterable[str]) -> list[str]:
-    """The planners that are compared with the oracle, in the order of their styles, others last."""
+def _compared_styles(planners: Iterable[str]) -> dict[str, PlannerStyle]:
+    """How planners that are compared with the oracle look side by side: in the order of their styles, others last."""
     present = dict.fromkeys(planner for planner in planners if planner != "oracle")
-    return [
-        *(name for name in PLANNER_STYLES if name in present),
-        *(name for name in present if name not in PLANNER_STYLES),
-    ]
+    known = {name: style for name, style in PLANNER_STYLES.items() if name in present}
+    others = [name for name in present if name not in known]
+    return known | {name: PlannerStyle(name, *_OTHER_STYLES[n % len(_OTHER_STYLES)]) for n, name in enumerate(others)}
 
 
-def _bars(axes: Axes, table: Table, groups: Sequence[str]) -> None:
+def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, PlannerStyle]) -> None:
     """Grouped bars of the mean, with a tick at the median."""
-    planners = _compared(table)
+    planners = [planner for planner in styles if planner in table]
     width = 0.92 / len(planners)
     for place, planner in enumerate(planners):
-        label, colour, hatch, _ = planner_style(planner)
+        label, colour, hatch, _ = styles[planner]
         x = np.arange(len(groups)) + (place - (len(planners) - 1) / 2) * width
         mean = [table[planner][group].mean_extra for group in groups]
         median = [table[planner][group].median_extra for group in groups]
@@ -160,15 +162,16 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], caption: str
         names.sort(key=_group_place)
     figure = Figure(figsize=(PAGE_WIDTH, 0.8 + 2.2 * len(panels)), layout="constrained")
     all_axes = figure.subplots(len(panels), 1, squeeze=False, sharey=True)[:, 0]
+    styles = _compared_styles(name for table in panels.values() for name in table)
     for axes, (settings, table) in zip(all_axes, panels.items(), strict=True):
-        _bars(axes, table, groups[settings])
+        _bars(axes, table, groups[settings], styles)
         axes.set_title(_TITLES.get(settings, settings), fontsize=8.5)
     figure.supylabel("extra steps beyond the oracle (%)", fontsize=8)
     handles: dict[str, Artist] = {}
     for axes in all_axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
-    labels = [planner_style(name).label for name in _compared(name for table in panels.values() for name in table)]
+    labels = [style.label for style in styles.values()]
     figure.legend(
         [handles[label] for label in labels],
         labels,
@@ -243,7 +246,7 @@ _EVEN_PIXELS = 4
 
 def planner_style(name: str) -> PlannerStyle:
     """How a planner looks; a plain style for one of another name."""
-    return PLANNER_STYLES.get(name, PlannerStyle(name, "#777777"))
+    return PLANNER_STYLES.get(name, PlannerStyle(name, *_OTHER_STYLES[0]))
 
 
 def present_classes(terrain: UInt8[np.ndarray, "*cells"]) -> list[int]:
@@ -320,17 +323,19 @@ def plot_house_strips(
     for result in results:
         if result.planner != "oracle":
             extra.setdefault(result.house, {}).setdefault(result.planner, []).append(result.extra)
-    planners = _compared(planner for by_planner in extra.values() for planner in by_planner)
+    styles = _compared_styles(planner for by_planner in extra.values() for planner in by_planner)
     groups = sorted({group_by_house[house] for house in extra}, key=_group_place)
     sections = [(group, sorted(house for house in extra if group_by_house[house] == group)) for group in groups]
     pages = _columns_of_houses(sections, 1 if len(extra) <= _ONE_COLUMN else 2)
-    house_height = _LANE * len(planners) + _BETWEEN
+    house_height = _LANE * len(styles) + _BETWEEN
     heights = [sum(_HEADLINE + house_height * len(houses) for _, houses in page) for page in pages]
-    figure = Figure(figsize=(PAGE_WIDTH / 2 * len(pages), max(heights) + 0.85), layout="constrained")
+    entries_a_row = 2 * len(pages)
+    height = max(heights) + 0.85 + 0.15 * math.ceil(len(styles) / entries_a_row)
+    figure = Figure(figsize=(PAGE_WIDTH / 2 * len(pages), height), layout="constrained")
     most = max(value for by_planner in extra.values() for values in by_planner.values() for value in values)
     columns = figure.subplots(1, len(pages), squeeze=False)[0]
     for axes, page in zip(columns, pages, strict=True):
-        _draw_strips(axes, page, extra, planners)
+        _draw_strips(axes, page, extra, styles)
         axes.set_ylim(max(heights), 0)
         _scale_extra_steps(axes, "x", (-3.0, max(1.3 * most, 12.0)))
         axes.tick_params(axis="x", labelsize=7.5)
@@ -338,12 +343,13 @@ def plot_house_strips(
         axes.set_axisbelow(True)
         for side in ("top", "right", "left"):
             axes.spines[side].set_visible(False)
-    figure.supxlabel(f"extra steps beyond the oracle (%), {_SCALE_NOTE}; bars: means", fontsize=8.5)
+    lines = [f"extra steps beyond the oracle (%), {_SCALE_NOTE}", "bars: means"]
+    figure.supxlabel(("\n" if len(pages) == 1 else "; ").join(lines), fontsize=8.5)
     handles = [
         Line2D([], [], linestyle="none", marker=style.marker, color=style.colour, markersize=5, label=style.label)
-        for style in map(planner_style, planners)
+        for style in styles.values()
     ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(planners), frameon=False, fontsize=8.5)
+    figure.legend(handles=handles, loc="outside upper center", ncols=entries_a_row, frameon=False, fontsize=8.5)
     return save_figure(figure, path, dpi=300)
 
 
@@ -372,11 +378,11 @@ def _columns_of_houses(sections: Sections, count: int) -> list[Sections]:
 
 
 def _draw_strips(
-    axes: Axes, page: Sections, extra: Mapping[str, Mapping[str, Sequence[float]]], planners: Sequence[str]
+    axes: Axes, page: Sections, extra: Mapping[str, Mapping[str, Sequence[float]]], styles: Mapping[str, PlannerStyle]
 ) -> None:
     """One column of strips, from the top down in inches."""
     names: list[tuple[float, str]] = []
-    y, lanes = 0.0, _LANE * len(planners)
+    y, lanes = 0.0, _LANE * len(styles)
     for group, houses in page:
         label = _GROUP_LABELS.get(group, group).replace("\n", " ")
         axes.annotate(
@@ -387,9 +393,9 @@ def _draw_strips(
             if number % 2 == 0:
                 axes.axhspan(y, y + lanes + _BETWEEN, color="#f1f1f1", linewidth=0)
             names.append((y + (lanes + _BETWEEN) / 2, house))
-            for lane, planner in enumerate(planners):
+            for lane, (planner, style) in enumerate(styles.items()):
                 values = extra[house].get(planner, [])
-                style, middle = planner_style(planner), y + _BETWEEN / 2 + _LANE * (lane + 0.5)
+                middle = y + _BETWEEN / 2 + _LANE * (lane + 0.5)
                 axes.plot(
                     values, [middle] * len(values), style.marker, color=style.colour, markersize=3, alpha=0.55,
                     markeredgewidth=0, clip_on=False,

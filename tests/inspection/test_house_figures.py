@@ -35,6 +35,14 @@ def test_strips_hold_every_episode_but_the_oracles(monkeypatch, tmp_path):
     assert np.array(points).tolist() == [[0.0, 10.0, 20.0]] * 6
 
 
+def test_planners_of_ones_own_come_last_and_do_not_look_alike():
+    styles = figures._compared_styles(["mine", "dc2g", "oracle", "yours", "frontier", "mine"])
+    assert list(styles) == ["frontier", "dc2g", "mine", "yours"]
+    looks = [style[1:] for style in styles.values()]
+    assert len(set(looks)) == 4
+    assert styles["dc2g"] == PLANNER_STYLES["dc2g"]
+
+
 def test_groups_are_cut_where_a_column_is_full():
     sections = [("x", ["a", "b", "c"]), ("y", ["d", "e"])]
     assert figures._columns_of_houses(sections, 1) == [sections]
