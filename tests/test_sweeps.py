@@ -13,7 +13,14 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.estimation.losses import parse_losses
 from dc2g_jax.estimation.networks import Architecture
-from dc2g_jax.estimation.training import TrainingConfig, first_state, init_states, train_step, train_steps
+from dc2g_jax.estimation.training import (
+    TrainingConfig,
+    first_state,
+    init_states,
+    train_step,
+    train_steps_in_turn,
+    train_steps_together,
+)
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.sweeps import group_by_shape, runs_of_grid, stacked_hyperparameters
@@ -102,19 +109,23 @@ def test_runs_of_one_shape_go_together():
             assert {loss: weight for loss, weight in config.losses if weight} == dict(runs[name].losses)
 
 
-def together(data, configs, steps: int, states=None):
+WAYS = pytest.mark.parametrize("way", [train_steps_together, train_steps_in_turn])
+
+
+def train(way, data, configs, steps: int, states=None):
     hyperparameters, recipe = stacked_hyperparameters(configs), configs[0].recipe
     states = init_states(recipe, hyperparameters) if states is None else states
     losses = []
     for _ in range(steps):
-        states, loss = train_steps(states, hyperparameters, data, recipe=recipe, draw_batch=DRAW)
+        states, loss = way(states, hyperparameters, data, recipe=recipe, draw_batch=DRAW)
         losses.append(np.asarray(loss))
     return states, np.array(losses)
 
 
-def test_together_is_like_alone(data):
+@WAYS
+def test_together_is_like_alone(way, data):
     configs = list(group_by_shape(grid(losses=["l1", "l2=3"], learning_rates=[1e-3, 4e-3]))[0].values())
-    states, losses = together(data, configs, 5)
+    states, losses = train(way, data, configs, 5)
     for index, config in enumerate(configs):
         state = first_state(config)
         for step in range(5):
@@ -125,20 +136,22 @@ def test_together_is_like_alone(data):
             np.testing.assert_allclose(stacked[index], one, rtol=1e-3, atol=1e-5)
 
 
-def test_stopped_and_gone_on_is_bit_for_bit_like_not_stopped(data):
+@WAYS
+def test_stopped_and_gone_on_is_bit_for_bit_like_not_stopped(way, data):
     configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
-    whole, _ = together(data, configs, 6)
-    half, _ = together(data, configs, 2)
-    again, _ = together(data, configs, 4, jax.tree.map(lambda leaf: jnp.asarray(np.array(leaf)), half))
+    whole, _ = train(way, data, configs, 6)
+    half, _ = train(way, data, configs, 2)
+    again, _ = train(way, data, configs, 4, jax.tree.map(lambda leaf: jnp.asarray(np.array(leaf)), half))
     jax.tree.map(np.testing.assert_array_equal, whole, again)
 
 
-def test_a_run_that_diverges_keeps_its_weights_and_leaves_the_others_alone(data):
+@WAYS
+def test_a_run_that_diverges_keeps_its_weights_and_leaves_the_others_alone(way, data):
     configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
     losses = tuple((name, float("nan")) for name, _ in configs[1].losses)
     configs[1] = dataclasses.replace(configs[1], losses=losses)
-    states, losses = together(data, configs, 4)
-    alone, _ = together(data, configs[:1], 4)
+    states, losses = train(way, data, configs, 4)
+    alone, _ = train(way, data, configs[:1], 4)
     assert np.isfinite(losses[:, 0]).all()
     assert np.isnan(losses[:, 1]).all()
     assert states.step.tolist() == [4, 4]

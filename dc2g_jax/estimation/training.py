@@ -235,7 +235,66 @@ def init_states(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> Tra
     return jax.vmap(functools.partial(init_state, recipe))(hyperparameters)
 
 
+def _step_while_finite(
+    state: TrainingState,
+    hyperparameters: Hyperparameters,
+    data: Any,
+    *,
+    recipe: TrainingConfig,
+    draw_batch: DrawBatch,
+) -> tuple[TrainingState, Float[Array, ""]]:
+    """A step; where the loss is NaN after it, everything but the number of the step stays as it was."""
+    new, loss = _step(state, hyperparameters, data, recipe=recipe, draw_batch=draw_batch)
+    kept = jax.tree.map(lambda now, before: jnp.where(jnp.isfinite(loss), now, before), new, state)
+    return kept.replace(step=new.step), loss
+
+
 @functools.partial(jax.jit, static_argnames=("recipe", "draw_batch"), donate_argnames=("states",))
+def train_steps_together(
+    states: TrainingState,
+    hyperparameters: Hyperparameters,
+    data: Any,
+    *,
+    recipe: TrainingConfig,
+    draw_batch: DrawBatch,
+) -> tuple[TrainingState, Float[Array, "runs"]]:
+    """`train_steps` with all runs in one program: what accelerators are for."""
+    one_step = functools.partial(_step_while_finite, recipe=recipe, draw_batch=draw_batch)
+    return jax.vmap(one_step, in_axes=(0, 0, None))(states, hyperparameters, data)
+
+
+@functools.partial(jax.jit, static_argnames=("recipe", "draw_batch"), donate_argnames=("states",))
+def _step_of_run(
+    states: TrainingState,
+    run: Int[Array, ""],
+    hyperparameters: Hyperparameters,
+    data: Any,
+    *,
+    recipe: TrainingConfig,
+    draw_batch: DrawBatch,
+) -> tuple[TrainingState, Float[Array, ""]]:
+    """One run's step, in its place in the stack."""
+    state, numbers = jax.tree.map(lambda leaf: leaf[run], (states, hyperparameters))
+    new, loss = _step_while_finite(state, numbers, data, recipe=recipe, draw_batch=draw_batch)
+    return jax.tree.map(lambda stack, one: stack.at[run].set(one), states, new), loss
+
+
+def train_steps_in_turn(
+    states: TrainingState,
+    hyperparameters: Hyperparameters,
+    data: Any,
+    *,
+    recipe: TrainingConfig,
+    draw_batch: DrawBatch,
+) -> tuple[TrainingState, Float[Array, "runs"]]:
+    """`train_steps` with one run after the other, by one program: a CPU's convolutions fill its cores with one."""
+    losses = []
+    for run in range(len(hyperparameters.seed)):
+        states, loss = _step_of_run(states, jnp.int32(run), hyperparameters, data, recipe=recipe, draw_batch=draw_batch)
+        losses.append(loss)
+    return states, jnp.stack(losses)
+
+
 def train_steps(
     states: TrainingState,
     hyperparameters: Hyperparameters,
@@ -244,12 +303,12 @@ def train_steps(
     recipe: TrainingConfig,
     draw_batch: DrawBatch,
 ) -> tuple[TrainingState, Float[Array, "runs"]]:
-    """Take one optimiser step of several runs in one program, each on batches of its own.
+    """Take one optimiser step of several runs, each on batches of its own, the way that is fast on the device.
 
     A run whose loss or weights would not be finite keeps those that it had, and its loss is NaN; the others go on.
 
     Args:
-      states: states of all runs, stacked.
+      states: states of all runs, stacked; used up.
       hyperparameters: of all runs, stacked.
       data: what `draw_batch` draws from; shared.
       recipe: what all runs have in common.
@@ -258,14 +317,8 @@ def train_steps(
     Returns:
       The new states and the losses.
     """
-    one_step = functools.partial(_step, recipe=recipe, draw_batch=draw_batch)
-    new, losses = jax.vmap(one_step, in_axes=(0, 0, None))(states, hyperparameters, data)
-    finite = jnp.isfinite(losses)
-
-    def kept(now: Array, before: Array) -> Array:
-        return jnp.where(finite.reshape(-1, *(1 for _ in now.shape[1:])), now, before)
-
-    return jax.tree.map(kept, new, states).replace(step=new.step), losses
+    take = train_steps_in_turn if jax.default_backend() == "cpu" else train_steps_together
+    return take(states, hyperparameters, data, recipe=recipe, draw_batch=draw_batch)
 
 
 def mean_error(architecture: Architecture, weights: Any, batch: Batch) -> Float[Array, ""]:

@@ -1,6 +1,7 @@
-"""Training: runs of a sweep together in one program, and the same runs one after another."""
+"""Training: runs of a sweep together in one program, in turn by one, and the same runs one after another."""
 
-from collections.abc import Iterator
+import functools
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
@@ -9,7 +10,14 @@ import numpy as np
 
 from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.estimation.estimators import world_cost_to_go
-from dc2g_jax.estimation.training import TrainingConfig, first_state, init_states, train_step, train_steps
+from dc2g_jax.estimation.training import (
+    TrainingConfig,
+    first_state,
+    init_states,
+    train_step,
+    train_steps_in_turn,
+    train_steps_together,
+)
 from dc2g_jax.grid import bitboard
 from dc2g_jax.sweeps import stacked_hyperparameters
 from dc2g_jax.training_data import DataConfig
@@ -36,7 +44,7 @@ def _data(bench: Bench) -> TrainingSet:
 
 
 def training_rows(bench: Bench) -> Iterator[Row]:
-    """Runs an hour of a sweep over losses, seeds and learning rates, both ways, with the same batches."""
+    """Runs an hour of a sweep over losses, seeds and learning rates, every way, with the same batches."""
     data, n_runs = _data(bench), 2 if bench.quick else 6
     batch = 4 if bench.quick else TrainingConfig.batch_size
     configs = [
@@ -46,11 +54,12 @@ def training_rows(bench: Bench) -> Iterator[Row]:
     recipe, hyperparameters = configs[0].recipe, stacked_hyperparameters(configs)
     draw = DataConfig(extra_houses=0).draw_batch(batch)
     # Each call goes on where the last one stopped: states are used up.
-    together: list[Any] = [init_states(recipe, hyperparameters)]
+    stacks: dict[Any, Any] = {}
     alone = [first_state(config) for config in configs]
 
-    def in_one_program() -> jax.Array:
-        together[0], losses = train_steps(together[0], hyperparameters, data, recipe=recipe, draw_batch=draw)
+    def stacked(steps: Callable[..., Any]) -> jax.Array:
+        states = stacks.pop(steps, None) or init_states(recipe, hyperparameters)
+        stacks[steps], losses = steps(states, hyperparameters, data, recipe=recipe, draw_batch=draw)
         return losses
 
     def one_after_another() -> list[jax.Array]:
@@ -62,7 +71,12 @@ def training_rows(bench: Bench) -> Iterator[Row]:
             losses.append(loss)
         return losses
 
-    for what, call in (("together", in_one_program), ("one after another", one_after_another)):
+    ways: dict[str, Callable[[], Any]] = {
+        "together": functools.partial(stacked, train_steps_together),
+        "in turn": functools.partial(stacked, train_steps_in_turn),
+        "one after another": one_after_another,
+    }
+    for what, call in ways.items():
         row = own("training", f"{n_runs} runs {what}", "runs/h", batch=batch, cells=bench.workload.cells)
         measured = bench.measure(call)
         yield row.with_figures(measured, 3600 * n_runs / _STEPS_A_RUN, checksum=None)
