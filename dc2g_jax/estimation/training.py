@@ -276,7 +276,8 @@ def _step_of_run(
     """One run's step, in its place in the stack."""
     state, numbers = jax.tree.map(lambda leaf: leaf[run], (states, hyperparameters))
     new, loss = _step_while_finite(state, numbers, data, recipe=recipe, draw_batch=draw_batch)
-    return jax.tree.map(lambda stack, one: stack.at[run].set(one), states, new), loss
+    put = functools.partial(jax.lax.dynamic_update_index_in_dim, index=run, axis=0)
+    return jax.tree.map(put, states, new), loss
 
 
 def train_steps_in_turn(
