@@ -235,16 +235,20 @@ class Runner:
           starts: first poses; each may ask for its own ranges.
           planners: names out of `PLANNERS` and of `own`.
           estimator: the network of `dc2g`.
-          own: further planners, or others in the place of those, by name: each is made from the rules of an episode.
+          own: further planners, or others in the place of those but the oracle, by name: each is made from the rules
+            of an episode.
 
         Returns:
           Results, planner by planner in the order given, each in the order of the starts.
 
         Raises:
-          ValueError: for a start on a front door: there is nothing to look for; for a planner of no known name.
+          ValueError: for a start on a front door: there is nothing to look for; for a planner of no known name; for an
+            `oracle` of one's own, by which all are measured.
           InputError: not even the oracle reaches a goal from a start within the step limit, or a start asks for an
             expanding range, and the settings know none.
         """
+        if "oracle" in own:
+            raise ValueError("own: holds an oracle, by which all are measured; give the planner another name")
         for start in starts:
             if self._dataset.house(start.house).terrain[start.y, start.x] == FRONT_DOOR:
                 raise ValueError(f"{start}: stands on a front door already; start elsewhere")

@@ -1,4 +1,4 @@
-"""Training runs that differ in numbers only, trained together in one program."""
+"""Training runs that differ in numbers only, trained together."""
 
 import dataclasses
 import itertools

@@ -14,7 +14,7 @@ from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network, network_sha256
 from dc2g_jax.shipped import shipped
-from experiments.outputs import folder_in_use
+from experiments.outputs import RUN_FILE, folder_in_use
 
 _Options = TypeVar("_Options")
 
@@ -46,7 +46,7 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
         for bar in list(getattr(tqdm, "_instances", ())):
             bar.close()
         kept, folder = "", folder_in_use()
-        if hasattr(parsed, "resume") and folder is not None:
+        if hasattr(parsed, "resume") and folder is not None and (folder / RUN_FILE).exists():
             where = "" if getattr(parsed, "out", None) else f" --out {folder}"
             kept = f"; what is done is kept: the same command with --resume{where} goes on"
         print(f"interrupted{kept}", file=sys.stderr)

@@ -40,6 +40,11 @@ class Options:
     out: OutOption = None
 
 
+def ranges_of(result: EpisodeResult) -> str:
+    """The ranges of an episode, as they stand in the names of figures."""
+    return f"-r{result.range}" + (f"-e{result.expanding_range}" if result.expanding_range else "")
+
+
 def main(options: Options) -> None:
     """Read, draw."""
     dataset = open_dataset(options.dataset)
@@ -57,16 +62,16 @@ def main(options: Options) -> None:
     out = output_folder(options, "draw_episodes")
     by_ranges: dict[str, list[EpisodeResult]] = {}
     for one in results:
-        ranges = f"-r{one.range}" + (f"-e{one.expanding_range}" if one.expanding_range else "")
-        by_ranges.setdefault(ranges, []).append(one)
+        by_ranges.setdefault(ranges_of(one), []).append(one)
     for ranges, some in by_ranges.items():
         plot_house_strips(out / f"houses{ranges if len(by_ranges) > 1 else ''}", some, group_by_house)
-    shown = [result for result in results if result.house in options.house]
-    starts = {(one.house, one.x, one.y, one.heading, one.range): None for one in shown}
-    for start in tqdm(starts, desc="drawing", unit="figure", file=sys.stderr):
-        own = [one for one in shown if (one.house, one.x, one.y, one.heading, one.range) == start]
-        name = "{}-x{}-y{}-h{}-r{}".format(*start)
-        plot_trajectories(out / name, dataset.house(start[0]), {one.planner: one for one in own})
+    by_start: dict[str, dict[str, EpisodeResult]] = {}
+    for one in results:
+        if one.house in options.house:
+            name = f"{one.house}-x{one.x}-y{one.y}-h{one.heading}{ranges_of(one)}"
+            by_start.setdefault(name, {})[one.planner] = one
+    for name, own in tqdm(by_start.items(), desc="drawing", unit="figure", file=sys.stderr):
+        plot_trajectories(out / name, dataset.house(next(iter(own.values())).house), own)
     print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
 
 

@@ -182,8 +182,8 @@ def run_steps(
 
         def save_now() -> None:
             nonlocal begun_saving, last_save
-            begun_saving = step
             with _interrupts_noted() as noted:  # a save broken off would leave a part of a state
+                begun_saving = step
                 save(state)
             last_save = time.monotonic()
             if noted:

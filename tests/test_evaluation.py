@@ -92,6 +92,8 @@ def test_planners_of_ones_own_are_run_beside_the_others(dataset):
     assert {result.planner for result in results[: len(STARTS)]} == {"mine"}
     with pytest.raises(ValueError, match=r"no planner is called 'mine'; known: oracle, .*Runner\.run"):
         runner.run(STARTS, ["mine"])
+    with pytest.raises(ValueError, match="own: holds an oracle"):
+        runner.run(STARTS, ["oracle"], own={"oracle": Frontier})
 
 
 def test_no_starts_no_results(dataset):

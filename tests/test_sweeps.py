@@ -50,7 +50,7 @@ def grid(**axes):
 
 def test_losses_from_text():
     assert parse_losses("l1") == (("l1", 1.0),)
-    assert parse_losses("quantile=2, log=0.5") == (("quantile", 2.0), ("log", 0.5))
+    assert parse_losses("quantile = 2, log=0.5") == (("quantile", 2.0), ("log", 0.5))
 
 
 @pytest.mark.parametrize(
@@ -60,6 +60,7 @@ def test_losses_from_text():
         ("", "known losses"),
         ("l1=zero", "'zero'; give a number above 0"),
         ("l1=-1", "above 0"),
+        ("l1=", "above 0"),
         ("l1=nan", "above 0"),
         ("l1=inf", "above 0"),
         ("l1,l1=2", "twice"),

@@ -254,12 +254,13 @@ def _probe(name: str, digest: str, base_urls: Sequence[str]) -> tuple[bytes, str
     """
     outcomes: queue.SimpleQueue[tuple[bytes, str] | Exception] = queue.SimpleQueue()
     stop = threading.Event()
+    met: list[Exception] = []
 
     def work() -> None:
         outcome: tuple[bytes, str] | Exception = NetworkUnavailable("no address to ask")
         for base_url in base_urls:
             try:
-                outcome = (_fetch(base_url, name, digest, stop), base_url)
+                outcome = (_fetch(base_url, name, digest, stop, met), base_url)
                 break
             except Exception as error:
                 outcome = error
@@ -271,6 +272,8 @@ def _probe(name: str, digest: str, base_urls: Sequence[str]) -> tuple[bytes, str
     try:
         outcome = outcomes.get(timeout=PROBE_SECONDS)
     except queue.Empty:
+        if met:  # something answered, if not with the file
+            raise met[-1] from None
         host = urllib.parse.urlsplit(base_urls[0]).netloc
         raise NetworkUnavailable(f"no answer from {host} within {PROBE_SECONDS:g} s") from None
     finally:
@@ -320,14 +323,16 @@ def _fetch_all(entries: Mapping[str, str], base_url: str, working: Path, bar: tq
         stop.set()
 
 
-def _fetch(base_url: str, name: str, digest: str, stop: threading.Event) -> bytes:
-    """Fetch one file whole and check it; trouble that may pass is given two more tries."""
+def _fetch(base_url: str, name: str, digest: str, stop: threading.Event, met: list[Exception] | None = None) -> bytes:
+    """Fetch one file whole and check it; trouble that may pass is given two more tries, and noted in `met`."""
     url = base_url + urllib.parse.quote(name)
     for wait in (*BACKOFF_SECONDS, None):
         try:
             data = _request(url, stop)
             break
         except _MayPass as trouble:
+            if met is not None:
+                met.append(trouble.lasting)
             if wait is None or stop.wait(wait):
                 raise trouble.lasting from None
     found = hashlib.sha256(data).hexdigest()

@@ -2,7 +2,6 @@
 
 import difflib
 import math
-import tokenize
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -159,7 +158,7 @@ def _read_array(path: Path) -> ClassImage:
             array = np.lib.format.read_array(stream, allow_pickle=False)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give a file that numpy.save wrote") from None
-    except (ValueError, SyntaxError, tokenize.TokenError, MemoryError) as error:  # as a damaged header brings about
+    except Exception as error:  # a damaged header brings about many kinds
         problem = " ".join(str(error).split())[:120] or type(error).__name__
         raise InputError(f"{path}: holds no plain array ({problem}); write it with numpy.save") from None
     return check_classes(str(path), array)

@@ -138,7 +138,7 @@ def _read_facts(path: Path) -> dict[str, Any]:
         where = f" line {mark.line + 1}" if mark else ""
         problem = " ".join(str(getattr(error, "problem", None) or "no YAML").split())
         raise InputError(f"{path}:{where} is not YAML ({problem}); repair the file") from None
-    except (ValueError, RecursionError) as error:  # a date that is none; brackets without end
+    except Exception as error:  # a date or number that is none, brackets without end: many kinds
         raise InputError(f"{path}: is not YAML ({' '.join(str(error).split())}); repair the file") from None
     if not isinstance(facts, dict):
         raise InputError(f"{path}: holds no keys and values; a ROS map needs {', '.join(_REQUIRED)}")

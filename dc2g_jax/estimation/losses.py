@@ -87,9 +87,9 @@ def parse_losses(text: str) -> tuple[tuple[str, float], ...]:
     """
     losses = []
     for part in text.split(","):
-        name, _, weight = part.strip().partition("=")
+        name, weighted, weight = (piece.strip() for piece in part.partition("="))
         try:
-            value = float(weight) if weight else 1.0
+            value = float(weight) if weighted else 1.0
         except ValueError:
             value = -1.0
         check_loss_names([name])

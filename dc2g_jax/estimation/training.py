@@ -1,4 +1,4 @@
-"""Training a cost-to-go network: state, one step, many steps in one program."""
+"""Training a cost-to-go network: state, one step, steps of several runs."""
 
 import dataclasses
 import functools

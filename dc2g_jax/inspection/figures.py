@@ -8,7 +8,6 @@ from typing import NamedTuple
 import matplotlib
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
@@ -107,11 +106,11 @@ def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, 
     planners = [planner for planner in styles if planner in table]
     width = 0.92 / len(planners)
     for place, planner in enumerate(planners):
-        label, colour, hatch, _ = styles[planner]
+        _, colour, hatch, _ = styles[planner]
         x = np.arange(len(groups)) + (place - (len(planners) - 1) / 2) * width
         mean = [table[planner][group].mean_extra for group in groups]
         median = [table[planner][group].median_extra for group in groups]
-        axes.bar(x, mean, width * 0.92, label=label, color=colour, hatch=hatch, edgecolor="#333333", linewidth=0.5)
+        axes.bar(x, mean, width * 0.92, color=colour, hatch=hatch, edgecolor="#333333", linewidth=0.5)
         axes.hlines(median, x - width * 0.46, x + width * 0.46, color="black", linewidth=1.4)
         for position, value in zip(x, mean, strict=True):
             axes.annotate(
@@ -167,16 +166,14 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], caption: str
         _bars(axes, table, groups[settings], styles)
         axes.set_title(_TITLES.get(settings, settings), fontsize=8.5)
     figure.supylabel("extra steps beyond the oracle (%)", fontsize=8)
-    handles: dict[str, Artist] = {}
-    for axes in all_axes:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            handles.setdefault(label, handle)
-    labels = [style.label for style in styles.values()]
     figure.legend(
-        [handles[label] for label in labels],
-        labels,
+        [
+            Patch(facecolor=style.colour, hatch=style.hatch, edgecolor="#333333", linewidth=0.5)
+            for style in styles.values()
+        ],
+        [style.label for style in styles.values()],
         loc="outside upper center",
-        ncols=min(len(labels), 3),
+        ncols=min(len(styles), 3),
         frameon=False,
         fontsize=7.5,
     )

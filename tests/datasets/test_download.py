@@ -342,6 +342,13 @@ def test_a_server_that_refuses_is_no_missing_network(fetch, server, name, status
     assert no_half_dataset(tmp_path / "cache")
 
 
+def test_a_server_that_refuses_slowly_is_no_missing_network(fetch, server, monkeypatch):
+    monkeypatch.setattr(download, "BACKOFF_SECONDS", (30.0, 30.0))
+    monkeypatch.setattr(download, "PROBE_SECONDS", 0.5)
+    server.script = {_FIRST: [503] * 9}
+    refusal_of(InputError, fetch, "HTTP 503", "run again")
+
+
 @pytest.mark.parametrize(("step", "words"), [("cut", "bytes of"), ("hang up", "")])
 def test_a_connection_that_breaks_every_time_is_a_missing_network_only_at_the_first_file(
     fetch, server, tmp_path, step, words
