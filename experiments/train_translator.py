@@ -12,7 +12,7 @@ import tyro
 from dc2g_jax.datasets.houses import open_dataset
 from experiments.common import DatasetOption, command_line, digests
 from experiments.outputs import output_folder
-from experiments.translation import TranslationOptions, train_translator, translation_data
+from experiments.translation import TranslationOptions, require_steps, train_translator, translation_data
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,6 +42,8 @@ def main(options: Options) -> None:
     """Make the pairs, train."""
     config = options.training.config(options.loss)
     dataset = open_dataset(options.dataset, cells=None)
+    if options.resume:
+        require_steps(options.out, options.training.steps)
     output_folder(options, "train_translator", free=("minutes_per_checkpoint", "steps"), inputs=digests(dataset))
     data = translation_data(dataset, options.training)
     print(

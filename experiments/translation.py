@@ -10,7 +10,7 @@ import tyro
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.datasets.image_pairs import ImageSet, draw_image_pairs
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
+from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, newest_step, save_network
 from dc2g_jax.estimation.estimators import TranslatorCostToGo
 from dc2g_jax.estimation.training import check_numbers
 from dc2g_jax.estimation.translator import TranslatorArchitecture
@@ -115,6 +115,13 @@ def _card(
     }
 
 
+def require_steps(out: Path, steps: int) -> None:
+    """Refuse to go on with a run of more steps than are asked for."""
+    taken = newest_step(out)
+    if taken > steps:
+        raise InputError(f"{out}: has {taken} steps behind it; give at least as many --steps, or another --out")
+
+
 def train_translator(
     out: Path,
     dataset: HouseDataset,
@@ -132,6 +139,7 @@ def train_translator(
     Raises:
       InputError: the folder holds a run of other options or of more steps, or the loss is no number.
     """
+    require_steps(out, options.steps)
     first_state = partial(init_translator, seed=seed)
     checkpoints = TrainingCheckpoints(out, config, options.facts(dataset, seed), first_state=first_state)
     draw = partial(
@@ -152,10 +160,6 @@ def train_translator(
 
     try:
         state = checkpoints.restore() or first_state(config)
-        if int(state.step) > options.steps:
-            raise InputError(
-                f"{out}: has {state.step} steps behind it; give at least as many --steps, or another --out"
-            )
         run_steps(
             state,
             int(state.step),

@@ -27,6 +27,7 @@ from dc2g_jax.grid.terrain import CLASS_NAMES
 _CARD = "network.json"
 _WEIGHTS = "weights"
 _CONFIG = "config.json"
+_STATES = "states"
 
 TrainedNetwork = NetworkCostToGo | TranslatorCostToGo
 
@@ -204,6 +205,11 @@ def load_network(folder: str | Path) -> TrainedNetwork:
     return kind.estimator(weights=weights, architecture=architecture)
 
 
+def newest_step(folder: str | Path) -> int:
+    """Steps behind the newest training state in a run's folder; 0 where there is none."""
+    return max((int(path.name) for path in (Path(folder) / _STATES).glob("*") if path.name.isdigit()), default=0)
+
+
 class TrainingCheckpoints:
     """Training states of one run in a folder; the newest few are kept.
 
@@ -240,7 +246,7 @@ class TrainingCheckpoints:
         else:
             with replacing(folder / _CONFIG) as unfinished:
                 unfinished.write_text(json.dumps(wanted, indent=2) + "\n")
-        self._folder = folder / "states"
+        self._folder = folder / _STATES
         with _quiet():
             self._manager = ocp.CheckpointManager(
                 self._folder, options=ocp.CheckpointManagerOptions(max_to_keep=2, create=True)

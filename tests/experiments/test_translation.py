@@ -12,6 +12,7 @@ from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.inspection.image_figures import METRIC_LABELS
 from experiments import reproduce_fig4, reproduce_fig5, reproduce_fig6, translation
+from experiments import train_translator as train_translator_command
 from experiments.training_loop import Log
 from experiments.translation import TranslationOptions, train_translator, translation_data
 from tests import maps
@@ -84,6 +85,22 @@ def test_a_run_at_its_end_goes_on_to_more_steps(dataset, tmp_path, steps):
     assert list(Log(tmp_path / "run").by_step()) == [10, 20, 30, 40]
     with pytest.raises(InputError, match=r"run: has 40 steps behind it; give at least as many --steps"):
         train(tmp_path / "run", dataset, steps=30)
+
+
+def test_a_run_that_is_refused_fewer_steps_stays_as_it_is(dataset, tmp_path, steps, monkeypatch):
+    monkeypatch.setattr(train_translator_command, "open_dataset", lambda location, *, cells: dataset)
+    options = train_translator_command.Options(
+        out=tmp_path / "run", loss="l1", training=dataclasses.replace(OPTIONS, steps=20)
+    )
+    train_translator_command.main(options)
+    longer = dataclasses.replace(options, resume=True, training=OPTIONS)
+    train_translator_command.main(longer)
+    written = (tmp_path / "run" / "run.json").read_bytes()
+    assert len(json.loads(written)["runs"]) == 2
+    with pytest.raises(InputError, match=r"run: has 30 steps behind it"):
+        train_translator_command.main(dataclasses.replace(options, resume=True))
+    assert (tmp_path / "run" / "run.json").read_bytes() == written
+    assert steps[0] == list(range(30))
 
 
 def test_a_run_that_diverges_stops_and_says_so(dataset, tmp_path, steps):
