@@ -120,7 +120,10 @@ def _hold(folder: Path) -> None:
     _held[folder] = None
     if sys.platform == "win32":
         return
-    held = os.open(folder, os.O_RDONLY)
+    try:
+        held = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be read ({error.strerror}); give --out another folder") from None
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -180,7 +183,12 @@ def _require_same(
 def _require_same_inputs(folder: Path, before: Mapping[str, str], now: Mapping[str, str]) -> None:
     """See that a run is resumed with what it has read so far."""
     for name, digest in now.items():
-        if before.get(name) != digest:
+        if name not in before:
+            raise InputError(
+                f"{folder}: was begun by a version that did not note what it read for --{name.replace('_', '-')}; give "
+                "--out another folder"
+            )
+        if before[name] != digest:
             raise InputError(
                 f"{folder}: what is read for --{name.replace('_', '-')} has changed since the run was begun; bring it "
                 "back to resume the run, or give --out another folder"
