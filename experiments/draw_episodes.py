@@ -51,6 +51,12 @@ def main(options: Options) -> None:
     results = [result for result in read_episodes(options.episodes) if result.planner in options.planner]
     if not results:
         raise InputError(f"{options.episodes}: has no episode of {' or '.join(options.planner)}; give other --planner")
+    compared = {one.planner for one in results} != {"oracle"}
+    if not compared and not options.house:
+        raise InputError(
+            f"{options.episodes}: extra steps are counted from the oracle's; give another --planner as well, or a "
+            "--house to draw the oracle's ways in"
+        )
     published = {one.start.house: one.group for one in published_episodes()} if dataset.source == "published" else {}
     group_by_house = {
         house: published.get(house) or group_of(dataset.house(house)) or "test"
@@ -63,7 +69,7 @@ def main(options: Options) -> None:
     by_ranges: dict[str, list[EpisodeResult]] = {}
     for one in results:
         by_ranges.setdefault(ranges_of(one), []).append(one)
-    for ranges, some in by_ranges.items():
+    for ranges, some in by_ranges.items() if compared else ():
         plot_house_strips(out / f"houses{ranges if len(by_ranges) > 1 else ''}", some, group_by_house)
     by_start: dict[str, dict[str, EpisodeResult]] = {}
     for one in results:

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import jax
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.files.whole import replacing
+from dc2g_jax.files.whole import clear_unfinished, replacing
 
 if sys.platform != "win32":
     import fcntl
@@ -28,7 +28,8 @@ RUN_FILE = "run.json"
 #: Options that may change when a run is resumed: they decide where it goes on, not what comes out.
 _WHERE = ("out", "resume")
 
-#: Folders that this process writes to, in the order taken, each with the open file that keeps other processes off it.
+#: Folders that this process writes to, as absolute paths in the order taken, each with the open file that keeps other
+#: processes off it.
 _held: dict[Path, int | None] = {}
 
 
@@ -115,6 +116,7 @@ def _make_new(folder: Path, *, resumable: bool) -> None:
 
 def _hold(folder: Path) -> None:
     """Keep other processes off a folder until this one ends, where the system can."""
+    folder = folder.resolve()
     if folder in _held:
         return
     _held[folder] = None
@@ -134,6 +136,8 @@ def _hold(folder: Path) -> None:
         ) from None
     except OSError:
         pass  # a file system without locks
+    else:
+        clear_unfinished(folder)
     _held[folder] = held
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import hashlib
+import json
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -64,7 +65,7 @@ def main(options: Options) -> None:
     runner = Runner(dataset, SETTINGS[options.settings], step_limit=options.step_limit, progress=EpisodeProgress())
     for start in starts:
         runner.rules(start)  # a range that cannot be had is refused before anything is written
-    digest = hashlib.sha256(options.starts.read_bytes()).hexdigest()
+    digest = hashlib.sha256(json.dumps(starts).encode()).hexdigest()
     out = output_folder(options, "run_episodes", inputs={"starts": digest, **digests(dataset, network=network)})
     results = EpisodeTable(out / "episodes.csv").run(runner, starts, options.planner, network)
     print(f"houses of {dataset.name}, settings {options.settings}, episodes of each planner: {len(starts)}")

@@ -178,8 +178,11 @@ def _with_goals(
         if goal.unit == "metres":
             if occupancy is None:
                 raise InputError(f"{where}: {name} is in metres, which only a ROS map knows; give its column and row")
-            column, row = occupancy.cell(goal.x, goal.y, columns, rows)
             name += " in metres"
+            cell = occupancy.cell(goal.x, goal.y, columns, rows)
+            if cell is None:
+                raise InputError(f"{where}: {name} lies far off the map; give a goal on the map")
+            column, row = cell
         else:
             column, row = math.floor(goal.x), math.floor(goal.y)
             if (column, row) != (goal.x, goal.y):

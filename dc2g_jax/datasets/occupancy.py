@@ -56,8 +56,9 @@ class OccupancyMap:
         occupied = _covered(self.occupied, columns, rows) > 0
         return np.asarray(np.where(free, ROAD, np.where(occupied, HOUSE, UNKNOWN)), np.uint8)
 
-    def cell(self, x: float, y: float, columns: int, rows: int) -> tuple[int, int]:
-        """Column and row, on a grid of this size, of a point in the map frame; beyond the grid for one off the map.
+    def cell(self, x: float, y: float, columns: int, rows: int) -> tuple[int, int] | None:
+        """Column and row, on a grid of this size, of a point in the map frame; beyond the grid for one off the
+        map, `None` where no number says how far.
 
         Args:
           x: metres.
@@ -69,8 +70,8 @@ class OccupancyMap:
         east, north, yaw = x - self.origin[0], y - self.origin[1], self.origin[2]
         right = (east * math.cos(yaw) + north * math.sin(yaw)) / self.resolution
         up = (north * math.cos(yaw) - east * math.sin(yaw)) / self.resolution
-        if not (math.isfinite(right) and math.isfinite(up)):  # so far off that no number says where
-            return -1, -1
+        if not (math.isfinite(right) and math.isfinite(up)):
+            return None
         return math.floor(right * columns / width), rows - 1 - math.floor(up * rows / height)
 
 

@@ -6,6 +6,9 @@ import secrets
 from collections.abc import Iterator
 from pathlib import Path
 
+#: What marks the name of a file that is not finished.
+_MARK = ".unfinished-"
+
 
 @contextlib.contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
@@ -18,9 +21,15 @@ def replacing(path: str | Path) -> Iterator[Path]:
         Path of a hidden file beside it, with the same suffix, that no other writer has.
     """
     path = Path(path)
-    unfinished = path.with_name(f".{path.stem}.unfinished-{os.getpid()}-{secrets.token_hex(4)}{path.suffix}")
+    unfinished = path.with_name(f".{path.stem}{_MARK}{secrets.token_hex(8)}{path.suffix}")
     try:
         yield unfinished
         os.replace(unfinished, path)
     finally:
         unfinished.unlink(missing_ok=True)
+
+
+def clear_unfinished(folder: Path) -> None:
+    """Delete what writers that were killed have left in a folder and those below it; for when nobody writes there."""
+    for left in folder.rglob(f".*{_MARK}*"):
+        left.unlink(missing_ok=True)

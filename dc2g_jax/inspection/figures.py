@@ -51,8 +51,10 @@ PLANNER_STYLES = {
     "true_cost_to_go": PlannerStyle("DC2G, exact cost-to-go", "#009e73", hatch="xxx", marker="^"),
 }
 
-#: Colour, hatch and marker of planners of other names, in turn.
-_OTHER_STYLES = (("#777777", "", "P"), ("#aaaaaa", "\\\\\\", "X"), ("#4d4d4d", "...", "v"), ("#909090", "+++", "h"))
+#: Colours, hatches and markers of planners of other names, each in turn: 140 pass before all three come again.
+_OTHER_COLOURS = ("#777777", "#aaaaaa", "#4d4d4d", "#909090")
+_OTHER_HATCHES = ("", "\\\\\\", "...", "+++", "ooo")
+_OTHER_MARKERS = ("P", "X", "v", "h", "<", "p", ">")
 
 #: Class -> colour on maps. Ground is pale and the rest is dark, so that they differ in grey as well; unknown lies
 #: between.
@@ -98,7 +100,13 @@ def _compared_styles(planners: Iterable[str]) -> dict[str, PlannerStyle]:
     present = dict.fromkeys(planner for planner in planners if planner != "oracle")
     known = {name: style for name, style in PLANNER_STYLES.items() if name in present}
     others = [name for name in present if name not in known]
-    return known | {name: PlannerStyle(name, *_OTHER_STYLES[n % len(_OTHER_STYLES)]) for n, name in enumerate(others)}
+    return known | {name: _other_style(name, n) for n, name in enumerate(others)}
+
+
+def _other_style(name: str, n: int) -> PlannerStyle:
+    """How a planner of another name looks, the n-th of these in a figure."""
+    colour, hatch, marker = (styles[n % len(styles)] for styles in (_OTHER_COLOURS, _OTHER_HATCHES, _OTHER_MARKERS))
+    return PlannerStyle(name, colour, hatch, marker)
 
 
 def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, PlannerStyle]) -> None:
@@ -154,8 +162,13 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], caption: str
 
     Returns:
       The files written: PNG and SVG.
+
+    Raises:
+      ValueError: no planner but the oracle.
     """
-    panels = {settings: table for settings, table in tables.items() if table}
+    panels = {settings: table for settings, table in tables.items() if table.keys() - {"oracle"}}
+    if not panels:
+        raise ValueError("no planner to compare with the oracle: give the table of another one as well")
     groups = {settings: list(next(iter(table.values()))) for settings, table in panels.items()}
     for names in groups.values():
         names.sort(key=_group_place)
@@ -243,7 +256,7 @@ _EVEN_PIXELS = 4
 
 def planner_style(name: str) -> PlannerStyle:
     """How a planner looks; a plain style for one of another name."""
-    return PLANNER_STYLES.get(name, PlannerStyle(name, *_OTHER_STYLES[0]))
+    return PLANNER_STYLES.get(name, _other_style(name, 0))
 
 
 def present_classes(terrain: UInt8[np.ndarray, "*cells"]) -> list[int]:
@@ -315,11 +328,16 @@ def plot_house_strips(
 
     Returns:
       The files written: PNG and SVG.
+
+    Raises:
+      ValueError: no planner but the oracle.
     """
     extra: dict[str, dict[str, list[float]]] = {}
     for result in results:
         if result.planner != "oracle":
             extra.setdefault(result.house, {}).setdefault(result.planner, []).append(result.extra)
+    if not extra:
+        raise ValueError("no planner to compare with the oracle: give episodes of another one as well")
     styles = _compared_styles(planner for by_planner in extra.values() for planner in by_planner)
     groups = sorted({group_by_house[house] for house in extra}, key=_group_place)
     sections = [(group, sorted(house for house in extra if group_by_house[house] == group)) for group in groups]

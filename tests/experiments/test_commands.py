@@ -172,6 +172,12 @@ def test_ctrl_c_keeps_what_is_done_and_resume_goes_on(few_houses, tmp_path):
     assert (out / "episodes.csv").read_text().startswith(kept)
     assert (out / "episodes.csv").read_text().count("\n") == 4
     assert len(json.loads((out / "run.json").read_text())["runs"]) == 2
+    starts.write_text(f"house,x,y,heading\n{house.name},{column},{row},1\n")
+    changed = run_episodes.Options(
+        starts=starts, dataset=str(few_houses), out=out, resume=True,
+        planner=("frontier", "oracle", "true_cost_to_go"),
+    )  # fmt: skip
+    refusal(lambda: run_episodes.main(changed), out, "what is read for --starts has changed")
 
 
 def test_bad_input_is_refused_in_one_line(few_houses, tmp_path):

@@ -170,6 +170,9 @@ def test_episodes_are_drawn_from_their_table(streets, tmp_path, capsys):
         file.write("near,0,1,0,5,4,frontier,1,5,5,0.0,to_goal,FFFLF\n")
     draw(out=tmp_path / "two")
     assert {path.name for path in (tmp_path / "two").glob("*.png")} == {"houses-r8.png", "houses-r5-e4.png"}
+    draw(planner=("oracle",), house=("near",), out=tmp_path / "oracle")
+    assert {path.name for path in (tmp_path / "oracle").glob("*.png")} == {"near-x0-y1-h0-r8.png"}
+    refusal(lambda: draw(planner=("oracle",)), "episodes.csv", "give another --planner as well, or a --house")
     refusal(lambda: draw(planner=("dc2g",)), "episodes.csv", "no episode of dc2g")
     refusal(lambda: draw(house=("far",)), "no episode in far")
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ import jax
 import pytest
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.whole import replacing
 from experiments.outputs import commit, folder_in_use, output_folder
 
 
@@ -109,9 +111,14 @@ def test_a_folder_that_another_process_writes_to_is_refused(tmp_path):
         assert other.stdout.readline() == b"\n"
         with pytest.raises(InputError, match="another process is writing to it; wait for its end"):
             output_folder(Resumable(out=run, resume=True), "wander")
+        (run / "network").mkdir()
+        with replacing(run / "network" / "network.json") as unfinished:
+            unfinished.write_text("{}")
+            shutil.copy(unfinished, unfinished.with_stem(f"{unfinished.stem}9"))  # of a writer that was killed
         other.communicate(b"\n")
     output_folder(Resumable(out=run, resume=True), "wander")
-    assert folder_in_use() == run
+    assert sorted(path.name for path in run.rglob("*")) == ["network", "network.json", "run.json"]
+    assert folder_in_use() == run.resolve()
 
 
 def test_without_git_the_commit_is_unknown(monkeypatch):

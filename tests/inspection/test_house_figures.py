@@ -41,6 +41,17 @@ def test_planners_of_ones_own_come_last_and_do_not_look_alike():
     looks = [style[1:] for style in styles.values()]
     assert len(set(looks)) == 4
     assert styles["dc2g"] == PLANNER_STYLES["dc2g"]
+    many = figures._compared_styles([*PLANNER_STYLES, *(f"planner {n}" for n in range(20))]).values()
+    assert len({(style.colour, style.hatch) for style in many}) == len(many)
+    assert len({(style.colour, style.marker) for style in many}) == len(many)
+
+
+def test_an_oracle_alone_has_nothing_to_be_compared_with(tmp_path):
+    table = {"oracle": {"all": Summary(0.0, 0.0, 0.0, 0.0, 1.0, 30)}}
+    with pytest.raises(ValueError, match="no planner to compare with the oracle"):
+        figures.plot_extra_steps(tmp_path / "fig7", {"paper": table}, "toy")
+    with pytest.raises(ValueError, match="no planner to compare with the oracle"):
+        plot_house_strips(tmp_path / "strips", _results(["a"], ("oracle",)), {"a": "test"})
 
 
 def test_groups_are_cut_where_a_column_is_full():
