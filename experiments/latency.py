@@ -97,8 +97,11 @@ def waits(planner: OnlinePlanner, workload: Workload, sensing_range: int) -> Ite
 
 def main(options: Options) -> None:
     """Time the decisions, print a table and write `latency.json`."""
-    if min(*options.cells, options.calls, options.repeats, options.sensing_range) < 1:
-        raise InputError("cells, calls, repeats and sensing range must be at least 1 each; give larger numbers")
+    for name in ("calls", "repeats", "sensing_range"):
+        if getattr(options, name) < 1:
+            raise InputError(f"--{name.replace('_', '-')} {getattr(options, name)}: give 1 or more")
+    if min(options.cells, default=0) < 1:
+        raise InputError(f"--cells {' '.join(map(str, options.cells))}: give one side at least, each of 1 or more")
     houses = make_workload(open_dataset(options.dataset), per_house=1)
     network = None if options.planner == "frontier" else open_network(options.network)
     out = output_folder(options, "latency")

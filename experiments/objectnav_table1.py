@@ -14,7 +14,16 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.evaluation import EpisodeResult, Summary, summarize
 from experiments.common import NetworkOption, OutOption, command_line
 from experiments.outputs import output_folder
-from experiments.searches import TITLES, AgentName, SearchOptions, SearchTable, agent_with, conclude, costs_for
+from experiments.searches import (
+    TITLES,
+    AgentName,
+    SearchOptions,
+    SearchTable,
+    agent_with,
+    conclude,
+    costs_for,
+    digests,
+)
 
 
 class PaperLine(NamedTuple):
@@ -92,7 +101,7 @@ def main(options: Options) -> None:
         raise InputError(f"--agents {' '.join(options.agents)}: give each agent once, one at least")
     costs = costs_for(options.agents, options.network)
     houses, episodes = options.places()
-    out = output_folder(options, "objectnav_table1")
+    out = output_folder(options, "objectnav_table1", inputs=digests(houses, network=costs))
     searches, all_results = SearchTable(out / "episodes.csv"), dict[str, list[EpisodeResult]]()
     for name in options.agents:
         began = time.perf_counter()

@@ -19,7 +19,7 @@ from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 from dc2g_jax.objectnav.training import CostMapConfig, figures, validation_samples
 from experiments.common import OutOption, command_line
 from experiments.outputs import output_folder
-from experiments.searches import ON_NETWORK, SearchOptions, SearchTable, agent_with, conclude, open_costs
+from experiments.searches import ON_NETWORK, SearchOptions, SearchTable, agent_with, conclude, digests, open_costs
 
 #: What the lines are called, by name of the ablation.
 TITLES = {"both": "both", "semantic": "only semantic map", "midlevel": "only mid-level"}
@@ -128,7 +128,7 @@ def main(options: Options) -> None:
         raise InputError(f"--maps {options.maps}: give a multiple of {MAPS_A_BATCH}")
     networks = open_networks(options.networks)
     houses, episodes = options.places()
-    out = output_folder(options, "objectnav_table2")
+    out = output_folder(options, "objectnav_table2", inputs=digests(houses, networks=networks))
     searches, results = SearchTable(out / "episodes.csv"), dict[str, list[EpisodeResult]]()
     metrics = {}
     for name, costs in networks.items():

@@ -10,6 +10,7 @@ import tyro
 
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.digests import arrays_sha256
 from dc2g_jax.files.tables import read_table, write_table
 from dc2g_jax.objectnav.agent import (
     CONTROLLER,
@@ -118,6 +119,17 @@ def open_costs(folder: NetworkOption) -> PredictedCosts[CostMapEstimator]:
 def costs_for(agents: Iterable[str], folder: NetworkOption) -> PredictedCosts[CostMapEstimator] | None:
     """The network in a folder, see `open_costs`, if one of these agents goes by a network."""
     return open_costs(folder) if set(ON_NETWORK) & set(agents) else None
+
+
+def digests(houses: Sequence[IndoorHouse], **networks: Any) -> dict[str, str]:
+    """SHA-256 by option of what searches depend on and a folder may hold another of when they are resumed.
+
+    Args:
+      houses: searched.
+      networks: by option, `PredictedCosts` or a mapping of them; those that are `None` are left out.
+    """
+    given = {"houses": [house.world for house in houses], **networks}
+    return {name: arrays_sha256(tree) for name, tree in given.items() if tree is not None}
 
 
 def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLER.samples) -> Agent:

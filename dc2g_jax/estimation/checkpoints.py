@@ -21,6 +21,7 @@ from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.networks import Architecture
 from dc2g_jax.estimation.training import first_state
 from dc2g_jax.estimation.translator import TranslatorArchitecture
+from dc2g_jax.files.digests import arrays_sha256
 from dc2g_jax.files.whole import replacing
 from dc2g_jax.grid.terrain import CLASS_NAMES
 
@@ -79,19 +80,10 @@ def _reason(error: Exception) -> str:
     return str(error).splitlines()[0][:120] if str(error) else type(error).__name__
 
 
-def weights_sha256(weights: Any) -> str:
-    """SHA-256 of all weights of a network: their names and their bytes, in order."""
-    digest = hashlib.sha256()
-    for path, leaf in jax.tree_util.tree_leaves_with_path(weights):
-        digest.update(jax.tree_util.keystr(path).encode())
-        digest.update(np.asarray(leaf).tobytes())
-    return digest.hexdigest()
-
-
 def network_sha256(network: TrainedNetwork) -> str:
     """SHA-256 of all that decides what a network answers: its architecture and its weights."""
     architecture = json.dumps(dataclasses.asdict(network.architecture))
-    return hashlib.sha256(f"{architecture} {weights_sha256(network.weights)}".encode()).hexdigest()
+    return hashlib.sha256(f"{architecture} {arrays_sha256(network.weights)}".encode()).hexdigest()
 
 
 def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, Any] | None = None) -> Path:
@@ -116,7 +108,7 @@ def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, An
         "network": next(name for name, kind in _KINDS.items() if isinstance(network, kind.estimator)),
         "architecture": dataclasses.asdict(network.architecture),
         "classes": list(CLASS_NAMES),
-        "sha256": weights_sha256(network.weights),
+        "sha256": arrays_sha256(network.weights),
         **(card or {}),
     }
     with replacing(folder / _CARD) as unfinished:
@@ -197,7 +189,7 @@ def load_network(folder: str | Path) -> TrainedNetwork:
         raise InputError(
             f"{folder / _WEIGHTS}: cannot be read ({_reason(error)}); save or copy the network again"
         ) from None
-    if digest not in (None, weights_sha256(weights)):
+    if digest not in (None, arrays_sha256(weights)):
         raise InputError(
             f"{folder / _WEIGHTS}: the SHA-256 of the weights is not {digest}, as {_CARD} says; "
             "keep the two files of one training together"

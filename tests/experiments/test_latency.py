@@ -5,8 +5,8 @@ import json
 
 import pytest
 
-from dc2g_jax.errors import InputError
 from experiments.latency import Options, main
+from tests.refusals import refusal
 
 
 @pytest.mark.slow
@@ -23,6 +23,7 @@ def test_decisions_are_timed_and_written_down(compact_network, tmp_path, capsys)
     assert "p99" in capsys.readouterr().out
 
 
-def test_numbers_that_are_none_are_refused(tmp_path):
-    with pytest.raises(InputError, match="at least 1"):
-        main(Options(calls=0, out=tmp_path / "out"))
+@pytest.mark.parametrize("wrong", [{"calls": 0}, {"sensing_range": 0}, {"cells": ()}, {"cells": (50, 0)}])
+def test_numbers_that_are_none_are_refused(wrong, tmp_path):
+    option = next(iter(wrong)).replace("_", "-")
+    refusal(lambda: main(Options(**wrong, out=tmp_path / "out")), f"--{option}", "1 or more")

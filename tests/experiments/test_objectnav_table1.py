@@ -36,6 +36,11 @@ def test_it_writes_tables_and_resumes(houses, tmp_path, capsys, monkeypatch):
     main(dataclasses.replace(options, resume=True))
     assert read_searches(options.out / "episodes.csv") == results
 
+    other = two_rooms()
+    other.world.heights[0, 0] += 1
+    monkeypatch.setattr(searches, "indoor_houses", lambda *args, **options: [other])
+    refusal(lambda: main(dataclasses.replace(options, resume=True)), options.out, "--houses", "has changed")
+
 
 def test_a_broken_table_is_named_with_its_line(tmp_path):
     path = tmp_path / "episodes.csv"

@@ -15,6 +15,7 @@ from tests.objectnav.two_rooms import two_rooms
 from tests.refusals import refusal
 
 KEY = jax.random.key(0)
+SMALL = CostMapArchitecture(widths=(4, 4), embedding=4, features=7, feature_width=3, inputs=ABLATIONS["both"])
 
 
 @pytest.fixture
@@ -26,9 +27,7 @@ def folders(tmp_path):
         folder.mkdir()
         small = EncoderArchitecture((4, 5, 6), features=7)
         save_encoder(folder / ENCODER_FILE, TrainedEncoder(init_encoder(small, KEY), small), {})
-        architecture = CostMapArchitecture(
-            widths=(4, 4), embedding=4, features=7, feature_width=3, inputs=ABLATIONS[name]
-        )
+        architecture = dataclasses.replace(SMALL, inputs=ABLATIONS[name])
         save_estimator(folder / NETWORK_FILE, CostMapEstimator(init_weights(architecture, KEY), architecture), {})
         made.append(folder)
     return tuple(made)
@@ -59,6 +58,11 @@ def test_it_compares_what_networks_are_shown(options, capsys):
         assert all(0 <= value <= 100 for value in facts["prediction"][name].values())
         assert facts["navigation"][name]["episodes"] == 2
     assert set(facts["differences"]) == {"semantic"}
+
+    weights = init_weights(SMALL, jax.random.key(1))
+    save_estimator(options.networks[1] / NETWORK_FILE, CostMapEstimator(weights, SMALL), {})
+    again = dataclasses.replace(options, resume=True)
+    refusal(lambda: main(again), options.out, "--networks", "has changed")
 
 
 def test_two_networks_of_a_kind_and_unknown_agents_are_refused(options, folders):

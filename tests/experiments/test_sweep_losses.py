@@ -3,8 +3,9 @@
 import csv
 import dataclasses
 
+from dc2g_jax.estimation.networks import Architecture
 from dc2g_jax.estimation.training import TrainingConfig
-from experiments.sweep_losses import write_results
+from experiments.sweep_losses import Options, kind_of, write_results
 from experiments.training_loop import Log
 
 
@@ -24,3 +25,13 @@ def test_runs_that_diverged_come_last(tmp_path):
     assert [(row["run"], row["diverged"], row["error"], row["steps"]) for row in rows] == [
         ("c", "0", "20", "20"), ("a", "0", "30", "20"), ("b", "1", "10", "20"),
     ]  # fmt: skip
+
+
+def test_runs_are_of_a_kind_where_only_the_seed_differs(tmp_path):
+    architecture = Architecture(widths=(4, 8, 8, 8))
+    config = TrainingConfig(architecture=architecture, losses=(("l1", 1.0), ("log", 0.5)), learning_rate=2e-3)
+    other_seed = dataclasses.replace(config, seed=7)
+    options = Options(out=tmp_path)
+    assert kind_of(options, config) == kind_of(options, other_seed) == "l1 + 0.5 log"
+    options = Options(out=tmp_path, learning_rates=(1e-3, 2e-3), widths=("4,8,8,8", "4,4,4,4"))
+    assert kind_of(options, config) == "l1 + 0.5 log, rate 0.002, widths 4-8-8-8"

@@ -1,0 +1,16 @@
+"""Digests that tell whether something is what it was."""
+
+import hashlib
+from typing import Any
+
+import jax
+import numpy as np
+
+
+def arrays_sha256(tree: Any) -> str:
+    """SHA-256 of all arrays of a tree, such as a network's weights: their names and their bytes, in order."""
+    digest = hashlib.sha256()
+    for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
+        digest.update(jax.tree_util.keystr(path).encode())
+        digest.update(np.asarray(leaf).tobytes())
+    return digest.hexdigest()
