@@ -228,7 +228,7 @@ def test_commands_refuse_what_they_cannot_use(few_houses, tmp_path):
     refused(reproduce_fig9, "network.json", network=tmp_path)
     refused(reproduce_fig9, "--noise inf", noise=float("inf"))
     refused(noisy_mapping, "--levels 0 nan", levels=(0, float("nan")))
-    refused(latency, "sensing range", sensing_range=0)
+    refused(latency, "--sensing-range 0", sensing_range=0)
     assert not out.exists()
 
 
