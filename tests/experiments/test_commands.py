@@ -151,12 +151,13 @@ def test_ctrl_c_keeps_what_is_done_and_resume_goes_on(few_houses, tmp_path):
     starts.write_text(f"house,x,y,heading\n{house.name},{column},{row},0\n")
     options = ["run_episodes", "--starts", starts, "--dataset", few_houses, "--out", out, "--planner"]
     options += ["frontier", "oracle", "true_cost_to_go"]
-    command = [sys.executable, "-m", f"experiments.{options[0]}", *(str(option) for option in options[1:])]
-    process = subprocess.Popen(
-        command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        # A shell that runs the tests in the background has its children ignore interrupts.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )  # fmt: skip
+    # A shell that runs the tests in the background has its children ignore interrupts.
+    heeding = (
+        "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        f"runpy.run_module('experiments.{options[0]}', run_name='__main__', alter_sys=True)"
+    )
+    command = [sys.executable, "-c", heeding, *(str(option) for option in options[1:])]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 200
     while not (out / "episodes.csv").exists():
         assert process.poll() is None
