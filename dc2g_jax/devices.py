@@ -4,14 +4,19 @@ import concurrent.futures
 import os
 import threading
 from collections.abc import Callable, Sequence
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import jax
 import numpy as np
 from jaxtyping import Int
 
+#: Compiler options of a program that keeps to one core of a CPU, where each core runs a program of its own.
+ONE_CORE: dict[str, Any] = {"xla_cpu_multi_thread_eigen": False}
+
 #: A pytree of NumPy arrays whose first axis is that of the pieces of work.
 Results = TypeVar("Results")
+
+Result = TypeVar("Result")
 
 
 class Report(Protocol):
@@ -34,6 +39,20 @@ def every_device() -> list[jax.Device]:
     """Every accelerator once, or the CPU once a core."""
     devices = jax.local_devices()
     return devices * cores() if devices[0].platform == "cpu" else devices
+
+
+def on_cores(call: Callable[[int], Result], count: int) -> list[Result]:
+    """Call a program for 0 to count - 1, on each core of the CPU one at a time.
+
+    Args:
+      call: runs a program, compiled with `ONE_CORE`.
+      count: how many calls, at least one.
+
+    Returns:
+      The results, in order, computed.
+    """
+    with concurrent.futures.ThreadPoolExecutor(min(count, cores())) as pool:
+        return list(pool.map(lambda number: jax.block_until_ready(call(number)), range(count)))
 
 
 def share_out(

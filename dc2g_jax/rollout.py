@@ -18,7 +18,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Int, Int8
 
 from dc2g_jax import gridworld
-from dc2g_jax.devices import Report, every_device, share_out
+from dc2g_jax.devices import ONE_CORE, Report, every_device, share_out
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.sensing import Kernel
 from dc2g_jax.grid.world import World
@@ -249,8 +249,7 @@ def _first_state(
 @functools.cache
 def _programs(platform: str) -> tuple[Callable[..., tuple[_Queue, _State]], Callable[..., _State]]:
     """`_first_state` and `_run`, compiled for a kind of device."""
-    # Each core of a CPU runs a program of its own, so no program spreads its work over several.
-    options: dict[str, Any] = {"xla_cpu_multi_thread_eigen": False} if platform == "cpu" else {}
+    options = ONE_CORE if platform == "cpu" else {}
     return (
         jax.jit(_first_state, static_argnames=("sensing", "n_slots", "kept_steps"), compiler_options=options),
         jax.jit(_run, static_argnames=("sensing", "step_limit"), donate_argnames=("state",), compiler_options=options),

@@ -1,15 +1,26 @@
 """Training runs that differ in numbers only, trained together."""
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.losses import parse_losses
-from dc2g_jax.estimation.training import Hyperparameters, TrainingConfig
+from dc2g_jax.estimation.training import (
+    DrawBatch,
+    Hyperparameters,
+    TrainingConfig,
+    TrainingState,
+    init_state,
+    train_step,
+    train_step_at_once,
+)
 
 
 def runs_of_grid(
@@ -70,3 +81,89 @@ def group_by_shape(runs: Mapping[str, TrainingConfig]) -> list[dict[str, Trainin
 def stacked_hyperparameters(configs: Sequence[TrainingConfig]) -> Hyperparameters:
     """The numbers of all runs of a group, stacked."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *(config.hyperparameters for config in configs))
+
+
+def init_states(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> TrainingState:
+    """The states of several runs before the first step, stacked; each as `init_state` gives it."""
+    return jax.vmap(functools.partial(init_state, recipe))(hyperparameters)
+
+
+def _unless_diverged(new: TrainingState, before: TrainingState, loss: Float[Array, ""]) -> TrainingState:
+    """Where the loss is NaN, everything but the number of the step as it was before."""
+    kept = jax.tree.map(lambda now, then: jnp.where(jnp.isfinite(loss), now, then), new, before)
+    return kept.replace(step=new.step)
+
+
+@functools.partial(jax.jit, static_argnames=("recipe", "draw_batch"), donate_argnames=("states",))
+def train_steps_together(
+    states: TrainingState,
+    hyperparameters: Hyperparameters,
+    data: Any,
+    *,
+    recipe: TrainingConfig,
+    draw_batch: DrawBatch,
+) -> tuple[TrainingState, Float[Array, "runs"]]:
+    """`train_steps` with all runs in one program: what accelerators are for."""
+
+    def one_step(state: TrainingState, numbers: Hyperparameters) -> tuple[TrainingState, Float[Array, ""]]:
+        new, loss = train_step_at_once(state, numbers, data, recipe=recipe, draw_batch=draw_batch)
+        return _unless_diverged(new, state, loss), loss
+
+    return jax.vmap(one_step)(states, hyperparameters)
+
+
+@jax.jit
+def _of_run(stack: Any, run: Int[Array, ""]) -> Any:
+    return jax.tree.map(lambda leaf: leaf[run], stack)
+
+
+@functools.partial(jax.jit, donate_argnames=("states",))
+def _put_back(states: TrainingState, run: Int[Array, ""], new: TrainingState, loss: Float[Array, ""]) -> TrainingState:
+    """The stack with one run's new state in its place."""
+    kept = _unless_diverged(new, jax.tree.map(lambda leaf: leaf[run], states), loss)
+    put = functools.partial(jax.lax.dynamic_update_index_in_dim, index=run, axis=0)
+    return jax.tree.map(put, states, kept)
+
+
+def train_steps_in_turn(
+    states: TrainingState,
+    hyperparameters: Hyperparameters,
+    data: Any,
+    *,
+    recipe: TrainingConfig,
+    draw_batch: DrawBatch,
+) -> tuple[TrainingState, Float[Array, "runs"]]:
+    """`train_steps` with one run after the other, each by the program of a single one: one fills a CPU's cores."""
+    losses = []
+    for run in map(jnp.int32, range(len(hyperparameters.seed))):
+        state, numbers = _of_run((states, hyperparameters), run)
+        new, loss = train_step(state, numbers, data, recipe=recipe, draw_batch=draw_batch)
+        states = _put_back(states, run, new, loss)
+        losses.append(loss)
+    return states, jnp.stack(losses)
+
+
+def train_steps(
+    states: TrainingState,
+    hyperparameters: Hyperparameters,
+    data: Any,
+    *,
+    recipe: TrainingConfig,
+    draw_batch: DrawBatch,
+) -> tuple[TrainingState, Float[Array, "runs"]]:
+    """Take one optimiser step of several runs, each on batches of its own, the way that is fast on the device.
+
+    A run whose loss or weights would not be finite keeps those that it had, and its loss is NaN; the others go on.
+
+    Args:
+      states: states of all runs, stacked; used up.
+      hyperparameters: of all runs, stacked.
+      data: what `draw_batch` draws from; shared.
+      recipe: what all runs have in common.
+      draw_batch: see `train_step`.
+
+    Returns:
+      The new states and the losses.
+    """
+    take = train_steps_in_turn if jax.default_backend() == "cpu" else train_steps_together
+    return take(states, hyperparameters, data, recipe=recipe, draw_batch=draw_batch)

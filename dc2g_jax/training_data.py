@@ -90,11 +90,11 @@ class DataConfig:
         if not self.half_weight_cost > 0:
             raise InputError(f"half_weight_cost {self.half_weight_cost}: give a number above 0, or inf")
 
-    def draw_batch(self, batch_size: int) -> DrawBatch:
+    @property
+    def draw_batch(self) -> DrawBatch:
         """How a training step draws its pairs; see `dc2g_jax.datasets.pairs.draw_pairs`."""
         return functools.partial(
             draw_pairs,
-            batch_size=batch_size,
             own_share=self.own_share,
             edge_weight=self.edge_weight,
             half_weight_cost=self.half_weight_cost,

@@ -25,11 +25,11 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.estimation.networks import Architecture, multiply_accumulates
-from dc2g_jax.estimation.training import TrainingConfig, TrainingState, init_states, mean_error, train_steps
+from dc2g_jax.estimation.training import TrainingConfig, TrainingState, mean_error
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.files.whole import replacing
 from dc2g_jax.inspection.training_figures import plot_sweep
-from dc2g_jax.sweeps import group_by_shape, runs_of_grid, stacked_hyperparameters
+from dc2g_jax.sweeps import group_by_shape, init_states, runs_of_grid, stacked_hyperparameters, train_steps
 from dc2g_jax.training_data import DataConfig, Validation, validation_pairs
 from experiments.common import DatasetOption, command_line, digests
 from experiments.outputs import output_folder
@@ -127,7 +127,7 @@ def train_group(
     """Train runs of one shape to the end; their networks by name."""
     configs = list(runs.values())
     recipe, hyperparameters = configs[0].recipe, stacked_hyperparameters(configs)
-    draw = options.data.draw_batch(recipe.batch_size)
+    draw = options.data.draw_batch
     latest: list[float | None] = [None] * len(runs)  # none before the first look
 
     def look(step: int, losses: np.ndarray) -> None:
@@ -145,7 +145,7 @@ def train_group(
     with contextlib.ExitStack() as stack:
         folders = []
         for run, config in runs.items():
-            folders.append(TrainingCheckpoints(options.out / "runs" / run, config, facts))
+            folders.append(TrainingCheckpoints(options.out / "runs" / run, config, {**facts, "parts": config.parts}))
             stack.callback(folders[-1].close)
 
         def save(states: TrainingState) -> None:

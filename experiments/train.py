@@ -141,7 +141,7 @@ def train(
     recording = open_recording(options, dataset) if first_step < config.steps else None
     validation = Validation(dataset) if options.validate_every else None  # refused before minutes of collecting
     data = open_training_set(options.out, dataset, options.data, network)
-    draw = options.data.draw_batch(config.batch_size)
+    draw = options.data.draw_batch
     recipe, hyperparameters = config.recipe, config.hyperparameters
     if network is not None and not first_step:
         fresh = [jax.tree.map(jnp.array, network.weights) for _ in range(2)]  # a step uses them up
@@ -215,7 +215,7 @@ def main(options: Options) -> None:
     apart = {"out", "resume", "dataset", *free}
     facts = {name: value for name, value in dataclasses.asdict(options).items() if name not in apart}
     facts["after"] = None if options.after is None else str(options.after)
-    checkpoints = TrainingCheckpoints(options.out, config, {**facts, "dataset": dataset.name})
+    checkpoints = TrainingCheckpoints(options.out, config, {**facts, "dataset": dataset.name, "parts": config.parts})
     try:
         train(options, dataset, checkpoints, network)
     finally:

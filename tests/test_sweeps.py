@@ -13,21 +13,22 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.estimation.losses import parse_losses
 from dc2g_jax.estimation.networks import Architecture
-from dc2g_jax.estimation.training import (
-    TrainingConfig,
-    first_state,
+from dc2g_jax.estimation.training import TrainingConfig, first_state, train_step
+from dc2g_jax.grid import bitboard
+from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.sweeps import (
+    group_by_shape,
     init_states,
-    train_step,
+    runs_of_grid,
+    stacked_hyperparameters,
+    train_steps,
     train_steps_in_turn,
     train_steps_together,
 )
-from dc2g_jax.grid import bitboard
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.sweeps import group_by_shape, runs_of_grid, stacked_hyperparameters
 from tests import maps
 
 BASE = TrainingConfig(architecture=Architecture(widths=(4, 4, 4, 4), quantiles=(0.3, 0.7)), steps=20, batch_size=4)
-DRAW = functools.partial(draw_pairs, batch_size=4, own_share=1.0, edge_weight=2.0, jitter=0.0, whole_share=0.0)
+DRAW = functools.partial(draw_pairs, own_share=1.0, edge_weight=2.0, jitter=0.0, whole_share=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +111,7 @@ def test_runs_of_one_shape_go_together():
             assert {loss: weight for loss, weight in config.losses if weight} == dict(runs[name].losses)
 
 
-WAYS = pytest.mark.parametrize("way", [train_steps_together, train_steps_in_turn])
+WAYS = pytest.mark.parametrize("way", [train_steps, train_steps_together])
 
 
 def train(way, data, configs, steps: int, states=None):
@@ -135,6 +136,16 @@ def test_together_is_like_alone(way, data):
         alone, ours = jax.tree.leaves(state.weights), jax.tree.leaves(states.weights)
         for one, stacked in zip(alone, ours, strict=True):
             np.testing.assert_allclose(stacked[index], one, rtol=1e-3, atol=1e-5)
+
+
+def test_in_turn_is_bit_for_bit_like_alone(data):
+    configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
+    states, _ = train(train_steps_in_turn, data, configs, 3)
+    for index, config in enumerate(configs):
+        state = first_state(config)
+        for _ in range(3):
+            state, _ = train_step(state, config.hyperparameters, data, recipe=config.recipe, draw_batch=DRAW)
+        jax.tree.map(lambda stack, one, index=index: np.testing.assert_array_equal(stack[index], one), states, state)
 
 
 @WAYS

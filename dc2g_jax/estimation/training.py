@@ -1,8 +1,9 @@
-"""Training a cost-to-go network: state, one step, steps of several runs."""
+"""Training a cost-to-go network: its numbers, its state, one step."""
 
 import dataclasses
 import functools
-from collections.abc import Callable
+import math
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import jax
@@ -11,10 +12,14 @@ import optax
 from flax import struct
 from jaxtyping import Array, Float, Int, UInt8, UInt32
 
+from dc2g_jax.devices import ONE_CORE, on_cores
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import networks
 from dc2g_jax.estimation.losses import LOSSES, map_loss
 from dc2g_jax.estimation.networks import Architecture
+
+#: Equal parts that a batch is made of, at most. Each core of a CPU takes one at a time, and works within its caches.
+_MOST_PARTS = 8
 
 
 def check_numbers(learning_rate: float, **counts: int) -> None:
@@ -37,7 +42,7 @@ class TrainingConfig:
     Attributes:
       architecture: the network.
       steps: optimiser steps in all; the learning rate falls to zero over them.
-      batch_size: pairs a step.
+      batch_size: pairs a step; a multiple of 8 keeps up to eight cores of a CPU busy.
       losses: names of losses, see `dc2g_jax.estimation.losses.LOSSES`, and the weight of each.
       learning_rate: peak, after a short linear warm-up.
       weight_decay: decoupled weight decay.
@@ -61,6 +66,11 @@ class TrainingConfig:
         check_numbers(self.learning_rate, steps=self.steps, batch_size=self.batch_size)
         if not 0 <= self.seed < 2**32:
             raise InputError(f"seed {self.seed}: give a whole number from 0 to {2**32 - 1}")
+
+    @property
+    def parts(self) -> int:
+        """Equal parts that a batch is drawn in, and how many cores of a CPU a step can use: one where it is odd."""
+        return math.gcd(self.batch_size, _MOST_PARTS)
 
     @property
     def recipe(self) -> "TrainingConfig":
@@ -129,8 +139,12 @@ class Batch(Protocol):
         ...
 
 
-#: `(key, data) -> batch`
-DrawBatch = Callable[[Array, Any], Batch]
+class DrawBatch(Protocol):
+    """How pairs are drawn."""
+
+    def __call__(self, key: Array, data: Any, *, batch_size: int) -> Batch:
+        """So many pairs out of the data."""
+        ...
 
 
 def learning_rate_schedule(recipe: TrainingConfig) -> optax.Schedule:
@@ -188,7 +202,43 @@ def running_average(average: Any, weights: Any, step: Int[Array, ""], decay: flo
     return jax.tree.map(lambda a, w: kept * a + (1 - kept) * w, average, weights)
 
 
-def _step(
+def _part_of_batch(
+    step: Int[Array, ""],
+    part: Int[Array, ""],
+    hyperparameters: Hyperparameters,
+    data: Any,
+    *,
+    recipe: TrainingConfig,
+    draw_batch: DrawBatch,
+) -> Batch:
+    """Depends on the seed and the two numbers alone, so that training can be interrupted anywhere."""
+    of_batches = jax.random.fold_in(jax.random.key(hyperparameters.seed), 1)
+    key = jax.random.fold_in(jax.random.fold_in(of_batches, step), part)
+    return draw_batch(key, data, batch_size=recipe.batch_size // recipe.parts)
+
+
+def _updated(
+    state: TrainingState,
+    hyperparameters: Hyperparameters,
+    loss: Float[Array, ""],
+    gradient: Any,
+    recipe: TrainingConfig,
+) -> tuple[TrainingState, Float[Array, ""]]:
+    """The state one step on, and its loss as `loss_or_nan` has it."""
+    updates, optimizer_state = optimizer(recipe).update(gradient, state.optimizer, state.weights)
+    weights = jax.tree.map(lambda w, u: w + hyperparameters.learning_rate * u, state.weights, updates)
+    average = running_average(state.average, weights, state.step, recipe.average_decay)
+    new = TrainingState(step=state.step + 1, weights=weights, average=average, optimizer=optimizer_state)
+    return new, loss_or_nan(loss, weights)
+
+
+def _loss_and_gradient(
+    weights: Any, batch: Batch, loss_weights: Float[Array, "losses"], *, recipe: TrainingConfig
+) -> tuple[Float[Array, ""], Any]:
+    return jax.value_and_grad(functools.partial(mean_loss, recipe, loss_weights))(weights, batch)
+
+
+def train_step_at_once(
     state: TrainingState,
     hyperparameters: Hyperparameters,
     data: Any,
@@ -196,20 +246,59 @@ def _step(
     recipe: TrainingConfig,
     draw_batch: DrawBatch,
 ) -> tuple[TrainingState, Float[Array, ""]]:
-    transform = optimizer(recipe)
-    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(hyperparameters.seed), 1), state.step)
-    batch = draw_batch(key, data)
-    loss, gradient = jax.value_and_grad(
-        lambda weights: mean_loss(recipe, hyperparameters.loss_weights, weights, batch)
-    )(state.weights)
-    updates, optimizer_state = transform.update(gradient, state.optimizer, state.weights)
-    weights = jax.tree.map(lambda w, u: w + hyperparameters.learning_rate * u, state.weights, updates)
-    average = running_average(state.average, weights, state.step, recipe.average_decay)
-    new = TrainingState(step=state.step + 1, weights=weights, average=average, optimizer=optimizer_state)
-    return new, loss_or_nan(loss, weights)
+    """`train_step` as a pure function that can be traced, all of the batch at once: what accelerators are for."""
+
+    def draw(part: Int[Array, ""]) -> Batch:
+        return _part_of_batch(state.step, part, hyperparameters, data, recipe=recipe, draw_batch=draw_batch)
+
+    parts = jax.vmap(draw)(jnp.arange(recipe.parts))
+    batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), parts)
+    loss, gradient = _loss_and_gradient(state.weights, batch, hyperparameters.loss_weights, recipe=recipe)
+    return _updated(state, hyperparameters, loss, gradient, recipe)
 
 
-@functools.partial(jax.jit, static_argnames=("recipe", "draw_batch"), donate_argnames=("state",))
+_compiled_step_at_once = jax.jit(
+    train_step_at_once, static_argnames=("recipe", "draw_batch"), donate_argnames=("state",)
+)
+
+# Two programs for each core, since in one the compiler makes the pairs again for each use of them.
+_on_one_core = functools.partial(jax.jit, compiler_options=ONE_CORE)
+_draw_on_one_core = _on_one_core(_part_of_batch, static_argnames=("recipe", "draw_batch"))
+_gradient_on_one_core = _on_one_core(_loss_and_gradient, static_argnames=("recipe",))
+
+
+@functools.partial(jax.jit, static_argnames=("recipe",), donate_argnames=("state",))
+def _updated_from_parts(
+    state: TrainingState, hyperparameters: Hyperparameters, parts: Sequence[Any], *, recipe: TrainingConfig
+) -> tuple[TrainingState, Float[Array, ""]]:
+    loss, gradient = jax.tree.map(lambda *leaves: sum(leaves) / len(leaves), *parts)
+    return _updated(state, hyperparameters, loss, gradient, recipe)
+
+
+def train_step_by_parts(
+    state: TrainingState,
+    hyperparameters: Hyperparameters,
+    data: Any,
+    *,
+    recipe: TrainingConfig,
+    draw_batch: DrawBatch,
+) -> tuple[TrainingState, Float[Array, ""]]:
+    """`train_step` with a part of the batch at a time on each core of a CPU.
+
+    The parts are the same on any number of cores, and are added up in order; but XLA's convolutions round otherwise on
+    another number of cores. It starts programs of its own on threads of its own, so it cannot be traced:
+    `train_step_at_once` can.
+    """
+
+    def gradient(part: int) -> tuple[Float[Array, ""], Any]:
+        pairs = _draw_on_one_core(
+            state.step, jnp.int32(part), hyperparameters, data, recipe=recipe, draw_batch=draw_batch
+        )
+        return _gradient_on_one_core(state.weights, pairs, hyperparameters.loss_weights, recipe=recipe)
+
+    return _updated_from_parts(state, hyperparameters, on_cores(gradient, recipe.parts), recipe=recipe)
+
+
 def train_step(
     state: TrainingState,
     hyperparameters: Hyperparameters,
@@ -218,108 +307,24 @@ def train_step(
     recipe: TrainingConfig,
     draw_batch: DrawBatch,
 ) -> tuple[TrainingState, Float[Array, ""]]:
-    """Take one optimiser step.
+    """Take one optimiser step, the way that is fast on the device.
 
     The batch of a step depends on the seed and the number of the step alone, so training that was interrupted and
-    resumed gives the same weights as training that was not. One step is one program: inside a `scan`, XLA's CPU
-    backend runs the gradients of convolutions some twenty times slower.
+    resumed gives the same weights as training that was not. No step is part of a longer program: inside a `scan`,
+    XLA's CPU backend runs the gradients of convolutions some twenty times slower.
+
+    Args:
+      state: the state; used up.
+      hyperparameters: of the run.
+      data: what `draw_batch` draws from.
+      recipe: what is compiled into a step.
+      draw_batch: draws pairs.
 
     Returns:
       The new state and the loss, as `loss_or_nan` has it.
     """
-    return _step(state, hyperparameters, data, recipe=recipe, draw_batch=draw_batch)
-
-
-def init_states(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> TrainingState:
-    """The states of several runs before the first step, stacked; each as `init_state` gives it."""
-    return jax.vmap(functools.partial(init_state, recipe))(hyperparameters)
-
-
-def _step_while_finite(
-    state: TrainingState,
-    hyperparameters: Hyperparameters,
-    data: Any,
-    *,
-    recipe: TrainingConfig,
-    draw_batch: DrawBatch,
-) -> tuple[TrainingState, Float[Array, ""]]:
-    """A step; where the loss is NaN after it, everything but the number of the step stays as it was."""
-    new, loss = _step(state, hyperparameters, data, recipe=recipe, draw_batch=draw_batch)
-    kept = jax.tree.map(lambda now, before: jnp.where(jnp.isfinite(loss), now, before), new, state)
-    return kept.replace(step=new.step), loss
-
-
-@functools.partial(jax.jit, static_argnames=("recipe", "draw_batch"), donate_argnames=("states",))
-def train_steps_together(
-    states: TrainingState,
-    hyperparameters: Hyperparameters,
-    data: Any,
-    *,
-    recipe: TrainingConfig,
-    draw_batch: DrawBatch,
-) -> tuple[TrainingState, Float[Array, "runs"]]:
-    """`train_steps` with all runs in one program: what accelerators are for."""
-    one_step = functools.partial(_step_while_finite, recipe=recipe, draw_batch=draw_batch)
-    return jax.vmap(one_step, in_axes=(0, 0, None))(states, hyperparameters, data)
-
-
-@functools.partial(jax.jit, static_argnames=("recipe", "draw_batch"), donate_argnames=("states",))
-def _step_of_run(
-    states: TrainingState,
-    run: Int[Array, ""],
-    hyperparameters: Hyperparameters,
-    data: Any,
-    *,
-    recipe: TrainingConfig,
-    draw_batch: DrawBatch,
-) -> tuple[TrainingState, Float[Array, ""]]:
-    """One run's step, in its place in the stack."""
-    state, numbers = jax.tree.map(lambda leaf: leaf[run], (states, hyperparameters))
-    new, loss = _step_while_finite(state, numbers, data, recipe=recipe, draw_batch=draw_batch)
-    put = functools.partial(jax.lax.dynamic_update_index_in_dim, index=run, axis=0)
-    return jax.tree.map(put, states, new), loss
-
-
-def train_steps_in_turn(
-    states: TrainingState,
-    hyperparameters: Hyperparameters,
-    data: Any,
-    *,
-    recipe: TrainingConfig,
-    draw_batch: DrawBatch,
-) -> tuple[TrainingState, Float[Array, "runs"]]:
-    """`train_steps` with one run after the other, by one program: a CPU's convolutions fill its cores with one."""
-    losses = []
-    for run in range(len(hyperparameters.seed)):
-        states, loss = _step_of_run(states, jnp.int32(run), hyperparameters, data, recipe=recipe, draw_batch=draw_batch)
-        losses.append(loss)
-    return states, jnp.stack(losses)
-
-
-def train_steps(
-    states: TrainingState,
-    hyperparameters: Hyperparameters,
-    data: Any,
-    *,
-    recipe: TrainingConfig,
-    draw_batch: DrawBatch,
-) -> tuple[TrainingState, Float[Array, "runs"]]:
-    """Take one optimiser step of several runs, each on batches of its own, the way that is fast on the device.
-
-    A run whose loss or weights would not be finite keeps those that it had, and its loss is NaN; the others go on.
-
-    Args:
-      states: states of all runs, stacked; used up.
-      hyperparameters: of all runs, stacked.
-      data: what `draw_batch` draws from; shared.
-      recipe: what all runs have in common.
-      draw_batch: see `train_step`.
-
-    Returns:
-      The new states and the losses.
-    """
-    take = train_steps_in_turn if jax.default_backend() == "cpu" else train_steps_together
-    return take(states, hyperparameters, data, recipe=recipe, draw_batch=draw_batch)
+    take = train_step_by_parts if jax.default_backend() == "cpu" else _compiled_step_at_once
+    return take(state, hyperparameters, data, recipe=recipe, draw_batch=draw_batch)
 
 
 def mean_error(architecture: Architecture, weights: Any, batch: Batch) -> Float[Array, ""]:

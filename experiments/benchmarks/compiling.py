@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from dc2g_jax import gridworld
 from dc2g_jax import rollout as rollout_module
 from dc2g_jax.datasets.pairs import TrainingSet
-from dc2g_jax.estimation.training import TrainingConfig, init_state, train_step
+from dc2g_jax.estimation.training import TrainingConfig, init_state, train_step_at_once
 from dc2g_jax.rollout import STEP_LIMIT
 from dc2g_jax.training_data import DataConfig
 from experiments.benchmarks.bench import SENSING_RANGE, Bench, own
@@ -67,9 +67,10 @@ def _train_step(bench: Bench) -> Callable[[], Program]:
     )
     recipe, hyperparameters = config.recipe, config.hyperparameters
     state = jax.eval_shape(functools.partial(init_state, recipe), hyperparameters)
-    draw = DataConfig(extra_houses=0).draw_batch(config.batch_size)
+    draw = DataConfig(extra_houses=0).draw_batch
 
-    return lambda: compile_program(train_step, state, hyperparameters, data, recipe=recipe, draw_batch=draw)
+    step = jax.jit(train_step_at_once, static_argnames=("recipe", "draw_batch"))
+    return lambda: compile_program(step, state, hyperparameters, data, recipe=recipe, draw_batch=draw)
 
 
 def _training_batch(bench: Bench) -> int:
@@ -107,4 +108,4 @@ def program_rows(bench: Bench) -> Iterator[Row]:
     programs |= {f"rollout, {planner}": _rollout(bench, planner, batch) for planner in planners}
     for what, program in programs.items():
         yield _row(bench, what, batch, program)
-    yield _row(bench, "training step", _training_batch(bench), _train_step(bench))
+    yield _row(bench, "training step, all at once", _training_batch(bench), _train_step(bench))

@@ -10,16 +10,9 @@ import numpy as np
 
 from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.estimation.estimators import world_cost_to_go
-from dc2g_jax.estimation.training import (
-    TrainingConfig,
-    first_state,
-    init_states,
-    train_step,
-    train_steps_in_turn,
-    train_steps_together,
-)
+from dc2g_jax.estimation.training import TrainingConfig, first_state, train_step
 from dc2g_jax.grid import bitboard
-from dc2g_jax.sweeps import stacked_hyperparameters
+from dc2g_jax.sweeps import init_states, stacked_hyperparameters, train_steps_in_turn, train_steps_together
 from dc2g_jax.training_data import DataConfig
 from experiments.benchmarks.bench import Bench, own
 from experiments.benchmarks.rows import Row
@@ -52,7 +45,7 @@ def training_rows(bench: Bench) -> Iterator[Row]:
         for number in range(n_runs)
     ]
     recipe, hyperparameters = configs[0].recipe, stacked_hyperparameters(configs)
-    draw = DataConfig(extra_houses=0).draw_batch(batch)
+    draw = DataConfig(extra_houses=0).draw_batch
     # Each call goes on where the last one stopped: states are used up.
     stacks: dict[Any, Any] = {}
     alone = [first_state(config) for config in configs]

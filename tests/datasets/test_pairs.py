@@ -294,7 +294,7 @@ def test_map_noise_changes_some_observed_cells_and_nothing_else():
     data, _ = training_set((12, 12))
     draw = functools.partial(draw_pairs, batch_size=200, own_share=0.5, edge_weight=4.0, jitter=0.0, whole_share=0.0)
     clean = jax.jit(draw)(jax.random.key(0), data)
-    degrade = DataConfig(map_noise=2.0).draw_batch(1).keywords["degrade"]
+    degrade = DataConfig(map_noise=2.0).draw_batch.keywords["degrade"]
     noisy = jax.jit(functools.partial(draw, degrade=degrade))(jax.random.key(0), data)
     np.testing.assert_array_equal(noisy.target, clean.target)
     np.testing.assert_array_equal(noisy.weight, clean.weight)

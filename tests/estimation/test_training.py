@@ -9,12 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from dc2g_jax import devices
 from dc2g_jax.datasets.pairs import TrainingSet, draw_pairs
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation import training
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.estimation.networks import Architecture
-from dc2g_jax.estimation.training import TrainingConfig, first_state, train_step
+from dc2g_jax.estimation.training import (
+    TrainingConfig,
+    first_state,
+    train_step,
+    train_step_by_parts,
+)
 from dc2g_jax.estimation.translator_training import TranslatorConfig
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.world import world_from_terrain
@@ -28,9 +35,7 @@ CONFIG = TrainingConfig(
     learning_rate=3e-3,
     average_decay=0.9,
 )
-DRAW = functools.partial(
-    draw_pairs, batch_size=CONFIG.batch_size, own_share=1.0, edge_weight=2.0, jitter=0.1, whole_share=0.1
-)
+DRAW = functools.partial(draw_pairs, own_share=1.0, edge_weight=2.0, jitter=0.1, whole_share=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -47,12 +52,16 @@ def data() -> TrainingSet:
     )
 
 
-def train(data, steps: int, state=None, config: TrainingConfig = CONFIG):
+#: A step on an accelerator, and on a CPU.
+WAYS = [training._compiled_step_at_once, train_step_by_parts]
+
+
+def train(data, steps: int, state=None, config: TrainingConfig = CONFIG, way=train_step):
     """Train on from a state (the first by default); the state is used up."""
     state = first_state(config) if state is None else state
     losses = []
     for _ in range(steps):
-        state, loss = train_step(state, config.hyperparameters, data, recipe=config.recipe, draw_batch=DRAW)
+        state, loss = way(state, config.hyperparameters, data, recipe=config.recipe, draw_batch=DRAW)
         losses.append(float(loss))
     return state, losses
 
@@ -184,11 +193,30 @@ def test_weights_that_are_not_finite_are_noticed_in_the_step_that_makes_them(dat
     assert np.isnan(losses[0])
 
 
-def test_a_step_is_compiled_once(data):
-    train(data, 2)
-    before = train_step._cache_size()
-    train(data, 3)
+def test_all_at_once_is_like_by_parts(data):
+    states, losses = zip(*(train(data, 5, way=way) for way in WAYS), strict=True)
+    np.testing.assert_allclose(*losses, rtol=1e-4)
+    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-5), *states)
+
+
+def test_the_bits_are_the_same_whatever_the_number_of_threads(data, monkeypatch):
+    states = []
+    for cores in (1, 2, 5):
+        monkeypatch.setattr(devices, "cores", lambda cores=cores: cores)
+        states.append(train(data, 5)[0])
+    for state in states[1:]:
+        assert_same_bits(state, states[0])
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_step_is_compiled_once(data, way):
+    programs = [training._compiled_step_at_once, training._draw_on_one_core, training._gradient_on_one_core]
+    programs.append(training._updated_from_parts)
+    train(data, 2, way=way)
+    before = [program._cache_size() for program in programs]
+    train(data, 3, way=way)
     other = dataclasses.replace(data, masks=~data.masks & jnp.asarray(bitboard.full(16, 16)))
-    train(other, 1)
-    train(data, 1, config=dataclasses.replace(CONFIG, seed=5, learning_rate=1e-4, losses=(("quantile", 0.5),)))
-    assert train_step._cache_size() == before
+    train(other, 1, way=way)
+    changed = dataclasses.replace(CONFIG, seed=5, learning_rate=1e-4, losses=(("quantile", 0.5),))
+    train(data, 1, config=changed, way=way)
+    assert [program._cache_size() for program in programs] == before

@@ -168,7 +168,7 @@ def test_training_is_the_same_with_and_without_a_recording(tmp_path):
         mask_world=jnp.arange(2),
         n_own=jnp.int32(2),
     )
-    draw = DataConfig(extra_houses=0).draw_batch(_CONFIG.batch_size)
+    draw = DataConfig(extra_houses=0).draw_batch
 
     def trained(watch, validate):
         return run_steps(
