@@ -12,7 +12,8 @@ from tqdm import tqdm
 from dc2g_jax.datasets.download import cache_folder
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network, network_sha256
+from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network
+from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.shipped import shipped
 from experiments.outputs import RUN_FILE, folder_in_use
 
@@ -79,4 +80,4 @@ def open_network(folder: Path | None, otherwise: str = SHIPPED_NETWORK) -> Train
 def digests(dataset: HouseDataset, **networks: TrainedNetwork | None) -> dict[str, str]:
     """SHA-256 by option of what a run depends on and a folder may hold another of when it is resumed."""
     given = {name: network for name, network in networks.items() if network is not None}
-    return {"dataset": dataset.sha256, **{name: network_sha256(one) for name, one in given.items()}}
+    return {"dataset": dataset.sha256, **{name: tree_sha256(one) for name, one in given.items()}}

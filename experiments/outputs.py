@@ -10,7 +10,7 @@ import os
 import shlex
 import subprocess
 import sys
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -48,7 +48,12 @@ class OutputOptions(Protocol):
 
 
 def output_folder(
-    options: OutputOptions, command: str, *, free: Collection[str] = (), inputs: Mapping[str, str] | None = None
+    options: OutputOptions,
+    command: str,
+    *,
+    free: Collection[str] = (),
+    inputs: Mapping[str, str] | None = None,
+    check: Callable[[Path], None] = lambda folder: None,
 ) -> Path:
     """The folder to write to, with a `run.json` that holds the command, all options, versions, commit and time.
 
@@ -60,6 +65,7 @@ def output_folder(
       command: name of the command.
       free: further options that may differ from the run that is resumed.
       inputs: name of an option -> SHA-256 of what is read where it says; the same when a run is resumed.
+      check: called with the folder of a run that is resumed; raises if it cannot go on.
 
     Raises:
       InputError: if the folder is in use, by another process too, cannot be made, or holds no such run to resume.
@@ -74,9 +80,12 @@ def output_folder(
     runs: list[dict[str, Any]] = []
     if resume:
         before = _read_run(folder)
-        _hold(folder)
+        alone = _hold(folder)
         _require_same(folder, before, command, given, {*_WHERE, *free})
         _require_same_inputs(folder, before.get("inputs", {}), inputs or {})
+        check(folder)
+        if alone:
+            clear_unfinished(folder)
         runs = before["runs"]
     else:
         _make_new(folder, resumable=hasattr(options, "resume"))
@@ -114,17 +123,18 @@ def _make_new(folder: Path, *, resumable: bool) -> None:
         raise InputError(f"{folder}: cannot be written ({error.strerror}); give --out another folder") from None
 
 
-def _hold(folder: Path) -> None:
-    """Keep other processes off a folder until this one ends, where the system can."""
+def _hold(folder: Path) -> bool:
+    """Keep other processes off a folder until this one ends, where the system can; can it?"""
     folder = folder.resolve()
     if folder in _held:
-        return
+        return _held[folder] is not None
     _held[folder] = None
     if sys.platform == "win32":
-        return
+        return False
     try:
         held = os.open(folder, os.O_RDONLY)
     except OSError as error:
+        del _held[folder]
         raise InputError(f"{folder}: cannot be read ({error.strerror}); give --out another folder") from None
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -134,11 +144,11 @@ def _hold(folder: Path) -> None:
         raise InputError(
             f"{folder}: another process is writing to it; wait for its end, or give --out another folder"
         ) from None
-    except OSError:
-        pass  # a file system without locks
-    else:
-        clear_unfinished(folder)
+    except OSError:  # a file system without locks
+        os.close(held)
+        return False
     _held[folder] = held
+    return True
 
 
 def folder_in_use() -> Path | None:

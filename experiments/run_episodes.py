@@ -65,6 +65,7 @@ def main(options: Options) -> None:
     runner = Runner(dataset, SETTINGS[options.settings], step_limit=options.step_limit, progress=EpisodeProgress())
     for start in starts:
         runner.rules(start)  # a range that cannot be had is refused before anything is written
+    # Of the rows, which are read: an annotation or another order of columns changes nothing.
     digest = hashlib.sha256(json.dumps(starts).encode()).hexdigest()
     out = output_folder(options, "run_episodes", inputs={"starts": digest, **digests(dataset, network=network)})
     results = EpisodeTable(out / "episodes.csv").run(runner, starts, options.planner, network)

@@ -10,7 +10,7 @@ import tyro
 
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
-from dc2g_jax.files.digests import arrays_sha256
+from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.files.tables import read_table, write_table
 from dc2g_jax.objectnav.agent import (
     CONTROLLER,
@@ -129,7 +129,7 @@ def digests(houses: Sequence[IndoorHouse], **networks: Any) -> dict[str, str]:
       networks: by option, `PredictedCosts` or a mapping of them; those that are `None` are left out.
     """
     given = {"houses": [house.world for house in houses], **networks}
-    return {name: arrays_sha256(tree) for name, tree in given.items() if tree is not None}
+    return {name: tree_sha256(tree) for name, tree in given.items() if tree is not None}
 
 
 def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLER.samples) -> Agent:

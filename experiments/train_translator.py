@@ -4,6 +4,7 @@ Interrupted or killed, it goes on where it was when run again with --resume.
 """
 
 import dataclasses
+import functools
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -42,9 +43,13 @@ def main(options: Options) -> None:
     """Make the pairs, train."""
     config = options.training.config(options.loss)
     dataset = open_dataset(options.dataset, cells=None)
-    if options.resume:
-        require_steps(options.out, options.training.steps)
-    output_folder(options, "train_translator", free=("minutes_per_checkpoint", "steps"), inputs=digests(dataset))
+    output_folder(
+        options,
+        "train_translator",
+        free=("minutes_per_checkpoint", "steps"),
+        inputs=digests(dataset),
+        check=functools.partial(require_steps, options.training.steps),
+    )
     data = translation_data(dataset, options.training)
     print(
         f"Training on {len(data.train.pair_house)} pairs of {len(data.train.terrain)} houses of {dataset.name}, "

@@ -115,7 +115,7 @@ def _card(
     }
 
 
-def require_steps(out: Path, steps: int) -> None:
+def require_steps(steps: int, out: Path) -> None:
     """Refuse to go on with a run of more steps than are asked for."""
     taken = newest_step(out)
     if taken > steps:
@@ -137,9 +137,8 @@ def train_translator(
     it is, a run that is at its end can go on to more steps.
 
     Raises:
-      InputError: the folder holds a run of other options or of more steps, or the loss is no number.
+      InputError: the folder holds a run of other options, or the loss is no number.
     """
-    require_steps(out, options.steps)
     first_state = partial(init_translator, seed=seed)
     checkpoints = TrainingCheckpoints(out, config, options.facts(dataset, seed), first_state=first_state)
     draw = partial(

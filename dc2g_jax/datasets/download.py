@@ -272,8 +272,8 @@ def _probe(name: str, digest: str, base_urls: Sequence[str]) -> tuple[bytes, str
     try:
         outcome = outcomes.get(timeout=PROBE_SECONDS)
     except queue.Empty:
-        if met:  # something answered, if not with the file
-            raise met[-1] from None
+        if met:  # what a server has said tells more than that another try got no answer
+            raise next((trouble for trouble in met if not isinstance(trouble, NetworkUnavailable)), met[-1]) from None
         host = urllib.parse.urlsplit(base_urls[0]).netloc
         raise NetworkUnavailable(f"no answer from {host} within {PROBE_SECONDS:g} s") from None
     finally:

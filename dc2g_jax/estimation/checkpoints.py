@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import functools
-import hashlib
 import json
 import logging
 import shutil
@@ -78,12 +77,6 @@ def _quiet() -> Iterator[None]:
 def _reason(error: Exception) -> str:
     """What Orbax says is wrong, in a part of a line."""
     return str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-
-
-def network_sha256(network: TrainedNetwork) -> str:
-    """SHA-256 of all that decides what a network answers: its architecture and its weights."""
-    architecture = json.dumps(dataclasses.asdict(network.architecture))
-    return hashlib.sha256(f"{architecture} {arrays_sha256(network.weights)}".encode()).hexdigest()
 
 
 def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, Any] | None = None) -> Path:

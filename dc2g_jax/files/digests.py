@@ -14,3 +14,10 @@ def arrays_sha256(tree: Any) -> str:
         digest.update(jax.tree_util.keystr(path).encode())
         digest.update(np.asarray(leaf).tobytes())
     return digest.hexdigest()
+
+
+def tree_sha256(tree: Any) -> str:
+    """SHA-256 of all that makes up a tree: its structure with what is static in it, its arrays."""
+    shapes = jax.tree.map(lambda leaf: (np.shape(leaf), np.asarray(leaf).dtype.name), tree)
+    made_of = f"{jax.tree.structure(tree)} {jax.tree.leaves(shapes)} {arrays_sha256(tree)}"
+    return hashlib.sha256(made_of.encode()).hexdigest()

@@ -51,7 +51,8 @@ PLANNER_STYLES = {
     "true_cost_to_go": PlannerStyle("DC2G, exact cost-to-go", "#009e73", hatch="xxx", marker="^"),
 }
 
-#: Colours, hatches and markers of planners of other names, each in turn: 140 pass before all three come again.
+#: Colours, hatches and markers of planners of other names, each in turn: 20 pass before a bar comes again, and 28
+#: before a line does.
 _OTHER_COLOURS = ("#777777", "#aaaaaa", "#4d4d4d", "#909090")
 _OTHER_HATCHES = ("", "\\\\\\", "...", "+++", "ooo")
 _OTHER_MARKERS = ("P", "X", "v", "h", "<", "p", ">")

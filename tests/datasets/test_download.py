@@ -349,6 +349,13 @@ def test_a_server_that_refuses_slowly_is_no_missing_network(fetch, server, monke
     refusal_of(InputError, fetch, "HTTP 503", "run again")
 
 
+def test_what_a_server_said_counts_more_than_a_connection_that_broke_after_it(fetch, server, monkeypatch):
+    monkeypatch.setattr(download, "BACKOFF_SECONDS", (0.01, 30.0))
+    monkeypatch.setattr(download, "PROBE_SECONDS", 0.5)
+    server.script = {_FIRST: [503, "hang up"]}
+    refusal_of(InputError, fetch, "HTTP 503", "run again")
+
+
 @pytest.mark.parametrize(("step", "words"), [("cut", "bytes of"), ("hang up", "")])
 def test_a_connection_that_breaks_every_time_is_a_missing_network_only_at_the_first_file(
     fetch, server, tmp_path, step, words

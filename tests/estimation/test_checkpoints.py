@@ -11,10 +11,11 @@ import pytest
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import translator
-from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network, network_sha256, save_network
+from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network, save_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.networks import Architecture, init_weights
 from dc2g_jax.estimation.translator import TranslatorArchitecture
+from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.grid.terrain import CLASS_NAMES
 
 N_SCALES = len(Architecture().widths)
@@ -69,9 +70,9 @@ def test_round_trip(tmp_path):
 
 
 def test_the_digest_of_a_network_tells_weights_and_architectures_apart(folder):
-    assert network_sha256(load_network(folder)) == network_sha256(network())
+    assert tree_sha256(load_network(folder)) == tree_sha256(network())
     others = (network(), network(seed=1), network(cost_scale=30.0))
-    assert len({network_sha256(one) for one in others}) == 3
+    assert len({tree_sha256(one) for one in others}) == 3
 
 
 def test_a_folder_may_be_given_as_a_relative_string(folder, monkeypatch):
