@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from dc2g_jax.devices import on_cores
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.losses import parse_losses
 from dc2g_jax.estimation.training import (
@@ -117,15 +118,13 @@ def _of_run(stack: Any, run: Int[Array, ""]) -> Any:
     return jax.tree.map(lambda leaf: leaf[run], stack)
 
 
-@functools.partial(jax.jit, donate_argnames=("states",))
-def _put_back(states: TrainingState, run: Int[Array, ""], new: TrainingState, loss: Float[Array, ""]) -> TrainingState:
-    """The stack with one run's new state in its place."""
-    kept = _unless_diverged(new, jax.tree.map(lambda leaf: leaf[run], states), loss)
-    put = functools.partial(jax.lax.dynamic_update_index_in_dim, index=run, axis=0)
-    return jax.tree.map(put, states, kept)
+@functools.partial(jax.jit, donate_argnames=("before",))
+def _stacked(before: TrainingState, new: Sequence[TrainingState], losses: Float[Array, "runs"]) -> TrainingState:
+    """The new states of all runs in one stack."""
+    return jax.vmap(_unless_diverged)(jax.tree.map(lambda *leaves: jnp.stack(leaves), *new), before, losses)
 
 
-def train_steps_in_turn(
+def train_steps_side_by_side(
     states: TrainingState,
     hyperparameters: Hyperparameters,
     data: Any,
@@ -133,14 +132,14 @@ def train_steps_in_turn(
     recipe: TrainingConfig,
     draw_batch: DrawBatch,
 ) -> tuple[TrainingState, Float[Array, "runs"]]:
-    """`train_steps` with one run after the other, each by the program of a single one: one fills a CPU's cores."""
-    losses = []
-    for run in map(jnp.int32, range(len(hyperparameters.seed))):
-        state, numbers = _of_run((states, hyperparameters), run)
-        new, loss = train_step(state, numbers, data, recipe=recipe, draw_batch=draw_batch)
-        states = _put_back(states, run, new, loss)
-        losses.append(loss)
-    return states, jnp.stack(losses)
+    """`train_steps` with a run at a time on each core of a CPU, all by the programs of a single run."""
+
+    def step(run: int) -> tuple[TrainingState, Float[Array, ""]]:
+        state, numbers = _of_run((states, hyperparameters), jnp.int32(run))
+        return train_step(state, numbers, data, recipe=recipe, draw_batch=draw_batch)
+
+    new, losses = zip(*on_cores(step, len(hyperparameters.seed)), strict=True)
+    return _stacked(states, new, jnp.stack(losses)), jnp.stack(losses)
 
 
 def train_steps(
@@ -165,5 +164,5 @@ def train_steps(
     Returns:
       The new states and the losses.
     """
-    take = train_steps_in_turn if jax.default_backend() == "cpu" else train_steps_together
+    take = train_steps_side_by_side if jax.default_backend() == "cpu" else train_steps_together
     return take(states, hyperparameters, data, recipe=recipe, draw_batch=draw_batch)

@@ -22,7 +22,7 @@ from dc2g_jax.sweeps import (
     runs_of_grid,
     stacked_hyperparameters,
     train_steps,
-    train_steps_in_turn,
+    train_steps_side_by_side,
     train_steps_together,
 )
 from tests import maps
@@ -138,9 +138,9 @@ def test_together_is_like_alone(way, data):
             np.testing.assert_allclose(stacked[index], one, rtol=1e-3, atol=1e-5)
 
 
-def test_in_turn_is_bit_for_bit_like_alone(data):
+def test_side_by_side_is_bit_for_bit_like_alone(data):
     configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
-    states, _ = train(train_steps_in_turn, data, configs, 3)
+    states, _ = train(train_steps_side_by_side, data, configs, 3)
     for index, config in enumerate(configs):
         state = first_state(config)
         for _ in range(3):

@@ -1,4 +1,4 @@
-"""Training: runs of a sweep together in one program, in turn by one, and the same runs one after another."""
+"""Training: runs of a sweep together in one program, side by side on the cores, and the same one after another."""
 
 import functools
 from collections.abc import Callable, Iterator
@@ -12,7 +12,7 @@ from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.estimation.training import TrainingConfig, first_state, train_step
 from dc2g_jax.grid import bitboard
-from dc2g_jax.sweeps import init_states, stacked_hyperparameters, train_steps_in_turn, train_steps_together
+from dc2g_jax.sweeps import init_states, stacked_hyperparameters, train_steps_side_by_side, train_steps_together
 from dc2g_jax.training_data import DataConfig
 from experiments.benchmarks.bench import Bench, own
 from experiments.benchmarks.rows import Row
@@ -66,7 +66,7 @@ def training_rows(bench: Bench) -> Iterator[Row]:
 
     ways: dict[str, Callable[[], Any]] = {
         "together": functools.partial(stacked, train_steps_together),
-        "in turn": functools.partial(stacked, train_steps_in_turn),
+        "side by side": functools.partial(stacked, train_steps_side_by_side),
         "one after another": one_after_another,
     }
     for what, call in ways.items():
