@@ -138,8 +138,9 @@ def train_steps_side_by_side(
         state, numbers = _of_run((states, hyperparameters), jnp.int32(run))
         return train_step(state, numbers, data, recipe=recipe, draw_batch=draw_batch)
 
-    new, losses = zip(*on_cores(step, len(hyperparameters.seed)), strict=True)
-    return _stacked(states, new, jnp.stack(losses)), jnp.stack(losses)
+    new, each = zip(*on_cores(step, len(hyperparameters.seed)), strict=True)
+    losses = jnp.stack(each)
+    return _stacked(states, new, losses), losses
 
 
 def train_steps(

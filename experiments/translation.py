@@ -137,8 +137,9 @@ def train_translator(
     it is, a run that is at its end can go on to more steps.
 
     Raises:
-      InputError: the folder holds a run of other options, or the loss is no number.
+      InputError: the folder holds a run of other options or of more steps, or the loss is no number.
     """
+    require_steps(options.steps, out)
     first_state = partial(init_translator, seed=seed)
     checkpoints = TrainingCheckpoints(out, config, options.facts(dataset, seed), first_state=first_state)
     draw = partial(

@@ -16,12 +16,7 @@ from dc2g_jax.estimation import training
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.estimation.networks import Architecture
-from dc2g_jax.estimation.training import (
-    TrainingConfig,
-    first_state,
-    train_step,
-    train_step_by_parts,
-)
+from dc2g_jax.estimation.training import TrainingConfig, first_state, train_step, train_step_by_parts
 from dc2g_jax.estimation.translator_training import TranslatorConfig
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.world import world_from_terrain

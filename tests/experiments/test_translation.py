@@ -14,7 +14,7 @@ from dc2g_jax.inspection.image_figures import METRIC_LABELS
 from experiments import reproduce_fig4, reproduce_fig5, reproduce_fig6, translation
 from experiments import train_translator as train_translator_command
 from experiments.training_loop import Log
-from experiments.translation import TranslationOptions, require_steps, train_translator, translation_data
+from experiments.translation import TranslationOptions, train_translator, translation_data
 from tests import maps
 
 OPTIONS = TranslationOptions(
@@ -84,7 +84,7 @@ def test_a_run_at_its_end_goes_on_to_more_steps(dataset, tmp_path, steps):
     assert steps[0] == list(range(40))
     assert list(Log(tmp_path / "run").by_step()) == [10, 20, 30, 40]
     with pytest.raises(InputError, match=r"run: has 40 steps behind it; give at least as many --steps"):
-        require_steps(30, tmp_path / "run")
+        train(tmp_path / "run", dataset, steps=30)
 
 
 def test_a_run_that_is_refused_fewer_steps_stays_as_it_is(dataset, tmp_path, steps, monkeypatch):
