@@ -94,6 +94,8 @@ def share_out(
             served[0].add_done_callback(lambda _: compiled.set())
             compiled.wait()
             served += [pool.submit(work, worker) for worker in range(1, len(devices))]
+            if concurrent.futures.wait(served, return_when=concurrent.futures.FIRST_EXCEPTION).not_done:
+                stop.set()  # one has failed: what the others would find is not wanted
             parts = [future.result() for future in served]
         finally:
             stop.set()

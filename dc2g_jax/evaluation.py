@@ -14,9 +14,9 @@ from dc2g_jax.datasets.houses import HouseDataset, stack_worlds
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, ExactCostToGo, answers_in_cells
-from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
+from dc2g_jax.grid.poses import ACTION_LETTERS, HEADINGS, make_pose
 from dc2g_jax.grid.terrain import FRONT_DOOR
-from dc2g_jax.planning.planners import DC2G, MODE_NAMES, Frontier, Oracle, Planner
+from dc2g_jax.planning.planners import DC2G, MODE_NAMES, Frontier, MapRevisingPlanner, Oracle, Planner
 from dc2g_jax.planning.rules import Rules, Settings, nearest_goal
 from dc2g_jax.planning.selection import ExpectedCost, Patience, QuantileCost, Selection
 from dc2g_jax.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
@@ -53,7 +53,7 @@ NETWORK_PLANNERS: Mapping[str, Callable[[Estimator, Rules], DC2G]] = {
 }
 
 
-def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) -> Planner:
+def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) -> MapRevisingPlanner:
     """A planner by name.
 
     Args:
@@ -242,15 +242,21 @@ class Runner:
           Results, planner by planner in the order given, each in the order of the starts.
 
         Raises:
-          ValueError: for a start on a front door: there is nothing to look for; for a planner of no known name; for an
-            `oracle` of one's own, by which all are measured.
+          ValueError: for a start that is no pose on the map, or on a front door: there is nothing to look for; for a
+            planner of no known name; for an `oracle` of one's own, by which all are measured.
           InputError: not even the oracle reaches a goal from a start within the step limit, or a start asks for an
             expanding range, and the settings know none.
         """
         if "oracle" in own:
             raise ValueError("own: holds an oracle, by which all are measured; give the planner another name")
         for start in starts:
-            if self._dataset.house(start.house).terrain[start.y, start.x] == FRONT_DOOR:
+            terrain = self._dataset.house(start.house).terrain
+            height, width = terrain.shape
+            if not (0 <= start.x < width and 0 <= start.y < height and 0 <= start.heading < HEADINGS):
+                raise ValueError(
+                    f"{start}: is no pose on a map of {width} x {height} cells; columns, rows and headings count from 0"
+                )
+            if terrain[start.y, start.x] == FRONT_DOOR:
                 raise ValueError(f"{start}: stands on a front door already; start elsewhere")
         by_ranges: dict[tuple[int | None, int | None], list[int]] = collections.defaultdict(list)
         for number, start in enumerate(starts):
@@ -352,8 +358,13 @@ def house_bootstrap(
       share: share of the drawn means that the interval holds, 0 to 1.
 
     Returns:
-      Lower and upper end.
+      Lower and upper end; both the mean where all is of one house, which tells nothing of others.
+
+    Raises:
+      ValueError: for no values.
     """
+    if len(values) == 0:
+        raise ValueError("no episode to draw from")
     names, house = np.unique(np.asarray(houses), return_inverse=True)
     totals, counts = np.bincount(house, weights=values), np.bincount(house)
     drawn = np.random.default_rng(seed).integers(len(names), size=(resamples, len(names)))

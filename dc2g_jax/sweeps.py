@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import optax
 from jaxtyping import Array, Float, Int
 
 from dc2g_jax.devices import on_cores
@@ -89,8 +90,14 @@ def init_states(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> Tra
     return jax.vmap(functools.partial(init_state, recipe))(hyperparameters)
 
 
+def steps_left_out(states: TrainingState) -> Int[Array, "runs"]:
+    """Steps of each run that changed nothing, because the loss or the weights would not have been finite."""
+    (_, taken), *_ = optax.tree_utils.tree_get_all_with_path(states.optimizer, "count")
+    return states.step - taken
+
+
 def _unless_diverged(new: TrainingState, before: TrainingState, loss: Float[Array, ""]) -> TrainingState:
-    """Where the loss is NaN, everything but the number of the step as it was before."""
+    """Where the loss is NaN, everything but the number of the step as it was before; see `steps_left_out`."""
     kept = jax.tree.map(lambda now, then: jnp.where(jnp.isfinite(loss), now, then), new, before)
     return kept.replace(step=new.step)
 

@@ -128,18 +128,42 @@ def usable(dataset: HouseDataset, split: str) -> list[House]:
     return houses
 
 
+def _require_squares(own: list[House], drawn: int) -> None:
+    """See that so many drawn houses can be run beside a dataset's."""
+    height, width = own[0].terrain.shape
+    if drawn and height != width:
+        raise InputError(
+            f"{own[0].name}: has {width} x {height} cells, and drawn houses, which are square, are run beside it; "
+            "sample the maps to squares, or have none drawn: --extra-houses 0, and --validate-every 0 (training) or "
+            "--no-episodes (sweeps)"
+        )
+
+
+def check_houses(dataset: HouseDataset, *, extra: int, drawn: bool, validated: bool) -> None:
+    """See that a dataset can be trained on, in no time: for before anything is written.
+
+    Args:
+      dataset: the houses.
+      extra: drawn houses that are trained on beside them.
+      drawn: are episodes in drawn houses run for validation?
+      validated: is anything done in the dataset's validation houses?
+
+    Raises:
+      InputError: a split has no house that an episode can be run in, or drawn houses cannot be run beside them.
+    """
+    _require_squares(usable(dataset, "train"), extra)
+    if validated:
+        _require_squares(usable(dataset, "val"), int(drawn))
+
+
 def _with_drawn(own: list[House], prefix: str, count: int, seed: int) -> list[House]:
     """Houses of a dataset, then procedural ones on a grid of the same size.
 
     Raises:
       InputError: drawn houses cannot be run beside one of the dataset's: it is not square, or called like one of them.
     """
-    height, width = own[0].terrain.shape
-    if count and height != width:
-        raise InputError(
-            f"{own[0].name}: has {width} x {height} cells, and drawn houses, which are square, are run beside it; "
-            "sample the maps to squares; `python -m experiments.train --extra-houses 0 --validate-every 0` draws none"
-        )
+    _require_squares(own, count)
+    height = own[0].terrain.shape[0]
     drawn = drawn_houses(prefix, own[0].split, count, seed, height)
     taken = {house.name for house in drawn}
     for house in own:
@@ -280,13 +304,16 @@ def training_set(houses: Sequence[House], n_own: int, masks: Masks) -> TrainingS
 def validation_pairs(dataset: HouseDataset, *, count: int, edge_weight: float) -> Pair:
     """The same pairs in every run, half of them of the dataset's validation houses, half of procedural ones.
 
+    Procedural houses are square: all pairs are of the dataset's where its maps are not.
+
     Args:
       dataset: whose validation houses to use.
       count: number of pairs.
       edge_weight: see `dc2g_jax.datasets.pairs.make_pair`.
     """
     own = usable(dataset, "val")
-    houses = _with_drawn(own, "v", 32, _VALIDATION_SEED)
+    height, width = own[0].terrain.shape
+    houses = _with_drawn(own, "v", 32 if height == width else 0, _VALIDATION_SEED)
     config = DataConfig(ranges=(5, 8), starts_per_house=8)
     masks = observation_masks(config, houses, len(own), lambda done, total: None)
     data = training_set(houses, len(own), masks)

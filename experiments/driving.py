@@ -81,9 +81,10 @@ def equipment(
 
 
 def drive(
-    name: str, houses: Sequence[House], starts: Sequence[Start], robot: Equipment, seed: int, options: DrivingOptions
-) -> Drives:
-    """Drive from every start; an oracle knows the map beforehand.
+    name: str, houses: Sequence[House], starts: Sequence[Start], robot: Equipment, seed: int, options: DrivingOptions,
+    *, knows_map: bool = False,
+) -> Drives:  # fmt: skip
+    """Drive from every start.
 
     Args:
       name: what the progress bar says.
@@ -92,6 +93,7 @@ def drive(
       robot: what the robots are made of.
       seed: of noise and pedestrians.
       options: of the command.
+      knows_map: do the robots know the map beforehand?
     """
     episodes = episodes_from(starts, {house.name: number for number, house in enumerate(houses)})
     sites = sites_of([house.terrain for house in houses])
@@ -101,6 +103,6 @@ def drive(
             bar.update(ended - bar.n)
 
         return drive_all(
-            robot, sites, episodes, seed=seed, pedestrians=options.pedestrians, knows_map=name == "oracle",
+            robot, sites, episodes, seed=seed, pedestrians=options.pedestrians, knows_map=knows_map,
             time_limit=TIME_LIMIT, on_progress=show,
         )  # fmt: skip

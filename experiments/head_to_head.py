@@ -4,7 +4,6 @@ Both run the 400 published episodes: same houses, same starts, same sensing; the
 """
 
 import dataclasses
-import json
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -16,6 +15,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.evaluation import EpisodeResult, Runner, extra_steps, house_bootstrap
 from dc2g_jax.files.tables import write_table
+from dc2g_jax.files.whole import write_json
 from dc2g_jax.inspection.figures import plot_head_to_head
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollout import STEP_LIMIT
@@ -63,6 +63,7 @@ class Pair(NamedTuple):
       authors_frontier: the authors'.
       dc2g: actions of DC2G, ours.
       authors_dc2g: the authors'.
+      reached: did our DC2G reach the door? Where it did not, its actions count as many as the step limit.
       extra: extra steps of our DC2G beyond our oracle, in percent.
       authors_extra: the authors' DC2G beyond the authors' oracle.
     """
@@ -78,6 +79,7 @@ class Pair(NamedTuple):
     authors_frontier: int
     dc2g: int
     authors_dc2g: int
+    reached: bool
     extra: float
     authors_extra: float
 
@@ -86,6 +88,10 @@ def pair_up(
     published: Sequence[PublishedEpisode], frontier: Sequence[EpisodeResult], dc2g: Sequence[EpisodeResult]
 ) -> list[Pair]:
     """Our results beside the authors', in the order of the published episodes."""
+
+    def steps(result: EpisodeResult) -> int:
+        return result.steps if result.success else STEP_LIMIT
+
     return [
         Pair(
             house=theirs.start.house,
@@ -95,11 +101,12 @@ def pair_up(
             group=theirs.group,
             oracle=ours.oracle_steps,
             authors_oracle=theirs.oracle,
-            frontier=blind.steps,
+            frontier=steps(blind),
             authors_frontier=theirs.frontier,
-            dc2g=ours.steps,
+            dc2g=steps(ours),
             authors_dc2g=theirs.dc2g,
-            extra=ours.extra,
+            reached=ours.success,
+            extra=extra_steps(steps(ours), ours.oracle_steps),
             authors_extra=extra_steps(theirs.dc2g, theirs.oracle),
         )
         for theirs, blind, ours in zip(published, frontier, dc2g, strict=True)
@@ -139,7 +146,7 @@ def compare(pairs: Sequence[Pair], *, resamples: int, seed: int) -> dict[str, An
         "equal": len(pairs) - shorter - longer,
         "longer": longer,
         "shorter_of_differing": round(shorter / max(1, shorter + longer), 4),
-        "time_outs": int(np.sum(ours >= STEP_LIMIT)),
+        "time_outs": sum(not pair.reached for pair in pairs),
         "authors_time_outs": int(np.sum(authors >= STEP_LIMIT)),
         "frontier_over_dc2g": round(float(faster.mean()), 4),
         "frontier_over_dc2g_interval": interval(faster),
@@ -200,7 +207,7 @@ def main(options: Options) -> None:
         "groups": tables,
         "houses_where_frontier_is_shorter": beaten,
     }
-    (out / "results.json").write_text(json.dumps(facts, indent=2) + "\n")
+    write_json(out / "results.json", facts)
     plot_head_to_head(
         out / "head_to_head",
         {group: [(pair.authors_extra, pair.extra) for pair in groups[group]] for group in GROUPS[:-1]},

@@ -8,7 +8,6 @@ import dataclasses
 import functools
 import gc
 import itertools
-import json
 import time
 from collections.abc import Iterator
 from typing import Literal, NamedTuple
@@ -20,6 +19,7 @@ import numpy as np
 from dc2g_jax import gridworld
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.whole import write_json
 from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax.grid.sensing import field_of_view
 from dc2g_jax.grid.world import world_from_terrain
@@ -130,7 +130,7 @@ def main(options: Options) -> None:
         "machine": machine,
         "rows": [row._asdict() for row in rows],
     }
-    (out / "latency.json").write_text(json.dumps(facts, indent=2) + "\n")
+    write_json(out / "latency.json", facts)
     print(f"Written: {out / 'latency.json'}")
 
 

@@ -4,7 +4,6 @@ Each robot looks, from the middle of its map, at ground and at a wall 7 m ahead,
 """
 
 import dataclasses
-import json
 from typing import NamedTuple
 
 import jax
@@ -12,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.whole import write_json
 from dc2g_jax.grid.terrain import HOUSE, ROAD
 from dc2g_jax.mapping.camera import Frame, Intrinsics, intrinsics, level_camera, rays
 from dc2g_jax.mapping.semantic_map import MapSettings, empty_map, integrate, terrain_map
@@ -121,7 +121,7 @@ def main(options: Options) -> None:
             f"{row.frames_a_second:11.1f}{row.terrain:13.2f}{row.gib:7.2f}",
             flush=True,
         )
-    (out / "mapping_speed.json").write_text(json.dumps({"machine": machine, "rows": rows}, indent=2) + "\n")
+    write_json(out / "mapping_speed.json", {"machine": machine, "rows": rows})
     print(f"Written: {out / 'mapping_speed.json'}")
 
 

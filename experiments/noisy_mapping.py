@@ -1,7 +1,6 @@
 """The whole loop from camera to door, with more and more noise: `python -m experiments.noisy_mapping`."""
 
 import dataclasses
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,6 +16,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.evaluation import Runner, house_bootstrap
 from dc2g_jax.files.tables import read_table, write_table
+from dc2g_jax.files.whole import write_json
 from dc2g_jax.inspection.driving_figures import plot_noise
 from dc2g_jax.planning.rules import SETTINGS
 from experiments.common import (
@@ -165,7 +165,9 @@ def main(options: Options) -> None:
     table = DriveTable(out / "drives", starts)
     size = houses[0].terrain.shape
     knowing = equipment("oracle", None, size, 0.0, options)
-    oracle = table.run("oracle", lambda: drive("oracle", houses, starts, knowing, options.seed, options))
+    oracle = table.run(
+        "oracle", lambda: drive("oracle", houses, starts, knowing, options.seed, options, knows_map=True)
+    )
     for trained, network in networks.items():
         for level in options.levels:
             name = f"{trained}_{level:g}"
@@ -173,7 +175,7 @@ def main(options: Options) -> None:
             run = lambda name=name, robot=robot: drive(name, houses, starts, robot, options.seed, options)  # noqa: E731
             drives = table.run(name, run)
             results[f"trained {trained}, noise {level:g}"] = summary(drives, oracle, names)
-    (out / "results.json").write_text(json.dumps(results, indent=2) + "\n")
+    write_json(out / "results.json", results)
     tell(results)
     files = plot_noise(out / "noisy_mapping", options.levels, results, f"{len(starts)} starts in {dataset.name}")
     print(f"Written to {out}: {', '.join(str(path.name) for path in files)}, results.json, drives/")

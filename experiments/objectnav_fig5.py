@@ -5,7 +5,6 @@ it samples.
 """
 
 import dataclasses
-import json
 import sys
 from typing import Annotated, Literal
 
@@ -18,6 +17,7 @@ from tqdm import tqdm
 
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.whole import write_json
 from dc2g_jax.inspection.search_figures import SearchMoment, plot_search
 from dc2g_jax.objectnav.agent import (
     CONTROLLER,
@@ -208,7 +208,7 @@ def main(options: Options) -> None:
         "goal_reacher_leads": [int(one.periods) for one in begun if one.to_goal],
         "moments": [{"step": moment.step, "doing": moment.doing} for moment in moments],
     }
-    (out / "search.json").write_text(json.dumps(facts, indent=2) + "\n")
+    write_json(out / "search.json", facts)
     came = "success" if result.success else "declared too early" if result.declared else "not found in time"
     print(f"{house.name}, {episode.target}, {TITLES[options.agent]}: {came} after {steps} steps ({steps / 10:g} s)")
     print(f"driven {result.driven:.1f} m, shortest way {result.shortest:.1f} m, bumps {result.bumps}")

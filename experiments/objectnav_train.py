@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import jax.numpy as jnp
+import numpy as np
 import tyro
 from tqdm import tqdm
 
@@ -21,7 +22,8 @@ from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.estimation.training import TrainingState
-from dc2g_jax.files.whole import replacing
+from dc2g_jax.files.digests import arrays_sha256
+from dc2g_jax.files.whole import write_json
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect, random_views
 from dc2g_jax.objectnav.data import TrainingSet
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
@@ -29,6 +31,7 @@ from dc2g_jax.objectnav.mapping import MapSettings
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, ImageEncoder, load_encoder, save_encoder, train_encoder
 from dc2g_jax.objectnav.networks import ABLATIONS, CostMapArchitecture, CostMapEstimator, save_estimator
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE
+from dc2g_jax.objectnav.procthor import BOXES_FILE
 from dc2g_jax.objectnav.training import (
     RECIPES,
     CostMapConfig,
@@ -105,12 +108,9 @@ class Options:
         Raises:
           InputError: a number makes no sense.
         """
-        try:
-            architecture = CostMapArchitecture(
-                patch=self.patch, widths=self.widths, features=features, inputs=ABLATIONS[self.inputs]
-            )
-        except ValueError as error:
-            raise InputError(f"--widths or --patch: {error}") from None
+        architecture = CostMapArchitecture(
+            patch=self.patch, widths=self.widths, features=features, inputs=ABLATIONS[self.inputs]
+        )
         if MapSettings.local % self.patch:
             raise InputError(f"--patch {self.patch}: give a divisor of {MapSettings.local}, the map's sides in cells")
         recipe: Recipe = RECIPES[self.recipe]
@@ -203,11 +203,17 @@ def train(options: Options, config: CostMapConfig, data: TrainingSet, validation
         checkpoints.close()
 
 
+def house_digests(location: str) -> dict[str, str]:
+    """SHA-256 of the files that houses are read from; of nothing where they are drawn or there are no files."""
+    files = [] if location == PROCEDURAL else sorted(Path(location).glob("*.json*"))
+    files = [path for path in files if path.name.split(".")[0] in ("train", "val", Path(BOXES_FILE).stem)]
+    return {"houses": arrays_sha256({path.name: np.fromfile(path, np.uint8) for path in files})} if files else {}
+
+
 def write_card(folder: Path, card: dict[str, Any]) -> None:
     """Write the card of a network beside it, as `network.json`, with what tells whether the files are whole."""
     digests = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in (NETWORK_FILE, ENCODER_FILE)}
-    with replacing(folder / "network.json") as unfinished:
-        unfinished.write_text(json.dumps({**card, "sha256": digests}, indent=2) + "\n")
+    write_json(folder / "network.json", {**card, "sha256": digests})
 
 
 def main(options: Options) -> None:
@@ -221,7 +227,8 @@ def main(options: Options) -> None:
     check_pauses(options.validate_every, options.minutes_per_checkpoint)
     if options.encoder is not None and not (options.out / ENCODER_FILE).exists():
         load_encoder(options.encoder)
-    output_folder(options, "objectnav_train", free=("validate_every", "minutes_per_checkpoint", "validation_samples"))
+    free = ("validate_every", "minutes_per_checkpoint", "validation_samples")
+    output_folder(options, "objectnav_train", free=free, inputs=house_digests(options.houses))
     count = 500 if options.count is None and options.houses == PROCEDURAL else options.count
     print(f"Houses: {count or 'all'} of {options.houses}", flush=True)
     read = functools.partial(indoor_houses, options.houses, cell_size=MapSettings.cell_size, strict=options.strict)

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import jax
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.files.whole import clear_unfinished, replacing
+from dc2g_jax.files.whole import clear_unfinished, write_json
 
 if sys.platform != "win32":
     import fcntl
@@ -105,8 +105,7 @@ def output_folder(
         ],
     }
     try:
-        with replacing(folder / RUN_FILE) as unfinished:
-            unfinished.write_text(json.dumps(facts, indent=2) + "\n")
+        write_json(folder / RUN_FILE, facts)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror}); give --out another folder") from None
     return folder
@@ -188,9 +187,11 @@ def _require_same(
         )
     for name, value in given.items():
         if name.rpartition(".")[2] not in free and before["options"].get(name) != value:
+            option, then = f"--{name.rpartition('.')[2].replace('_', '-')}", before["options"].get(name)
+            begun = f"without {option}" if then is None else f"with {option} {then!r}"
             raise InputError(
-                f"{folder}: was begun with {name} {before['options'].get(name)!r}, now it is {value!r}; resume it with "
-                "the same options, or give --out another folder"
+                f"{folder}: was begun {begun}, now it is {value!r}; resume it with the same options, or give --out "
+                "another folder"
             )
 
 
@@ -203,8 +204,9 @@ def _require_same_inputs(folder: Path, before: Mapping[str, str], now: Mapping[s
                 "--out another folder"
             )
         if before[name] != digest:
+            told = " (or for DC2G_DATA)" if name == "dataset" else ""
             raise InputError(
-                f"{folder}: what is read for --{name.replace('_', '-')} has changed since the run was begun; bring it "
+                f"{folder}: what is read for --{name.replace('_', '-')}{told} has changed since it was begun; bring it "
                 "back to resume the run, or give --out another folder"
             )
 

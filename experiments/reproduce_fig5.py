@@ -4,7 +4,6 @@
 """
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +12,7 @@ import tyro
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.translator_training import LOSSES
+from dc2g_jax.files.whole import write_json
 from dc2g_jax.inspection.image_figures import plot_training
 from experiments.common import DatasetOption, check_seed, command_line, digests
 from experiments.outputs import output_folder
@@ -77,7 +77,7 @@ def main(options: Options) -> None:
         "training": dataclasses.asdict(training),
         "runs": {loss: [list(log.values()) for log in logs] for loss, logs in runs.items()},
     }
-    (options.out / "results.json").write_text(json.dumps(facts, indent=2) + "\n")
+    write_json(options.out / "results.json", facts)
     print(f"Written to {options.out}: fig5.png, fig5.svg, results.json, a folder for each run")
 
 

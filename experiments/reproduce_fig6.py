@@ -4,7 +4,6 @@
 """
 
 import dataclasses
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset
 from dc2g_jax.datasets.image_pairs import houses_with_door
 from dc2g_jax.datasets.similarity import distance_to_training, similarity_scale
 from dc2g_jax.files.tables import write_table
+from dc2g_jax.files.whole import write_json
 from dc2g_jax.grid.sampling import resize_nearest
 from dc2g_jax.image_evaluation import GRID_CELLS, full_map_metrics
 from dc2g_jax.inspection.image_figures import METRIC_LABELS, Points, plot_by_similarity
@@ -125,7 +125,7 @@ def main(options: Options) -> None:
             for name, points in networks.items()
         },
     }
-    (out / "results.json").write_text(json.dumps(facts, indent=2) + "\n")
+    write_json(out / "results.json", facts)
     print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
 
 

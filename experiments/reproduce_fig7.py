@@ -5,7 +5,6 @@
 
 import collections
 import dataclasses
-import json
 import sys
 import time
 from collections.abc import Iterable
@@ -21,6 +20,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.evaluation import PLANNERS, EpisodeResult, Runner, Summary, extra_steps, summarize
 from dc2g_jax.files.tables import write_table
+from dc2g_jax.files.whole import write_json
 from dc2g_jax.inspection import recording
 from dc2g_jax.inspection.episode_figures import plot_episode
 from dc2g_jax.inspection.figures import plot_extra_steps, plot_house_strips
@@ -288,7 +288,7 @@ def main(options: Options) -> None:
         "paper": as_json(tables.get("paper", {})),
         "frontier_over_dc2g": ratio,
     }
-    (out / "results.json").write_text(json.dumps(facts, indent=2) + "\n")
+    write_json(out / "results.json", facts)
     files = ", ".join(sorted(path.name for path in out.iterdir()))
     print(f"\nWritten to {out} in {facts['seconds']} s: {files}")
 

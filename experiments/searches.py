@@ -1,7 +1,6 @@
 """What the commands for object goals share: options, agents by name, `episodes.csv`, and what is said in the end."""
 
 import dataclasses
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -12,6 +11,7 @@ from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.files.tables import read_table, write_table
+from dc2g_jax.files.whole import write_json
 from dc2g_jax.objectnav.agent import (
     CONTROLLER,
     MPC,
@@ -239,7 +239,7 @@ def conclude(
         **facts,
         "differences": {name: gain._asdict() for name, gain in gains.items()},
     }
-    (out / "results.json").write_text(json.dumps(found, indent=2) + "\n")
+    write_json(out / "results.json", found)
     print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
 
 

@@ -9,7 +9,8 @@ import contextlib
 import dataclasses
 import functools
 import json
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,12 +28,19 @@ from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.estimation.networks import Architecture, multiply_accumulates
 from dc2g_jax.estimation.training import TrainingConfig, TrainingState, mean_error
 from dc2g_jax.files.tables import write_table
-from dc2g_jax.files.whole import replacing
+from dc2g_jax.files.whole import write_json
 from dc2g_jax.inspection.training_figures import plot_sweep
-from dc2g_jax.sweeps import group_by_shape, init_states, runs_of_grid, stacked_hyperparameters, train_steps
-from dc2g_jax.training_data import DataConfig, Validation, validation_pairs
+from dc2g_jax.sweeps import (
+    group_by_shape,
+    init_states,
+    runs_of_grid,
+    stacked_hyperparameters,
+    steps_left_out,
+    train_steps,
+)
+from dc2g_jax.training_data import DataConfig, Validation, check_houses, validation_pairs
 from experiments.common import DatasetOption, command_line, digests
-from experiments.outputs import output_folder
+from experiments.outputs import number_or_null, output_folder
 from experiments.training_loop import Log, check_pauses, run_steps
 from experiments.training_sets import open_training_set
 
@@ -128,17 +136,24 @@ def train_group(
     configs = list(runs.values())
     recipe, hyperparameters = configs[0].recipe, stacked_hyperparameters(configs)
     draw = options.data.draw_batch
-    latest: list[float | None] = [None] * len(runs)  # none before the first look
+    latest = [math.nan] * len(runs)  # before the first look
 
     def look(step: int, losses: np.ndarray) -> None:
         latest[:] = losses.tolist()
 
     def validate(states: TrainingState, step: int) -> None:
         errors = np.asarray(validation_errors(recipe.architecture, states.average, pairs))
+        left_out = np.asarray(steps_left_out(states))
         log.write(
             *(
-                {"run": run, "step": step, "loss": loss, "error": float(error)}
-                for run, loss, error in zip(runs, latest, errors, strict=True)
+                {
+                    "run": run,
+                    "step": step,
+                    "loss": number_or_null(latest[number]),
+                    "error": float(errors[number]),
+                    "steps_left_out": int(left_out[number]),
+                }
+                for number, run in enumerate(runs)
             )
         )
 
@@ -175,21 +190,16 @@ def train_group(
     return networks
 
 
-def diverged(validations: Iterable[Mapping[str, Any]]) -> bool:
-    """Has a run's loss ever been no number? Its weights stay what they were then, and so does its error."""
-    return not all(line["loss"] is None or np.isfinite(line["loss"]) for line in validations)
-
-
 def loss_name(config: TrainingConfig) -> str:
     """The losses of a run and their weights, where there is more than one or it is not 1."""
-    return " + ".join(name if weight == 1 else f"{weight:g} {name}" for name, weight in config.losses)
+    return " + ".join(name if weight == 1 else f"{weight!r} {name}" for name, weight in config.losses)
 
 
 def kind_of(options: Options, config: TrainingConfig) -> str:
     """What distinguishes a run from those of the sweep that differ from it in more than the seed."""
     parts = [loss_name(config)]
     if len(options.learning_rates) > 1:
-        parts.append(f"rate {config.learning_rate:g}")
+        parts.append(f"rate {config.learning_rate!r}")
     if len(options.widths) > 1:
         parts.append(f"widths {'-'.join(map(str, config.architecture.widths))}")
     return ", ".join(parts)
@@ -218,7 +228,7 @@ def write_results(
                 "million_multiply_accumulates": round(1e-6 * macs[config.architecture], 2),
                 "seed": config.seed,
                 "steps": step,
-                "diverged": int(diverged(validations.values())),
+                "diverged": int(validations[step]["steps_left_out"] > 0),
                 "error": round(validations[step]["error"], 4),
                 **episodes.get(run, {}),
             }
@@ -239,8 +249,7 @@ def run_episodes(validation: Validation, networks: Mapping[str, NetworkCostToGo]
         if run not in found:
             print(f"episodes in validation houses: {run} ({number} of {len(networks)})", flush=True)
             found[run] = validation.figures(network)
-            with replacing(path) as unfinished:
-                unfinished.write_text(json.dumps(found, indent=2) + "\n")
+            write_json(path, found)
     return found
 
 
@@ -250,6 +259,7 @@ def main(options: Options) -> None:
     runs = options.runs
     groups = group_by_shape(runs)
     dataset = open_dataset(options.dataset)
+    check_houses(dataset, extra=options.data.extra_houses, drawn=options.episodes, validated=True)
     output_folder(options, "sweep_losses", free=("minutes_per_checkpoint",), inputs=digests(dataset))
     facts = {"data": dataclasses.asdict(options.data), "dataset": dataset.name}
     # Houses that these cannot be made of are refused before minutes of collecting.
@@ -274,7 +284,7 @@ def main(options: Options) -> None:
     plot_sweep(options.out / "sweep", errors, extra, f"{dataset.name}; errors on {_PAIRS} validation pairs")
     for row in rows:
         steps = f"   extra steps {row['mean_extra']:.1f} %" if "mean_extra" in row else ""
-        warning = "   diverged: its loss is not finite" if row["diverged"] else ""
+        warning = "   diverged: the loss of some steps was not finite" if row["diverged"] else ""
         print(f"{row['run']:60} error {row['error']:.2f} cells{steps}{warning}")
     print(f"Written: {options.out / 'results.csv'}")
 

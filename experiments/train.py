@@ -25,7 +25,7 @@ from dc2g_jax.estimation.networks import Architecture
 from dc2g_jax.estimation.training import TrainingConfig, TrainingState, first_state, train_step
 from dc2g_jax.inspection.columns import viewer_sink
 from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_watch, next_file
-from dc2g_jax.training_data import DataConfig, Validation
+from dc2g_jax.training_data import DataConfig, Validation, check_houses
 from experiments.common import DatasetOption, NetworkOption, command_line, digests
 from experiments.outputs import command_written, commit, output_folder
 from experiments.training_loop import FiniteLoss, Log, check_pauses, run_steps
@@ -47,7 +47,8 @@ class Options:
         leads are added to the others (DAgger).
       loss: quantile, l1, l2, huber or log, or a weighted sum of them such as quantile=1,log=0.5.
       widths: channels of the network at 1/2, 1/4, 1/8 and 1/16 of the map's resolution, such as 16 32 64 128.
-      quantiles: levels of the quantiles that the network answers with.
+      quantiles: levels of the quantiles that the network answers with: the middles of equal parts of the distribution,
+        as planners take the answers to be equally likely.
       steps: optimiser steps.
       batch_size: pairs a step; a multiple of 8 keeps up to eight cores of a CPU busy.
       learning_rate: peak learning rate.
@@ -79,7 +80,18 @@ class Options:
 
     @property
     def training(self) -> TrainingConfig:
-        """How to train."""
+        """How to train.
+
+        Raises:
+          InputError: a number or a name makes no sense.
+        """
+        count = len(self.quantiles)
+        middles = [round((part + 0.5) / count, 3) for part in range(count)]
+        if not np.allclose(self.quantiles, middles, atol=1e-3):
+            raise InputError(
+                f"--quantiles {' '.join(map(str, self.quantiles))}: planners take the answers to be equally likely; "
+                f"give the middles of equal parts, such as {' '.join(map(str, middles or (0.1, 0.3, 0.5, 0.7, 0.9)))}"
+            )
         return TrainingConfig(
             architecture=Architecture(widths=self.widths, quantiles=self.quantiles),
             steps=self.steps,
@@ -104,15 +116,25 @@ def compact_network(folder: Path, architecture: Architecture) -> NetworkCostToGo
     return network
 
 
-def model_card(options: Options, dataset: HouseDataset, step: int, figures: dict[str, float]) -> dict[str, Any]:
-    """What to know about a network: where it comes from and how good it is on validation houses."""
+def model_card(
+    options: Options, dataset: HouseDataset, after: dict[str, Any] | None, step: int, figures: dict[str, float]
+) -> dict[str, Any]:
+    """What to know about a network: where it comes from and how good it is on validation houses.
+
+    Args:
+      options: of the command.
+      dataset: the houses.
+      after: the card of the network that training began with.
+      step: optimiser steps taken.
+      figures: of the validation.
+    """
     data = options.data
     return {
         "data": f"{dataset.name}, training split, and {data.extra_houses} procedural houses (seed {data.data_seed})",
         "masks": f"rollouts of exploring robots with sensing ranges {', '.join(map(str, data.ranges))} cells"
-        + ("" if options.after is None else ", and of robots led by the network below"),
+        + ("" if after is None else ", and of robots led by the network below"),
         "target": "4-connected cost-to-go in cells",
-        **({} if options.after is None else {"after": json.loads((options.after / "network.json").read_text())}),
+        **({} if after is None else {"after": after}),
         "loss": options.loss,
         "command": command_written(),
         "commit": commit(),
@@ -135,10 +157,10 @@ def train(
     options: Options, dataset: HouseDataset, checkpoints: TrainingCheckpoints, network: NetworkCostToGo | None
 ) -> None:
     """Train to the end, from a network where one is given, saving now and then, and at Ctrl-C."""
+    after = None if options.after is None else json.loads((options.after / "network.json").read_text())
     config = options.training
     state = checkpoints.restore() or first_state(config)
     first_step = int(state.step)
-    recording = open_recording(options, dataset) if first_step < config.steps else None
     validation = Validation(dataset) if options.validate_every else None  # refused before minutes of collecting
     data = open_training_set(options.out, dataset, options.data, network)
     draw = options.data.draw_batch
@@ -147,6 +169,7 @@ def train(
         fresh = [jax.tree.map(jnp.array, network.weights) for _ in range(2)]  # a step uses them up
         state = dataclasses.replace(state, weights=fresh[0], average=fresh[1])
     loss = FiniteLoss(options.out)
+    recording = open_recording(options, dataset) if first_step < config.steps else None
 
     def network_of(state: TrainingState) -> NetworkCostToGo:
         return NetworkCostToGo(weights=state.average, architecture=config.architecture)
@@ -157,7 +180,7 @@ def train(
 
     def validate(state: TrainingState, step: int) -> None:
         figures = validation.figures(network_of(state)) if validation else {}
-        report(options, dataset, network_of(state), step, loss.latest, figures)
+        report(options, dataset, network_of(state), after, step, loss.latest, figures)
         if recording is not None:
             recording.validate(step, figures, network_of(state))
 
@@ -191,12 +214,13 @@ def report(
     options: Options,
     dataset: HouseDataset,
     network: NetworkCostToGo,
+    after: dict[str, Any] | None,
     step: int,
     loss: float | None,
     figures: dict[str, float],
 ) -> None:
     """Save the network as it is, and add a line to the log."""
-    save_network(options.out / "network", network, model_card(options, dataset, step, figures))
+    save_network(options.out / "network", network, model_card(options, dataset, after, step, figures))
     line = {"step": step, "loss": loss if loss is None else round(loss, 4), **figures}
     Log(options.out).write(line)
     tqdm.write(json.dumps(line), file=sys.stderr)
@@ -210,6 +234,8 @@ def main(options: Options) -> None:
     if options.connect is not None:
         viewer_sink(options.connect)  # an address that is none is refused before anything is written
     dataset = open_dataset(options.dataset)
+    watched = options.validate_every > 0 or options.record or options.connect is not None
+    check_houses(dataset, extra=options.data.extra_houses, drawn=options.validate_every > 0, validated=watched)
     free = {"validate_every", "minutes_per_checkpoint", "record", "connect"}
     output_folder(options, "train", free=free, inputs=digests(dataset, after=network))
     apart = {"out", "resume", "dataset", *free}

@@ -6,7 +6,6 @@ the robot; everything else, the starts included, is the same.
 
 import dataclasses
 import functools
-import json
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal, NamedTuple
 
@@ -23,6 +22,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, extent_of
 from dc2g_jax.estimation.extents import CroppedEstimator, Window, WindowedEstimator
 from dc2g_jax.evaluation import Runner, make_planner, summarize
+from dc2g_jax.files.whole import write_json
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.terrain import UNKNOWN
 from dc2g_jax.planning.rules import SETTINGS
@@ -186,7 +186,7 @@ def main(options: Options) -> None:
                 f"success {100 * summary.success:.1f} %{estimate}",
                 flush=True,
             )
-    (out / "results.json").write_text(json.dumps({"split": options.split, "worlds": facts}, indent=2) + "\n")
+    write_json(out / "results.json", {"split": options.split, "worlds": facts})
     print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
 
 

@@ -22,7 +22,7 @@ from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.planning.planners import DC2G, Frontier, Oracle
 from dc2g_jax.planning.rules import SETTINGS, complete_rules
 from tests.oracles import gridworld_oracle as oracle
-from tests.refusals import refusal
+from tests.refusals import refusal, refusal_of
 
 RULES = complete_rules(4)
 
@@ -127,6 +127,12 @@ def test_no_distance_is_added_to_pictures_however_they_are_asked_for():
     for wrapped in (CroppedEstimator, WindowedEstimator):
         assert make_planner("dc2g", RULES, wrapped(translator)) == DC2G(wrapped(translator), RULES)
         assert make_planner("dc2g", RULES, wrapped(network)) == NETWORK_PLANNERS["dc2g"](wrapped(network), RULES)
+
+
+@pytest.mark.parametrize(("x", "y", "heading"), [(-1, 0, 0), (0, -1, 0), (50, 0, 0), (0, 50, 0), (0, 0, 4), (0, 0, -1)])
+def test_a_start_that_is_no_pose_on_the_map_is_refused(x, y, heading, dataset):
+    start = STARTS[0]._replace(x=x, y=y, heading=heading)
+    refusal_of(ValueError, lambda: Runner(dataset, SETTINGS["paper"]).run([start], ["oracle"]), start.house, "no pose")
 
 
 def test_a_step_limit_that_not_even_the_oracle_keeps_is_refused(dataset):

@@ -1,11 +1,14 @@
 """Many episodes at once give what each gives alone, whatever the slots and the order."""
 
+import threading
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from dc2g_jax import rollout as rollout_module
+from dc2g_jax.devices import share_out
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.estimation.networks import Architecture, init_weights
 from dc2g_jax.evaluation import episodes_from
@@ -119,6 +122,22 @@ def test_what_fails_in_one_queue_ends_the_rollout(terrains):
 
     with pytest.raises(RuntimeError, match="are enough"):
         run(terrains, some_episodes(terrains, 2), on_progress=fail)
+
+
+def test_a_worker_that_fails_ends_the_others():
+    others = threading.Event()
+
+    def serve(device, own, report):
+        if 1 in own:
+            raise RuntimeError("broken")
+        while report(0):
+            others.wait(0.01)
+        others.set()
+        return own
+
+    with pytest.raises(RuntimeError, match="broken"):
+        share_out(2, jax.devices()[:1] * 2, serve)
+    assert others.is_set()
 
 
 def test_actions_are_kept_only_if_asked_for(terrains):

@@ -13,7 +13,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.estimation.losses import parse_losses
 from dc2g_jax.estimation.networks import Architecture
-from dc2g_jax.estimation.training import TrainingConfig, first_state, train_step
+from dc2g_jax.estimation.training import TrainingConfig, first_state, mean_loss, train_step
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.sweeps import (
@@ -21,6 +21,7 @@ from dc2g_jax.sweeps import (
     init_states,
     runs_of_grid,
     stacked_hyperparameters,
+    steps_left_out,
     train_steps,
     train_steps_side_by_side,
     train_steps_together,
@@ -157,6 +158,17 @@ def test_stopped_and_gone_on_is_bit_for_bit_like_not_stopped(way, data):
     jax.tree.map(np.testing.assert_array_equal, whole, again)
 
 
+def test_a_loss_of_no_weight_makes_no_run_diverge(data):
+    config = dataclasses.replace(BASE, losses=(("l1", 1.0), ("l2", 0.0)))
+    weights = jax.tree.map(lambda leaf: 1e10 * leaf, first_state(config).weights)
+    batch = DRAW(jax.random.key(0), data, batch_size=4)
+    both = jax.value_and_grad(functools.partial(mean_loss, config.recipe, jnp.array([1.0, 0.0])))(weights, batch)
+    alone = dataclasses.replace(config, losses=(("l1", 1.0),)).recipe
+    one = jax.value_and_grad(functools.partial(mean_loss, alone, jnp.array([1.0])))(weights, batch)
+    assert not np.isfinite(mean_loss(config.recipe, jnp.array([0.0, 1.0]), weights, batch))
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), both, one)
+
+
 @WAYS
 def test_a_run_that_diverges_keeps_its_weights_and_leaves_the_others_alone(way, data):
     configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
@@ -167,6 +179,7 @@ def test_a_run_that_diverges_keeps_its_weights_and_leaves_the_others_alone(way, 
     assert np.isfinite(losses[:, 0]).all()
     assert np.isnan(losses[:, 1]).all()
     assert states.step.tolist() == [4, 4]
+    assert steps_left_out(states).tolist() == [0, 4]
     for one, both in zip(jax.tree.leaves(alone.weights), jax.tree.leaves(states.weights), strict=True):
         np.testing.assert_allclose(both[0], one[0], rtol=1e-3, atol=1e-5)
     first = init_states(configs[0].recipe, stacked_hyperparameters(configs)).weights

@@ -99,9 +99,10 @@ class HouseDataset:
         for house in self.houses:
             if house.name == name:
                 return house
-        close = difflib.get_close_matches(name, [house.name for house in self.houses], n=3, cutoff=0.5)
-        remedy = f"did you mean {' or '.join(close)}?" if close else "see the dataset's house lists for names"
-        raise InputError(f"{self.name}: no house is called {name!r}; {remedy}")
+        names = [house.name for house in self.houses]
+        close = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+        remedy = f"did you mean {' or '.join(close)}?" if close else f"its houses are {', '.join(names[:3])} and so on;"
+        raise InputError(f"{self.name}: no house is called {name!r}; {remedy} (--dataset says which houses there are)")
 
 
 def stack_worlds(houses: Iterable[House]) -> World:

@@ -146,8 +146,8 @@ def _grid_size(where: str, shape: tuple[int, ...], cells: int | tuple[int, int] 
     columns, rows = (width, height) if cells is None else (cells, cells) if isinstance(cells, int) else cells
     if not (1 <= columns <= width and 1 <= rows <= height):
         raise InputError(
-            f"{where}: wrong grid size: {width} x {height} pixels cannot fill {columns} x {rows} cells; use a larger "
-            f"image, or at least 1 x 1 and at most {width} x {height} cells"
+            f"{where}: wrong grid size: {width} x {height} pixels cannot fill {columns} x {rows} cells; give "
+            f"at least 1 x 1 and at most {width} x {height} cells, or a larger image"
         )
     return columns, rows
 

@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Int, Int8, UInt32
 
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.poses import Pose, moved
-from dc2g_jax.grid.sensing import Kernel, visible
+from dc2g_jax.grid.sensing import Kernel
 from dc2g_jax.grid.world import World
 
 
@@ -43,10 +43,10 @@ def moments_along(
     def look(carry: tuple[Pose, Array], action: Array) -> tuple[tuple[Pose, Array], tuple[Pose, Array]]:
         pose, seen = carry
         pose = moved(pose, action, height, width)
-        seen = seen | visible(sensing, pose, height, width)
+        seen = seen | sensing.visible(pose, world.opaque, width)
         return (pose, seen), (pose, seen)
 
-    first = (start, visible(sensing, start, height, width))
+    first = (start, sensing.visible(start, world.opaque, width))
     _, (poses, seen) = jax.lax.scan(look, first, actions.astype(jnp.int32))
     poses, seen = jax.tree.map(lambda one, rest: jnp.concatenate([one[None], rest])[times], first, (poses, seen))
 

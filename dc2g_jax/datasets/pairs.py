@@ -167,7 +167,7 @@ def draw_pairs(
       half_weight_cost: see `make_pair`.
       degrade: what becomes of each observed map, as a camera may make it out; `None` for nothing.
     """
-    which, place, turn, change, lift = jax.random.split(key, 5)
+    which, place, turn, change, lift, noise = jax.random.split(key, 6)
     count = len(data.mask_world)
     own = (jax.random.uniform(which, (batch_size,)) < own_share) & (data.n_own > 0) | (data.n_own == count)
     low, high = jnp.where(own, 0, data.n_own), jnp.where(own, data.n_own, count)
@@ -178,7 +178,7 @@ def draw_pairs(
     make = functools.partial(make_pair, data, edge_weight=edge_weight, half_weight_cost=half_weight_cost)
     pairs = jax.vmap(make)(index, symmetry, whole)
     if degrade is not None:
-        keys = jax.random.split(jax.random.fold_in(key, 1), batch_size)
+        keys = jax.random.split(noise, batch_size)
         pairs = dataclasses.replace(pairs, terrain=jax.vmap(degrade)(keys, pairs.terrain))
     if not jitter:
         return pairs

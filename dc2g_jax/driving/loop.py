@@ -38,7 +38,7 @@ from dc2g_jax.mapping.noise import NoiseLevels, PoseDrift, drift_on, drifted, no
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.mapping.semantic_map import MapSettings, SemanticMap, empty_map, integrate, terrain_map
 from dc2g_jax.mapping.simulator import CAMERA_HEIGHT, CAMERA_PITCH, CAMERA_RANGE, render
-from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL, ExplorationState, Planner
+from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL, MapRevisingPlanner
 
 #: What a robot is doing.
 UNDER_WAY, ARRIVED, NOTHING_LEFT = 0, 1, 2
@@ -86,7 +86,7 @@ class Equipment:
       frame_periods: control periods from one frame to the next.
     """
 
-    planner: Planner
+    planner: MapRevisingPlanner
     sensing: Kernel = struct.field(pytree_node=False)
     camera: Intrinsics
     mapping: MapSettings
@@ -112,6 +112,7 @@ class Robot:
       planner_state: what the planner keeps.
       path: what it drives.
       decided_in: column and row of the cell where it decided last.
+      decided_on: class index of every cell at that decision.
       mode: plan mode of that decision.
       new_maps: how often it has begun a new map.
       people: pedestrians around it.
@@ -134,6 +135,7 @@ class Robot:
     planner_state: Any
     path: Path
     decided_in: Int[Array, "2"]
+    decided_on: UInt8[Array, "h w"]
     mode: Int[Array, ""]
     new_maps: Int[Array, ""]
     people: Pedestrians
@@ -184,6 +186,7 @@ def set_out(
         planner_state=equipment.planner.init(world_from_terrain(site.terrain)),
         path=path_through(jnp.tile(here, (_ACTIONS_AHEAD + 1, 1)), 1, start.heading, cell_size),
         decided_in=here,
+        decided_on=prior,
         mode=jnp.int32(EXPLORE),
         new_maps=nothing,
         people=place(own_key, Ground(walkable_cells(site.terrain), cell_size), pedestrians, position),
@@ -263,7 +266,8 @@ def decide(robot: Robot, equipment: Equipment) -> Robot:
     pose = Pose(x=column, y=row, heading=quarter)
     robot = _lessons(robot, pose, equipment)
     belief = belief_from_map(robot.terrain, pose)
-    plan, planner_state = equipment.planner.plan(belief, _without_ground(robot.planner_state))
+    changed = bitboard.pack(robot.terrain != robot.decided_on)
+    plan, planner_state = equipment.planner.plan(belief, equipment.planner.revised(robot.planner_state, changed))
     cells, length, heading = _way(belief, plan.subgoals)
     # Of a new map, what lies to the left is seen first.
     gives_up = plan.mode == GAVE_UP
@@ -283,6 +287,7 @@ def decide(robot: Robot, equipment: Equipment) -> Robot:
         planner_state=planner_state,
         path=path_through(cells, length, heading, equipment.mapping.cell_size),
         decided_in=jnp.stack([column, row]),
+        decided_on=robot.terrain,
         mode=plan.mode,
         new_maps=new_maps,
         decided_at=robot.periods,
@@ -324,14 +329,6 @@ def _lessons(robot: Robot, pose: Pose, equipment: Equipment) -> Robot:
         no_door=robot.no_door.at[pose.y, pose.x].max(stands & (robot.mode == TO_GOAL)),
     )
     return _with_terrain(robot, equipment)
-
-
-def _without_ground(planner_state: Any) -> Any:
-    """The planner's state without the ground that it has reached: on a map that changes, ground can be lost."""
-    if isinstance(planner_state, ExplorationState):
-        return planner_state._replace(reachable=jnp.zeros_like(planner_state.reachable))
-    # An explorer without an estimator keeps nothing else; what an oracle keeps does not change.
-    return planner_state if isinstance(planner_state, tuple) else jnp.zeros_like(planner_state)
 
 
 def _way(belief: Belief, subgoals: PoseSet) -> tuple[Int[Array, "n 2"], Int[Array, ""], Int[Array, ""]]:

@@ -21,7 +21,7 @@ from dc2g_jax.estimation.networks import Architecture
 from dc2g_jax.estimation.training import first_state
 from dc2g_jax.estimation.translator import TranslatorArchitecture
 from dc2g_jax.files.digests import arrays_sha256
-from dc2g_jax.files.whole import replacing
+from dc2g_jax.files.whole import write_json
 from dc2g_jax.grid.terrain import CLASS_NAMES
 
 _CARD = "network.json"
@@ -95,7 +95,10 @@ def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, An
         checkpointer.save(partial, jax.tree.map(np.asarray, network.weights))
     # A note by Orbax that names the folder on this machine; nothing reads it.
     (partial / "commit_success.txt").unlink(missing_ok=True)
-    shutil.rmtree(folder / _WEIGHTS, ignore_errors=True)
+    old = folder / f".{_WEIGHTS}.old"
+    shutil.rmtree(old, ignore_errors=True)
+    with contextlib.suppress(FileNotFoundError):
+        (folder / _WEIGHTS).rename(old)
     partial.rename(folder / _WEIGHTS)
     facts = {
         "network": next(name for name, kind in _KINDS.items() if isinstance(network, kind.estimator)),
@@ -104,8 +107,8 @@ def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, An
         "sha256": arrays_sha256(network.weights),
         **(card or {}),
     }
-    with replacing(folder / _CARD) as unfinished:
-        unfinished.write_text(json.dumps(facts, indent=2) + "\n")
+    write_json(folder / _CARD, facts)
+    shutil.rmtree(old, ignore_errors=True)
     return folder
 
 
@@ -130,8 +133,8 @@ def _read_card(folder: Path) -> tuple[_Kind, Any, str | None]:
     kind = _KINDS.get(str(facts.get("network")))
     if kind is None:
         raise InputError(
-            f"{folder / _CARD}: the network is {facts.get('network')!r}, but this package runs {', '.join(_KINDS)}; "
-            f"{remedy}"
+            f"{folder / _CARD}: its network is {facts.get('network', 'of no kind that is named')!r}, but planners take "
+            f"{' or '.join(_KINDS)}; {remedy}"
         )
     if facts.get("classes") != list(CLASS_NAMES):
         raise InputError(f"{folder / _CARD}: the network was trained on another list of terrain classes; train it anew")
@@ -187,6 +190,8 @@ def load_network(folder: str | Path) -> TrainedNetwork:
             f"{folder / _WEIGHTS}: the SHA-256 of the weights is not {digest}, as {_CARD} says; "
             "keep the two files of one training together"
         )
+    if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(weights)):
+        raise InputError(f"{folder / _WEIGHTS}: holds weights that are not finite; train the network anew")
     return kind.estimator(weights=weights, architecture=architecture)
 
 
@@ -229,8 +234,7 @@ class TrainingCheckpoints:
                     f"now {wanted[changed[0]]!r}; give the same options to resume it, or another folder"
                 )
         else:
-            with replacing(folder / _CONFIG) as unfinished:
-                unfinished.write_text(json.dumps(wanted, indent=2) + "\n")
+            write_json(folder / _CONFIG, wanted)
         self._folder = folder / _STATES
         with _quiet():
             self._manager = ocp.CheckpointManager(

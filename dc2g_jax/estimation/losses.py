@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from dc2g_jax.errors import InputError
@@ -93,8 +94,10 @@ def parse_losses(text: str) -> tuple[tuple[str, float], ...]:
         except ValueError:
             value = -1.0
         check_loss_names([name])
-        if not 0 < value < float("inf"):
-            raise InputError(f"loss {text!r}: the weight of {name} is {weight!r}; give a number above 0")
+        if not 0 < np.float32(value) < np.inf:
+            raise InputError(
+                f"loss {text!r}: the weight of {name} is {weight!r}; give a number above 0 that single precision holds"
+            )
         losses.append((name, value))
     if len(dict(losses)) < len(losses):
         raise InputError(f"loss {text!r}: names a loss twice; give each once")

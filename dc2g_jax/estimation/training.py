@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from flax import struct
 from jaxtyping import Array, Float, Int, UInt8, UInt32
@@ -31,8 +32,8 @@ def check_numbers(learning_rate: float, **counts: int) -> None:
     for name, count in counts.items():
         if count < 1:
             raise InputError(f"{name.replace('_', ' ')} {count}: give at least 1")
-    if not 0 < learning_rate < float("inf"):
-        raise InputError(f"learning rate {learning_rate}: give a number above 0")
+    if not 0 < np.float32(learning_rate) < np.inf:
+        raise InputError(f"learning rate {learning_rate}: give a number above 0 that single precision holds")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -183,11 +184,13 @@ def mean_loss(
     levels = jnp.asarray(recipe.architecture.quantiles, jnp.float32)
     estimate = networks.apply(recipe.architecture, weights, batch.terrain) / scale
 
-    def mean(name: str) -> Float[Array, ""]:
+    def mean(name: str, weight: Float[Array, ""]) -> Float[Array, ""]:
         of_map = functools.partial(map_loss, LOSSES[name], levels=levels)
-        return jnp.mean(jax.vmap(of_map)(estimate, batch.target / scale, batch.weight))
+        # A loss of no weight is not to overflow where others do not.
+        judged = jnp.where(weight > 0, estimate, 0.0)
+        return weight * jnp.mean(jax.vmap(of_map)(judged, batch.target / scale, batch.weight))
 
-    return jnp.sum(loss_weights * jnp.stack([mean(name) for name, _ in recipe.losses]))
+    return jnp.sum(jnp.stack([mean(name, loss_weights[number]) for number, (name, _) in enumerate(recipe.losses)]))
 
 
 def loss_or_nan(loss: Float[Array, ""], weights: Any) -> Float[Array, ""]:

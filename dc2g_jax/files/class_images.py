@@ -13,6 +13,7 @@ import numpy.typing as npt
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.png import Pixels, read_png
 from dc2g_jax.files.tables import read_table
+from dc2g_jax.files.whole import replacing
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, UNKNOWN
 
 #: The palette of a dataset, in its folder.
@@ -144,7 +145,8 @@ def write_class_image(png_path: Path, classes: np.ndarray) -> None:
     encoded, data = cv2.imencode(".png", np.ascontiguousarray(CLASS_COLORS[classes][..., ::-1]))
     if not encoded:
         raise InputError(f"{png_path}: an image of {classes.shape[1]} x {classes.shape[0]} cannot be encoded")
-    Path(png_path).write_bytes(data.tobytes())
+    with replacing(png_path) as unfinished:
+        unfinished.write_bytes(data.tobytes())
 
 
 def _color_codes(colors: np.ndarray) -> np.ndarray:

@@ -1,10 +1,12 @@
 """Files that are whole at any moment: what is written anew takes the old file's place in one go."""
 
 import contextlib
+import json
 import os
 import secrets
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 #: What marks the name of a file that is not finished.
 _MARK = ".unfinished-"
@@ -27,6 +29,12 @@ def replacing(path: str | Path) -> Iterator[Path]:
         os.replace(unfinished, path)
     finally:
         unfinished.unlink(missing_ok=True)
+
+
+def write_json(path: str | Path, facts: Any) -> None:
+    """Write facts as a JSON file, for people to read as well."""
+    with replacing(path) as unfinished:
+        unfinished.write_text(json.dumps(facts, indent=2) + "\n")
 
 
 def clear_unfinished(folder: Path) -> None:

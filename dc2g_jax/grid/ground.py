@@ -23,8 +23,8 @@ class Piece(NamedTuple):
     cells: int
 
 
-def _labels(cells: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
-    """The number of each cell's piece, 4-connected; 0 where there is none."""
+def component_numbers(cells: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
+    """The number of the 4-connected component that each cell belongs to, 0 where there is none."""
     return np.asarray(cv2.connectedComponents(cells.astype(np.uint8), connectivity=4)[1])
 
 
@@ -33,7 +33,7 @@ def pieces(cells: Bool[np.ndarray, "h w"]) -> list[Piece]:
     y, x = np.nonzero(cells)
     if not len(x):
         return []
-    piece = _labels(cells)[y, x] - 1
+    piece = component_numbers(cells)[y, x] - 1
     counts = np.bincount(piece)
     off_mean = np.hypot(x - (np.bincount(piece, x) / counts)[piece], y - (np.bincount(piece, y) / counts)[piece])
     middles = np.lexsort((off_mean, piece))[np.cumsum(counts) - counts]
@@ -43,14 +43,14 @@ def pieces(cells: Bool[np.ndarray, "h w"]) -> list[Piece]:
 
 def connected_to_goal(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """Traversable cells from which a front door can be reached, 4-connected."""
-    labels = _labels(TRAVERSABLE[terrain])
+    labels = component_numbers(TRAVERSABLE[terrain])
     return np.asarray(TRAVERSABLE[terrain] & np.isin(labels, labels[terrain == FRONT_DOOR]))
 
 
 def goals_without_ground(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """Front door cells that no other traversable ground leads to, 4-connected."""
     goals = terrain == FRONT_DOOR
-    labels = _labels(TRAVERSABLE[terrain])
+    labels = component_numbers(TRAVERSABLE[terrain])
     return np.asarray(goals & ~np.isin(labels, labels[TRAVERSABLE[terrain] & ~goals]))
 
 

@@ -206,7 +206,6 @@ def _scale_extra_steps(axes: Axes, direction: str, ends: tuple[float, float]) ->
     getattr(axes, f"set_{direction}lim")(*ends)
     getattr(axes, f"set_{direction}ticks")(ticks, [str(tick) for tick in ticks])
     axes.minorticks_off()
-    axes.minorticks_off()
 
 
 def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float, float]]]) -> list[Path]:

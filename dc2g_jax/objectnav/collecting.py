@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Float16, Int, Int16, UInt8, UInt16
 
 from dc2g_jax.devices import Report, every_device, share_out
 from dc2g_jax.errors import InputError
+from dc2g_jax.grid.ground import component_numbers
 from dc2g_jax.mapping.camera import level_camera
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.objectnav.agent import CAMERA_HEIGHT, CAMERA_PITCH
@@ -26,7 +27,7 @@ from dc2g_jax.objectnav.exploring import NEVER, Journey, explore
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.midlevel import ImageEncoder, View, view
 from dc2g_jax.objectnav.paint import painted
-from dc2g_jax.objectnav.starts import ROBOT_RADIUS, components, passable
+from dc2g_jax.objectnav.starts import ROBOT_RADIUS, passable
 from dc2g_jax.objectnav.worlds import IndoorWorld, pad_world, scene
 
 #: Places that a robot visits at most, one after the other.
@@ -102,7 +103,7 @@ def random_places(world: IndoorWorld, count: int, rng: np.random.Generator) -> I
     Raises:
       InputError: the robot fits nowhere.
     """
-    piece = components(passable(np.asarray(world.free), float(world.cell_size)))
+    piece = component_numbers(passable(np.asarray(world.free), float(world.cell_size)))
     sizes = np.bincount(piece.ravel())
     sizes[0] = 0
     cells = np.argwhere((piece == sizes.argmax()) & (piece > 0))

@@ -70,7 +70,7 @@ class CostMapArchitecture:
       inputs: what the network is shown.
 
     Raises:
-      ValueError: a number makes no sense.
+      InputError: a number makes no sense.
     """
 
     patch: int = 4
@@ -81,10 +81,11 @@ class CostMapArchitecture:
     inputs: Inputs = BOTH
 
     def __post_init__(self) -> None:
-        if len(self.widths) < 2 or min(*self.widths, self.patch, self.embedding, self.feature_width) < 1:
-            raise ValueError(f"{self}: give at least two widths, and no number below 1")
-        if self.features < 1:
-            raise ValueError(f"{self.features} features: give at least 1; networks that see none have other inputs")
+        if len(self.widths) < 2 or min(self.widths) < 1:
+            raise InputError(f"widths {' '.join(map(str, self.widths))}: give at least two, none below 1")
+        for name in ("patch", "embedding", "features", "feature_width"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name.replace('_', ' ')} {getattr(self, name)}: give at least 1")
 
 
 @struct.dataclass
@@ -105,15 +106,17 @@ class Prediction:
         return jax.nn.sigmoid(self.occupancy_logits)
 
 
-def fused_cost(prediction: Prediction, threshold: float = 0.5, occupied: float = math.inf) -> Float[Array, "*b h w"]:
-    """The final cost map: the navigation cost, and over it the cells that are more likely occupied than a threshold.
+def fused_cost(
+    occupancy: Float[Array, "*b h w"], cost: Float[Array, "*b h w"], threshold: float = 0.5
+) -> Float[Array, "*b h w"]:
+    """The final cost map: the navigation cost, infinite in cells more likely occupied than a threshold.
 
     Args:
-      prediction: the network's answer.
-      threshold: of the probability, above 0 and below 1.
-      occupied: cost of occupied cells.
+      occupancy: probability that there is no free floor in a cell.
+      cost: navigation cost.
+      threshold: of the probability, above 0 and below 1 (the paper's theta_occ).
     """
-    return jnp.where(prediction.occupancy > threshold, jnp.float32(occupied), prediction.cost)
+    return jnp.where(occupancy > threshold, jnp.inf, cost)
 
 
 def heading_bin(heading: Float[Array, "*b"]) -> Int[Array, "*b"]:
@@ -209,7 +212,7 @@ class CostMapNetwork(nnx.Module):
         batch, height, width, _ = at.shape
         goal = jnp.broadcast_to(self.target(target)[:, None, None], (batch, height, width, self.architecture.embedding))
         view = oriented_features(nnx.relu(self.view(features)), heading, height, width)
-        bottleneck = jnp.concatenate([nnx.relu(at), goal, view if inputs.features else 0 * view], axis=-1)
+        bottleneck = jnp.concatenate([nnx.relu(at), goal, view if inputs.features else jnp.zeros_like(view)], axis=-1)
         local = jnp.einsum("bchw,c->bhw", maps[:, :MAP_CHANNELS], self.cell[...])
         return Prediction(
             occupancy_logits=self.occupancy(bottleneck, skipped) + local,

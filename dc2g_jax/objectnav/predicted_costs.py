@@ -11,7 +11,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.agent import Agent, Robot, Site, camera_pose
 from dc2g_jax.objectnav.mapping import MapSettings, network_input
 from dc2g_jax.objectnav.midlevel import ImageEncoder, load_encoder, view
-from dc2g_jax.objectnav.networks import CostMapEstimator, load_estimator
+from dc2g_jax.objectnav.networks import CostMapEstimator, fused_cost, load_estimator
 
 #: The files of a trained network and of the encoder that it was trained with, in one folder.
 NETWORK_FILE, ENCODER_FILE = "network.safetensors", "encoder.safetensors"
@@ -71,9 +71,8 @@ class PredictedCosts(Generic[_Estimator]):
         seen = view(site.scene, site.paint, camera_pose(vehicle)).image
         features = self.encoder.encode(seen[None])[0]
         occupied, cost = self.estimator.estimate(maps, robot.target, features, vehicle.yaw)
-        free = occupied <= self.threshold
-        least = jnp.min(jnp.where(free, cost, jnp.inf))
-        return jnp.where(free, self.metres * (cost - jnp.where(jnp.isfinite(least), least, 0)), jnp.inf)
+        fused = fused_cost(occupied, cost, self.threshold)
+        return jnp.where(jnp.isinf(fused), fused, self.metres * (fused - jnp.min(fused)))
 
 
 def load_costs(folder: Path) -> PredictedCosts[CostMapEstimator]:

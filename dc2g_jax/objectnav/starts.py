@@ -4,8 +4,9 @@ import math
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
+from dc2g_jax.grid.ground import component_numbers
 from dc2g_jax.objectnav.worlds import IndoorWorld
 
 #: Radius of the robot, metres.
@@ -27,11 +28,6 @@ def passable(free: Bool[np.ndarray, "h w"], cell_size: float, radius: float = RO
     """
     distance = cv2.distanceTransform(free.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     return np.asarray(distance * cell_size >= radius + cell_size / 2 - 1e-6)
-
-
-def components(cells: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
-    """The number of the piece that each cell belongs to, 0 where there is none. Steps go to the four neighbours."""
-    return np.asarray(cv2.connectedComponents(cells.astype(np.uint8), connectivity=4)[1])
 
 
 def approaches(
@@ -66,7 +62,7 @@ def start_cells(
       radius: of the robot, metres.
       reach: see `approaches`.
     """
-    piece = components(passable(np.asarray(world.free), float(world.cell_size), radius))
+    piece = component_numbers(passable(np.asarray(world.free), float(world.cell_size), radius))
     connected = (piece > 0) & np.isin(piece, piece[approaches(world, goal, radius=radius, reach=reach)])
     elsewhere = np.where(np.asarray(world.goals(goal)), 0, 1).astype(np.uint8)
     away = cv2.distanceTransform(elsewhere, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * float(world.cell_size)
@@ -98,7 +94,7 @@ def sample_starts(
 
 def rooms_cut_off(world: IndoorWorld, *, radius: float = ROBOT_RADIUS) -> list[int]:
     """The rooms that a robot cannot get to from where it can move most, by their number in `world.rooms`."""
-    piece = components(passable(np.asarray(world.free), float(world.cell_size), radius))
+    piece = component_numbers(passable(np.asarray(world.free), float(world.cell_size), radius))
     sizes = np.bincount(piece.ravel())
     sizes[0] = 0
     reached = np.unique(np.asarray(world.rooms)[(piece == sizes.argmax()) & (piece > 0)])

@@ -175,7 +175,7 @@ def _examine(weights: Any, samples: Samples, config: CostMapConfig) -> dict[str,
     )
     of_map = functools.partial(total_loss, weights=config.loss_weights)
     loss, losses = jax.tree.map(jnp.mean, jax.vmap(of_map)(prediction, samples.occupied, samples.cost))
-    costs = fused_cost(prediction)
+    costs = fused_cost(prediction.occupancy, prediction.cost)
 
     def accuracy(actions: tuple[tuple[int, int], ...]) -> Array:
         return jnp.mean(jax.vmap(functools.partial(action_accuracy, actions=actions))(costs, samples.cost))

@@ -68,6 +68,14 @@ class Planner(Protocol):
         ...
 
 
+class MapRevisingPlanner(Planner, Protocol):
+    """A planner that also serves where cells of the map may change their class, as a camera's do."""
+
+    def revised(self, state: Any, changed: Board) -> Any:
+        """What of a state still holds on a map where these cells have another class than at the last decision."""
+        ...
+
+
 @struct.dataclass
 class Oracle:
     """Shortest plan to the nearest goal on the whole map: the lower bound every planner is measured against."""
@@ -88,6 +96,10 @@ class Oracle:
         mode = jnp.where(first.found, TO_GOAL, GAVE_UP).astype(jnp.int32)
         return Plan(action=first.action, mode=mode, length=first.length, subgoals=subgoals), state
 
+    def revised(self, state: tuple[Board, Board], changed: Board) -> tuple[Board, Board]:
+        """All of it: an oracle goes by the world."""
+        return state
+
 
 def reachable_cells(belief: Belief, before: Board) -> Board:
     """Reachable cells now (Algorithm 2, line 4), grown from those reachable a step before: ground is never lost."""
@@ -95,14 +107,16 @@ def reachable_cells(belief: Belief, before: Board) -> Board:
     return bitboard.flood(robot | before, belief.traversable)
 
 
-def _explore_or_finish(belief: Belief, reachable: Board, candidates: PoseSet, subgoals: PoseSet, rules: Rules) -> Plan:
-    """Algorithm 2 once the subgoal is chosen: go to the goal if it is reachable, else explore, else give up."""
+def _explore_or_finish(belief: Belief, reachable: Board, subgoals: PoseSet, rules: Rules) -> Plan:
+    """Algorithm 2 once the subgoal is chosen: go to the goal if it is reachable, else explore.
+
+    Gives up where there is no way to either: nothing is left to explore, or an estimate is no number.
+    """
     goals = reachable & belief.goals
     goal_reachable = ~bitboard.is_empty(goals)
     targets = jnp.where(goal_reachable, rules.goal_poses(belief, goals, reachable), subgoals)
     first = search.first_action(belief.pose, targets, reachable)
-    exploring = jnp.where(poses.is_empty(candidates), GAVE_UP, EXPLORE)
-    mode = jnp.where(goal_reachable, TO_GOAL, exploring).astype(jnp.int32)
+    mode = jnp.where(first.found, jnp.where(goal_reachable, TO_GOAL, EXPLORE), GAVE_UP).astype(jnp.int32)
     return Plan(action=first.action, mode=mode, length=first.length, subgoals=targets)
 
 
@@ -122,7 +136,11 @@ class Frontier:
         """Head for the nearest frontier-expanding pose, or for the goal once it is reachable."""
         reachable = reachable_cells(belief, state)
         candidates = self.rules.frontier_expanding(belief, reachable)
-        return _explore_or_finish(belief, reachable, candidates, candidates, self.rules), reachable
+        return _explore_or_finish(belief, reachable, candidates, self.rules), reachable
+
+    def revised(self, state: Board, changed: Board) -> Board:
+        """None of it: ground can be lost."""
+        return jnp.zeros_like(state)
 
 
 @struct.dataclass
@@ -164,9 +182,19 @@ class DC2G:
     robots_on_large_maps: ClassVar[int] = 16
 
     def init(self, world: World) -> "ExplorationState":
-        """Nothing is reachable before the first observation; the estimator sets itself up."""
+        """Nothing is reachable before the first observation; the estimator sets itself up.
+
+        Raises:
+          ValueError: the estimator's answers do not have the shape of the map behind an axis of outcomes.
+        """
         nothing = jnp.zeros_like(world.traversable)
         estimator_state = self.estimator.init(world)
+        answer = jax.eval_shape(self.estimator.estimate, world.terrain, estimator_state)
+        if answer.shape[1:] != world.terrain.shape:
+            raise ValueError(
+                f"{type(self.estimator).__name__} answers with {list(answer.shape)} for a map of "
+                f"{list(world.terrain.shape)}; give [outcomes, *shape of the map], with one outcome at least"
+            )
         view = jnp.zeros(nothing.shape[2:], jnp.int32)
         estimate = jax.eval_shape(self.estimate, world.terrain, (view, estimator_state))
         return ExplorationState(
@@ -259,8 +287,12 @@ class DC2G:
         score = self.selection(jnp.mean(estimates, axis=0), lengths) + self.surcharge(belief, candidates, decided_near)
         # Without a current estimate all candidates are equal, and of equal ones the plan goes to the nearest.
         subgoals = jnp.where(undecided, nearest & _lowest(score, poses.occupied(nearest), belief.width), candidates)
-        plan = _explore_or_finish(belief, reachable, candidates, subgoals, self.rules)
+        plan = _explore_or_finish(belief, reachable, subgoals, self.rules)
         return plan, ExplorationState(reachable, estimates, estimated_from, view, decided_near, state.estimator)
+
+    def revised(self, state: "ExplorationState", changed: Board) -> "ExplorationState":
+        """All but the ground, which can be lost; the estimator is asked anew where what it was told has changed."""
+        return state._replace(reachable=jnp.zeros_like(state.reachable), estimated_from=state.estimated_from & ~changed)
 
 
 class ExplorationState(NamedTuple):

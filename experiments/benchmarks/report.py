@@ -1,11 +1,11 @@
 """The report: a table on the screen and in Markdown, everything in JSON."""
 
 import dataclasses
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from dc2g_jax.files.whole import write_json
 from experiments.benchmarks.machine import Peak
 from experiments.benchmarks.rows import Row
 
@@ -106,7 +106,7 @@ def write(folder: Path, facts: Mapping[str, Any], peaks: Mapping[str, Peak], row
     """Write `benchmark.json` and `benchmark.md`."""
     told = {resource: dataclasses.asdict(peak) for resource, peak in peaks.items()}
     data = {**facts, "peaks": told, "rows": [dataclasses.asdict(row) for row in rows]}
-    (folder / "benchmark.json").write_text(json.dumps(data, indent=1) + "\n")
+    write_json(folder / "benchmark.json", data)
     machine = [f"- {name}: {value}" for name, value in facts["machine"].items()]
     lines = ["# Benchmark", "", *machine, *(f"- {line}" for line in peak_lines(peaks)), ""]
     lines += [facts["about"], ""]

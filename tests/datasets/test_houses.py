@@ -232,7 +232,7 @@ def test_groups(name, split, group):
 def test_close_names_are_offered(folder):
     dataset = load_dataset(folder)
     refusal(lambda: dataset.house("n000m000h01"), "mine", "'n000m000h01'", "n000m000h001")
-    refusal(lambda: dataset.house("zzz"), "mine", "'zzz'", "house lists")
+    refusal(lambda: dataset.house("zzz"), "mine", "'zzz'", "its houses are", "--dataset")
     refusal(lambda: dataset.split("training"), "mine", "'training'", "train, val, test")
 
 

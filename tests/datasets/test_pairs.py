@@ -14,7 +14,7 @@ from dc2g_jax.datasets.pairs import SYMMETRIES, Pair, TrainingSet, draw_pairs, j
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.grid.sensing import field_of_view
+from dc2g_jax.grid.sensing import field_of_view, line_of_sight
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.mask_collection import collect_masks, concatenate_masks
 from dc2g_jax.planning.planners import Frontier
@@ -225,9 +225,10 @@ def test_jitter_stretches_and_moves_a_map_with_its_labels():
 # --- masks of moving robots -------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("view", [field_of_view, line_of_sight])
 @pytest.mark.parametrize("shape", [(12, 12), (7, 33)], ids="{0[0]}x{0[1]}".format)
-def test_moments_equal_stepping_the_gridworld(shape):
-    sensing = field_of_view(3)
+def test_moments_equal_stepping_the_gridworld(shape, view):
+    sensing = view(3)
     along = jax.jit(functools.partial(moments_along, sensing=sensing))
     step = jax.jit(functools.partial(gridworld.step, sensing=sensing))
     exploring = []

@@ -80,11 +80,21 @@ def test_a_folder_may_be_given_as_a_relative_string(folder, monkeypatch):
     assert_equal(load_network(folder.name), load_network(folder))
 
 
-def test_weights_that_are_not_numbers_of_the_usual_kind_come_back_too(tmp_path):
+def with_bias(*numbers: float):
     saved = network()
-    odd = jnp.array([np.nan, np.inf, -0.0, 1e-42], jnp.float32)
-    saved.weights["head"]["bias"] = jnp.resize(odd, saved.weights["head"]["bias"].shape)
+    saved.weights["head"]["bias"] = jnp.resize(jnp.array(numbers, jnp.float32), saved.weights["head"]["bias"].shape)
+    return saved
+
+
+def test_weights_that_are_not_numbers_of_the_usual_kind_come_back_too(tmp_path):
+    saved = with_bias(-0.0, 1e-42, 3e38)
     assert_equal(load_network(save_network(tmp_path / "network", saved)), saved)
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_weights_that_are_not_finite_are_refused(number, tmp_path):
+    folder = save_network(tmp_path / "network", with_bias(number))
+    assert str(folder / "weights") in refusal(folder, "not finite", "train the network anew")
 
 
 def test_weights_of_another_training_are_refused(tmp_path):

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from dc2g_jax.evaluation import house_bootstrap
-from experiments.head_to_head import Pair, compare
+from dc2g_jax.datasets.starts import published_episodes
+from dc2g_jax.evaluation import EpisodeResult, house_bootstrap
+from experiments.head_to_head import Pair, compare, pair_up
 
 
 def pair(house: str, *, dc2g: int, authors: int, frontier: int, authors_frontier: int = 300, oracle: int = 50) -> Pair:
@@ -20,6 +21,7 @@ def pair(house: str, *, dc2g: int, authors: int, frontier: int, authors_frontier
         authors_frontier=authors_frontier,
         dc2g=dc2g,
         authors_dc2g=authors,
+        reached=dc2g < 500,
         extra=100 * (dc2g / oracle - 1),
         authors_extra=100 * (authors / oracle - 1),
     )
@@ -44,6 +46,19 @@ def test_figures_of_a_few_pairs():
     assert found["frontier_over_dc2g"] == pytest.approx(100 * (2 + 4 + 0.5 + 3) / 4 - 100)
     assert found["authors_frontier_over_dc2g"] == pytest.approx(100 * (4 + 5 + 4 + 1) / 4 - 100)
     assert (found["time_outs"], found["authors_time_outs"]) == (0, 1)
+    lost = compare([*pairs, pair("d", dc2g=500, authors=75, frontier=100)], resamples=200, seed=0)
+    assert lost["time_outs"] == 1
+
+
+def test_an_episode_that_gave_up_counts_as_many_actions_as_the_step_limit():
+    theirs = published_episodes()[0]
+    start = theirs.start
+    ours = EpisodeResult(
+        start.house, start.x, start.y, start.heading, 5, 4, "dc2g", success=False, steps=3, oracle_steps=50,
+        extra=-94.0, mode="gave_up", actions="FFF",
+    )  # fmt: skip
+    (found,) = pair_up([theirs], [ours._replace(planner="frontier", success=True, steps=120)], [ours])
+    assert (found.reached, found.dc2g, found.frontier, found.extra) == (False, 500, 120, 900)
 
 
 def test_an_interval_is_that_of_houses_drawn_one_by_one():

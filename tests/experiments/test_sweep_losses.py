@@ -12,11 +12,11 @@ from experiments.training_loop import Log
 def test_runs_that_diverged_come_last(tmp_path):
     runs = {name: dataclasses.replace(TrainingConfig(), seed=seed) for seed, name in enumerate("abc")}
     log = Log(tmp_path)
-    for step, losses in ((10, (0.5, float("nan"), 0.25)), (20, (0.25, None, None))):
+    for step, left_out in ((10, (0, 1, 0)), (20, (0, 3, 0))):
         log.write(
             *(
-                {"run": run, "step": step, "loss": loss, "error": error - step}
-                for run, loss, error in zip(runs, losses, (50, 30, 40), strict=True)
+                {"run": run, "step": step, "loss": None, "error": error - step, "steps_left_out": count}
+                for run, count, error in zip(runs, left_out, (50, 30, 40), strict=True)
             )
         )
     write_results(tmp_path, runs, log, {}, (50, 50))

@@ -117,8 +117,9 @@ def test_features_lie_where_the_robot_looks():
 
 def test_occupied_cells_lie_over_the_cost():
     prediction = Prediction(jnp.asarray([[-1.0, 1.0]]), jnp.asarray([[0.3, 0.4]]))
-    np.testing.assert_array_equal(fused_cost(prediction), np.float32([[0.3, np.inf]]))
-    np.testing.assert_array_equal(fused_cost(prediction, 0.2, 9.0), np.float32([[9.0, 9.0]]))
+    occupancy, cost = prediction.occupancy, prediction.cost
+    np.testing.assert_array_equal(fused_cost(occupancy, cost), np.float32([[0.3, np.inf]]))
+    np.testing.assert_array_equal(fused_cost(occupancy, cost, threshold=0.2), np.float32([[np.inf, np.inf]]))
 
 
 def test_the_default_is_small():

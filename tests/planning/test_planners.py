@@ -17,6 +17,7 @@ from dc2g_jax.grid.search import EIGHT_CONNECTED, FOUR_CONNECTED
 from dc2g_jax.grid.sensing import field_of_view, line_of_sight
 from dc2g_jax.grid.terrain import OPAQUE
 from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.gridworld import belief_from_map
 from dc2g_jax.planning.planners import DC2G, EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL, Frontier, Oracle
 from dc2g_jax.planning.rules import SETTINGS, complete_rules, reference_rules
 from dc2g_jax.planning.selection import ExpectedCost, Patience
@@ -307,6 +308,43 @@ def test_a_robot_never_drives_where_it_cannot(rules):
         for action in done.actions[index, : done.steps[index]]:
             pose = oracle.moved(pose, int(action), terrains[index].shape)
             assert terrains[index][pose[1], pose[0]] in oracle.TRAVERSABLE_CLASSES
+
+
+@struct.dataclass
+class NoNumber(ExactCostToGo):
+    """An estimator that answers with no number, as a network that has diverged does."""
+
+    def estimate(self, terrain, state):
+        return jnp.full_like(super().estimate(terrain, state), jnp.nan)
+
+
+@both_rules
+def test_a_robot_gives_up_where_estimates_are_no_numbers(rules):
+    terrains, starts = random_worlds((11, 33), 600)
+    done = run(DC2G(NoNumber(), RULES[rules]), terrains, starts)
+    assert set(done.mode.tolist()) <= {GAVE_UP, TO_GOAL}
+    for index, pose in enumerate(starts):
+        for action in done.actions[index, : done.steps[index]]:
+            pose = oracle.moved(pose, int(action), terrains[index].shape)
+            assert terrains[index][pose[1], pose[0]] in oracle.TRAVERSABLE_CLASSES
+
+
+def test_what_is_left_of_a_state_on_a_map_that_has_changed():
+    terrain = maps.random_terrain(600, (11, 33), 0.85, doors=0)
+    planner = DC2G(ExactCostToGo(), RULES["complete"], views=((), (1,)))
+    pose = maps.random_pose(600, np.isin(terrain, oracle.TRAVERSABLE_CLASSES))
+    belief = belief_from_map(terrain, make_pose(*pose))
+    _, state = planner.plan(belief, planner.init(world_from_terrain(terrain)))
+    nothing = jnp.zeros_like(belief.seen)
+    state = state._replace(estimated_from=belief.seen)
+    same, other = planner.revised(state, nothing), planner.revised(state, nothing.at[0, 4].set(1))
+    assert not same.reachable.any()
+    assert not other.reachable.any()
+    assert (same.estimated_from == belief.seen).all()
+    assert int(jnp.sum(other.estimated_from != belief.seen)) == 1  # the estimator is asked anew
+    assert Frontier(RULES["complete"]).revised(state.reachable, nothing).sum() == 0
+    known = Oracle().init(world_from_terrain(terrain))
+    assert Oracle().revised(known, nothing) is known
 
 
 def test_oracle_gives_up_where_no_way_leads_to_a_goal(island):

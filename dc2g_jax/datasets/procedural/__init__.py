@@ -4,13 +4,13 @@ Nothing is downloaded: a map is drawn from streets, lots, driveways and walkways
 that starts on the road can reach a front door in the 50x50 grid that the map is squeezed into.
 """
 
-import cv2
 import numpy as np
 
 from dc2g_jax.datasets.procedural.city import draw_city
 from dc2g_jax.datasets.procedural.suburbs import SUBURBS, draw_row, draw_suburb
+from dc2g_jax.grid.ground import connected_to_goal
 from dc2g_jax.grid.sampling import ClassImage, sample_grid
-from dc2g_jax.grid.terrain import FRONT_DOOR, ROAD, TRAVERSABLE
+from dc2g_jax.grid.terrain import ROAD
 
 #: The four neighbourhoods' styles; "urban" is the one no training house has.
 STYLES: tuple[str, ...] = (*SUBURBS, "urban")
@@ -65,18 +65,15 @@ def _paired(seed: int, index: int) -> int:
     return (seed << 32) | index
 
 
-def is_usable(classes: ClassImage, min_road_cells: int = MIN_ROAD_CELLS, cells: int = 50) -> bool:
+def is_usable(classes: ClassImage, cells: int = 50) -> bool:
     """Can a front door be reached, 4-connected, from enough road cells of the map's grid?
 
     Args:
         classes: class indices, uint8 [H W].
-        min_road_cells: how many road cells are enough.
         cells: side of the grid.
     """
     grid = sample_grid(classes, cells)
-    _, component = cv2.connectedComponents(TRAVERSABLE[grid].astype(np.uint8), connectivity=4)
-    with_door = np.unique(component[grid == FRONT_DOOR])
-    return int(np.isin(component[grid == ROAD], with_door).sum()) >= min_road_cells
+    return int(np.sum(connected_to_goal(grid) & (grid == ROAD))) >= MIN_ROAD_CELLS
 
 
 def draw_house(seed: int, style: str) -> ClassImage:

@@ -4,11 +4,12 @@ import numpy as np
 
 from dc2g_jax.datasets.maps import SPLITS
 from dc2g_jax.errors import InputError
+from dc2g_jax.grid.ground import component_numbers
 from dc2g_jax.objectnav.floor_plans.furnishing import furnish
 from dc2g_jax.objectnav.floor_plans.layouts import draw_layout
 from dc2g_jax.objectnav.floor_plans.placing import CHECK_CELLS, Floor, RoomSketch
 from dc2g_jax.objectnav.plans import HousePlan
-from dc2g_jax.objectnav.starts import components, passable
+from dc2g_jax.objectnav.starts import passable
 
 _ATTEMPTS = 100
 
@@ -39,7 +40,7 @@ def draw_plan(seed: int, split: str, index: int) -> HousePlan:
         for room in rooms:
             furnish(room)
         # What stands near a border without a wall may cut off a corner of the room beyond.
-        if components(passable(floor.free, CHECK_CELLS)).max() == 1:
+        if component_numbers(passable(floor.free, CHECK_CELLS)).max() == 1:
             furniture = tuple(piece for room in rooms for piece in room.pieces)
             return HousePlan(layout.rooms, layout.walls, layout.doors, furniture)
     raise RuntimeError(f"no house within {_ATTEMPTS} drawings of seed {seed}, {split}, {index}")

@@ -11,10 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
+from dc2g_jax.grid.ground import component_numbers
 from dc2g_jax.objectnav.floor_plans.layouts import Layout
 from dc2g_jax.objectnav.plan_cells import MARGIN, world_from_plan
 from dc2g_jax.objectnav.plans import Furniture, HousePlan, Segment
-from dc2g_jax.objectnav.starts import components, passable
+from dc2g_jax.objectnav.starts import passable
 
 #: Cells in which it is checked that a robot gets everywhere, metres.
 CHECK_CELLS = 0.1
@@ -235,7 +236,7 @@ class RoomSketch:
     def _is_one(self) -> bool:
         """Can a robot get from everywhere it fits in the room to everywhere else, its doors included?"""
         cells: Bool[np.ndarray, "h w"] = passable(self._floor.free[self._window], CHECK_CELLS) & self._inside
-        return int(components(cells).max()) == 1
+        return int(component_numbers(cells).max()) == 1
 
 
 def standing(kind: int, size: Size, wall: Wall, at: float) -> Furniture:
