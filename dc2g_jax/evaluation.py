@@ -1,11 +1,9 @@
-"""Episodes by house name, planners by name, and what the results mean (paper, section IV-B)."""
+"""Episodes by house name: planners run from given starts, beside the oracle (paper, section IV-B)."""
 
 import collections
-import dataclasses
-import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,72 +11,17 @@ import numpy as np
 from dc2g_jax.datasets.houses import HouseDataset, stack_worlds
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.estimators import Estimator, ExactCostToGo, answers_in_cells
+from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.grid.poses import ACTION_LETTERS, HEADINGS, make_pose
 from dc2g_jax.grid.terrain import FRONT_DOOR
-from dc2g_jax.planning.planners import DC2G, MODE_NAMES, Frontier, MapRevisingPlanner, Oracle, Planner
-from dc2g_jax.planning.rules import Rules, Settings, nearest_goal
-from dc2g_jax.planning.selection import ExpectedCost, Patience, QuantileCost, Selection
+from dc2g_jax.planning.named import make_planner
+from dc2g_jax.planning.planners import MODE_NAMES, Oracle, Planner
+from dc2g_jax.planning.rules import Rules, Settings
 from dc2g_jax.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
+from dc2g_jax.statistics import extra_steps
 
 #: A map of this many cells has one more action in its step limit: 500 for the published ones, of 50 x 50 cells.
 _CELLS_A_STEP = 50 * 50 // STEP_LIMIT
-
-PlannerName = Literal["oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go"]
-
-#: Planner names, in the order of the tables.
-PLANNERS: tuple[PlannerName, ...] = get_args(PlannerName)
-
-
-def _on_network(selection: Selection, estimator: Estimator, rules: Rules) -> DC2G:
-    """A planner that runs on a network, as it was chosen on validation houses (see BENCHMARKS.md).
-
-    It asks about the map and its mirror image in turn, and heads for the nearest goal in reach, whatever the rules.
-    """
-    return DC2G(
-        estimator,
-        dataclasses.replace(rules, goal_poses=nearest_goal),
-        selection=selection,
-        depth=1,
-        views=((), (1,)),
-        gain_weight=3.0,
-        patience=Patience(radius=8, decisions=30, price=0.25),
-    )
-
-
-#: The planners that run on a network, given it and the rules.
-NETWORK_PLANNERS: Mapping[str, Callable[[Estimator, Rules], DC2G]] = {
-    "dc2g": functools.partial(_on_network, ExpectedCost(distance_weight=0.5)),
-    "dc2g_uncertain": functools.partial(_on_network, QuantileCost(level=0.7, distance_weight=0.5)),
-}
-
-
-def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) -> MapRevisingPlanner:
-    """A planner by name.
-
-    Args:
-      name: one of `PLANNERS`.
-      rules: what is seen and what counts as frontier.
-      estimator: the network of `dc2g` and `dc2g_uncertain`.
-
-    Raises:
-      ValueError: for an unknown name, or a planner that needs an estimator without one.
-    """
-    if name == "oracle":
-        return Oracle()
-    if name == "frontier":
-        return Frontier(rules=rules)
-    if name == "true_cost_to_go":
-        return DC2G(estimator=ExactCostToGo(), rules=rules)
-    if name in NETWORK_PLANNERS and estimator is not None:
-        # Where costs have no scale, no distance can be added to them: the paper's rule.
-        return NETWORK_PLANNERS[name](estimator, rules) if answers_in_cells(estimator) else DC2G(estimator, rules)
-    if name in NETWORK_PLANNERS:
-        raise ValueError(f"the planner {name!r} needs an estimator, such as a trained network")
-    raise ValueError(
-        f"no planner is called {name!r}; known: {', '.join(PLANNERS)} (one of your own: give it to Runner.run as own)"
-    )
-
 
 #: Planners beside those of the package: name -> what makes one from the rules of an episode.
 OwnPlanners = Mapping[str, Callable[[Rules], Planner]]
@@ -117,17 +60,6 @@ class EpisodeResult(NamedTuple):
     extra: float
     mode: str
     actions: str
-
-
-def extra_steps(steps: int, oracle_steps: int) -> float:
-    """Steps beyond the oracle's in percent, 100 (t - t_oracle) / t_oracle (paper, section IV-B).
-
-    Raises:
-      ValueError: if the oracle took no step, so that there is nothing to compare with.
-    """
-    if oracle_steps < 1:
-        raise ValueError(f"the oracle took {oracle_steps} steps; extra steps need a start off the goal")
-    return 100.0 * (steps - oracle_steps) / oracle_steps
 
 
 def action_letters(trajectories: Trajectories, episode: int) -> str:
@@ -302,72 +234,3 @@ def _result(
         mode=MODE_NAMES[trajectories.mode[row]],
         actions=action_letters(trajectories, row),
     )
-
-
-class Summary(NamedTuple):
-    """Extra steps over a set of episodes, in percent; houses weigh equally in the mean only where it says so.
-
-    Attributes:
-      mean_extra: mean.
-      median_extra: median.
-      quartile_25: lower quartile.
-      quartile_75: upper quartile.
-      success: share of episodes that reached a goal, 0 to 1.
-      episodes: how many.
-    """
-
-    mean_extra: float
-    median_extra: float
-    quartile_25: float
-    quartile_75: float
-    success: float
-    episodes: int
-
-
-def summarize(extra: Sequence[float], success: Sequence[bool]) -> Summary:
-    """Summary of a non-empty set of episodes, each weighing the same.
-
-    Raises:
-      ValueError: for an empty set.
-    """
-    if len(extra) == 0:
-        raise ValueError("no episode to summarize")
-    low, median, high = np.percentile(extra, (25, 50, 75))
-    return Summary(
-        mean_extra=float(np.mean(extra)),
-        median_extra=float(median),
-        quartile_25=float(low),
-        quartile_75=float(high),
-        success=float(np.mean(success)),
-        episodes=len(extra),
-    )
-
-
-def house_bootstrap(
-    values: Sequence[float] | np.ndarray, houses: Sequence[str], *, resamples: int, seed: int, share: float = 0.95
-) -> tuple[float, float]:
-    """Interval of a mean over episodes, by drawing whole houses anew: episodes of one house are not independent.
-
-    For a paired comparison, give the differences.
-
-    Args:
-      values: one value an episode.
-      houses: the house of each episode.
-      resamples: how many sets of houses are drawn, with replacement, as many as there are.
-      seed: of the draws.
-      share: share of the drawn means that the interval holds, 0 to 1.
-
-    Returns:
-      Lower and upper end; both the mean where all is of one house, which tells nothing of others.
-
-    Raises:
-      ValueError: for no values.
-    """
-    if len(values) == 0:
-        raise ValueError("no episode to draw from")
-    names, house = np.unique(np.asarray(houses), return_inverse=True)
-    totals, counts = np.bincount(house, weights=values), np.bincount(house)
-    drawn = np.random.default_rng(seed).integers(len(names), size=(resamples, len(names)))
-    means = totals[drawn].sum(axis=1) / counts[drawn].sum(axis=1)
-    low, high = np.quantile(means, ((1 - share) / 2, (1 + share) / 2))
-    return float(low), float(high)

@@ -21,13 +21,13 @@ from dc2g_jax.decisions import FAR, Decision, RobotPose, View, decide
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, NetworkCostToGo, extent_of
 from dc2g_jax.estimation.padding import OUTSIDE, PaddedNetwork
-from dc2g_jax.evaluation import NETWORK_PLANNERS, make_planner
 from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.poses import HEADINGS, Pose
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE, UNKNOWN
 from dc2g_jax.grid.world import World, world_from_terrain
 from dc2g_jax.gridworld import belief_from_map
+from dc2g_jax.planning.named import NETWORK_PLANNERS, make_planner
 from dc2g_jax.planning.planners import DC2G
 from dc2g_jax.planning.rules import Rules, complete_rules
 from dc2g_jax.planning.selection import ExpectedCost

@@ -17,12 +17,13 @@ from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, world_cost_to_go
 from dc2g_jax.estimation.training import DrawBatch
-from dc2g_jax.evaluation import Runner, episodes_from, make_planner
+from dc2g_jax.evaluation import Runner, episodes_from
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax.mapping.noise import IN_MAPS, noisy_map, scaled
 from dc2g_jax.mask_collection import LEADERS, Masks, collect_masks, concatenate_masks, leading_planners
+from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.planners import Planner
 from dc2g_jax.planning.rules import SETTINGS, Rules, complete_rules
 

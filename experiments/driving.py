@@ -16,12 +16,13 @@ from dc2g_jax.driving.fleet import Drives, drive_all, sites_of
 from dc2g_jax.driving.loop import Equipment
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
-from dc2g_jax.evaluation import episodes_from, make_planner
+from dc2g_jax.evaluation import episodes_from
 from dc2g_jax.grid.sensing import line_of_sight
 from dc2g_jax.mapping.camera import intrinsics
 from dc2g_jax.mapping.noise import PAPER_LIKE, scaled
 from dc2g_jax.mapping.scene import CELL_SIZE
 from dc2g_jax.mapping.semantic_map import MapSettings
+from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.planners import DC2G
 from dc2g_jax.planning.rules import complete_rules
 from dc2g_jax.planning.selection import ENDLESS

@@ -9,9 +9,10 @@ from tqdm import tqdm
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
-from dc2g_jax.evaluation import NO_PLANNERS, EpisodeResult, OwnPlanners, Runner, extra_steps
+from dc2g_jax.evaluation import NO_PLANNERS, EpisodeResult, OwnPlanners, Runner
 from dc2g_jax.files.tables import read_table, write_table
 from dc2g_jax.planning.rules import Rules
+from dc2g_jax.statistics import extra_steps
 
 
 class EpisodeProgress:

@@ -5,7 +5,7 @@ import sys
 
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.maps import require_way_to_goal
-from dc2g_jax.evaluation import PlannerName
+from dc2g_jax.planning.named import PlannerName
 from experiments.common import NetworkOption, OutOption, StepLimitOption, command_line
 from experiments.episodes import EpisodeTable
 from experiments.map_options import MapOptions, StartOption, doubts_about, start_in, terrain_of

@@ -11,12 +11,13 @@ from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork
-from dc2g_jax.evaluation import NETWORK_PLANNERS, EpisodeResult, Runner
+from dc2g_jax.evaluation import EpisodeResult, Runner
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax.inspection.animation import animate
 from dc2g_jax.inspection.episode_figures import plot_episode, plot_trajectories
 from dc2g_jax.inspection.recording import Episode, record_frames
 from dc2g_jax.inspection.replay import replay_result
+from dc2g_jax.planning.named import NETWORK_PLANNERS
 from dc2g_jax.planning.planners import GAVE_UP, MODE_NAMES
 from dc2g_jax.planning.rules import SETTINGS
 from experiments.common import open_network

@@ -6,20 +6,11 @@ import pytest
 
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import Start
-from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, TranslatorCostToGo
-from dc2g_jax.estimation.extents import CroppedEstimator, WindowedEstimator
+from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.estimation.networks import Architecture, init_weights
-from dc2g_jax.estimation.translator import TranslatorArchitecture
-from dc2g_jax.evaluation import (
-    NETWORK_PLANNERS,
-    Runner,
-    episodes_from,
-    extra_steps,
-    make_planner,
-    summarize,
-)
+from dc2g_jax.evaluation import Runner, episodes_from
 from dc2g_jax.grid.terrain import FRONT_DOOR
-from dc2g_jax.planning.planners import DC2G, Frontier, Oracle
+from dc2g_jax.planning.planners import Frontier
 from dc2g_jax.planning.rules import SETTINGS, complete_rules
 from tests.oracles import gridworld_oracle as oracle
 from tests.refusals import refusal, refusal_of
@@ -101,34 +92,6 @@ def test_no_starts_no_results(dataset):
     assert len(episodes_from([], {})) == 0
 
 
-def test_make_planner():
-    estimator = ExactCostToGo()
-    assert make_planner("oracle", RULES) == Oracle()
-    assert make_planner("frontier", RULES) == Frontier(RULES)
-    assert make_planner("true_cost_to_go", RULES) == DC2G(ExactCostToGo(), RULES)
-    for name, make in NETWORK_PLANNERS.items():
-        assert make_planner(name, RULES, estimator) == make(estimator, RULES)
-    # Pictures have no scale that a distance could be added to.
-    translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
-    assert make_planner("dc2g", RULES, translator) == DC2G(translator, RULES)
-
-
-def test_planners_on_a_network_head_for_the_nearest_door_whatever_the_rules():
-    reference = SETTINGS["reference"].rules()
-    for make in NETWORK_PLANNERS.values():
-        planner = make(ExactCostToGo(), reference)
-        assert planner.rules.frontier_expanding is reference.frontier_expanding
-        assert planner.rules.goal_poses is RULES.goal_poses is not reference.goal_poses
-
-
-def test_no_distance_is_added_to_pictures_however_they_are_asked_for():
-    translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
-    network = NetworkCostToGo(weights=(), architecture=Architecture())
-    for wrapped in (CroppedEstimator, WindowedEstimator):
-        assert make_planner("dc2g", RULES, wrapped(translator)) == DC2G(wrapped(translator), RULES)
-        assert make_planner("dc2g", RULES, wrapped(network)) == NETWORK_PLANNERS["dc2g"](wrapped(network), RULES)
-
-
 @pytest.mark.parametrize(("x", "y", "heading"), [(-1, 0, 0), (0, -1, 0), (50, 0, 0), (0, 50, 0), (0, 0, 4), (0, 0, -1)])
 def test_a_start_that_is_no_pose_on_the_map_is_refused(x, y, heading, dataset):
     start = STARTS[0]._replace(x=x, y=y, heading=heading)
@@ -138,39 +101,6 @@ def test_a_start_that_is_no_pose_on_the_map_is_refused(x, y, heading, dataset):
 def test_a_step_limit_that_not_even_the_oracle_keeps_is_refused(dataset):
     runner = Runner(dataset, SETTINGS["paper"], step_limit=2)
     refusal(lambda: runner.run(STARTS[1:3], ["frontier"]), STARTS[1].house, "within 2 actions", "larger step limit")
-
-
-@pytest.mark.parametrize(
-    ("name", "words"), [("", "true_cost_to_go"), ("Oracle", "known: oracle"), ("dc2g", "needs an estimator")]
-)
-def test_planners_that_cannot_be_made(name, words):
-    with pytest.raises(ValueError, match=words) as caught:
-        make_planner(name, RULES)
-    assert repr(name) in str(caught.value)
-
-
-@pytest.mark.parametrize(("steps", "shortest", "wanted"), [(10, 10, 0), (25, 10, 150), (11, 8, 37.5)])
-def test_extra_steps(steps, shortest, wanted):
-    assert extra_steps(steps, shortest) == wanted
-
-
-def test_extra_steps_need_an_oracle_that_moved():
-    with pytest.raises(ValueError, match="0 steps"):
-        extra_steps(5, 0)
-
-
-def test_summary():
-    summary = summarize([0.0, 10.0, 20.0, 170.0], [True, True, True, False])
-    assert summary.mean_extra == 50
-    assert summary.median_extra == 15
-    assert (summary.quartile_25, summary.quartile_75) == (7.5, 57.5)
-    assert (summary.success, summary.episodes) == (0.75, 4)
-    assert all(type(value) is float for value in summary[:5])
-
-
-def test_a_summary_of_nothing_is_refused():
-    with pytest.raises(ValueError, match="no episode"):
-        summarize([], [])
 
 
 def test_the_step_limit_grows_with_the_map(dataset):

@@ -14,12 +14,12 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, NetworkCostToGo
 from dc2g_jax.estimation.extents import Window, WindowedEstimator
 from dc2g_jax.estimation.networks import Architecture
-from dc2g_jax.evaluation import make_planner
 from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.gridworld import belief_from_map
 from dc2g_jax.online import OnlinePlanner
+from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.planners import MODE_NAMES
 from dc2g_jax.planning.rules import complete_rules
 from tests import maps

@@ -15,8 +15,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from dc2g_jax.evaluation import EpisodeResult, Summary
+from dc2g_jax.evaluation import EpisodeResult
 from dc2g_jax.grid.terrain import CLASS_NAMES
+from dc2g_jax.statistics import Summary
 
 Table = Mapping[str, Mapping[str, Summary]]
 
@@ -121,10 +122,10 @@ def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, 
         median = [table[planner][group].median_extra for group in groups]
         axes.bar(x, mean, width * 0.92, color=colour, hatch=hatch, edgecolor="#333333", linewidth=0.5)
         axes.hlines(median, x - width * 0.46, x + width * 0.46, color="black", linewidth=1.4)
-        for position, value in zip(x, mean, strict=True):
+        for position, value, tick in zip(x, mean, median, strict=True):
             axes.annotate(
                 f"{value:.0f}" if value >= 10 else f"{value:.1f}",
-                (position, value),
+                (position, max(value, tick)),
                 xytext=(0, 2),
                 textcoords="offset points",
                 ha="center",
@@ -187,7 +188,7 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], caption: str
         ],
         [style.label for style in styles.values()],
         loc="outside upper center",
-        ncols=min(len(styles), 3),
+        ncols=2 if len(styles) == 4 else min(len(styles), 3),
         frameon=False,
         fontsize=7.5,
     )
@@ -240,7 +241,10 @@ def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float
         axes.tick_params(labelsize=8)
         axes.set_aspect("equal")
         axes.set_title(_GROUP_LABELS.get(group, group).replace("\n", " "), fontsize=10)
-        for place, text in (((0.97, 0.04), f"lower in {below}"), ((0.03, 0.93), f"higher in {above}")):
+        for place, text in (
+            ((0.97, 0.04), f"lower in {below} episodes"),
+            ((0.03, 0.93), f"higher in {above} episodes"),
+        ):
             side = "right" if place[0] > 0.5 else "left"
             axes.annotate(text, place, xycoords="axes fraction", ha=side, fontsize=8.5, color="#333333")
     figure.supylabel("extra steps, this package (%)", fontsize=9)

@@ -13,12 +13,13 @@ from dc2g_jax import gridworld
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.decisions import FAR, View, decide
 from dc2g_jax.estimation.estimators import Estimator, answers_in_cells
-from dc2g_jax.evaluation import EpisodeResult, make_planner
+from dc2g_jax.evaluation import EpisodeResult
 from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.poses import ACTION_LETTERS, Pose, every_heading, make_pose
 from dc2g_jax.grid.world import World, world_from_terrain
 from dc2g_jax.gridworld import Belief
 from dc2g_jax.planning.frontiers import frontier_cells
+from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.planners import DC2G, EXPLORE, Oracle, Planner, reachable_cells
 from dc2g_jax.planning.rules import Rules
 from dc2g_jax.rollout import NO_ACTION

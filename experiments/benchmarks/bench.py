@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.evaluation import make_planner
+from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.planners import Planner
 from dc2g_jax.planning.rules import SETTINGS, Rules
 from experiments.benchmarks.machine import BANDWIDTH, WORD_ARITHMETIC

@@ -1,10 +1,9 @@
 """The figures of two sides of the same episodes, from pairs made by hand."""
 
-import numpy as np
 import pytest
 
 from dc2g_jax.datasets.starts import published_episodes
-from dc2g_jax.evaluation import EpisodeResult, house_bootstrap
+from dc2g_jax.evaluation import EpisodeResult
 from experiments.head_to_head import Pair, compare, pair_up
 
 
@@ -59,18 +58,3 @@ def test_an_episode_that_gave_up_counts_as_many_actions_as_the_step_limit():
     )  # fmt: skip
     (found,) = pair_up([theirs], [ours._replace(planner="frontier", success=True, steps=120)], [ours])
     assert (found.reached, found.dc2g, found.frontier, found.extra) == (False, 500, 120, 900)
-
-
-def test_an_interval_is_that_of_houses_drawn_one_by_one():
-    rng = np.random.default_rng(3)
-    counts = np.arange(1, 11)
-    houses = np.repeat([f"house{number}" for number in range(10)], counts)
-    values = np.repeat(rng.normal(0, 10, 10), counts) + rng.normal(0, 1, counts.sum())
-    means = []
-    for _ in range(4000):
-        drawn = [values[houses == f"house{number}"] for number in rng.integers(10, size=10)]
-        means.append(np.mean(np.concatenate(drawn)))
-    for share in (0.6, 0.95):
-        wanted = np.quantile(means, ((1 - share) / 2, (1 + share) / 2))
-        found = house_bootstrap(values, list(houses), resamples=4000, seed=0, share=share)
-        np.testing.assert_allclose(found, wanted, atol=0.05 * np.ptp(means))

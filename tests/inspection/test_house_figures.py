@@ -6,11 +6,11 @@ import pytest
 from matplotlib.text import Text
 
 from dc2g_jax.datasets.houses import House
-from dc2g_jax.evaluation import Summary
 from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS
 from dc2g_jax.inspection import contact_sheets, figures
 from dc2g_jax.inspection.contact_sheets import contact_pages, plot_contact_page
 from dc2g_jax.inspection.figures import PLANNER_STYLES, plot_house_strips
+from dc2g_jax.statistics import Summary
 from tests.inspection import toy
 
 

@@ -10,7 +10,7 @@ from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import ExactCostToGo, world_cost_to_go
-from dc2g_jax.evaluation import EpisodeResult, extra_steps, make_planner
+from dc2g_jax.evaluation import EpisodeResult
 from dc2g_jax.grid.poses import FORWARD, make_pose
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax.grid.world import world_from_terrain
@@ -18,9 +18,11 @@ from dc2g_jax.inspection import legend
 from dc2g_jax.inspection import replay as replaying
 from dc2g_jax.inspection.recording import record_episode
 from dc2g_jax.inspection.replay import actions_from_letters, replay, replay_result, running_extra_steps
+from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.planners import DC2G, EXPLORE, MODE_NAMES
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.planning.selection import ExpectedCost, Patience
+from dc2g_jax.statistics import extra_steps
 from tests.inspection.recordings import read
 from tests.oracles import gridworld_oracle as oracle
 

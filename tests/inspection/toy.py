@@ -4,9 +4,10 @@ import functools
 
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.estimation.estimators import ExactCostToGo
-from dc2g_jax.evaluation import EpisodeResult, extra_steps
+from dc2g_jax.evaluation import EpisodeResult
 from dc2g_jax.inspection.replay import Frames, replay_result
 from dc2g_jax.planning.rules import SETTINGS
+from dc2g_jax.statistics import extra_steps
 from tests.maps import drawn
 
 HOUSE = House(
