@@ -49,7 +49,7 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
         kept, folder = "", folder_in_use()
         if hasattr(parsed, "resume") and folder is not None and (folder / RUN_FILE).exists():
             where = "" if getattr(parsed, "out", None) else f" --out {folder}"
-            kept = f"; what is done is kept: the same command with --resume{where} goes on"
+            kept = f"; what was written is kept: the same command with --resume{where} goes on"
         print(f"interrupted{kept}", file=sys.stderr)
         sys.exit(130)
 

@@ -166,7 +166,7 @@ def test_ctrl_c_keeps_what_is_done_and_resume_goes_on(few_houses, tmp_path):
     process.send_signal(signal.SIGINT)
     _, words = process.communicate(timeout=200)
     assert process.returncode == 130, words
-    assert words.splitlines()[-1] == "interrupted; what is done is kept: the same command with --resume goes on"
+    assert words.splitlines()[-1] == "interrupted; what was written is kept: the same command with --resume goes on"
     kept = (out / "episodes.csv").read_text()
     assert kept.count("\n") < 4
     assert run(*options, "--resume").returncode == 0
