@@ -1,5 +1,6 @@
 """Pictures of terrain: PNG files whose exact colours stand for classes, and the palette that says which."""
 
+import difflib
 import functools
 import re
 from collections.abc import Sequence
@@ -160,9 +161,11 @@ def _explain_color(png_path: Path, palette: Palette, image: Pixels, classes: np.
     y, x = (int(value) for value in np.argwhere(classes >= _FOREIGN_CLASS)[0])
     if classes[y, x] == _FOREIGN_CLASS:
         color = _rgb(colors[y, x])
+        name, known = palette.name_of(color), [known for known in CLASS_NAMES if known != "__ignore__"]
+        close = difflib.get_close_matches(name, known, n=1)
         return (
-            f"{png_path}: pixel x={x}, y={y} has the colour {color} of class {palette.name_of(color)!r} in "
-            f"{palette.path}, which is not a known class; rename it to one of: {', '.join(CLASS_NAMES)}"
+            f"{png_path}: pixel x={x}, y={y} has the colour {color} of class {name!r} in {palette.path}, which is no "
+            f"known class; rename it to {close[0] if close else 'one of: ' + ', '.join(known)}"
         )
     rows, columns = np.nonzero(classes == _NO_ENTRY)
     _, first, counts = np.unique(_color_codes(colors[rows, columns]), return_index=True, return_counts=True)

@@ -86,7 +86,7 @@ def _check_header(path: Path, header: list[str], columns: Sequence[str], optiona
     if missing:
         raise InputError(
             f"{path}: the header {','.join(header)!r} lacks the column {', '.join(map(repr, missing))}; "
-            f"the first line must name {','.join(columns)}"
+            f"the first line must name {','.join(columns)}, with commas between"
         )
     for column in (*columns, *optional):
         if header.count(column) > 1:

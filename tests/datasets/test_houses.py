@@ -336,8 +336,11 @@ def test_a_colour_outside_the_palette(folder):
 
 def test_a_class_the_package_does_not_know_is_refused_where_it_is_drawn(folder):
     csv = folder / "labels_colors.csv"
-    csv.write_text(csv.read_text().replace("grass", "lawn"))
+    words = csv.read_text()
+    csv.write_text(words.replace("grass", "lawn"))
     refusal(lambda: load_dataset(folder), folder / "full_semantic", "'lawn'", csv, "rename", "grass, road")
+    csv.write_text(words.replace("grass", "gras"))
+    assert refusal(lambda: load_dataset(folder), "'gras'", csv).endswith("rename it to grass")
 
 
 @pytest.mark.parametrize(
