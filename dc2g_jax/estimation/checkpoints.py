@@ -130,11 +130,12 @@ def _read_card(folder: Path) -> tuple[_Kind, Any, str | None]:
     if (folder / "network" / _CARD).exists():
         remedy = f"give {folder / 'network'}"
     facts = _read_json(folder / _CARD, remedy)
-    kind = _KINDS.get(str(facts.get("network")))
+    named = facts.get("network")
+    kind = _KINDS.get(str(named))
     if kind is None:
         raise InputError(
-            f"{folder / _CARD}: its network is {facts.get('network', 'of no kind that is named')!r}, but planners take "
-            f"{' or '.join(_KINDS)}; {remedy}"
+            f"{folder / _CARD}: {f'its network is {named!r}' if named else 'names no kind of network'}, but planners "
+            f"take {' or '.join(_KINDS)}; {remedy}"
         )
     if facts.get("classes") != list(CLASS_NAMES):
         raise InputError(f"{folder / _CARD}: the network was trained on another list of terrain classes; train it anew")
