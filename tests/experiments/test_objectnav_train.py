@@ -10,7 +10,8 @@ import pytest
 from dc2g_jax.objectnav.collecting import CollectionConfig
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, load_costs
 from experiments import objectnav_train
-from experiments.objectnav_train import Options, main
+from experiments.objectnav_train import Options, house_digests, main
+from experiments.outputs import output_folder
 from tests.objectnav.two_rooms import two_rooms
 from tests.refusals import refusal
 
@@ -61,3 +62,18 @@ def test_an_encoder_that_is_none_and_numbers_that_make_no_sense_are_refused(opti
     damaged.write_bytes(b"PK\x03\x04garbage")
     refusal(lambda: objectnav_train.kept(damaged, lambda report: None, 1), damaged, "delete it")
     refusal(lambda: main(dataclasses.replace(options, widths=(4,), out=tmp_path / "new")), "widths 4", "at least two")
+
+
+def test_a_run_is_resumed_with_the_houses_that_it_was_begun_with(options, tmp_path):
+    houses = tmp_path / "houses"
+    houses.mkdir()
+    for name in ("train.jsonl", "val.jsonl.gz", "test.jsonl", "asset_boxes.json"):
+        (houses / name).write_text(name)
+    assert house_digests(options.houses) == {}
+    begun = dataclasses.replace(options, houses=str(houses))
+    inputs = house_digests(begun.houses)
+    output_folder(begun, "objectnav_train", inputs=inputs)
+    (houses / "test.jsonl").write_text("others")
+    assert house_digests(begun.houses) == inputs
+    (houses / "train.jsonl").write_text("others")
+    refusal(lambda: main(dataclasses.replace(begun, resume=True)), options.out, "--houses", "has changed")
