@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import nnx, struct
+from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Integer, UInt8
 
 from dc2g_jax.errors import InputError
@@ -107,7 +108,7 @@ class Prediction:
 
 
 def fused_cost(
-    occupancy: Float[Array, "*b h w"], cost: Float[Array, "*b h w"], threshold: float = 0.5
+    occupancy: Float[Array, "*b h w"], cost: Float[Array, "*b h w"], threshold: ArrayLike = 0.5
 ) -> Float[Array, "*b h w"]:
     """The final cost map: the navigation cost, infinite in cells more likely occupied than a threshold.
 
