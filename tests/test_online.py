@@ -122,10 +122,10 @@ def test_every_step_of_an_episode_is_that_of_the_batch_planner():
                 assert decision.action == ACTION_LETTERS[wanted.action]
 
 
-def poses_to_choose_from(seen, free, pose, depth: int):
+def poses_to_choose_from(seen, free, pose, rim_width: int):
     radii = {"sensing_radius": SENSING, "expanding_radius": SENSING}
     found = oracle.explore_poses(seen, oracle.reachable(free, *pose[:2]), pose, rules="complete", **radii)
-    opening = oracle.opening_poses(found, seen, depth, SENSING)
+    opening = oracle.opening_poses(found, seen, rim_width, SENSING)
     return opening if opening.any() else found
 
 
@@ -135,7 +135,7 @@ def scattered_planner() -> OnlinePlanner:
 
 
 @pytest.mark.parametrize(
-    ("make", "estimate", "weight", "depth", "gain_weight"),
+    ("make", "estimate", "weight", "rim_width", "gain_weight"),
     [
         (lambda: planner_of("frontier"), lambda grid: np.zeros((1, *grid.shape)), 1.0, 0, 0.0),
         (lambda: planner_of("dc2g"), jax.jit(BothViews(network()).estimate), 0.5, 1, 3.0),
@@ -143,7 +143,7 @@ def scattered_planner() -> OnlinePlanner:
     ],
     ids=["frontier", "dc2g", "another estimator"],
 )
-def test_decisions_hold_what_the_plain_implementation_finds(make, estimate, weight, depth, gain_weight):
+def test_decisions_hold_what_the_plain_implementation_finds(make, estimate, weight, rim_width, gain_weight):
     planner, modes = make(), dict.fromkeys(("explore", "to_goal", "gave_up"), 0)
     for seed in range(60):
         terrain, seen, pose = random_moment(seed, SHAPE, 0.8)
@@ -152,7 +152,7 @@ def test_decisions_hold_what_the_plain_implementation_finds(make, estimate, weig
         grid, free = observed(terrain, seen), seen & np.isin(terrain, oracle.TRAVERSABLE_CLASSES)
         decision = planner.plan(grid, pose)
         doors = oracle.reachable(free, *pose[:2]) & (terrain == FRONT_DOOR)
-        found = poses_to_choose_from(seen, free, pose, depth)
+        found = poses_to_choose_from(seen, free, pose, rim_width)
         mode = "to_goal" if doors.any() else "explore" if found.any() else "gave_up"
         assert decision.mode == mode
         modes[mode] += 1

@@ -64,8 +64,8 @@ def reference(belief: Belief, reachable: Board, expanding: Kernel) -> PoseSet:
     return _reachable_but_here(poses_that_see(frontier, expanding), belief, reachable)
 
 
-def opening(belief: Belief, candidates: PoseSet, sensing: Kernel, depth: int) -> PoseSet:
-    """Those of the poses that see an unobserved cell more than `depth` moves beyond everything observed.
+def opening(belief: Belief, candidates: PoseSet, sensing: Kernel, rim_width: int) -> PoseSet:
+    """Those of the poses that see an unobserved cell more than `rim_width` moves beyond everything observed.
 
     The others fill a corner or complete a wall: where everything unobserved within sight lies along the rim of what is
     known, little can come to light.
@@ -74,10 +74,10 @@ def opening(belief: Belief, candidates: PoseSet, sensing: Kernel, depth: int) ->
       belief: what the robot knows.
       candidates: poses to choose from.
       sensing: the robot's field of view.
-      depth: width of the rim, in cells; 0 for no rim.
+      rim_width: width of the rim, in cells; 0 for no rim.
     """
     rim = belief.seen
-    for _ in range(depth):
+    for _ in range(rim_width):
         rim = rim | bitboard.neighbours(rim)
     return candidates & sensing.poses_that_see(_beyond(belief, rim), belief.opaque)
 

@@ -25,7 +25,7 @@ def _on_network(selection: Selection, estimator: Estimator, rules: Rules) -> DC2
         estimator,
         dataclasses.replace(rules, goal_poses=nearest_goal),
         selection=selection,
-        depth=1,
+        rim_width=1,
         views=((), (1,)),
         gain_weight=3.0,
         patience=Patience(radius=8, decisions=30, price=0.25),

@@ -152,17 +152,17 @@ class DC2G:
     poses in the first place; under the `reference` rules alone a robot can go back and forth for ever between two poses
     that show nothing.)
 
-    By default, selection, depth, gain and patience are the paper's.
+    By default, selection, rim, gain and patience are the paper's.
 
     Attributes:
       estimator: partial map in, costs-to-go out, lower is better.
       rules: what is seen and what counts as frontier.
       selection: what makes one subgoal better than another.
-      depth: subgoals that see something more than so many cells beyond everything observed go before all others.
-      views: axes that the map is mirrored along before the estimator is asked, a tuple a view. New estimates are of
-        one view after the other, and the mean of each view's latest is gone by: errors that a network makes in one of
-        them alone are halved, at no more questions. Views other than the map as it is are for estimators that read
-        nothing but the map.
+      rim_width: subgoals that see something more than so many cells beyond everything observed go before all others.
+      views: axes that the map is mirrored along before the estimator is asked, a tuple a view: test-time augmentation
+        spread over the steps. New estimates are of one view after the other, and the mean of each view's latest is gone
+        by: errors that a network makes in one of them alone are halved, at no more questions. Views other than the map
+        as it is are for estimators that read nothing but the map.
       gain_weight: information gain, in units of the score: by so much the score of a cell is lower where all of the
         field of view would be new. While nothing new is seen it stays as it is, so exploration ends all the same. Of
         headings that a cell is reached in as soon, the one that faces the most of what has not been observed is taken,
@@ -173,7 +173,7 @@ class DC2G:
     estimator: Estimator
     rules: Rules = struct.field(pytree_node=False)
     selection: Selection = struct.field(pytree_node=False, default=ExpectedCost(distance_weight=0.0))
-    depth: int = struct.field(pytree_node=False, default=0)
+    rim_width: int = struct.field(pytree_node=False, default=0)
     views: tuple[tuple[int, ...], ...] = struct.field(pytree_node=False, default=((),))
     gain_weight: float = struct.field(pytree_node=False, default=0.0)
     patience: Patience = struct.field(pytree_node=False, default=ENDLESS)
@@ -231,8 +231,8 @@ class DC2G:
         revealing = frontiers.complete(belief, reachable, self.rules.sensing)
         preferred = self.rules.frontier_expanding(belief, reachable) & revealing
         candidates = jnp.where(poses.is_empty(preferred), revealing, preferred)
-        if self.depth:
-            opening = frontiers.opening(belief, candidates, self.rules.sensing, self.depth)
+        if self.rim_width:
+            opening = frontiers.opening(belief, candidates, self.rules.sensing, self.rim_width)
             candidates = jnp.where(poses.is_empty(opening), candidates, opening)
         return candidates
 

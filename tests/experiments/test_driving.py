@@ -113,4 +113,4 @@ def test_on_wheels_patience_has_no_end(planner, kind):
     found = equipment(planner, ExactCostToGo(), (20, 20), 0.0, DrivingOptions()).planner
     assert isinstance(found, kind)
     if isinstance(found, DC2G):
-        assert (found.patience, found.depth, len(found.views)) == (ENDLESS, 1, 2)
+        assert (found.patience, found.rim_width, len(found.views)) == (ENDLESS, 1, 2)

@@ -197,11 +197,11 @@ class _Slope:
 
 
 def test_scores_are_those_the_planner_goes_by():
-    """Views in turn, each asked again only when something new is seen; distance, depth, gain and patience count."""
+    """Views in turn, each asked again only when something new is seen; distance, rim, gain and patience count."""
     patience = Patience(radius=3, decisions=6, price=0.25)
     selection, views = ExpectedCost(distance_weight=0.5), ((), (1,))
     gain_weight = 0.25 * len(_RULES.sensing.offsets[0])
-    planner = DC2G(_Slope(), _RULES, selection, depth=1, views=views, gain_weight=gain_weight, patience=patience)
+    planner = DC2G(_Slope(), _RULES, selection, rim_width=1, views=views, gain_weight=gain_weight, patience=patience)
     actions = actions_from_letters("LLFFFFFLRFFFFFFFFFFFFF")
     world = world_from_terrain(_TERRAIN)
     found = replay(world, make_pose(*_START[1:4]), actions, planner=planner, rules=_RULES)

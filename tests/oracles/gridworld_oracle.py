@@ -329,10 +329,10 @@ def revealing_poses(
     return poses & revealing if (poses & revealing).any() else revealing
 
 
-def opening_poses(poses: Array, seen: Array, depth: int, sensing_radius: int) -> Array:
-    """Those of `poses` (bool [4 h w]) that see a cell farther than `depth` moves from all that has been seen."""
+def opening_poses(poses: Array, seen: Array, rim_width: int, sensing_radius: int) -> Array:
+    """Those of `poses` (bool [4 h w]) that see a cell farther than `rim_width` moves from all that has been seen."""
     near = seen
-    for _ in range(depth):
+    for _ in range(rim_width):
         near = near | _neighbour_of(near)
     return poses & np.stack([_sources(~near, sensing_offsets(sensing_radius, heading)) for heading in range(4)])
 
@@ -372,14 +372,14 @@ def run_episode(
     max_steps: int,
     cost_to_go: CostToGo | None = None,
     goals: Array | None = None,
-    depth: int = 0,
+    rim_width: int = 0,
     patience: tuple[int, int, float] | None = None,
     new_cell: float = 0.0,
 ) -> tuple[bool, str, Mode]:
     """Run one episode on terrain classes [h w]; return success, actions as letters, mode of the last plan.
 
     `goals` (bool [h w]) are all front doors unless given. `dc2g` takes a cost-to-go grid or a function of
-    (seen, observed terrain), unseen terrain being 0, and goes where something is revealed, beyond a rim of `depth`
+    (seen, observed terrain), unseen terrain being 0, and goes where something is revealed, beyond a rim of `rim_width`
     cells if it can. `patience` is a radius, a number of decisions and a price: cells with more decisions than that made
     at most the radius to their side cost the price more for each. A cell that would be seen for the first time takes
     `new_cell` off the cost of where it would be seen from.
@@ -408,7 +408,7 @@ def run_episode(
             poses = explore_poses(seen, reached, pose, rules=rules, **radii)
             if planner == "dc2g":
                 poses = revealing_poses(poses, seen, reached, pose, **radii)
-                opening = opening_poses(poses, seen, depth, sensing_radius)
+                opening = opening_poses(poses, seen, rim_width, sensing_radius)
                 poses = opening if opening.any() else poses
                 observed = np.where(seen, terrain, 0)
                 costs = cost_to_go(seen, observed) if callable(cost_to_go) else cost_to_go

@@ -85,24 +85,24 @@ def test_both_rules(shape, seed, density):
 
 
 @functools.cache
-def opening_set(depth: int, width: int):
+def opening_set(rim_width: int, width: int):
     def run(terrain, seen, pose, candidates):
         belief = belief_of(terrain, seen, pose)
         candidates = jnp.stack([bitboard.pack(cells) for cells in candidates])
-        return poses.unpack(frontiers.opening(belief, candidates, field_of_view(SENSING), depth), width)
+        return poses.unpack(frontiers.opening(belief, candidates, field_of_view(SENSING), rim_width), width)
 
     return jax.jit(run)
 
 
 @pytest.mark.parametrize("shape", [(1, 33), (13, 32), (7, 65)], ids="{0[0]}x{0[1]}".format)
-@pytest.mark.parametrize("depth", [0, 1, 2])
+@pytest.mark.parametrize("rim_width", [0, 1, 2])
 @given(seed=maps.seeds)
 @settings(max_examples=10)
-def test_poses_that_open_ground(shape, depth, seed):
+def test_poses_that_open_ground(shape, rim_width, seed):
     terrain, seen, pose = random_moment(seed, shape, 0.75)
     candidates = np.random.default_rng(seed).random((4, *shape)) < 0.3
-    found = opening_set(depth, shape[1])(terrain, seen, pose, candidates)
-    np.testing.assert_array_equal(found, oracle.opening_poses(candidates, seen, depth, SENSING))
+    found = opening_set(rim_width, shape[1])(terrain, seen, pose, candidates)
+    np.testing.assert_array_equal(found, oracle.opening_poses(candidates, seen, rim_width, SENSING))
 
 
 @functools.cache
