@@ -26,7 +26,7 @@ from dc2g_jax.files.digests import arrays_sha256
 from dc2g_jax.files.whole import write_json
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect, random_views
 from dc2g_jax.objectnav.data import TrainingSet
-from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
+from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses, split_file
 from dc2g_jax.objectnav.mapping import MapSettings
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, ImageEncoder, load_encoder, save_encoder, train_encoder
 from dc2g_jax.objectnav.networks import ABLATIONS, CostMapArchitecture, CostMapEstimator, save_estimator
@@ -108,9 +108,12 @@ class Options:
         Raises:
           InputError: a number makes no sense.
         """
-        architecture = CostMapArchitecture(
-            patch=self.patch, widths=self.widths, features=features, inputs=ABLATIONS[self.inputs]
-        )
+        try:
+            architecture = CostMapArchitecture(
+                patch=self.patch, widths=self.widths, features=features, inputs=ABLATIONS[self.inputs]
+            )
+        except InputError as error:
+            raise InputError(f"--{error}") from None
         if MapSettings.local % self.patch:
             raise InputError(f"--patch {self.patch}: give a divisor of {MapSettings.local}, the map's sides in cells")
         recipe: Recipe = RECIPES[self.recipe]
@@ -204,10 +207,16 @@ def train(options: Options, config: CostMapConfig, data: TrainingSet, validation
 
 
 def house_digests(location: str) -> dict[str, str]:
-    """SHA-256 of the files that houses are read from; of nothing where they are drawn or there are no files."""
-    files = [] if location == PROCEDURAL else sorted(Path(location).glob("*.json*"))
-    files = [path for path in files if path.name.split(".")[0] in ("train", "val", Path(BOXES_FILE).stem)]
-    return {"houses": arrays_sha256({path.name: np.fromfile(path, np.uint8) for path in files})} if files else {}
+    """SHA-256 of the files that houses are read from; none where they are drawn.
+
+    Raises:
+      InputError: the folder lacks the file of a split.
+    """
+    if location == PROCEDURAL:
+        return {}
+    files = [split_file(Path(location), split) for split in ("train", "val")]
+    files += [path for path in [Path(location) / BOXES_FILE] if path.is_file()]
+    return {"houses": arrays_sha256({path.name: np.fromfile(path, np.uint8) for path in files})}
 
 
 def write_card(folder: Path, card: dict[str, Any]) -> None:

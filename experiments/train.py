@@ -90,7 +90,7 @@ class Options:
         if not np.allclose(self.quantiles, middles, atol=1e-3):
             raise InputError(
                 f"--quantiles {' '.join(map(str, self.quantiles))}: planners take the answers to be equally likely; "
-                f"give the middles of equal parts, such as {' '.join(map(str, middles or (0.1, 0.3, 0.5, 0.7, 0.9)))}"
+                f"give the middles of equal parts, such as {' '.join(map(str, middles))}"
             )
         return TrainingConfig(
             architecture=Architecture(widths=self.widths, quantiles=self.quantiles),

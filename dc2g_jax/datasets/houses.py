@@ -101,7 +101,7 @@ class HouseDataset:
                 return house
         names = [house.name for house in self.houses]
         close = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
-        remedy = f"did you mean {' or '.join(close)}?" if close else f"its houses are {', '.join(names[:3])} and so on;"
+        remedy = f"did you mean {' or '.join(close)}?" if close else f"its houses are {', '.join(names[:3])} and so on"
         raise InputError(f"{self.name}: no house is called {name!r}; {remedy} (--dataset says which houses there are)")
 
 

@@ -161,7 +161,7 @@ def _explain_color(png_path: Path, palette: Palette, image: Pixels, classes: np.
     y, x = (int(value) for value in np.argwhere(classes >= _FOREIGN_CLASS)[0])
     if classes[y, x] == _FOREIGN_CLASS:
         color = _rgb(colors[y, x])
-        name, known = palette.name_of(color), [known for known in CLASS_NAMES if known != "__ignore__"]
+        name, known = palette.name_of(color), CLASS_NAMES[1:]
         close = difflib.get_close_matches(name, known, n=1)
         return (
             f"{png_path}: pixel x={x}, y={y} has the colour {color} of class {name!r} in {palette.path}, which is no "

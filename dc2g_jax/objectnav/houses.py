@@ -64,15 +64,19 @@ def indoor_houses(
     if location == PROCEDURAL:
         plans = [(index, draw_plan(seed, split, index)) for index in range(count or 20)]
     else:
-        path = _file(Path(location), split)
+        path = split_file(Path(location), split)
         plans = read_procthor(path, strict=strict, log=log)
         if count is not None and count > len(plans):
             raise InputError(f"{path}: has {len(plans)} houses, less than {count}; ask for fewer")
     return [IndoorHouse(f"{split}-{number}", split, world_from_plan(plan, cell_size)) for number, plan in plans[:count]]
 
 
-def _file(folder: Path, split: str) -> Path:
-    """The file of a split."""
+def split_file(folder: Path, split: str) -> Path:
+    """The file of a split.
+
+    Raises:
+        InputError: the folder has none.
+    """
     paths = [folder / f"{split}{ending}" for ending in ENDINGS]
     for path in paths:
         if path.is_file():

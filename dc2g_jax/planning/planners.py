@@ -182,19 +182,9 @@ class DC2G:
     robots_on_large_maps: ClassVar[int] = 16
 
     def init(self, world: World) -> "ExplorationState":
-        """Nothing is reachable before the first observation; the estimator sets itself up.
-
-        Raises:
-          ValueError: the estimator's answers do not have the shape of the map behind an axis of outcomes.
-        """
+        """Nothing is reachable before the first observation; the estimator sets itself up."""
         nothing = jnp.zeros_like(world.traversable)
         estimator_state = self.estimator.init(world)
-        answer = jax.eval_shape(self.estimator.estimate, world.terrain, estimator_state)
-        if answer.shape[1:] != world.terrain.shape:
-            raise ValueError(
-                f"{type(self.estimator).__name__} answers with {list(answer.shape)} for a map of "
-                f"{list(world.terrain.shape)}; give [outcomes, *shape of the map], with one outcome at least"
-            )
         view = jnp.zeros(nothing.shape[2:], jnp.int32)
         estimate = jax.eval_shape(self.estimate, world.terrain, (view, estimator_state))
         return ExplorationState(
@@ -214,12 +204,21 @@ class DC2G:
         Args:
           terrain: observed class indices.
           state: which of the views to ask about, and the estimator's state.
+
+        Raises:
+          ValueError: the estimator's answer does not have the shape of the map behind an axis of outcomes.
         """
         view, estimator_state = state
         seen_as = terrain
         for number, axes in enumerate(self.views):
             seen_as = jnp.where(view == number, jnp.flip(terrain, axes), seen_as) if axes else seen_as
-        answer = self.selection.summary(self.estimator.estimate(seen_as, estimator_state))
+        costs = self.estimator.estimate(seen_as, estimator_state)
+        if costs.shape[1:] != terrain.shape:
+            raise ValueError(
+                f"{type(self.estimator).__name__} answers with {list(costs.shape)} for a map of {list(terrain.shape)}; "
+                "give [outcomes, *shape of the map], with one outcome at least"
+            )
+        answer = self.selection.summary(costs)
         summary = answer
         for number, axes in enumerate(self.views):
             back = jnp.flip(answer, [1 + axis for axis in axes])

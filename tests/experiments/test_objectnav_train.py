@@ -61,7 +61,7 @@ def test_an_encoder_that_is_none_and_numbers_that_make_no_sense_are_refused(opti
     damaged = tmp_path / "data.npz"
     damaged.write_bytes(b"PK\x03\x04garbage")
     refusal(lambda: objectnav_train.kept(damaged, lambda report: None, 1), damaged, "delete it")
-    refusal(lambda: main(dataclasses.replace(options, widths=(4,), out=tmp_path / "new")), "widths 4", "at least two")
+    refusal(lambda: main(dataclasses.replace(options, widths=(4,), out=tmp_path / "new")), "--widths 4", "at least two")
 
 
 def test_a_run_is_resumed_with_the_houses_that_it_was_begun_with(options, tmp_path):

@@ -328,6 +328,20 @@ def test_a_robot_gives_up_where_estimates_are_no_numbers(rules):
         planner = DC2G(estimator, RULES[rules])
         plan, _ = jax.jit(planner.plan)(belief, planner.init(worlds))
         assert plan.mode.tolist() == [wanted] * EPISODES
+    done = run(DC2G(NoNumber(), RULES[rules]), terrains, starts)
+    assert done.mode.tolist() == [GAVE_UP] * EPISODES, (done.steps, done.actions[:, :9])
+    assert done.steps.tolist() == [0] * EPISODES
+
+
+def test_an_estimator_without_an_axis_of_outcomes_is_refused():
+    @struct.dataclass
+    class Flat(ExactCostToGo):
+        def estimate(self, terrain, state):
+            return super().estimate(terrain, state)[0]
+
+    planner = DC2G(Flat(), RULES["complete"], views=((), (1,)))
+    with pytest.raises(ValueError, match=r"Flat answers with \[11, 33\] for a map of \[11, 33\]; give \[outcomes"):
+        planner.init(world_from_terrain(maps.random_terrain(0, (11, 33), 0.85)))
 
 
 def test_what_is_left_of_a_state_on_a_map_that_has_changed():
