@@ -14,6 +14,7 @@ from dc2g_jax.estimation.metrics import Comparison, ImageMetrics, compare_images
 from dc2g_jax.grid.sampling import ClassImage, resize_nearest
 from dc2g_jax.grid.terrain import TRAVERSABLE
 from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.programs import jit
 
 #: Cells a side of the gridworld (section IV-B).
 GRID_CELLS = 50
@@ -55,7 +56,7 @@ def predicted_image(
     return cost_to_go_image(_costs_to_drive(estimator, observed), observed, largest)
 
 
-@jax.jit
+@jit
 def compare(
     estimator: Estimator, terrain: UInt8[Array, "s s"], cost_to_go: Float[Array, "s s"], seen: Array
 ) -> tuple[ImageMetrics, Array, Array, Array]:
@@ -91,7 +92,7 @@ def as_floats(metrics: ImageMetrics) -> dict[str, float]:
     return {name: float(value) for name, value in metrics._asdict().items()}
 
 
-@jax.jit
+@jit
 def _compare_pair(network: TranslatorCostToGo, data: ImageSet, index: Int[Array, ""]) -> Comparison:
     pair = masked_map(data, index).pictures()
     return compare_images(network.answer(pair.image[None])[0], pair.target)

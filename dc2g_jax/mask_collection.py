@@ -17,6 +17,7 @@ from dc2g_jax.grid.sensing import Kernel
 from dc2g_jax.grid.world import World
 from dc2g_jax.planning.planners import DC2G, Frontier, Planner
 from dc2g_jax.planning.rules import Rules
+from dc2g_jax.programs import jit
 from dc2g_jax.rollout import Episodes, rollout
 
 _EPISODES_PER_CALL = 128
@@ -66,7 +67,7 @@ class Masks(NamedTuple):
     world: Int[np.ndarray, "masks"]
 
 
-@functools.partial(jax.jit, static_argnames=("sensing",))
+@functools.partial(jit, static_argnames=("sensing",))
 def _moments(
     worlds: World,
     episodes: Episodes,

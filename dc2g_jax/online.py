@@ -31,6 +31,7 @@ from dc2g_jax.planning.named import NETWORK_PLANNERS, make_planner
 from dc2g_jax.planning.planners import DC2G
 from dc2g_jax.planning.rules import Rules, complete_rules
 from dc2g_jax.planning.selection import ExpectedCost
+from dc2g_jax.programs import jit
 
 #: Planners that need no map but the robot's own.
 PLANNERS = ("frontier", *NETWORK_PLANNERS)
@@ -67,7 +68,7 @@ def _mirrored(cells: Array, axes: tuple[int, ...], terrain: UInt8[Array, "h w"])
     return cells
 
 
-@jax.jit
+@jit
 def _look(
     planner: DC2G, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]
 ) -> tuple[Int[Array, "heading h w"], Bool[Array, "heading h w"], Float[Array, "h w"], Float[Array, "h w"]]:

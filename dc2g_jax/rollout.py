@@ -24,6 +24,7 @@ from dc2g_jax.grid.sensing import Kernel
 from dc2g_jax.grid.world import World
 from dc2g_jax.gridworld import Belief
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, Planner
+from dc2g_jax.programs import jit
 
 #: Step limit of an episode in the published results.
 STEP_LIMIT = 500
@@ -251,8 +252,8 @@ def _programs(platform: str) -> tuple[Callable[..., tuple[_Queue, _State]], Call
     """`_first_state` and `_run`, compiled for a kind of device."""
     options = ONE_CORE if platform == "cpu" else {}
     return (
-        jax.jit(_first_state, static_argnames=("sensing", "n_slots", "kept_steps"), compiler_options=options),
-        jax.jit(_run, static_argnames=("sensing", "step_limit"), donate_argnames=("state",), compiler_options=options),
+        jit(_first_state, static_argnames=("sensing", "n_slots", "kept_steps"), compiler_options=options),
+        jit(_run, static_argnames=("sensing", "step_limit"), donate_argnames=("state",), compiler_options=options),
     )
 
 

@@ -23,6 +23,7 @@ from dc2g_jax.estimation.training import (
     train_step,
     train_step_at_once,
 )
+from dc2g_jax.programs import jit
 
 
 def runs_of_grid(
@@ -102,7 +103,7 @@ def _unless_diverged(new: TrainingState, before: TrainingState, loss: Float[Arra
     return kept.replace(step=new.step)
 
 
-@functools.partial(jax.jit, static_argnames=("recipe", "draw_batch"), donate_argnames=("states",))
+@functools.partial(jit, static_argnames=("recipe", "draw_batch"), donate_argnames=("states",))
 def train_steps_together(
     states: TrainingState,
     hyperparameters: Hyperparameters,
@@ -120,12 +121,12 @@ def train_steps_together(
     return jax.vmap(one_step)(states, hyperparameters)
 
 
-@jax.jit
+@jit
 def _of_run(stack: Any, run: Int[Array, ""]) -> Any:
     return jax.tree.map(lambda leaf: leaf[run], stack)
 
 
-@functools.partial(jax.jit, donate_argnames=("before",))
+@functools.partial(jit, donate_argnames=("before",))
 def _stacked(before: TrainingState, new: Sequence[TrainingState], losses: Float[Array, "runs"]) -> TrainingState:
     """The new states of all runs in one stack."""
     return jax.vmap(_unless_diverged)(jax.tree.map(lambda *leaves: jnp.stack(leaves), *new), before, losses)

@@ -26,6 +26,7 @@ from dc2g_jax.mask_collection import LEADERS, Masks, collect_masks, concatenate_
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.planners import Planner
 from dc2g_jax.planning.rules import SETTINGS, Rules, complete_rules
+from dc2g_jax.programs import jit
 
 #: Seed of the procedural validation houses; those of training have the run's own, so it must be below this.
 _VALIDATION_SEED = 10_000
@@ -287,7 +288,7 @@ def check_masks(masks: Masks, houses: Sequence[House], where: str) -> None:
 
 def training_set(houses: Sequence[House], n_own: int, masks: Masks) -> TrainingSet:
     """Labels of all houses (Algorithm 1, line 5) beside their masks."""
-    solve = jax.jit(world_cost_to_go)
+    solve = jit(world_cost_to_go)
     labels = []
     for first in range(0, len(houses), _LABELS_AT_A_TIME):
         # The last call repeats the last house, so that all calls have one shape.

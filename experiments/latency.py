@@ -24,6 +24,7 @@ from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax.grid.sensing import field_of_view
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.online import OnlinePlanner
+from dc2g_jax.programs import jit
 from dc2g_jax.rollout import STEP_LIMIT
 from experiments.benchmarks.machine import describe
 from experiments.benchmarks.workload import Workload, make_workload, resized
@@ -79,8 +80,8 @@ class Row(NamedTuple):
 def waits(planner: OnlinePlanner, workload: Workload, sensing_range: int) -> Iterator[float]:
     """Seconds of one decision after the other, in one episode after the other."""
     sensing = field_of_view(sensing_range)
-    reset = jax.jit(functools.partial(gridworld.reset, sensing=sensing))
-    step = jax.jit(functools.partial(gridworld.step, sensing=sensing))
+    reset = jit(functools.partial(gridworld.reset, sensing=sensing))
+    step = jit(functools.partial(gridworld.step, sensing=sensing))
     terrain = {house.name: house.terrain for house in workload.houses}
     for start in itertools.cycle(workload.starts):
         world = world_from_terrain(terrain[start.house])

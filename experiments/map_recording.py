@@ -30,6 +30,7 @@ from dc2g_jax.mapping.scene import CELL_SIZE, scene_from_terrain
 from dc2g_jax.mapping.semantic_map import MapSettings, empty_map, integrate, terrain_map
 from dc2g_jax.mapping.sequences import ImageSequence, Shot
 from dc2g_jax.mapping.simulator import FIELD_OF_VIEW, picture, render, robot_camera
+from dc2g_jax.programs import jit
 from experiments.common import DatasetOption, OutOption, command_line
 from experiments.map_options import StartOption, start_in
 from experiments.outputs import output_folder
@@ -74,7 +75,7 @@ def way_to_goal(house: House, start: Start) -> list[Pose]:
     """The poses of a shortest way from a start to the nearest goal, one a step. There is one."""
     world = world_from_terrain(house.terrain)
 
-    @jax.jit
+    @jit
     def step(pose: Pose) -> Pose:
         action = first_action(pose, every_heading(world.goals), world.traversable).action
         return moved(pose, action, *house.terrain.shape)
@@ -91,7 +92,7 @@ def simulate(options: Options, house: House, start: Start, folder: Path) -> None
     camera = intrinsics(FIELD_OF_VIEW, height, width)
     scene = scene_from_terrain(house.terrain, options.cell_size)
 
-    @jax.jit
+    @jit
     def look(robot: Pose) -> tuple[Frame, Array]:
         pose = robot_camera(robot, options.cell_size)
         return render(scene, camera, pose), picture(scene, camera, pose)
@@ -110,8 +111,8 @@ def map_sequence(sequence: ImageSequence, settings: MapSettings, out: Path, name
     Returns:
       The map as seen from above, and how many frames were left out because something is wrong with them.
     """
-    take = jax.jit(integrate, static_argnums=3)
-    read = jax.jit(terrain_map, static_argnums=1)
+    take = jit(integrate, static_argnums=3)
+    read = jit(terrain_map, static_argnums=1)
     voxels, wrong = empty_map(settings), 0
     way = np.stack([moment.pose.position for moment in sequence.moments])
     file = out / "recording.rrd"

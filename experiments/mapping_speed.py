@@ -15,6 +15,7 @@ from dc2g_jax.files.whole import write_json
 from dc2g_jax.grid.terrain import HOUSE, ROAD
 from dc2g_jax.mapping.camera import Frame, Intrinsics, intrinsics, level_camera, rays
 from dc2g_jax.mapping.semantic_map import MapSettings, empty_map, integrate, terrain_map
+from dc2g_jax.programs import jit
 from experiments.benchmarks.machine import describe
 from experiments.benchmarks.timing import measure
 from experiments.common import OutOption, command_line
@@ -86,10 +87,10 @@ def run(case: Case, repeats: int) -> Row:
     camera = intrinsics(90.0, *case.image)
     settings = MapSettings(rows=case.cells, columns=case.cells, cell_size=_SIDE / case.cells)
     robots = jnp.arange(case.robots)
-    frames = jax.jit(jax.vmap(look, in_axes=(0, None)))(robots, camera)
+    frames = jit(jax.vmap(look, in_axes=(0, None)))(robots, camera)
     maps = jax.vmap(lambda _: empty_map(settings))(robots)
-    take = jax.jit(jax.vmap(integrate, in_axes=(0, 0, None, None)))
-    read = jax.jit(jax.vmap(terrain_map, in_axes=(0, None)))
+    take = jit(jax.vmap(integrate, in_axes=(0, 0, None, None)))
+    read = jit(jax.vmap(terrain_map, in_axes=(0, None)))
     taking = measure(lambda: take(maps, frames, camera, settings), repeats=repeats)
     filled = take(maps, frames, camera, settings)
     reading = measure(lambda: read(filled, settings), repeats=repeats)

@@ -39,6 +39,7 @@ from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
 from dc2g_jax.objectnav.mapping import MapSettings
 from dc2g_jax.objectnav.searches import TIME_LIMIT, Episode, Searches, sample_episodes
 from dc2g_jax.objectnav.starts import sample_starts
+from dc2g_jax.programs import jit
 from experiments.common import NetworkOption, OutOption, command_line
 from experiments.outputs import output_folder
 from experiments.searches import TITLES, AgentName, agent_with, costs_for
@@ -128,7 +129,7 @@ def search(robot: Robot, site: Site, agent: Agent) -> tuple[list[Robot], Robot]:
     Returns:
       The robot at the beginning of each leg, when it has looked and decided and is about to act; and at the end.
     """
-    first_part, second_part, begun = jax.jit(look_and_decide), jax.jit(act_on), []
+    first_part, second_part, begun = jit(look_and_decide), jit(act_on), []
     with tqdm(total=len(robot.track) - 1, desc="searching", unit="step", file=sys.stderr) as progress:
         while under_way(robot):
             begun.append(first_part(robot, site, agent))
@@ -155,7 +156,7 @@ def chosen(to_goal: Bool[np.ndarray, " leg"], count: int) -> list[int]:
     return np.unique(numbers.round().astype(int)).tolist()
 
 
-@jax.jit
+@jit
 def sampled_plans(robot: Robot, agent: Agent) -> tuple[Float[Array, "k h 2"], Bool[Array, ""]]:
     """Where the plans lead that the controller samples in the robot's next period, and whether it drives by them."""
     _, key = jax.random.split(robot.key)

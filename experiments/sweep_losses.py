@@ -30,6 +30,7 @@ from dc2g_jax.estimation.training import TrainingConfig, TrainingState, mean_err
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.files.whole import write_json
 from dc2g_jax.inspection.training_figures import plot_sweep
+from dc2g_jax.programs import jit
 from dc2g_jax.sweeps import (
     group_by_shape,
     init_states,
@@ -102,7 +103,7 @@ class Options:
         )
 
 
-@functools.partial(jax.jit, static_argnames=("architecture",))
+@functools.partial(jit, static_argnames=("architecture",))
 def validation_errors(architecture: Architecture, weights: Any, pairs: Pair) -> Float[Array, "runs"]:
     """Mean error of every run on all pairs, in cells."""
     chunks = jax.tree.map(lambda leaf: leaf.reshape(-1, _PAIRS_AT_A_TIME, *leaf.shape[1:]), pairs)
@@ -167,7 +168,7 @@ def train_group(
             for index, folder in enumerate(folders):
                 folder.save(jax.tree.map(lambda leaf, index=index: leaf[index], states))
 
-        states = restore(folders, jax.jit(init_states, static_argnums=0)(recipe, hyperparameters))
+        states = restore(folders, jit(init_states, static_argnums=0)(recipe, hyperparameters))
         states = run_steps(
             states,
             int(states.step[0]),

@@ -9,7 +9,6 @@ import functools
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
@@ -27,6 +26,7 @@ from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.terrain import UNKNOWN
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.rules import SETTINGS
+from dc2g_jax.programs import jit
 from dc2g_jax.statistics import summarize
 from dc2g_jax.training_data import drawn_houses, usable
 from experiments.benchmarks.timing import measure
@@ -134,7 +134,7 @@ def all_worlds(options: Options, dataset: HouseDataset) -> dict[str, Worlds]:
     return {name: one for name, one in worlds.items() if one.starts}
 
 
-@jax.jit
+@jit
 def _ask(estimator: Estimator, terrain: UInt8[Array, "h w"], before: Float[Array, "1 h w"]) -> Float[Array, "1 h w"]:
     """One estimate of a robot in the middle of a map, the mean of the outcomes."""
     pose = make_pose(terrain.shape[1] // 2, terrain.shape[0] // 2, 0)

@@ -308,14 +308,14 @@ def directions_of_growth(terrain, pose, letters: str) -> set[str]:
 @pytest.mark.parametrize("name", ["frontier", "dc2g"])
 def test_no_size_of_map_compiles_anything(name):
     planner = planner_of(name, LARGER)
-    compiled = online._look._cache_size()
+    compiled = online._look.compiled_count()
     for height, width in ((1, 1), (3, 32), (33, 2), (32, 32), (32, 33), (33, 64), (33, 65)):
         decision = planner.plan(np.full((height, width), 3, np.uint8), (0, 0, 0))
         assert decision.mode == "gave_up"
         corner = np.full((height, width), 3, np.uint8)
         corner[-1, -1] = 0 if height * width > 1 else 3
         planner.plan(corner, (0, 0, 0))
-    assert online._look._cache_size() == compiled
+    assert online._look.compiled_count() == compiled
 
 
 def test_cells_may_change_between_calls():

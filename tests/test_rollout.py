@@ -149,7 +149,7 @@ def test_actions_are_kept_only_if_asked_for(terrains):
 
 
 def compiled_programs() -> list[int]:
-    return [program._cache_size() for program in rollout_module._programs(jax.default_backend())]
+    return [program.compiled_count() for program in rollout_module._programs(jax.default_backend())]
 
 
 def test_one_program_serves_all_episodes_of_the_same_shapes(terrains):

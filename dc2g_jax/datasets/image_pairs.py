@@ -15,6 +15,7 @@ from dc2g_jax.estimation.images import cost_to_go_image, largest_cost, semantic_
 from dc2g_jax.grid import bitboard, search
 from dc2g_jax.grid.sampling import ClassImage, resize_nearest, sample_grid
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE, UNKNOWN
+from dc2g_jax.programs import jit
 
 #: Pictures are enlarged by so much before they are cut at random, as in pix2pix.
 _ENLARGED = 286 / 256
@@ -59,7 +60,7 @@ def houses_with_door(dataset: HouseDataset, split: str) -> list[House]:
     return houses
 
 
-_solve = jax.jit(search.cost_to_go)
+_solve = jit(search.cost_to_go)
 
 
 def labelled_map(image: ClassImage, size: int) -> tuple[UInt8[np.ndarray, "s s"], Float[np.ndarray, "s s"]]:
@@ -114,7 +115,7 @@ def all_pairs(houses: Sequence[House], masks: Bool[np.ndarray, "masks s s"]) -> 
     return ImageSet(
         terrain=jnp.asarray(terrain),
         cost_to_go=jnp.asarray(cost),
-        masks=jax.jit(jax.vmap(bitboard.pack))(jnp.asarray(masks)),
+        masks=jit(jax.vmap(bitboard.pack))(jnp.asarray(masks)),
         pair_house=jnp.repeat(jnp.arange(len(houses)), len(masks)),
         pair_mask=jnp.tile(jnp.arange(len(masks)), len(houses)),
     )

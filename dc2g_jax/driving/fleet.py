@@ -17,6 +17,7 @@ from dc2g_jax.driving.loop import ARRIVED, UNDER_WAY, Equipment, Robot, Site, se
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.mapping.scene import CELL_SIZE, scene_from_terrain
+from dc2g_jax.programs import jit
 from dc2g_jax.rollout import Episodes
 
 #: Control periods that the first call of the device drives, and seconds that each later one should take: between two
@@ -126,7 +127,7 @@ def _side_by_side(one: Callable, *batch: object) -> Robot:
     return jax.vmap(one)(*batch)
 
 
-@functools.partial(jax.jit, static_argnames=("fold", "pedestrians"))
+@functools.partial(jit, static_argnames=("fold", "pedestrians"))
 def _set_out(
     keys: Array, episodes: Episodes, sites: Site, equipment: Equipment, *, fold: Callable, pedestrians: int,
     knows_map: ArrayLike,
@@ -137,7 +138,7 @@ def _set_out(
     return fold(one, keys, episodes.world, episodes.start)
 
 
-@functools.partial(jax.jit, static_argnames=("fold",), donate_argnums=(3,))
+@functools.partial(jit, static_argnames=("fold",), donate_argnums=(3,))
 def _go_on(
     worlds: Int[Array, "robots"], sites: Site, equipment: Equipment, robots: Robot, *, until: Array, fold: Callable
 ) -> Robot:

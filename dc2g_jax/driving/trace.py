@@ -13,6 +13,7 @@ from dc2g_jax.driving.loop import UNDER_WAY, Equipment, Robot, Site, believed, c
 from dc2g_jax.mapping.camera import Frame
 from dc2g_jax.mapping.simulator import picture
 from dc2g_jax.planning.planners import ExplorationState
+from dc2g_jax.programs import jit
 
 
 class Moment(NamedTuple):
@@ -35,7 +36,7 @@ class Moment(NamedTuple):
     cost_to_go: Float[np.ndarray, "h w"] | None
 
 
-@jax.jit
+@jit
 def _next(robot: Robot, site: Site, equipment: Equipment) -> tuple[Robot, VehicleState, Frame, Array]:
     """The robot at the next frame, where it thinks that it is, the frame before that, and its picture."""
     frame, _ = sensed(robot, site, equipment)

@@ -39,6 +39,7 @@ from dc2g_jax.environments.task import Task
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.poses import FORWARD, HEADINGS, Pose
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES
+from dc2g_jax.programs import jit
 from dc2g_jax.rollout import STEP_LIMIT
 
 try:
@@ -329,7 +330,7 @@ def _one_by_one(observations: dict[str, np.ndarray]) -> list[dict[str, np.ndarra
     ]
 
 
-_jit = functools.partial(jax.jit, static_argnames="environment")
+_jit = functools.partial(jit, static_argnames="environment")
 
 
 @_jit

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, UInt8
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import CLASS_NAMES
+from dc2g_jax.programs import jit
 
 #: The network halves the resolution of its input this many times.
 _HALVINGS = 4
@@ -162,5 +163,5 @@ def apply(
 def multiply_accumulates(architecture: Architecture, height: int, width: int) -> int:
     """Multiplications with an addition that one map takes: half of the floating-point operations XLA counts."""
     maps = jax.ShapeDtypeStruct((1, height, width), jnp.uint8)
-    lowered = jax.jit(functools.partial(apply, architecture)).lower(weight_shapes(architecture), maps)
+    lowered = jit(functools.partial(apply, architecture)).lower(weight_shapes(architecture), maps)
     return round((lowered.cost_analysis() or {})["flops"] / 2)

@@ -18,6 +18,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import networks
 from dc2g_jax.estimation.losses import LOSSES, map_loss
 from dc2g_jax.estimation.networks import Architecture
+from dc2g_jax.programs import jit
 
 #: Equal parts that a batch is made of, at most. Each core of a CPU takes one at a time, and works within its caches.
 _MOST_PARTS = 8
@@ -260,17 +261,15 @@ def train_step_at_once(
     return _updated(state, hyperparameters, loss, gradient, recipe)
 
 
-_compiled_step_at_once = jax.jit(
-    train_step_at_once, static_argnames=("recipe", "draw_batch"), donate_argnames=("state",)
-)
+_compiled_step_at_once = jit(train_step_at_once, static_argnames=("recipe", "draw_batch"), donate_argnames=("state",))
 
 # Two programs for each core, since in one the compiler makes the pairs again for each use of them.
-_on_one_core = functools.partial(jax.jit, compiler_options=ONE_CORE)
+_on_one_core = functools.partial(jit, compiler_options=ONE_CORE)
 _draw_on_one_core = _on_one_core(_part_of_batch, static_argnames=("recipe", "draw_batch"))
 _gradient_on_one_core = _on_one_core(_loss_and_gradient, static_argnames=("recipe",))
 
 
-@functools.partial(jax.jit, static_argnames=("recipe",), donate_argnames=("state",))
+@functools.partial(jit, static_argnames=("recipe",), donate_argnames=("state",))
 def _updated_from_parts(
     state: TrainingState, hyperparameters: Hyperparameters, parts: Sequence[Any], *, recipe: TrainingConfig
 ) -> tuple[TrainingState, Float[Array, ""]]:

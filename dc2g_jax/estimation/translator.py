@@ -18,6 +18,7 @@ from flax import nnx
 from jaxtyping import Array, Float
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.programs import jit
 
 _KERNEL = (4, 4)
 _SPREAD = 0.02
@@ -196,7 +197,7 @@ def _empty(network: Network, architecture: TranslatorArchitecture) -> tuple[Any,
     return nnx.split(nnx.eval_shape(lambda: network(architecture, rngs=nnx.Rngs(0))))
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1))
+@functools.partial(jit, static_argnums=(0, 1))
 def init_weights(network: Network, architecture: TranslatorArchitecture, key: Array) -> dict[str, Any]:
     """Fresh weights of either network: a nested dictionary of float32 arrays.
 

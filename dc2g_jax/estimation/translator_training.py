@@ -15,6 +15,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import translator
 from dc2g_jax.estimation.training import check_numbers, loss_or_nan
 from dc2g_jax.estimation.translator import Discriminator, Generator, TranslatorArchitecture
+from dc2g_jax.programs import jit
 
 
 class LossWeights(NamedTuple):
@@ -159,7 +160,7 @@ def _updated(config: TranslatorConfig, weights: Any, gradient: Any, optimizer: A
     return optax.apply_updates(weights, updates), optimizer
 
 
-@functools.partial(jax.jit, static_argnames=("config", "draw_batch"), donate_argnames=("state",))
+@functools.partial(jit, static_argnames=("config", "draw_batch"), donate_argnames=("state",))
 def translator_step(
     state: TranslatorState, data: Any, *, config: TranslatorConfig, draw_batch: DrawImages
 ) -> tuple[TranslatorState, Float[Array, ""]]:

@@ -16,6 +16,7 @@ from dc2g_jax.inspection.columns import TIMELINE, image_style, open_recording, s
 from dc2g_jax.mapping.camera import Frame, Intrinsics, points
 from dc2g_jax.mapping.semantic_map import MapSettings, SemanticMap
 from dc2g_jax.mapping.sequences import DEPTH_UNITS, depth_steps
+from dc2g_jax.programs import jit
 
 #: Steps that are sent together. Until then they are kept in memory.
 _CHUNK = 32
@@ -35,7 +36,7 @@ _SO_FAR = rrb.VisibleTimeRanges(
     timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
 )
 
-_points = jax.jit(points)
+_points = jit(points)
 
 
 class MappedFrame(NamedTuple):

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib import colormaps
@@ -13,6 +12,7 @@ from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.grid.terrain import TRAVERSABLE
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.inspection.replay import Frames
+from dc2g_jax.programs import jit
 
 #: Colours of the cost-to-go, from the goal on; the ends differ in grey.
 COST_COLOURS = "viridis_r"
@@ -20,7 +20,7 @@ COST_COLOURS = "viridis_r"
 #: Where there is no cost-to-go to show: not observed, and observed but not traversable.
 UNSEEN_COLOUR, BLOCKED_COLOUR = "#ffffff", "#ececf1"
 
-_solve = jax.jit(world_cost_to_go)
+_solve = jit(world_cost_to_go)
 
 
 def exact_cost_to_go(house: House) -> Float[np.ndarray, "h w"]:

@@ -22,6 +22,7 @@ from dc2g_jax.planning.frontiers import frontier_cells
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.planners import DC2G, EXPLORE, Oracle, Planner, reachable_cells
 from dc2g_jax.planning.rules import Rules
+from dc2g_jax.programs import jit
 from dc2g_jax.rollout import NO_ACTION
 
 #: Steps replayed by one call on the device, so that one compiled program serves episodes of every length.
@@ -128,13 +129,13 @@ def _frame(carry: _Carry, world: World, planner: Planner, rules: Rules) -> tuple
     return carry._replace(reachable=reachable, planner_state=planner_state), frame
 
 
-@functools.partial(jax.jit, static_argnames=("rules",))
+@functools.partial(jit, static_argnames=("rules",))
 def _first_carry(world: World, start: Pose, planner: Planner, *, rules: Rules) -> _Carry:
     belief = gridworld.reset(world, start, rules.sensing)
     return _Carry(belief, jnp.zeros_like(world.traversable), planner.init(world))
 
 
-@functools.partial(jax.jit, static_argnames=("rules",))
+@functools.partial(jit, static_argnames=("rules",))
 def _replay_chunk(
     carry: _Carry, actions: Int8[Array, "chunk"], world: World, planner: Planner, *, rules: Rules
 ) -> tuple[_Carry, dict[str, Any]]:

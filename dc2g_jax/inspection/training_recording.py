@@ -27,6 +27,7 @@ from dc2g_jax.inspection.legend import CostScale
 from dc2g_jax.mask_collection import Masks, collect_masks
 from dc2g_jax.planning.planners import Frontier
 from dc2g_jax.planning.rules import complete_rules
+from dc2g_jax.programs import jit
 from dc2g_jax.training_data import training_set, usable
 
 #: Columns between two maps that are shown side by side.
@@ -55,7 +56,7 @@ _CURVES = {
 }
 
 
-@jax.jit
+@jit
 def _expected_cost(network: NetworkCostToGo, terrain: UInt8[Array, "n h w"]) -> Float[Array, "n h w"]:
     return jnp.mean(networks.apply(network.architecture, network.weights, terrain), axis=-1)
 

@@ -10,6 +10,7 @@ Everything is a pure function of one robot; `dc2g_jax.objectnav.searches` runs m
 """
 
 import dataclasses
+import functools
 import math
 from typing import Protocol
 
@@ -33,6 +34,7 @@ from dc2g_jax.objectnav.mapping import IndoorMap, MapSettings, empty_map, grid_c
 from dc2g_jax.objectnav.paint import painted
 from dc2g_jax.objectnav.starts import ROBOT_RADIUS
 from dc2g_jax.objectnav.worlds import IndoorWorld, scene
+from dc2g_jax.programs import jit
 
 #: The camera: metres above the floor, how far it looks down (radians), degrees from side to side, rows and columns. It
 #: is as high as those of the usual research robots. Level, it would see no floor nearer than 1.2 m and leave a hole in
@@ -266,7 +268,7 @@ def site_of(world: IndoorWorld, name: str, radius: float = ROBOT_RADIUS) -> Site
     )
 
 
-@jax.jit(static_argnames=("radius", "cell_size"))
+@functools.partial(jit, static_argnames=("radius", "cell_size"))
 def _distances(free: Array, classes: Array, radius: float, cell_size: float) -> Float[Array, "goal h w"]:
     """Of every cell to the nearest object of each of `GOALS`. What is not free and no object is wall, or outside."""
     walls = ~free & (classes == NOTHING)

@@ -29,6 +29,7 @@ from dc2g_jax.objectnav.midlevel import ImageEncoder, View, view
 from dc2g_jax.objectnav.paint import painted
 from dc2g_jax.objectnav.starts import ROBOT_RADIUS, passable
 from dc2g_jax.objectnav.worlds import IndoorWorld, pad_world, scene
+from dc2g_jax.programs import jit
 
 #: Places that a robot visits at most, one after the other.
 _STAGES = 12
@@ -112,7 +113,7 @@ def random_places(world: IndoorWorld, count: int, rng: np.random.Generator) -> I
     return cells[rng.integers(len(cells), size=count)].astype(np.int32)
 
 
-@functools.partial(jax.jit, static_argnames="cell_size")
+@functools.partial(jit, static_argnames="cell_size")
 def _distances(
     free: Bool[Array, "h w"], classes: UInt8[Array, "h w"], places: Int[Array, "place 2"], cell_size: float
 ) -> tuple[UInt16[Array, "goal h w"], Float[Array, "way h w"]]:
@@ -131,7 +132,7 @@ def _distances(
     return labels, jnp.concatenate([jax.lax.map(drive_to, places), to_goals])
 
 
-@functools.partial(jax.jit, static_argnames=("cell_size", "views"))
+@functools.partial(jit, static_argnames=("cell_size", "views"))
 def _journeys(
     heights: Float[Array, "h w"],
     cell_size: float,
@@ -151,7 +152,7 @@ def _journeys(
     return jax.lax.map(one, (starts, jax.random.split(key, len(starts))))
 
 
-@jax.jit
+@jit
 def _views(scene_and_paint: tuple[Scene, Array], cells: Int[Array, "n 2"], headings: Float[Array, "n"]) -> View:
     """What robots' cameras see of one house."""
     house, paint = scene_and_paint
@@ -163,7 +164,7 @@ def _views(scene_and_paint: tuple[Scene, Array], cells: Int[Array, "n 2"], headi
     return jax.lax.map(one, (cells, headings))
 
 
-@jax.jit
+@jit
 def _features(encoder: ImageEncoder, images: UInt8[Array, "n h w 3"]) -> Float16[Array, "n 2 f"]:
     """Features of pictures and of their mirror images."""
     both = [encoder.encode(images), encoder.encode(images[:, :, ::-1])]

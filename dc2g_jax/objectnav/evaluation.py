@@ -15,7 +15,6 @@ import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -28,6 +27,7 @@ from dc2g_jax.objectnav.cost_maps import straight_distance, with_tight_cells
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.searches import Episode, Searches
 from dc2g_jax.objectnav.starts import REACH, passable
+from dc2g_jax.programs import jit
 from dc2g_jax.statistics import house_bootstrap
 
 
@@ -102,13 +102,13 @@ def way_there(house: IndoorHouse, target: str) -> WayThere:
     return WayThere(distance=distance, there=there)
 
 
-@functools.partial(jax.jit, static_argnames=("cell_size",))
+@functools.partial(jit, static_argnames=("cell_size",))
 def _near(goals: Array, closed: Array, cell_size: float) -> Bool[Array, "h w"]:
     """Cells within the success distance of an object, see `straight_distance`."""
     return jnp.isfinite(straight_distance(goals, closed, cell_size, REACH))
 
 
-@functools.partial(jax.jit, static_argnames=("cell_size",))
+@functools.partial(jit, static_argnames=("cell_size",))
 def _distance_there(free: Array, fits: Array, region: Array, cell_size: float) -> Float[Array, "h w"]:
     """Metres to a region; where a robot does not fit, over free floor to where it does."""
     return with_tight_cells(geodesic_distance(fits, fits & region, cell_size), free, fits, cell_size)

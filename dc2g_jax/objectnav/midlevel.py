@@ -28,6 +28,7 @@ from dc2g_jax.objectnav.agent import FIELD_OF_VIEW
 from dc2g_jax.objectnav.classes import CLASS_NAMES
 from dc2g_jax.objectnav.paint import NO_COLOR
 from dc2g_jax.objectnav.weights import flattened, read_safetensors, read_weights, write_safetensors
+from dc2g_jax.programs import jit
 
 #: Rows and columns of a picture, and of what the encoder is asked about it.
 IMAGE_SIZE = (48, 64)
@@ -301,7 +302,7 @@ def train_encoder(
     weights = init_encoder(architecture, jax.random.key(seed))
     state = optimizer.init(weights)
 
-    @functools.partial(jax.jit, donate_argnums=(0, 1))
+    @functools.partial(jit, donate_argnums=(0, 1))
     def step(weights: Any, state: Any, views: View, number: Array) -> tuple[Any, Any, dict[str, Array]]:
         key = jax.random.fold_in(jax.random.key(seed + 1), number)
         chosen = jax.random.randint(key, (batch_size,), 0, len(views.image))

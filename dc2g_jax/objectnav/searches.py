@@ -20,6 +20,7 @@ from dc2g_jax.objectnav.classes import CLASS_NAMES, GOALS
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.starts import sample_starts
 from dc2g_jax.objectnav.worlds import pad_world
+from dc2g_jax.programs import jit
 
 #: Control periods of an episode: 50 s (section III-C).
 TIME_LIMIT = 500
@@ -156,17 +157,17 @@ def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[Site, dict[str,
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sites), {house.name: n for n, house in enumerate(houses)}
 
 
-@functools.partial(jax.jit, static_argnames=("limit",))
+@functools.partial(jit, static_argnames=("limit",))
 def _set_out(keys: Array, starts: Array, targets: Array, agent: Agent, *, limit: int) -> Robot:
     return jax.vmap(lambda key, start, target: set_out(key, start, target, agent, limit))(keys, starts, targets)
 
 
-@jax.jit
+@jit
 def _under_way(robots: Robot) -> Bool[Array, "robots"]:
     return jax.vmap(under_way)(robots)
 
 
-@functools.partial(jax.jit, static_argnames=("one_by_one",), donate_argnums=(3,))
+@functools.partial(jit, static_argnames=("one_by_one",), donate_argnums=(3,))
 def _go_on(where: Array, sites: Site, agent: Agent, robots: Robot, *, legs: Array, one_by_one: bool) -> Robot:
     """Every robot that is under way some legs later.
 

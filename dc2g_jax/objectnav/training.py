@@ -25,6 +25,7 @@ from dc2g_jax.objectnav.data import (
 from dc2g_jax.objectnav.losses import LossWeights, total_loss
 from dc2g_jax.objectnav.metrics import FIVE_ACTIONS, NINE_ACTIONS, action_accuracy, confusion, occupancy_scores
 from dc2g_jax.objectnav.networks import CostMapArchitecture, CostMapEstimator, fused_cost
+from dc2g_jax.programs import jit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,7 +137,7 @@ def mean_loss(config: CostMapConfig, weights: Any, samples: Samples) -> tuple[Fl
     return jax.tree.map(jnp.mean, jax.vmap(of_map)(prediction, samples.occupied, samples.cost))
 
 
-@functools.partial(jax.jit, static_argnames="config", donate_argnames="state")
+@functools.partial(jit, static_argnames="config", donate_argnames="state")
 def train_step(
     state: TrainingState, data: TrainingSet, *, config: CostMapConfig
 ) -> tuple[TrainingState, Float[Array, ""]]:
@@ -167,7 +168,7 @@ def train_step(
     return new, loss_or_nan(loss, weights)
 
 
-@functools.partial(jax.jit, static_argnames="config")
+@functools.partial(jit, static_argnames="config")
 def _examine(weights: Any, samples: Samples, config: CostMapConfig) -> dict[str, Array]:
     """Losses, confusion matrix and accuracies of actions on a batch."""
     prediction = networks.apply(
@@ -191,7 +192,7 @@ def _examine(weights: Any, samples: Samples, config: CostMapConfig) -> dict[str,
 
 def validation_samples(data: TrainingSet, config: CostMapConfig, count: int) -> list[Samples]:
     """The same samples in every validation, as they are, in batches as large as those of training."""
-    draw = jax.jit(
+    draw = jit(
         functools.partial(
             draw_samples,
             batch_size=config.batch_size,

@@ -17,6 +17,7 @@ from dc2g_jax.grid.poses import PoseSet, every_heading, unpack
 from dc2g_jax.grid.sensing import expanding_kernel, visible
 from dc2g_jax.gridworld import Belief
 from dc2g_jax.planning import frontiers, planners
+from dc2g_jax.programs import jit
 from experiments.baselines import libraries
 from experiments.benchmarks.bench import SENSING_RANGE, Bench, own
 from experiments.benchmarks.machine import BANDWIDTH, FLOAT_ARITHMETIC
@@ -37,8 +38,8 @@ def _own_kernels(bench: Bench, batch: int) -> dict[str, tuple[Callable[..., Any]
     belief, world = robots.belief, robots.world
     height, width = belief.height, belief.width
     sensing, expanding = bench.rules().sensing, expanding_kernel(SENSING_RANGE)
-    reachable = jax.jit(reachable_cells)(belief)
-    subgoals: PoseSet = jax.jit(functools.partial(frontiers.reference, expanding=expanding))(belief, reachable)
+    reachable = jit(reachable_cells)(belief)
+    subgoals: PoseSet = jit(functools.partial(frontiers.reference, expanding=expanding))(belief, reachable)
     cells = bitboard.unpack(world.traversable, width), bitboard.unpack(world.goals, width)
     return {
         "field of view": (lambda pose: visible(sensing, pose, height, width), (belief.pose,)),
@@ -71,7 +72,7 @@ class _Maps:
         robots = bench.robots("frontier").batch(count)
         belief, width = robots.belief, robots.world.width
         pose = np.stack([belief.pose.x, belief.pose.y, belief.pose.heading])
-        reachable = jax.jit(reachable_cells)(belief)
+        reachable = jit(reachable_cells)(belief)
         subgoals = frontiers.reference(belief, reachable, expanding=expanding_kernel(SENSING_RANGE))
 
         def maps(board: Any) -> np.ndarray:
@@ -157,7 +158,7 @@ def kernel_rows(bench: Bench) -> Iterator[Row]:
     batch = 32 if bench.quick else 1024
     case = {"batch": batch, "cells": bench.workload.cells, "sensing_range": SENSING_RANGE}
     for what, (function, arguments) in _own_kernels(bench, batch).items():
-        compiled = jax.jit(function)
+        compiled = jit(function)
         measured = bench.measure(functools.partial(compiled, *arguments))
         shares = bench.shares(measured.timing, function, *arguments)
         yield own("kernels", what, UNIT, **case).with_figures(measured, float(batch), shares=shares)
@@ -186,7 +187,7 @@ def network_pace_row(bench: Bench) -> Row:
     batch, devices = 4 if bench.quick else 64, every_device()
     belief = bench.robots("frontier").batch(batch).belief
     weights, terrain = bench.network.weights, jnp.moveaxis(belief.terrain, -1, 0)
-    program = jax.jit(functools.partial(networks.apply, bench.network.architecture))
+    program = jit(functools.partial(networks.apply, bench.network.architecture))
     placed = [jax.device_put((weights, terrain), device) for device in devices]
     with ThreadPoolExecutor(len(devices)) as pool:
         measured = bench.measure(lambda: list(pool.map(lambda inputs: jax.block_until_ready(program(*inputs)), placed)))

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dc2g_jax.devices import cores
+from dc2g_jax.programs import jit
 from experiments.benchmarks.timing import measure
 from experiments.outputs import versions
 
@@ -82,7 +83,7 @@ def _peak(call: Callable[[], jax.Array], work: float, unit: str, repeats: int) -
 def _bandwidth(repeats: int, elements: int) -> Peak:
     """STREAM triad, a = b + s c, on arrays larger than the caches."""
     b, c = jnp.ones(elements, jnp.float32), jnp.full(elements, 2, jnp.float32)
-    triad = jax.jit(lambda b, c: b + jnp.float32(3) * c)
+    triad = jit(lambda b, c: b + jnp.float32(3) * c)
     return _peak(lambda: triad(b, c), 3 * 4.0 * elements, "bytes/s", repeats)
 
 
@@ -97,14 +98,14 @@ def _word_arithmetic(repeats: int, elements: int, rounds: int = 40) -> Peak:
         return x
 
     x = jnp.arange(elements, dtype=jnp.uint32)
-    mixed = jax.jit(mix)
+    mixed = jit(mix)
     return _peak(lambda: mixed(x, ~x), 7.0 * rounds * elements, "operations/s", repeats)
 
 
 def _float_arithmetic(repeats: int, side: int) -> Peak:
     """A product of two square matrices."""
     a = jnp.asarray(np.random.default_rng(0).standard_normal((side, side)), jnp.float32)
-    product = jax.jit(jnp.matmul)
+    product = jit(jnp.matmul)
     return _peak(lambda: product(a, a), 2.0 * side**3, "operations/s", repeats)
 
 

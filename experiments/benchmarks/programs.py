@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import jax
 from jax.experimental.compilation_cache import compilation_cache
 
+from dc2g_jax.programs import jit
 from experiments.benchmarks.work import equations
 
 #: A program may need so much of the memory.
@@ -71,7 +72,7 @@ def compile_program(function: Callable[..., Any], *arguments: Any, **static: Any
     Raises:
       TooLarge: if the program needs more memory than there is to spare.
     """
-    jitted: Any = function if hasattr(function, "trace") else jax.jit(function)
+    jitted: Any = function if hasattr(function, "trace") else jit(function)
     start = time.perf_counter()
     traced = jitted.trace(*arguments, **static)
     lowered = traced.lower()

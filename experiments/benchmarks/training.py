@@ -12,6 +12,7 @@ from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.estimation.training import TrainingConfig, first_state, train_step
 from dc2g_jax.grid import bitboard
+from dc2g_jax.programs import jit
 from dc2g_jax.sweeps import init_states, stacked_hyperparameters, train_steps_side_by_side, train_steps_together
 from dc2g_jax.training_data import DataConfig
 from experiments.benchmarks.bench import Bench, own
@@ -29,7 +30,7 @@ def _data(bench: Bench) -> TrainingSet:
     seen = np.random.default_rng(0).random((64, *terrain.shape[1:])) < 0.5
     return TrainingSet(
         terrain=terrain,
-        cost_to_go=jnp.moveaxis(jax.jit(world_cost_to_go)(worlds), -1, 0),
+        cost_to_go=jnp.moveaxis(jit(world_cost_to_go)(worlds), -1, 0),
         masks=jax.vmap(bitboard.pack)(jnp.asarray(seen)),
         mask_world=jnp.arange(64, dtype=jnp.int32) % len(houses),
         n_own=jnp.int32(64),

@@ -7,6 +7,8 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun, jaxprs_in_params
 
+from dc2g_jax.programs import jit
+
 # fmt: off
 #: Primitives that handle one element with one instruction, or a few.
 _ELEMENTWISE = frozenset({
@@ -100,7 +102,7 @@ class _Counter:
             if _branches(closed.jaxpr):
                 self._programs[key] = (closed, lambda *values: self._steps(closed, values), _NOTHING)
             else:
-                self._programs[key] = (closed, jax.jit(jaxpr_as_fun(closed)), _elementwise(closed.jaxpr))
+                self._programs[key] = (closed, jit(jaxpr_as_fun(closed)), _elementwise(closed.jaxpr))
         _, run, work = self._programs[key]
         self.work = self.work.plus(work)
         return list(run(*arguments))

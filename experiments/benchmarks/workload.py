@@ -20,6 +20,7 @@ from dc2g_jax.grid.sensing import Kernel
 from dc2g_jax.grid.world import World
 from dc2g_jax.gridworld import Belief
 from dc2g_jax.planning.planners import Planner
+from dc2g_jax.programs import jit
 from dc2g_jax.rollout import Episodes
 from experiments.baselines.problem import Problem, make_problem
 
@@ -151,7 +152,7 @@ def cycles(planner: Planner, sensing: Kernel, count: int) -> Callable[[Robots], 
     def run(robots: Robots) -> Robots:
         return jax.lax.fori_loop(0, count, lambda _, now: cycle(planner, sensing, now), robots)
 
-    return jax.jit(run)
+    return jit(run)
 
 
 def robots_under_way(workload: Workload, leader: Planner, sensing: Kernel, count: int) -> Robots:
@@ -170,7 +171,7 @@ def robots_under_way(workload: Workload, leader: Planner, sensing: Kernel, count
     world = jax.tree.map(lambda leaf: leaf[..., world_index], workload.worlds)
     pose: Pose = jax.tree.map(lambda leaf: leaf[starts], workload.episodes.start)
 
-    @jax.jit
+    @jit
     def run(world: World, pose: Pose, moments: jax.Array) -> Robots:
         first = Robots(world, gridworld.reset(world, pose, sensing), leader.init(world))
 
@@ -187,7 +188,7 @@ def robots_under_way(workload: Workload, leader: Planner, sensing: Kernel, count
 def taken_over(robots: Robots, planner: Planner, sensing: Kernel) -> Robots:
     """The robots a step later, led by another planner from now on."""
 
-    @jax.jit
+    @jit
     def run(robots: Robots) -> Robots:
         return cycle(planner, sensing, Robots(robots.world, robots.belief, planner.init(robots.world)))
 

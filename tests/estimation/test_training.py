@@ -208,10 +208,10 @@ def test_a_step_is_compiled_once(data, way):
     programs = [training._compiled_step_at_once, training._draw_on_one_core, training._gradient_on_one_core]
     programs.append(training._updated_from_parts)
     train(data, 2, way=way)
-    before = [program._cache_size() for program in programs]
+    before = [program.compiled_count() for program in programs]
     train(data, 3, way=way)
     other = dataclasses.replace(data, masks=~data.masks & jnp.asarray(bitboard.full(16, 16)))
     train(other, 1, way=way)
     changed = dataclasses.replace(CONFIG, seed=5, learning_rate=1e-4, losses=(("quantile", 0.5),))
     train(data, 1, config=changed, way=way)
-    assert [program._cache_size() for program in programs] == before
+    assert [program.compiled_count() for program in programs] == before

@@ -143,8 +143,8 @@ def test_weights_that_are_not_finite_are_noticed_in_the_step_that_makes_them(dat
 
 def test_a_step_is_compiled_once(data):
     state, _ = train(data, 1)
-    before = translator_step._cache_size()
+    before = translator_step.compiled_count()
     train(data, 1, init_translator(CONFIG, seed=1))
     state, _ = train(data, 2, state)
     train(dataclasses.replace(data, masks=data.masks ^ jnp.uint32(1)), 1, state)
-    assert translator_step._cache_size() == before
+    assert translator_step.compiled_count() == before

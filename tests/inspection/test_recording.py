@@ -290,11 +290,11 @@ def test_length_of_an_episode_changes_nothing_before_its_end():
     arguments = {"planner": make_planner("frontier", _RULES), "rules": _RULES}
     world, start = world_from_terrain(_TERRAIN), make_pose(*_START[1:4])
     actions = actions_from_letters("LFRRFL" * 12)
-    compiled = replaying._replay_chunk._cache_size()
+    compiled = replaying._replay_chunk.compiled_count()
     long = replay(world, start, actions, **arguments)
     short = replay(world, start, actions[:5], **arguments)
     none = replay(world, start, actions[:0], **arguments)
-    assert replaying._replay_chunk._cache_size() <= compiled + 1
+    assert replaying._replay_chunk.compiled_count() <= compiled + 1
     assert (len(long), len(short), len(none)) == (73, 6, 1)
     for name in ("terrain", "reachable", "candidates", "subgoals", "mode", "length", "to_goal"):
         np.testing.assert_array_equal(getattr(long, name)[:6], getattr(short, name))
