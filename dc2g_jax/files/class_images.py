@@ -7,14 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.files.png import Pixels, read_png
+from dc2g_jax.files.png import read_png, write_png
 from dc2g_jax.files.tables import read_table
-from dc2g_jax.files.whole import replacing
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, UNKNOWN
 
 #: The palette of a dataset, in its folder.
@@ -103,14 +101,13 @@ def read_class_image(png_path: Path, palette: Palette) -> np.ndarray:
             palette or belongs to a class the package does not know.
     """
     png_path = Path(png_path)
-    image = read_png(png_path)
-    if image.colors is not None:
-        entries = palette.class_of_color[_color_codes(image.colors)]
-        classes = entries[image.samples]
-    else:
-        classes = palette.class_of_color[_color_codes(image.samples)]
+    picture = read_png(png_path, ("palette", "8-bit RGB", "8-bit RGBA"), "colors that stand for classes")
+    pixels = np.asarray(picture.convert("RGBA"))
+    if pixels[..., 3].min() < 255:
+        raise InputError(f"{png_path}: has pixels that are not opaque; export it without transparency")
+    classes = palette.class_of_color[_color_codes(pixels)]
     if classes.max() >= _FOREIGN_CLASS:
-        raise InputError(_explain_color(png_path, palette, image, classes))
+        raise InputError(_explain_color(png_path, palette, pixels[..., :3], classes))
     return classes
 
 
@@ -142,12 +139,7 @@ def write_class_image(png_path: Path, classes: np.ndarray) -> None:
         InputError: the array is not two-dimensional or holds a value that is no class.
         OSError: the file cannot be written.
     """
-    classes = check_classes(str(png_path), classes)
-    encoded, data = cv2.imencode(".png", np.ascontiguousarray(CLASS_COLORS[classes][..., ::-1]))
-    if not encoded:
-        raise InputError(f"{png_path}: an image of {classes.shape[1]} x {classes.shape[0]} cannot be encoded")
-    with replacing(png_path) as unfinished:
-        unfinished.write_bytes(data.tobytes())
+    write_png(png_path, CLASS_COLORS[check_classes(str(png_path), classes)])
 
 
 def _color_codes(colors: np.ndarray) -> np.ndarray:
@@ -155,9 +147,8 @@ def _color_codes(colors: np.ndarray) -> np.ndarray:
     return (wide[..., 0] << 16) | (wide[..., 1] << 8) | wide[..., 2]
 
 
-def _explain_color(png_path: Path, palette: Palette, image: Pixels, classes: np.ndarray) -> str:
+def _explain_color(png_path: Path, palette: Palette, colors: np.ndarray, classes: np.ndarray) -> str:
     """One line about the pixels that have no class."""
-    colors = image.samples if image.colors is None else image.colors[image.samples]
     y, x = (int(value) for value in np.argwhere(classes >= _FOREIGN_CLASS)[0])
     if classes[y, x] == _FOREIGN_CLASS:
         color = _rgb(colors[y, x])

@@ -25,13 +25,13 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, UInt8, UInt16
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import PALETTE_FILE, Palette, read_class_image, read_palette
+from dc2g_jax.files.png import read_png, write_png
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, check_shapes
 from dc2g_jax.mapping.checks import check_intrinsics
 from dc2g_jax.mapping.quaternions import quaternion_from_rotation, rotation_from_quaternion
@@ -153,9 +153,9 @@ def read_frame(sequence: ImageSequence, moment: Moment) -> Frame:
     Raises:
       InputError: an image is missing, damaged, of another size or kind.
     """
-    steps = _read_grey(moment.depth, np.uint16, "depth in 5000 steps a metre")
+    steps = _read_gray(moment.depth, 16, "depth in 5000 steps a metre")
     if sequence.palette is None:
-        classes = _read_grey(moment.classes, np.uint8, f"class indices, or lay a palette {PALETTE_FILE} beside them")
+        classes = _read_gray(moment.classes, 8, f"class indices, or lay a palette {PALETTE_FILE} beside them")
     else:
         classes = read_class_image(moment.classes, sequence.palette)
     height, width = sequence.intrinsics.height, sequence.intrinsics.width
@@ -263,24 +263,17 @@ def _write_shot(folder: Path, time: str, shot: Shot) -> dict[tuple[str, tuple[st
     images = {DEPTH_LIST: ("depth", depth_steps(np.asarray(shot.frame.depth)))}
     images[CLASS_LIST] = ("classes", np.asarray(shot.frame.classes))
     if shot.picture is not None:
-        images[PICTURE_LIST] = ("rgb", shot.picture[..., ::-1])  # OpenCV writes blue first
+        images[PICTURE_LIST] = ("rgb", np.asarray(shot.picture))
     lines: dict[tuple[str, tuple[str, ...]], str] = {}
     for name, (kind, image) in images.items():
         file = f"{kind}/{time}.png"
-        _write_png(folder / file, image)
+        (folder / kind).mkdir(exist_ok=True)
+        write_png(folder / file, image)
         lines[name, _LIST_FIELDS] = f"{time} {file}"
     turn = quaternion_from_rotation(np.asarray(shot.frame.pose.rotation))
     numbers = [*np.asarray(shot.frame.pose.position).tolist(), *turn.tolist()]
     lines[POSE_LIST, _POSE_FIELDS] = f"{time} {' '.join(f'{number:.9g}' for number in numbers)}"
     return lines
-
-
-def _write_png(file: Path, image: np.ndarray) -> None:
-    file.parent.mkdir(exist_ok=True)
-    encoded, data = cv2.imencode(".png", np.ascontiguousarray(image))
-    if not encoded:
-        raise InputError(f"{file}: an image of {image.shape} cannot be encoded; give one with pixels")
-    file.write_bytes(data.tobytes())
 
 
 def _read_bytes(file: Path, remedy: str = "put the image there, or repair the list") -> bytes:
@@ -290,21 +283,9 @@ def _read_bytes(file: Path, remedy: str = "put the image there, or repair the li
         raise InputError(f"{file}: cannot be read ({error.strerror}); {remedy}") from None
 
 
-def _read_grey(file: Path, dtype: type[np.unsignedinteger], what: str) -> np.ndarray:
-    """A greyscale PNG of so many bits."""
-    data = np.frombuffer(_read_bytes(file), np.uint8)
-    try:
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    except cv2.error:
-        image = None
-    if image is None:
-        raise InputError(f"{file}: is no intact PNG; copy or export it again")
-    if image.ndim != 2 or image.dtype != dtype:
-        found = f"{8 * image.itemsize} bits and {1 if image.ndim == 2 else image.shape[2]} channels"
-        raise InputError(
-            f"{file}: has {found}; save it as greyscale PNG of {8 * np.dtype(dtype).itemsize} bits: {what}"
-        )
-    return np.asarray(image)
+def _read_gray(file: Path, bits: int, what: str) -> np.ndarray:
+    """A grayscale PNG of so many bits."""
+    return np.array(read_png(file, (f"{bits}-bit grayscale",), what))
 
 
 def _nearest(times: Float[np.ndarray, "n"], wanted: Float[np.ndarray, "m"], tolerance: float) -> Int[np.ndarray, "m"]:

@@ -25,6 +25,7 @@ from dc2g_jax.datasets.houses import (
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import read_class_image, read_palette, write_class_image
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, PATH, ROAD
+from tests.files.pngs import chunk, png
 from tests.refusals import refusal
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
@@ -35,21 +36,6 @@ needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason="../shared is abse
 PALETTE_TEXT = "class,r,g,b\n" + "\n".join(
     f"{name},{r},{g},{b}" for name, (r, g, b) in zip(CLASS_NAMES, CLASS_COLORS, strict=True)
 )
-
-
-def chunk(kind: bytes, content: bytes) -> bytes:
-    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
-
-
-def png(samples: np.ndarray, color_type: int, depth: int = 8, *extra: tuple[bytes, bytes], idat=None) -> bytes:
-    """Encode rows that are already packed into bytes, uint8 [H bytes]."""
-    channels = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}[color_type]
-    rows = np.ascontiguousarray(samples).reshape(samples.shape[0], -1).view(np.uint8)
-    width = rows.shape[1] * 8 // (depth * channels)
-    raw = np.insert(rows, 0, 0, axis=1).tobytes() if idat is None else idat
-    header = struct.pack(">2I5B", width, len(rows), depth, color_type, 0, 0, 0)
-    parts = [(b"IHDR", header), *extra, (b"IDAT", zlib.compress(raw)), (b"IEND", b"")]
-    return b"\x89PNG\r\n\x1a\n" + b"".join(chunk(*part) for part in parts)
 
 
 def drawing(seed: int = 0, height: int = 60, width: int = 70) -> np.ndarray:
@@ -254,7 +240,7 @@ def test_truncated_messages_name_the_remedy(folder, capfd):
     path = first_image(folder)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    refusal(lambda: load_dataset(folder), path, "truncated", len(whole) // 2, "again")
+    refusal(lambda: load_dataset(folder), path, "truncated", "again")
     assert capfd.readouterr() == ("", "")
 
 
@@ -265,15 +251,15 @@ def test_missing_pixel_rows_behind_intact_check_sums_are_refused(tmp_path, palet
     path.write_bytes(png(rows, 2, idat=full[:-3]))
     refusal(lambda: read_class_image(path, palette), path, "truncated", "25 of 28 bytes")
     path.write_bytes(png(rows, 2, idat=full + b"\0"))
-    refusal(lambda: read_class_image(path, palette), path, "more than the 28 bytes")
+    refusal(lambda: read_class_image(path, palette), path, "more of 28 bytes")
     path.write_bytes(png(rows, 2, idat=b"\7" + full[1:]))
-    refusal(lambda: read_class_image(path, palette), path, "row filter 7")
+    refusal(lambda: read_class_image(path, palette), path, "damaged", "unrecognized data")
 
 
 def test_a_file_that_is_no_png(folder):
     path = first_image(folder)
     path.write_bytes(b"GIF89a and so on")
-    refusal(lambda: load_dataset(folder), path, "47 49 46", "not a PNG", "save")
+    refusal(lambda: load_dataset(folder), path, "47 49 46", "no intact PNG", "save")
     path.write_bytes(b"")
     refusal(lambda: load_dataset(folder), path, "empty", "PNG")
     path.unlink()
@@ -284,16 +270,16 @@ def test_a_file_that_is_no_png(folder):
 @pytest.mark.parametrize(
     ("color_type", "depth", "shape", "words"),
     [
-        (0, 8, (4, 4), "8-bit greyscale PNG"),
-        (4, 8, (4, 8), "8-bit greyscale with alpha"),
+        (0, 8, (4, 4), "8-bit grayscale;"),
+        (4, 8, (4, 8), "8-bit grayscale with alpha"),
         (2, 16, (4, 24), "16-bit RGB"),
-        (0, 16, (4, 8), "16-bit greyscale"),
+        (0, 16, (4, 8), "16-bit grayscale"),
     ],
 )
 def test_other_kinds_of_png_are_refused(tmp_path, palette, color_type, depth, shape, words):
     path = tmp_path / "a.png"
     path.write_bytes(png(np.zeros(shape, np.uint8), color_type, depth))
-    refusal(lambda: read_class_image(path, palette), path, words, "save it as a palette or 8-bit RGB PNG")
+    refusal(lambda: read_class_image(path, palette), path, words, "save it as palette or 8-bit RGB or 8-bit RGBA PNG")
 
 
 def test_transparency_is_refused(tmp_path, palette):
@@ -303,20 +289,13 @@ def test_transparency_is_refused(tmp_path, palette):
     path.write_bytes(png(np.ones((2, 2), np.uint8), 3, 8, (b"PLTE", b"\0" * 6), (b"tRNS", b"\xff\x80")))
     refusal(lambda: read_class_image(path, palette), path, "not opaque")
     path.write_bytes(png(np.zeros((2, 6), np.uint8), 2, 8, (b"tRNS", b"\0" * 6)))
-    refusal(lambda: read_class_image(path, palette), path, "transparent")
+    refusal(lambda: read_class_image(path, palette), path, "not opaque")
 
 
 def test_an_index_outside_the_files_own_palette(tmp_path, palette):
     path = tmp_path / "a.png"
     path.write_bytes(png(np.full((2, 2), 3, np.uint8), 3, 8, (b"PLTE", CLASS_COLORS[:3].tobytes())))
-    refusal(lambda: read_class_image(path, palette), path, "index 3", "palette of 3 colours")
-
-
-def test_an_enormous_picture_is_refused_before_it_is_decoded(tmp_path, palette):
-    path = tmp_path / "a.png"
-    header = struct.pack(">2I5B", 10**6, 10**6, 8, 2, 0, 0, 0)
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", b"") + chunk(b"IEND", b""))
-    refusal(lambda: read_class_image(path, palette), path, "1000000 x 1000000", "scale it down")
+    refusal(lambda: read_class_image(path, palette), path, "index 3", "palette of 3 colors")
 
 
 def test_a_colour_outside_the_palette(folder):

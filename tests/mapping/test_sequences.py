@@ -177,9 +177,13 @@ def test_lists_that_are_missing_are_named(recording, file):
 @pytest.mark.parametrize(
     ("file", "data", "mentions"),
     [
-        ("depth/0.png", png(np.zeros(SHAPE, np.uint8)), ("8 bits", "16 bits")),
-        ("depth/0.png", png(np.zeros((*SHAPE, 3), np.uint8)), ("3 channels", "16 bits")),
-        ("classes/c 0.png", png(np.zeros(SHAPE, np.uint16)), ("16 bits", "8 bits", "labels_colors.csv")),
+        ("depth/0.png", png(np.zeros(SHAPE, np.uint8)), ("8-bit grayscale", "16-bit grayscale")),
+        ("depth/0.png", png(np.zeros((*SHAPE, 3), np.uint8)), ("8-bit RGB", "16-bit grayscale")),
+        (
+            "classes/c 0.png",
+            png(np.zeros(SHAPE, np.uint16)),
+            ("16-bit grayscale", "8-bit grayscale", "labels_colors.csv"),
+        ),
         ("depth/0.png", png(np.zeros((18, 27), np.uint16)), ("27 x 18", "28 x 18", "camera.txt")),
         ("classes/c 0.png", png(np.zeros((17, 28), np.uint8)), ("28 x 17", "28 x 18")),
         ("depth/0.png", png(np.arange(504, dtype=np.uint16).reshape(SHAPE))[:-60], ("no intact PNG",)),
