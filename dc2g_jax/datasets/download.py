@@ -1,28 +1,21 @@
 """Fetching the published dataset once, from its authors' repository, into a cache folder.
 
-Every file is checked against a manifest of SHA-256 sums that the package ships; the images themselves are
-not part of it. A download is built up beside its final place and renamed when whole, so that what is in the
-cache is complete, whatever was interrupted and however many processes fetched at once.
+pooch checks every file against a manifest of SHA-256 sums that the package ships (the images themselves are not part
+of it) and moves it to its place when it is whole. So an interrupted download goes on with the files that are missing,
+however many processes fetch at once.
 """
 
-import errno
-import hashlib
-import http.client
 import os
-import queue
 import re
-import secrets
-import shutil
-import socket
 import sys
 import threading
-import time
-import urllib.error
-import urllib.parse
-import urllib.request
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from concurrent.futures import Future
 from pathlib import Path
+from urllib.parse import urlsplit
 
+import pooch
+import requests
 from tqdm import tqdm
 
 from dc2g_jax.errors import InputError
@@ -41,14 +34,11 @@ FOLDER_NAME = "driveways_bing_iros19"
 MANIFEST_NAME = "driveways_bing_iros19.sha256"
 
 TIMEOUT_SECONDS = 10.0
-FILE_SECONDS = 60.0
-#: How long the first file may take before the network counts as absent.
+#: How long the server may take to answer at all before the network counts as absent.
 PROBE_SECONDS = 6.0
-#: Waits before the second and the third try of a file.
-BACKOFF_SECONDS = (0.5, 1.5)
-THREADS = 8
+#: Further tries of a file; pooch waits 1 s before the first and 2 s before the second.
+RETRIES = 2
 
-_CHUNK_BYTES = 1 << 16
 _REMEDY = "pass --dataset FOLDER (or set DC2G_DATA) with a copy of the dataset, or 'procedural'"
 
 
@@ -57,22 +47,6 @@ class NetworkUnavailable(Exception):
 
     The message says in a few words why.
     """
-
-
-class _MissingFile(InputError):
-    """The server is there and says that the file is not."""
-
-
-class _MayPass(Exception):
-    """Trouble that another try may not meet.
-
-    Args:
-        lasting: what to raise where it lasts.
-    """
-
-    def __init__(self, lasting: Exception):
-        super().__init__(str(lasting))
-        self.lasting = lasting
 
 
 def read_manifest(path: Path | None = None) -> dict[str, str]:
@@ -102,19 +76,19 @@ def read_manifest(path: Path | None = None) -> dict[str, str]:
 
 def matches_published(folder: Path) -> bool:
     """Say whether every file of the published dataset is in the folder, to the byte."""
-    return all(_has(folder / name, digest) for name, digest in read_manifest().items())
+    return all(
+        os.path.isfile(folder / name) and pooch.file_hash(folder / name) == digest
+        for name, digest in read_manifest().items()
+    )
 
 
 def cache_folder() -> Path:
     """Return where downloads are kept: `DC2G_CACHE`, else `dc2g_jax` in the user's cache folder."""
-    chosen, base = os.environ.get("DC2G_CACHE"), os.environ.get("XDG_CACHE_HOME")
+    chosen = os.environ.get("DC2G_CACHE")
     try:
-        if chosen:
-            return Path(chosen).expanduser()
-        return (Path(base) if base else Path.home() / ".cache") / "dc2g_jax"
+        return Path(chosen or pooch.os_cache("dc2g_jax")).expanduser()
     except RuntimeError:
-        what = f"DC2G_CACHE={chosen!r}" if chosen else "the cache folder ~/.cache/dc2g_jax"
-        raise InputError(f"{what}: there is no such home folder; set DC2G_CACHE to a folder") from None
+        raise InputError(f"DC2G_CACHE={chosen!r}: there is no such home folder; set DC2G_CACHE to a folder") from None
 
 
 def fetch_dataset(
@@ -124,7 +98,7 @@ def fetch_dataset(
     manifest: Path | None = None,
     progress: bool = True,
 ) -> Path:
-    """Return the folder of the published dataset, downloading it where the cache does not have it whole.
+    """Return the folder of the published dataset, downloading what the cache does not have.
 
     Args:
         cache_dir: folder for downloads; None for `cache_folder()`.
@@ -141,248 +115,105 @@ def fetch_dataset(
             out, the download breaks off midway, or the cache folder cannot be read or written.
     """
     entries = read_manifest(manifest)
-    cache = cache_folder() if cache_dir is None else Path(cache_dir)
-    final = cache / FOLDER_NAME
+    folder = (cache_folder() if cache_dir is None else Path(cache_dir)) / FOLDER_NAME
     try:
-        if _is_complete(final, entries):
-            return final
-        _download(final, entries, (base_url,) if base_url else (BASE_URL, *OTHER_URLS), progress)
+        missing = _missing(folder, entries)
+        if missing:
+            _download(folder, entries, missing, (base_url,) if base_url else (BASE_URL, *OTHER_URLS), progress)
     except OSError as error:
-        # Another process may have finished first and cleared everyone's working folders.
-        if _is_complete(final, entries):
-            return final
-        where = error.filename or cache
         raise InputError(
-            f"{where}: cannot be used ({error.strerror or error}); set DC2G_CACHE to a folder that you can write"
+            f"{error.filename or folder}: cannot be used ({error.strerror or error}); set DC2G_CACHE to a folder that "
+            "you can write"
         ) from None
-    if not _is_complete(final, entries):
-        raise InputError(f"{final}: files vanished from it as soon as they were written; run again")
-    return final
+    return folder
 
 
-def _is_complete(final: Path, entries: Mapping[str, str]) -> bool:
-    """False where files are missing; InputError where one is there but is not the published one."""
-    missing = False
+def _missing(folder: Path, entries: Mapping[str, str]) -> list[str]:
+    """The files to fetch; InputError where one is there but is not the published one."""
+    missing = []
     for name, digest in entries.items():
-        path = final / name
+        path = folder / name
         if not os.path.isfile(path):
-            missing = True
-        elif (found := _digest(path)) != digest:
+            missing.append(name)
+        elif (found := pooch.file_hash(path)) != digest:
             raise InputError(
-                f"{path}: SHA-256 is {found}, expected {digest}; delete the folder {final} to download it again"
+                f"{path}: SHA-256 is {found}, expected {digest}; delete the folder {folder} to download it again"
             )
-    return not missing
+    return missing
 
 
-def _digest(path: Path) -> str:
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        return f"unknown ({error.strerror})"
+def _download(
+    folder: Path, entries: Mapping[str, str], missing: Collection[str], base_urls: Sequence[str], progress: bool
+) -> None:
+    """Fetch files, one after the other over one connection."""
+    session = requests.Session()
+    # Without a network nothing is touched, whether or not the cache could be written.
+    _require_answer(session, base_urls[0])
 
-
-def _has(path: Path, digest: str) -> bool:
-    return os.path.isfile(path) and _digest(path) == digest
-
-
-def _download(final: Path, entries: Mapping[str, str], base_urls: Sequence[str], progress: bool) -> None:
-    """Fetch what no earlier attempt left behind, then put the whole folder in place."""
-    earlier = [*_working_folders(final), final]
-    at_hand: dict[str, Path] = {}
-    for name, digest in entries.items():
-        for folder in earlier:
-            if _has(folder / name, digest):
-                at_hand[name] = folder / name
+    def fetch(url: str, file: str, _store: object) -> None:
+        for base_url in base_urls:
+            answer = session.get(url.replace(base_urls[0], base_url), timeout=TIMEOUT_SECONDS)
+            if answer.status_code not in (404, 410):
                 break
-    wanted = {name: digest for name, digest in entries.items() if name not in at_hand}
-    # The first file comes before anything is written: without a network nothing is touched.
-    first, base_url = _probe(*next(iter(wanted.items())), base_urls) if wanted else (b"", "")
-    working = final.with_name(f"{final.name}.partial-{os.getpid()}-{secrets.token_hex(4)}")
-    for name in entries:
-        (working / name).parent.mkdir(parents=True, exist_ok=True)
-    for name, path in at_hand.items():
-        shutil.copyfile(path, working / name)
-    with tqdm(
+        answer.raise_for_status()
+        Path(file).write_bytes(answer.content)
+
+    pooch.get_logger().setLevel("WARNING")  # the bar says enough
+    store = pooch.create(path=folder, base_url=base_urls[0], registry=dict(entries), retry_if_failed=RETRIES)
+    bar = tqdm(
         total=len(entries),
-        initial=len(at_hand),
+        initial=len(entries) - len(missing),
         desc="Downloading the DC2G houses",
         unit="file",
         file=sys.stderr,
         disable=not progress,
-    ) as bar:
-        if wanted:
-            name = next(iter(wanted))
-            (working / name).write_bytes(first)
-            del wanted[name]
-            bar.update()
-        try:
-            _fetch_all(wanted, base_url, working, bar)
-        except NetworkUnavailable as reason:
-            kept = sum(_has(working / name, digest) for name, digest in entries.items())
-            raise InputError(
-                f"{final}: the download broke off ({reason}); {kept} of {len(entries)} files are kept: run again to "
-                f"fetch the others, or {_REMEDY}"
-            ) from None
-    _publish(working, final, entries)
-
-
-def _working_folders(final: Path) -> list[Path]:
-    """Folders of downloads under way or broken off."""
-    return sorted(final.parent.glob(f"{final.name}.partial-*"))
-
-
-def _publish(working: Path, final: Path, entries: Mapping[str, str]) -> None:
-    """Give the finished folder its name, and clear away what broken downloads left."""
+    )
     try:
-        os.rename(working, final)
-    except OSError:
-        if not final.is_dir():
-            raise
-        # Another process was first, or files had been missing from the folder: supply what it lacks.
-        for name, digest in entries.items():
-            if not _has(final / name, digest):
-                (final / name).parent.mkdir(parents=True, exist_ok=True)
-                os.replace(working / name, final / name)
-    for folder in _working_folders(final):
-        shutil.rmtree(folder, ignore_errors=True)
+        with bar:
+            for name in missing:
+                # pooch would make it too, but not while another process does.
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                store.fetch(name, downloader=fetch)
+                bar.update()
+    except requests.HTTPError as error:
+        raise InputError(f"{error}; run again later, or {_REMEDY}") from None
+    except requests.RequestException as error:
+        kept = sum(os.path.isfile(folder / name) for name in entries)
+        raise InputError(
+            f"{folder}: the download broke off ({_words(error)}); {kept} of {len(entries)} files are kept: run again "
+            f"to fetch the others, or {_REMEDY}"
+        ) from None
+    except ValueError as error:  # pooch found another check sum
+        raise InputError(f"{name}: {error} Try again later, or {_REMEDY}") from None
 
 
-def _probe(name: str, digest: str, base_urls: Sequence[str]) -> tuple[bytes, str]:
-    """Fetch one file, within `PROBE_SECONDS` in all, from the first address that has it.
+def _require_answer(session: requests.Session, url: str) -> None:
+    """See that a server answers, whatever it says.
 
     The wait is on a thread, because looking a name up and trying address after address cannot be cut short.
     """
-    outcomes: queue.SimpleQueue[tuple[bytes, str] | Exception] = queue.SimpleQueue()
-    stop = threading.Event()
-    met: list[Exception] = []
+    answer: Future[requests.Response] = Future()
 
-    def work() -> None:
-        outcome: tuple[bytes, str] | Exception = NetworkUnavailable("no address to ask")
-        for base_url in base_urls:
-            try:
-                outcome = (_fetch(base_url, name, digest, stop, met), base_url)
-                break
-            except Exception as error:
-                outcome = error
-                if not isinstance(error, _MissingFile):
-                    break
-        outcomes.put(outcome)
-
-    threading.Thread(target=work, name="dc2g-download-probe", daemon=True).start()
-    try:
-        outcome = outcomes.get(timeout=PROBE_SECONDS)
-    except queue.Empty:
-        if met:  # what a server has said tells more than that another try got no answer
-            raise next((trouble for trouble in met if not isinstance(trouble, NetworkUnavailable)), met[-1]) from None
-        host = urllib.parse.urlsplit(base_urls[0]).netloc
-        raise NetworkUnavailable(f"no answer from {host} within {PROBE_SECONDS:g} s") from None
-    finally:
-        stop.set()
-    if isinstance(outcome, Exception):
-        raise outcome
-    return outcome
-
-
-def _fetch_all(entries: Mapping[str, str], base_url: str, working: Path, bar: tqdm) -> None:
-    """Fetch files on a few threads into the working folder; the first failure ends it.
-
-    The threads are daemons, so that neither a failure nor Ctrl-C waits for what a server still owes.
-    """
-    todo: queue.SimpleQueue[tuple[str, str]] = queue.SimpleQueue()
-    outcomes: queue.SimpleQueue[Exception | None] = queue.SimpleQueue()
-    stop = threading.Event()
-    for entry in entries.items():
-        todo.put(entry)
-
-    def work() -> None:
-        while not stop.is_set():
-            try:
-                name, digest = todo.get_nowait()
-            except queue.Empty:
-                return
-            try:
-                (working / name).write_bytes(_fetch(base_url, name, digest, stop))
-                outcomes.put(None)
-            except Exception as error:
-                outcomes.put(error)
-                stop.set()
-
-    threads = [
-        threading.Thread(target=work, name=f"dc2g-download-{index}", daemon=True)
-        for index in range(min(THREADS, len(entries)))
-    ]
-    for thread in threads:
-        thread.start()
-    try:
-        for _ in entries:
-            outcome = outcomes.get()
-            if outcome is not None:
-                raise outcome
-            bar.update()
-    finally:
-        stop.set()
-
-
-def _fetch(base_url: str, name: str, digest: str, stop: threading.Event, met: list[Exception] | None = None) -> bytes:
-    """Fetch one file whole and check it; trouble that may pass is given two more tries, and noted in `met`."""
-    url = base_url + urllib.parse.quote(name)
-    for wait in (*BACKOFF_SECONDS, None):
+    def ask() -> None:
         try:
-            data = _request(url, stop)
-            break
-        except _MayPass as trouble:
-            if met is not None:
-                met.append(trouble.lasting)
-            if wait is None or stop.wait(wait):
-                raise trouble.lasting from None
-    found = hashlib.sha256(data).hexdigest()
-    if found != digest:
-        raise InputError(
-            f"{url}: SHA-256 of {name} is {found}, expected {digest}, so this is not the published file; "
-            f"try again later, or {_REMEDY}"
-        )
-    return data
+            answer.set_result(session.head(url, timeout=PROBE_SECONDS))
+        except requests.RequestException as error:
+            answer.set_exception(error)
 
-
-def _request(url: str, stop: threading.Event) -> bytes:
-    """Ask for a file once."""
-    host = urllib.parse.urlsplit(url).netloc
-    give_up = time.monotonic() + FILE_SECONDS
-    pieces = []
+    threading.Thread(target=ask, name="dc2g-download-probe", daemon=True).start()
     try:
-        with urllib.request.urlopen(url, timeout=TIMEOUT_SECONDS) as response:
-            expected = response.headers.get("Content-Length")
-            while piece := response.read1(_CHUNK_BYTES):
-                pieces.append(piece)
-                if stop.is_set():
-                    raise NetworkUnavailable("the download was stopped")
-                if time.monotonic() > give_up:
-                    raise NetworkUnavailable(f"{host} took more than {FILE_SECONDS:g} s for {url}")
-    except urllib.error.HTTPError as answer:
-        with answer:
-            raise _judge_status(url, answer.code) from None
-    except (OSError, http.client.HTTPException) as error:
-        raise _judge_failure(host, error) from None
-    data = b"".join(pieces)
-    if expected is not None and expected.isdecimal() and len(data) != int(expected):
-        raise _MayPass(
-            NetworkUnavailable(f"{host} closed the connection after {len(data)} of {expected} bytes of {url}")
-        )
-    return data
+        answer.result(PROBE_SECONDS)
+    except TimeoutError:
+        reason = f"no answer within {PROBE_SECONDS:g} s"
+    except requests.RequestException as error:
+        reason = _words(error)
+    else:
+        return
+    raise NetworkUnavailable(f"{urlsplit(url).netloc}: {reason}")
 
 
-def _judge_status(url: str, status: int) -> Exception:
-    if status in (404, 410):
-        return _MissingFile(f"{url}: the server has no such file (HTTP {status}); {_REMEDY}")
-    refused = InputError(f"{url}: the server answers HTTP {status}; run again later, or {_REMEDY}")
-    return _MayPass(refused) if status >= 500 or status in (408, 429) else refused
-
-
-def _judge_failure(host: str, error: Exception) -> Exception:
-    cause = error.reason if isinstance(error, urllib.error.URLError) else error
-    words = " ".join(str(getattr(cause, "strerror", None) or cause).split()) or type(cause).__name__
-    message = f"{host}: {words}"
-    unreachable = isinstance(cause, OSError) and cause.errno in (errno.ENETUNREACH, errno.EHOSTUNREACH)
-    if unreachable or isinstance(cause, socket.gaierror | ConnectionRefusedError):
-        return NetworkUnavailable(message)
-    return _MayPass(NetworkUnavailable(message))
+def _words(error: BaseException) -> str:
+    """What went wrong, in few words: requests wraps what urllib3 wraps."""
+    while error.__context__ is not None:
+        error = error.__context__
+    return " ".join(str(getattr(error, "strerror", None) or error).split()) or type(error).__name__
