@@ -2,6 +2,7 @@
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from dc2g_jax.errors import InputError
 
@@ -18,30 +19,9 @@ def rotation_from_quaternion(quaternion: Float[np.ndarray, "4"]) -> Float[np.nda
     length = np.linalg.norm(quaternion)
     if not _SHORTEST < length < np.inf:
         raise InputError(f"the quaternion {quaternion.tolist()} has length {length:g}; give one of length 1")
-    x, y, z, w = quaternion / length
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return np.asarray(Rotation.from_quat(quaternion).as_matrix())
 
 
 def quaternion_from_rotation(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
-    """The quaternion x, y, z, w of length 1, w not negative, nearest to a rotation matrix.
-
-    The eigenvector method of Bar-Itzhack (Journal of Guidance, Control, and Dynamics 2000): exact where the matrix is
-    a rotation, and without a case that is badly conditioned.
-    """
-    ((a, b, c), (d, e, f), (g, h, i)) = rotation.astype(np.float64)
-    symmetric = np.array(
-        [
-            [a - e - i, b + d, c + g, h - f],
-            [b + d, e - a - i, f + h, c - g],
-            [c + g, f + h, i - a - e, d - b],
-            [h - f, c - g, d - b, a + e + i],
-        ]
-    )
-    quaternion = np.linalg.eigh(symmetric).eigenvectors[:, -1]
-    return -quaternion if quaternion[3] < 0 else quaternion
+    """The quaternion x, y, z, w of length 1, w not negative, nearest to a rotation matrix."""
+    return np.asarray(Rotation.from_matrix(rotation).as_quat(canonical=True))

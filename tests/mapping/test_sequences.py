@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from PIL import Image
-from scipy.spatial.transform import Rotation
 
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, HOUSE, ROAD
 from dc2g_jax.mapping.camera import CameraPose, Frame
@@ -22,7 +21,7 @@ from dc2g_jax.mapping.sequences import (
     read_sequence,
     write_sequence,
 )
-from tests.mapping.frames import CAMERA, SETTINGS, random_frame, turned
+from tests.mapping.frames import CAMERA, SETTINGS, random_frame
 from tests.refusals import refusal
 
 SHAPE = (CAMERA.height, CAMERA.width)
@@ -220,16 +219,22 @@ def test_the_map_covers_all_within_reach_of_the_way(tmp_path):
         )
 
 
-def test_quaternions_are_the_rotations_of_scipy():
+def test_quaternions_are_rotations_by_an_angle_about_an_axis():
     rng = np.random.default_rng(3)
-    turns = [turned(rng) for _ in range(20)] + [np.diag(signs) for signs in ((1, 1, 1), (1, -1, -1), (-1, -1, 1))]
-    for turn in turns:
-        quaternion = quaternion_from_rotation(turn.astype(np.float64))
-        assert np.linalg.norm(quaternion) == pytest.approx(1)
-        assert quaternion[3] >= 0
-        np.testing.assert_allclose(Rotation.from_quat(quaternion).as_matrix(), turn, atol=1e-12)
+    axes = [*rng.normal(size=(20, 3)), *np.eye(3), *np.eye(3)]
+    angles = [*rng.uniform(-3, 3, 20), *[np.pi] * 3, *[0.0] * 3]
+    for axis, angle in zip(axes, angles, strict=True):
+        x, y, z = unit = axis / np.linalg.norm(axis)
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        turn = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross  # Rodrigues
+        quaternion = np.array([*math.sin(angle / 2) * unit, math.cos(angle / 2)])
         np.testing.assert_allclose(rotation_from_quaternion(-2.5 * quaternion), turn, atol=1e-12)
-    refusal(lambda: rotation_from_quaternion(np.array([0.0, 0, np.nan, 1])), "nan")
+        found = quaternion_from_rotation(turn)
+        assert found[3] >= 0
+        np.testing.assert_allclose(abs(found @ quaternion), 1, atol=1e-12)
+        np.testing.assert_allclose(np.linalg.norm(found), 1, atol=1e-12)
+    for wrong in ([0.0, 0, np.nan, 1], [0.0, 0, 0, 0], [0.0, 0, np.inf, 1]):
+        refusal(lambda wrong=wrong: rotation_from_quaternion(np.array(wrong)), "length")
 
 
 def test_frames_of_a_recording_are_those_of_its_camera(recording):
