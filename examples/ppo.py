@@ -27,13 +27,13 @@ from dc2g_jax.datasets.procedural import STYLES, draw_house, extra_house_seed
 from dc2g_jax.datasets.starts import sample_starts, why_no_episode
 from dc2g_jax.environments.functional import FrontDoor, Observation, Params, State, egocentric, front_door, observe
 from dc2g_jax.errors import InputError
-from dc2g_jax.evaluation import episodes_from
 from dc2g_jax.grid.poses import FORWARD_ACTION
 from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.grid.terrain import CLASS_NAMES, TRAVERSABLE
 from dc2g_jax.planning.planners import Frontier, Oracle
 from dc2g_jax.planning.rules import complete_rules
-from dc2g_jax.rollout import Episodes, rollout
+from dc2g_jax.rollouts.evaluation import episodes_from
+from dc2g_jax.rollouts.rollout import Episodes, rollout
 
 DISCOUNT, GAE_DECAY = 0.99, 0.95
 CLIP, ENTROPY_WEIGHT, VALUE_WEIGHT, MAX_GRADIENT_NORM = 0.2, 0.01, 0.5, 0.5

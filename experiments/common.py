@@ -14,7 +14,7 @@ from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network
 from dc2g_jax.files.digests import tree_sha256
-from dc2g_jax.shipped import shipped
+from dc2g_jax.files.resources import resource
 from experiments.outputs import RUN_FILE, folder_in_use
 
 _Options = TypeVar("_Options")
@@ -74,7 +74,7 @@ def keep_compiled_programs() -> None:
 
 def open_network(folder: Path | None, otherwise: str = SHIPPED_NETWORK) -> TrainedNetwork:
     """The network in a folder, or one that comes with the package."""
-    return load_network(shipped(otherwise) if folder is None else folder)
+    return load_network(resource(otherwise) if folder is None else folder)
 
 
 def digests(dataset: HouseDataset, **networks: TrainedNetwork | None) -> dict[str, str]:

@@ -11,10 +11,10 @@ from tqdm import tqdm
 from dc2g_jax.datasets.houses import group_of, open_dataset
 from dc2g_jax.datasets.starts import published_episodes
 from dc2g_jax.errors import InputError
-from dc2g_jax.evaluation import EpisodeResult
 from dc2g_jax.inspection.episode_figures import plot_trajectories
 from dc2g_jax.inspection.figures import plot_house_strips
 from dc2g_jax.planning.named import PlannerName
+from dc2g_jax.rollouts.evaluation import EpisodeResult
 from experiments.common import DatasetOption, OutOption, command_line
 from experiments.episodes import read_episodes
 from experiments.outputs import output_folder

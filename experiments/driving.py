@@ -9,14 +9,10 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from dc2g_jax.control.vehicle import VehicleLimits
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.starts import Start
-from dc2g_jax.driving.fleet import Drives, drive_all, sites_of
-from dc2g_jax.driving.loop import Equipment
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
-from dc2g_jax.evaluation import episodes_from
 from dc2g_jax.grid.sensing import line_of_sight
 from dc2g_jax.mapping.camera import intrinsics
 from dc2g_jax.mapping.noise import PAPER_LIKE, scaled
@@ -26,6 +22,10 @@ from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.planners import DC2G
 from dc2g_jax.planning.rules import complete_rules
 from dc2g_jax.planning.selection import ENDLESS
+from dc2g_jax.rollouts.evaluation import episodes_from
+from dc2g_jax.vehicles.drive import Equipment
+from dc2g_jax.vehicles.fleet import Drives, drive_all, sites_of
+from dc2g_jax.vehicles.vehicle import VehicleLimits
 
 #: Cells that the camera sees ahead, as far as the planner is concerned, and its field of view.
 _SENSING_RANGE, _FIELD_OF_VIEW_DEGREES = 8, 90.0

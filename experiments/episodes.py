@@ -9,14 +9,14 @@ from tqdm import tqdm
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
-from dc2g_jax.evaluation import NO_PLANNERS, EpisodeResult, OwnPlanners, Runner
 from dc2g_jax.files.tables import read_table, write_table
 from dc2g_jax.planning.rules import Rules
-from dc2g_jax.statistics import extra_steps
+from dc2g_jax.rollouts.evaluation import NO_PLANNERS, EpisodeResult, OwnPlanners, Runner
+from dc2g_jax.rollouts.statistics import extra_steps
 
 
 class EpisodeProgress:
-    """One progress bar after another, each of one planner's episodes; fed by `dc2g_jax.evaluation.Runner`."""
+    """One progress bar after another, each of one planner's episodes; fed by `dc2g_jax.rollouts.evaluation.Runner`."""
 
     def __init__(self) -> None:
         self._bar: tqdm | None = None

@@ -13,13 +13,13 @@ from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import PublishedEpisode, published_episodes
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork
-from dc2g_jax.evaluation import EpisodeResult, Runner
+from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.tables import write_table
-from dc2g_jax.files.whole import write_json
 from dc2g_jax.inspection.figures import plot_head_to_head
 from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.rollout import STEP_LIMIT
-from dc2g_jax.statistics import extra_steps, house_bootstrap
+from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax.rollouts.rollout import STEP_LIMIT
+from dc2g_jax.rollouts.statistics import extra_steps, house_bootstrap
 from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, digests, open_network
 from experiments.episodes import EpisodeProgress, EpisodeTable
 from experiments.outputs import output_folder

@@ -1,7 +1,7 @@
 """How long a robot waits for a decision: `python -m experiments.latency`; on one core, `taskset -c 0` before it.
 
-Robots explore houses that no result is reported on, as `dc2g_jax.online.OnlinePlanner` leads them; every call of its
-`plan` is timed.
+Robots explore houses that no result is reported on, as `dc2g_jax.planning.online.OnlinePlanner` leads them; every call
+of its `plan` is timed.
 """
 
 import dataclasses
@@ -16,16 +16,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax import gridworld
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
-from dc2g_jax.files.whole import write_json
+from dc2g_jax.files.atomic import write_json
+from dc2g_jax.grid import gridworld
 from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax.grid.sensing import field_of_view
 from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.online import OnlinePlanner
+from dc2g_jax.planning.online import OnlinePlanner
 from dc2g_jax.programs import jit
-from dc2g_jax.rollout import STEP_LIMIT
+from dc2g_jax.rollouts.rollout import STEP_LIMIT
 from experiments.benchmarks.machine import describe
 from experiments.benchmarks.workload import Workload, make_workload, resized
 from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, open_network

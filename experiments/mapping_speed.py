@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.files.whole import write_json
+from dc2g_jax.files.atomic import write_json
 from dc2g_jax.grid.terrain import HOUSE, ROAD
 from dc2g_jax.mapping.camera import Frame, Intrinsics, intrinsics, level_camera, rays
 from dc2g_jax.mapping.semantic_map import MapSettings, empty_map, integrate, terrain_map

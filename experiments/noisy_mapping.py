@@ -10,16 +10,16 @@ import numpy as np
 
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import Start, sample_starts
-from dc2g_jax.driving.fleet import Drives
-from dc2g_jax.driving.loop import STATUS_NAMES
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
-from dc2g_jax.evaluation import Runner
+from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.tables import read_table, write_table
-from dc2g_jax.files.whole import write_json
 from dc2g_jax.inspection.driving_figures import plot_noise
 from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.statistics import house_bootstrap
+from dc2g_jax.rollouts.evaluation import Runner
+from dc2g_jax.rollouts.statistics import house_bootstrap
+from dc2g_jax.vehicles.drive import STATUS_NAMES
+from dc2g_jax.vehicles.fleet import Drives
 from experiments.common import (
     SHIPPED_NOISY_NETWORK,
     DatasetOption,

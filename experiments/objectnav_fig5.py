@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
-from dc2g_jax.files.whole import write_json
+from dc2g_jax.files.atomic import write_json
 from dc2g_jax.inspection.search_figures import SearchMoment, plot_search
 from dc2g_jax.objectnav.agent import (
     CONTROLLER,
@@ -29,7 +29,7 @@ from dc2g_jax.objectnav.agent import (
     act_on,
     cost_of_pose,
     look_and_decide,
-    set_out,
+    reset,
     site_of,
     under_way,
 )
@@ -194,7 +194,7 @@ def main(options: Options) -> None:
     site = site_of(house.world, house.name, agent.controller.limits.radius)
     target = CLASS_NAMES.index(episode.target)
     start, goal = jnp.array([episode.x, episode.y, episode.yaw], jnp.float32), jnp.int32(GOALS.index(target))
-    first = set_out(jax.random.key(options.seed), start, goal, agent, options.limit)
+    first = reset(jax.random.key(options.seed), start, goal, agent, options.limit)
     print("Compiling, half a minute or so; then it searches.", file=sys.stderr)
     begun, robot = search(first, site, agent)
 

@@ -21,9 +21,8 @@ from tqdm import tqdm
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
-from dc2g_jax.estimation.training import TrainingState
+from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.digests import arrays_sha256
-from dc2g_jax.files.whole import write_json
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect, random_views
 from dc2g_jax.objectnav.data import TrainingSet
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses, split_file
@@ -41,6 +40,7 @@ from dc2g_jax.objectnav.training import (
     train_step,
     validation_samples,
 )
+from dc2g_jax.training.cost_to_go import TrainingState
 from experiments.common import check_seed, command_line
 from experiments.outputs import command_written, commit, output_folder
 from experiments.training_loop import FiniteLoss, Log, check_pauses, run_steps

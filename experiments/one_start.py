@@ -11,7 +11,6 @@ from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork
-from dc2g_jax.evaluation import EpisodeResult, Runner
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax.inspection.animation import animate
 from dc2g_jax.inspection.episode_figures import plot_episode, plot_trajectories
@@ -20,6 +19,7 @@ from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.named import NETWORK_PLANNERS
 from dc2g_jax.planning.planners import GAVE_UP, MODE_NAMES
 from dc2g_jax.planning.rules import SETTINGS
+from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
 from experiments.common import open_network
 from experiments.episodes import EpisodeProgress, EpisodeTable
 

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import jax
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.files.whole import clear_unfinished, write_json
+from dc2g_jax.files.atomic import clear_unfinished, write_json
 
 if sys.platform != "win32":
     import fcntl

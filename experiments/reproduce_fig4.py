@@ -13,9 +13,9 @@ from dc2g_jax.datasets.houses import House, open_dataset
 from dc2g_jax.datasets.image_pairs import houses_with_door
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
-from dc2g_jax.image_evaluation import compare, map_for
-from dc2g_jax.image_training_data import MASK_SEEDS
 from dc2g_jax.inspection.image_figures import Example, plot_translations
+from dc2g_jax.training.image_data import MASK_SEEDS
+from dc2g_jax.training.image_evaluation import compare, map_for
 from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
 from experiments.outputs import output_folder
 

@@ -11,9 +11,9 @@ import tyro
 
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.translator_training import LOSSES
-from dc2g_jax.files.whole import write_json
+from dc2g_jax.files.atomic import write_json
 from dc2g_jax.inspection.image_figures import plot_training
+from dc2g_jax.training.translator import LOSSES
 from experiments.common import DatasetOption, check_seed, command_line, digests
 from experiments.outputs import output_folder
 from experiments.training_loop import Log

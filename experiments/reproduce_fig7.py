@@ -18,17 +18,17 @@ from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset
 from dc2g_jax.datasets.starts import Start, published_episodes, sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork
-from dc2g_jax.evaluation import EpisodeResult, Runner
+from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.tables import write_table
-from dc2g_jax.files.whole import write_json
 from dc2g_jax.inspection import recording
 from dc2g_jax.inspection.episode_figures import plot_episode
 from dc2g_jax.inspection.figures import plot_extra_steps, plot_house_strips
 from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.named import PLANNERS
 from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.rollout import STEP_LIMIT
-from dc2g_jax.statistics import Summary, extra_steps, summarize
+from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax.rollouts.rollout import STEP_LIMIT
+from dc2g_jax.rollouts.statistics import Summary, extra_steps, summarize
 from experiments.common import (
     DatasetOption,
     NetworkOption,

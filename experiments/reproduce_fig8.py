@@ -11,9 +11,9 @@ import tyro
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import Start, sample_starts
 from dc2g_jax.errors import InputError
-from dc2g_jax.evaluation import Runner
 from dc2g_jax.planning.named import PlannerName
 from dc2g_jax.planning.rules import SETTINGS
+from dc2g_jax.rollouts.evaluation import Runner
 from experiments.common import DatasetOption, NetworkOption, OutOption, command_line
 from experiments.episodes import EpisodeProgress, EpisodeTable
 from experiments.map_options import StartOption, start_in

@@ -14,13 +14,13 @@ from tqdm import tqdm
 
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import why_no_episode
-from dc2g_jax.driving.fleet import sites_of
-from dc2g_jax.driving.loop import STATUS_NAMES, Equipment, set_out
-from dc2g_jax.driving.trace import Moment, moments
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.inspection.camera_recording import CameraRecording, MappedFrame
 from dc2g_jax.inspection.driving_figures import plot_moments
+from dc2g_jax.vehicles.drive import STATUS_NAMES, Equipment, reset
+from dc2g_jax.vehicles.fleet import sites_of
+from dc2g_jax.vehicles.trace import Moment, moments
 from experiments.common import (
     SHIPPED_NOISY_NETWORK,
     DatasetOption,
@@ -94,7 +94,7 @@ def main(options: Options) -> None:
     out = output_folder(options, "reproduce_fig9")
     site = jax.tree.map(lambda leaf: leaf[0], sites_of([house.terrain]))
     pose = make_pose(start.x, start.y, start.heading)
-    first = set_out(jax.random.key(options.seed), pose, site, robot, pedestrians=options.pedestrians)
+    first = reset(jax.random.key(options.seed), pose, site, robot, pedestrians=options.pedestrians)
     print("Compiling, half a minute or so; then it drives.", file=sys.stderr)
     drive = list(tqdm(moments(first, site, robot, TIME_LIMIT), desc="driving", unit="frame", file=sys.stderr))
     last = drive[-1].robot

@@ -11,10 +11,10 @@ import tyro
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import read_starts
 from dc2g_jax.errors import InputError
-from dc2g_jax.evaluation import Runner
 from dc2g_jax.planning.named import NETWORK_PLANNERS, PlannerName
 from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.statistics import summarize
+from dc2g_jax.rollouts.evaluation import Runner
+from dc2g_jax.rollouts.statistics import summarize
 from experiments.common import (
     DatasetOption,
     NetworkOption,

@@ -9,9 +9,10 @@ import tyro
 
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.digests import tree_sha256
+from dc2g_jax.files.resources import resource
 from dc2g_jax.files.tables import read_table, write_table
-from dc2g_jax.files.whole import write_json
 from dc2g_jax.objectnav.agent import (
     CONTROLLER,
     MPC,
@@ -29,7 +30,6 @@ from dc2g_jax.objectnav.mapping import MapSettings
 from dc2g_jax.objectnav.networks import CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts, load_costs
 from dc2g_jax.objectnav.searches import TIME_LIMIT, Episode, sample_episodes, search_all
-from dc2g_jax.shipped import shipped
 from experiments.common import NetworkOption
 from experiments.episodes import EpisodeProgress
 
@@ -113,7 +113,7 @@ class SearchOptions:
 
 def open_costs(folder: NetworkOption) -> PredictedCosts[CostMapEstimator]:
     """The network in a folder, or the one that comes with the package."""
-    return load_costs(shipped(SHIPPED_INDOOR_NETWORK) if folder is None else folder)
+    return load_costs(resource(SHIPPED_INDOOR_NETWORK) if folder is None else folder)
 
 
 def costs_for(agents: Iterable[str], folder: NetworkOption) -> PredictedCosts[CostMapEstimator] | None:

@@ -25,13 +25,14 @@ from dc2g_jax.datasets.pairs import Pair, TrainingSet
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.networks import Architecture, multiply_accumulates
-from dc2g_jax.estimation.training import TrainingConfig, TrainingState, mean_error
+from dc2g_jax.estimation.networks.compact_unet import Architecture, multiply_accumulates
+from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.tables import write_table
-from dc2g_jax.files.whole import write_json
 from dc2g_jax.inspection.training_figures import plot_sweep
 from dc2g_jax.programs import jit
-from dc2g_jax.sweeps import (
+from dc2g_jax.training.cost_to_go import TrainingConfig, TrainingState, first_state, mean_error
+from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses, validation_pairs
+from dc2g_jax.training.sweeps import (
     group_by_shape,
     init_states,
     runs_of_grid,
@@ -39,7 +40,6 @@ from dc2g_jax.sweeps import (
     steps_left_out,
     train_steps,
 )
-from dc2g_jax.training_data import DataConfig, Validation, check_houses, validation_pairs
 from experiments.common import DatasetOption, command_line, digests
 from experiments.outputs import number_or_null, output_folder
 from experiments.training_loop import Log, check_pauses, run_steps
@@ -161,7 +161,11 @@ def train_group(
     with contextlib.ExitStack() as stack:
         folders = []
         for run, config in runs.items():
-            folders.append(TrainingCheckpoints(options.out / "runs" / run, config, {**facts, "parts": config.parts}))
+            folders.append(
+                TrainingCheckpoints(
+                    options.out / "runs" / run, config, {**facts, "parts": config.parts}, first_state=first_state
+                )
+            )
             stack.callback(folders[-1].close)
 
         def save(states: TrainingState) -> None:

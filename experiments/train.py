@@ -20,12 +20,12 @@ from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, load_network, save_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.losses import parse_losses
-from dc2g_jax.estimation.networks import Architecture
-from dc2g_jax.estimation.training import TrainingConfig, TrainingState, first_state, train_step
+from dc2g_jax.estimation.networks.compact_unet import Architecture
 from dc2g_jax.inspection.columns import viewer_sink
 from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_watch, next_file
-from dc2g_jax.training_data import DataConfig, Validation, check_houses
+from dc2g_jax.training.cost_to_go import TrainingConfig, TrainingState, first_state, train_step
+from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses
+from dc2g_jax.training.losses import parse_losses
 from experiments.common import DatasetOption, NetworkOption, command_line, digests
 from experiments.outputs import command_written, commit, output_folder
 from experiments.training_loop import FiniteLoss, Log, check_pauses, run_steps
@@ -241,7 +241,9 @@ def main(options: Options) -> None:
     apart = {"out", "resume", "dataset", *free}
     facts = {name: value for name, value in dataclasses.asdict(options).items() if name not in apart}
     facts["after"] = None if options.after is None else str(options.after)
-    checkpoints = TrainingCheckpoints(options.out, config, {**facts, "dataset": dataset.name, "parts": config.parts})
+    checkpoints = TrainingCheckpoints(
+        options.out, config, {**facts, "dataset": dataset.name, "parts": config.parts}, first_state=first_state
+    )
     try:
         train(options, dataset, checkpoints, network)
     finally:

@@ -13,9 +13,8 @@ from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.files.whole import replacing
-from dc2g_jax.mask_collection import Masks
-from dc2g_jax.training_data import (
+from dc2g_jax.files.atomic import replacing
+from dc2g_jax.training.cost_to_go_data import (
     DataConfig,
     by_house,
     check_masks,
@@ -24,6 +23,7 @@ from dc2g_jax.training_data import (
     training_houses,
     training_set,
 )
+from dc2g_jax.training.mask_collection import Masks
 
 #: Collects arrays by name; given a function to tell how many of how many parts are done.
 Collect = Callable[[Callable[[int, int], None]], Mapping[str, npt.ArrayLike]]

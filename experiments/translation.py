@@ -12,16 +12,11 @@ from dc2g_jax.datasets.image_pairs import ImageSet, draw_image_pairs
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, newest_step, save_network
 from dc2g_jax.estimation.estimators import TranslatorCostToGo
-from dc2g_jax.estimation.training import check_numbers
-from dc2g_jax.estimation.translator import TranslatorArchitecture
-from dc2g_jax.estimation.translator_training import (
-    TranslatorConfig,
-    TranslatorState,
-    init_translator,
-    translator_step,
-)
-from dc2g_jax.image_evaluation import metrics_over_pairs
-from dc2g_jax.image_training_data import MaskKind, image_set
+from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
+from dc2g_jax.training.cost_to_go import check_numbers
+from dc2g_jax.training.image_data import MaskKind, image_set
+from dc2g_jax.training.image_evaluation import metrics_over_pairs
+from dc2g_jax.training.translator import TranslatorConfig, TranslatorState, init_translator, translator_step
 from experiments.outputs import command_written, commit, number_or_null
 from experiments.training_loop import FiniteLoss, Log, check_pauses, run_steps
 

@@ -20,15 +20,15 @@ from dc2g_jax.datasets.starts import Start, sample_starts
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, extent_of
 from dc2g_jax.estimation.extents import CroppedEstimator, Window, WindowedEstimator
-from dc2g_jax.evaluation import Runner
-from dc2g_jax.files.whole import write_json
+from dc2g_jax.files.atomic import write_json
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.terrain import UNKNOWN
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.programs import jit
-from dc2g_jax.statistics import summarize
-from dc2g_jax.training_data import drawn_houses, usable
+from dc2g_jax.rollouts.evaluation import Runner
+from dc2g_jax.rollouts.statistics import summarize
+from dc2g_jax.training.cost_to_go_data import drawn_houses, usable
 from experiments.benchmarks.timing import measure
 from experiments.common import (
     DatasetOption,

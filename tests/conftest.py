@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from tests import typechecking
+from tests.support import typechecking
+from tests.support.places import PUBLISHED, ROOT, SHARED
 
-ROOT = Path(__file__).resolve().parents[1]
-SHARED = ROOT.parent / "shared"
-PUBLISHED = SHARED / "datasets" / "driveways_bing_iros19"
 CACHE = ROOT / ".pytest_cache"
 
 # No test asks the network for the dataset: it is the copy beside the repository, or else the embedded houses.
@@ -88,7 +86,7 @@ def published_dataset(shared: Path):
 @pytest.fixture(scope="session")
 def street() -> np.ndarray:
     """Two doors on a street, each behind its own path or driveway; no symmetry."""
-    from tests.maps import drawn
+    from tests.support.maps import drawn
 
     return drawn("""
         ##D#..t...
@@ -105,7 +103,7 @@ def street() -> np.ndarray:
 @pytest.fixture(scope="session")
 def island() -> np.ndarray:
     """A door that no road leads to."""
-    from tests.maps import drawn
+    from tests.support.maps import drawn
 
     return drawn("""
         RRRRRRRRRR
@@ -122,7 +120,7 @@ def island() -> np.ndarray:
 @pytest.fixture(scope="session")
 def buried() -> np.ndarray:
     """A door inside a house, two cells of wall away from the path that was meant for it."""
-    from tests.maps import drawn
+    from tests.support.maps import drawn
 
     return drawn("""
         ##########

@@ -14,8 +14,8 @@ import pytest
 import tyro
 
 from dc2g_jax.datasets import houses
+from tests.support.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 #: Packages of extras: examples that need them are run where they are installed.
@@ -104,8 +104,8 @@ def test_every_module_is_in_the_reference():
 
 
 def test_a_name_that_does_not_exist_is_noticed():
-    assert exists("dc2g_jax.gridworld.Belief.seen")
-    assert not exists("dc2g_jax.gridworld.Belief.heard")
+    assert exists("dc2g_jax.grid.gridworld.Belief.seen")
+    assert not exists("dc2g_jax.grid.gridworld.Belief.heard")
     assert not exists("dc2g_jax.grid.no_such_module")
 
 

@@ -12,9 +12,9 @@ import pytest
 
 from dc2g_jax.environments.functional import front_door
 from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.rollout import Episodes
-from tests.environments.houses import YARD, house
-from tests.refusals import refusal
+from dc2g_jax.rollouts.rollout import Episodes
+from tests.support.houses import YARD, house
+from tests.support.refusals import refusal
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 PLANNERS = ["random", "PPO", "frontier", "oracle"]

@@ -2,14 +2,13 @@
 
 import csv
 import functools
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.oracles import gridworld_oracle as oracle
+from tests.support.places import SHARED
 
-SHARED = Path(__file__).resolve().parents[2] / "shared"
 GOLDEN = SHARED / "golden"
 PUBLISHED = {"rules": "reference", "sensing_radius": 5, "expanding_radius": 4, "max_steps": 500}
 

@@ -11,9 +11,9 @@ from flax import struct
 
 from dc2g_jax import programs
 from dc2g_jax.programs import jit
-from tests.conftest import ROOT
+from tests.support.places import ROOT
 
-#: Where a user's class enters a compiled program; see `tests.collisions`.
+#: Where a user's class enters a compiled program; see `tests.support.collisions`.
 BOUNDARIES = (
     "rollout, first state",
     "rollout, steps",
@@ -37,7 +37,7 @@ BOUNDARIES = (
 @pytest.fixture(scope="module")
 def verdicts() -> dict[str, str]:
     """What each boundary does where the structures of two classes collide, in a process of its own."""
-    done = subprocess.run([sys.executable, "-m", "tests.collisions"], cwd=ROOT, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-m", "tests.support.collisions"], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])
 

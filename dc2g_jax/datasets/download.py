@@ -19,7 +19,7 @@ import requests
 from tqdm import tqdm
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.shipped import shipped
+from dc2g_jax.files.resources import resource
 
 #: The authors' files at the pinned commit.
 BASE_URL = "https://raw.githubusercontent.com/mit-acl/dc2g/6f739e1/data/datasets/driveways_bing_iros19/"
@@ -58,7 +58,7 @@ def read_manifest(path: Path | None = None) -> dict[str, str]:
     Raises:
         InputError: the file is missing, empty, or a line has another form.
     """
-    path = shipped(MANIFEST_NAME) if path is None else Path(path)
+    path = resource(MANIFEST_NAME) if path is None else Path(path)
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:

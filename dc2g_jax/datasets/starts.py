@@ -13,12 +13,12 @@ from jaxtyping import Bool, UInt8
 
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.resources import resource
 from dc2g_jax.files.tables import read_table
 from dc2g_jax.grid.ground import connected_to_goal, why_no_way
 from dc2g_jax.grid.poses import HEADINGS
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax.grid.terrain import FRONT_DOOR, ROAD
-from dc2g_jax.shipped import shipped
 
 
 class Start(NamedTuple):
@@ -62,7 +62,7 @@ class PublishedEpisode(NamedTuple):
 @functools.cache
 def published_episodes() -> tuple[PublishedEpisode, ...]:
     """The 400 published episodes with the authors' own step counts."""
-    with shipped("published_episodes.csv").open(newline="") as file:
+    with resource("published_episodes.csv").open(newline="") as file:
         lines = (line for line in file if not line.startswith("#"))
         return tuple(
             PublishedEpisode(

@@ -23,17 +23,16 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt8
 
-from dc2g_jax import gridworld
 from dc2g_jax.datasets.houses import House, stack_worlds
 from dc2g_jax.datasets.starts import start_cells, why_no_episode
 from dc2g_jax.errors import InputError
-from dc2g_jax.grid import bitboard
+from dc2g_jax.grid import bitboard, gridworld
+from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import ACTION_LETTERS, HEADINGS, Pose, moved
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE, Kernel, field_of_view
 from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.grid.world import World, unpack_classes
-from dc2g_jax.gridworld import Belief
-from dc2g_jax.rollout import NO_ACTION, STEP_LIMIT
+from dc2g_jax.rollouts.rollout import NO_ACTION, STEP_LIMIT
 
 #: What `egocentric` writes where the map ends: one more than the last class.
 OUTSIDE = len(CLASS_NAMES)

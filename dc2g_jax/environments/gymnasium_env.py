@@ -40,7 +40,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.grid.poses import FORWARD, HEADINGS, Pose
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES
 from dc2g_jax.programs import jit
-from dc2g_jax.rollout import STEP_LIMIT
+from dc2g_jax.rollouts.rollout import STEP_LIMIT
 
 try:
     import gymnasium

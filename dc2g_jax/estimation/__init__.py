@@ -1,1 +1,1 @@
-"""Cost-to-go estimators: networks, losses, training and checkpoints."""
+"""Cost-to-go estimators, their networks and checkpoints."""

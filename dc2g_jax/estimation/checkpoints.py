@@ -15,13 +15,12 @@ import numpy as np
 import orbax.checkpoint as ocp
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation import networks, translator
 from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
-from dc2g_jax.estimation.networks import Architecture
-from dc2g_jax.estimation.training import first_state
-from dc2g_jax.estimation.translator import TranslatorArchitecture
+from dc2g_jax.estimation.networks import compact_unet, pix2pix
+from dc2g_jax.estimation.networks.compact_unet import Architecture
+from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
+from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.digests import arrays_sha256
-from dc2g_jax.files.whole import write_json
 from dc2g_jax.grid.terrain import CLASS_NAMES
 
 _CARD = "network.json"
@@ -55,8 +54,8 @@ def _read_translator(facts: Any) -> TranslatorArchitecture:
 
 
 _KINDS = {
-    "compact_unet": _Kind(NetworkCostToGo, _read_compact, networks.weight_shapes),
-    "pix2pix": _Kind(TranslatorCostToGo, _read_translator, translator.weight_shapes),
+    "compact_unet": _Kind(NetworkCostToGo, _read_compact, compact_unet.weight_shapes),
+    "pix2pix": _Kind(TranslatorCostToGo, _read_translator, pix2pix.weight_shapes),
 }
 
 
@@ -220,7 +219,7 @@ class TrainingCheckpoints:
         config: Any,
         facts: dict[str, Any] | None = None,
         *,
-        first_state: Callable[[Any], Any] = first_state,
+        first_state: Callable[[Any], Any],
     ):
         self._first_state = functools.partial(first_state, config)
         folder = Path(folder).absolute()

@@ -10,14 +10,15 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, UInt8
 
-from dc2g_jax.estimation import images, networks, translator
-from dc2g_jax.estimation.networks import Architecture
-from dc2g_jax.estimation.translator import TranslatorArchitecture
+from dc2g_jax.estimation import images
+from dc2g_jax.estimation.networks import compact_unet, pix2pix
+from dc2g_jax.estimation.networks.compact_unet import Architecture
+from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
 from dc2g_jax.grid import bitboard, search
+from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.sampling import resize_nearest
 from dc2g_jax.grid.world import World, unpack_classes
-from dc2g_jax.gridworld import Belief
 
 #: Estimates as a planner keeps them; and what makes them of a grid of observed class indices.
 Estimates = Float[Array, "kept h w *batch"]
@@ -180,7 +181,7 @@ class NetworkCostToGo:
         del state
         height, width, *batch = terrain.shape
         maps = jnp.moveaxis(terrain.reshape(height, width, -1), -1, 0)
-        answers = networks.apply(self.architecture, self.weights, maps)
+        answers = compact_unet.apply(self.architecture, self.weights, maps)
         return jnp.moveaxis(answers, (-1, 0), (0, -1)).reshape(-1, height, width, *batch)
 
 
@@ -210,7 +211,7 @@ class TranslatorCostToGo:
 
     def answer(self, pictures: Float[Array, "b s s 3"]) -> Float[Array, "b s s 3"]:
         """Pictures of the cost-to-go, in 8 bits, of pictures of partial maps in the network's own size."""
-        return jax.vmap(images.in_eight_bits)(translator.translate(self.architecture, self.weights, pictures))
+        return jax.vmap(images.in_eight_bits)(pix2pix.translate(self.architecture, self.weights, pictures))
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "1 h w *batch"]:
         """1 - brightness in the network's picture; 1 where it shows ground that cannot be driven on."""

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from flax import nnx, struct
 from jaxtyping import Array, Float, Int, UInt8
 
-from dc2g_jax.estimation import networks
 from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation.networks import compact_unet
 from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.grid.world import World
 
@@ -70,7 +70,7 @@ class PaddedNetwork:
         del state
         inside = terrain < len(CLASS_NAMES)
         rows, columns = (jnp.sum(jnp.any(inside, axis=axis), dtype=jnp.int32) for axis in (1, 0))
-        network = networks.build(self.network.architecture, self.network.weights)
+        network = compact_unet.build(self.network.architecture, self.network.weights)
         for _, module in nnx.iter_modules(network):
             if isinstance(module, nnx.Conv):
                 module.conv_general_dilated = functools.partial(_convolved, (rows, columns), terrain.shape)

@@ -1,1 +1,1 @@
-"""Files that people and other programs write: images and tables, read strictly, and written whole."""
+"""Images and tables, read strictly and written atomically; files that the package ships."""

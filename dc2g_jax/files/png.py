@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.files.whole import replacing
+from dc2g_jax.files.atomic import replacing
 
 #: Width, height, bits, color type, compression, filters and interlacing.
 _HEADER = struct.Struct(">2I5B")

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.files.whole import replacing
+from dc2g_jax.files.atomic import replacing
 
 
 def read_table(

@@ -1,1 +1,1 @@
-"""Grids: terrain classes, packed cell sets, worlds, sensing and search."""
+"""Grids: terrain classes, packed cell sets, worlds, sensing and search; belief, `reset` and `step`."""

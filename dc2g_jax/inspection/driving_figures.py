@@ -14,10 +14,10 @@ from matplotlib.markers import MarkerStyle
 from matplotlib.patches import Patch
 from matplotlib.path import Path
 
-from dc2g_jax.driving.trace import Moment
 from dc2g_jax.grid.terrain import CLASS_NAMES, TRAVERSABLE, UNKNOWN
 from dc2g_jax.inspection.costs import BLOCKED_COLOUR, COST_COLOURS, UNSEEN_COLOUR, cost_image
 from dc2g_jax.inspection.figures import class_patch, map_image, plain_axes, present_classes, save_figure
+from dc2g_jax.vehicles.trace import Moment
 
 #: Network -> label, colour, line and marker.
 _NETWORKS = {

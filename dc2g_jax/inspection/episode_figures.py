@@ -17,7 +17,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from dc2g_jax.datasets.houses import House
-from dc2g_jax.evaluation import EpisodeResult
 from dc2g_jax.grid.ground import pieces
 from dc2g_jax.grid.poses import Pose, make_pose, moved
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
@@ -40,6 +39,7 @@ from dc2g_jax.inspection.figures import (
 from dc2g_jax.inspection.replay import Frames, actions_from_letters, running_extra_steps
 from dc2g_jax.inspection.sheets import DPI, FONT, Sheet, cell_rim, empty_sheet
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
+from dc2g_jax.rollouts.evaluation import EpisodeResult
 
 _GREY = "#444444"
 

@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from dc2g_jax.evaluation import EpisodeResult
 from dc2g_jax.grid.terrain import CLASS_NAMES
-from dc2g_jax.statistics import Summary
+from dc2g_jax.rollouts.evaluation import EpisodeResult
+from dc2g_jax.rollouts.statistics import Summary
 
 Table = Mapping[str, Mapping[str, Summary]]
 

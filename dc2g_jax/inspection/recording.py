@@ -12,9 +12,7 @@ import rerun as rr
 from jaxtyping import Float
 
 from dc2g_jax.datasets.houses import House
-from dc2g_jax.decisions import HEADING_NAMES
 from dc2g_jax.estimation.estimators import Estimator
-from dc2g_jax.evaluation import EpisodeResult
 from dc2g_jax.grid.poses import FORWARD
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
 from dc2g_jax.inspection import legend
@@ -33,8 +31,10 @@ from dc2g_jax.inspection.costs import exact_cost_to_go
 from dc2g_jax.inspection.episode_layout import episode_layout
 from dc2g_jax.inspection.legend import CostScale
 from dc2g_jax.inspection.replay import Frames, actions_from_letters, replay_result, running_extra_steps
+from dc2g_jax.planning.decisions import HEADING_NAMES
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL
 from dc2g_jax.planning.rules import Rules
+from dc2g_jax.rollouts.evaluation import EpisodeResult
 
 
 class Episode(NamedTuple):

@@ -9,21 +9,20 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Float32, Int, Int8, UInt8, UInt32
 
-from dc2g_jax import gridworld
 from dc2g_jax.datasets.houses import House
-from dc2g_jax.decisions import FAR, View, decide
 from dc2g_jax.estimation.estimators import Estimator, answers_in_cells
-from dc2g_jax.evaluation import EpisodeResult
-from dc2g_jax.grid import bitboard, poses, search
+from dc2g_jax.grid import bitboard, gridworld, poses, search
+from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import ACTION_LETTERS, Pose, every_heading, make_pose
 from dc2g_jax.grid.world import World, world_from_terrain
-from dc2g_jax.gridworld import Belief
+from dc2g_jax.planning.decisions import FAR, View, decide
 from dc2g_jax.planning.frontiers import frontier_cells
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.planners import DC2G, EXPLORE, Oracle, Planner, reachable_cells
 from dc2g_jax.planning.rules import Rules
 from dc2g_jax.programs import jit
-from dc2g_jax.rollout import NO_ACTION
+from dc2g_jax.rollouts.evaluation import EpisodeResult
+from dc2g_jax.rollouts.rollout import NO_ACTION
 
 #: Steps replayed by one call on the device, so that one compiled program serves episodes of every length.
 _CHUNK = 64
@@ -230,7 +229,7 @@ def running_extra_steps(frames: Frames) -> Float[np.ndarray, "t"]:
 
 
 def replay_result(result: EpisodeResult, house: House, rules: Rules, estimator: Estimator | None = None) -> Frames:
-    """Replay an episode as `dc2g_jax.evaluation.Runner` gives it.
+    """Replay an episode as `dc2g_jax.rollouts.evaluation.Runner` gives it.
 
     Args:
       result: the episode.

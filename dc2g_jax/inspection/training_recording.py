@@ -17,18 +17,18 @@ from dc2g_jax.datasets.houses import HouseDataset, stack_worlds
 from dc2g_jax.datasets.pairs import Pair, make_pair
 from dc2g_jax.datasets.starts import sample_starts
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation import networks
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.training import TrainingConfig, learning_rate_schedule
-from dc2g_jax.evaluation import episodes_from
+from dc2g_jax.estimation.networks import compact_unet
 from dc2g_jax.inspection import legend
 from dc2g_jax.inspection.columns import TIMELINE, curve_style, image_style, open_recording
 from dc2g_jax.inspection.legend import CostScale
-from dc2g_jax.mask_collection import Masks, collect_masks
 from dc2g_jax.planning.planners import Frontier
 from dc2g_jax.planning.rules import complete_rules
 from dc2g_jax.programs import jit
-from dc2g_jax.training_data import training_set, usable
+from dc2g_jax.rollouts.evaluation import episodes_from
+from dc2g_jax.training.cost_to_go import TrainingConfig, learning_rate_schedule
+from dc2g_jax.training.cost_to_go_data import training_set, usable
+from dc2g_jax.training.mask_collection import Masks, collect_masks
 
 #: Columns between two maps that are shown side by side.
 _GAP = 2
@@ -58,7 +58,7 @@ _CURVES = {
 
 @jit
 def _expected_cost(network: NetworkCostToGo, terrain: UInt8[Array, "n h w"]) -> Float[Array, "n h w"]:
-    return jnp.mean(networks.apply(network.architecture, network.weights, terrain), axis=-1)
+    return jnp.mean(compact_unet.apply(network.architecture, network.weights, terrain), axis=-1)
 
 
 def learning_rates(config: TrainingConfig) -> Float[np.ndarray, "steps"]:

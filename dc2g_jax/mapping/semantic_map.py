@@ -164,7 +164,8 @@ def integrate(semantic_map: SemanticMap, frame: Frame, intrinsics: Intrinsics, s
 
 
 def terrain_map(semantic_map: SemanticMap, settings: MapSettings) -> UInt8[Array, "h w"]:
-    """Class index of every cell as seen from above, the map that planners take (`dc2g_jax.gridworld.belief_from_map`).
+    """Class index of every cell as seen from above, the map that planners take
+    (`dc2g_jax.grid.gridworld.belief_from_map`).
 
     Where something stands on the ground or hangs within the clearance above it: the class with the most votes of the
     voxels it fills ("nothing" if it has no label). Elsewhere, where the ground has been seen: the class of the ground.

@@ -20,10 +20,6 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
-from dc2g_jax.control import mppi
-from dc2g_jax.control.footprint import Ground, clearance, surroundings
-from dc2g_jax.control.mppi import CostOfPose, MPPISettings
-from dc2g_jax.control.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive, wrapped
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, intrinsics, level_camera
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.mapping.simulator import render
@@ -35,6 +31,10 @@ from dc2g_jax.objectnav.paint import painted
 from dc2g_jax.objectnav.starts import ROBOT_RADIUS
 from dc2g_jax.objectnav.worlds import IndoorWorld, scene
 from dc2g_jax.programs import jit
+from dc2g_jax.vehicles import mppi
+from dc2g_jax.vehicles.footprint import Ground, clearance, surroundings
+from dc2g_jax.vehicles.mppi import CostOfPose, MPPISettings
+from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive, wrapped
 
 #: The camera: metres above the floor, how far it looks down (radians), degrees from side to side, rows and columns. It
 #: is as high as those of the usual research robots. Level, it would see no floor nearer than 1.2 m and leave a hole in
@@ -278,7 +278,7 @@ def _distances(free: Array, classes: Array, radius: float, cell_size: float) -> 
     )
 
 
-def set_out(key: Key[Array, ""], start: Float[Array, "3"], target: Int[Array, ""], agent: Agent, limit: int) -> Robot:
+def reset(key: Key[Array, ""], start: Float[Array, "3"], target: Int[Array, ""], agent: Agent, limit: int) -> Robot:
     """A robot at its start, which has seen nothing.
 
     Args:

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Float16, Int, Int16, UInt8, UInt16
 
-from dc2g_jax.devices import Report, every_device, share_out
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.ground import component_numbers
 from dc2g_jax.mapping.camera import level_camera
@@ -30,6 +29,7 @@ from dc2g_jax.objectnav.paint import painted
 from dc2g_jax.objectnav.starts import ROBOT_RADIUS, passable
 from dc2g_jax.objectnav.worlds import IndoorWorld, pad_world, scene
 from dc2g_jax.programs import jit
+from dc2g_jax.rollouts.devices import Report, every_device, share_out
 
 #: Places that a robot visits at most, one after the other.
 _STAGES = 12

@@ -1,6 +1,6 @@
 """Cost maps a controller drives by: what it costs the centre of a round vehicle to be anywhere on a grid.
 
-Made from distances and obstacles, exact or predicted. Cells lie in the world as in `dc2g_jax.control.vehicle`: x along
+Made from distances and obstacles, exact or predicted. Cells lie in the world as in `dc2g_jax.vehicles.vehicle`: x along
 columns, y against rows, metres.
 """
 
@@ -13,9 +13,9 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from dc2g_jax.control.mppi import CostOfPose
 from dc2g_jax.grid.fast_marching import geodesic_distance, travel_cost
 from dc2g_jax.grid.shifting import shifted
+from dc2g_jax.vehicles.mppi import CostOfPose
 
 
 def inflated(cells: Bool[Array, "h w"], radius: float, cell_size: float) -> Bool[Array, "h w"]:

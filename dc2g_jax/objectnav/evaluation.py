@@ -19,8 +19,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from dc2g_jax.control.footprint import cell_at
-from dc2g_jax.control.vehicle import CONTROL_PERIOD
 from dc2g_jax.grid.fast_marching import geodesic_distance
 from dc2g_jax.objectnav.classes import CLASS_NAMES, NOTHING
 from dc2g_jax.objectnav.cost_maps import straight_distance, with_tight_cells
@@ -28,7 +26,9 @@ from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.searches import Episode, Searches
 from dc2g_jax.objectnav.starts import REACH, passable
 from dc2g_jax.programs import jit
-from dc2g_jax.statistics import house_bootstrap
+from dc2g_jax.rollouts.statistics import house_bootstrap
+from dc2g_jax.vehicles.footprint import cell_at
+from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD
 
 
 class EpisodeResult(NamedTuple):

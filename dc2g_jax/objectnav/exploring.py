@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from dc2g_jax.control.vehicle import wrapped
 from dc2g_jax.objectnav.agent import CAMERA_HEIGHT, CAMERA_PITCH, FIELD_OF_VIEW, IMAGE_SIZE
 from dc2g_jax.objectnav.mapping import MapSettings
+from dc2g_jax.vehicles.vehicle import wrapped
 
 #: How far the robot's camera sees, metres, and how far below the horizon its image ends, radians.
 CAMERA_RANGE = MapSettings().reach

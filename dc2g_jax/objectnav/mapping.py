@@ -20,10 +20,10 @@ from flax import struct
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt32
 
-from dc2g_jax.control.footprint import cell_at
 from dc2g_jax.errors import InputError
 from dc2g_jax.mapping.camera import Frame, Intrinsics, check_shapes, points, rays
 from dc2g_jax.objectnav.classes import SEMANTIC_CLASSES
+from dc2g_jax.vehicles.footprint import cell_at
 
 #: Channels of a map: the classes (class index 1 + channel), then what is an obstacle, then what is explored.
 OBSTACLE, EXPLORED = SEMANTIC_CLASSES, SEMANTIC_CLASSES + 1

@@ -24,7 +24,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Integer, UInt8
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.networks import Down, Residual, Up
+from dc2g_jax.estimation.networks.compact_unet import Down, Residual, Up
 from dc2g_jax.objectnav.classes import CLASS_NAMES, GOALS, SEMANTIC_CLASSES
 from dc2g_jax.objectnav.mapping import CHANNELS as MAP_CHANNELS
 from dc2g_jax.objectnav.weights import flattened, read_safetensors, read_weights, write_safetensors

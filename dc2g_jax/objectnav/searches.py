@@ -13,14 +13,14 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
-from dc2g_jax.devices import Report, every_device, share_out
 from dc2g_jax.errors import InputError
-from dc2g_jax.objectnav.agent import DECLARED, Agent, Robot, Site, leg, set_out, site_of, under_way
+from dc2g_jax.objectnav.agent import DECLARED, Agent, Robot, Site, leg, reset, site_of, under_way
 from dc2g_jax.objectnav.classes import CLASS_NAMES, GOALS
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.starts import sample_starts
 from dc2g_jax.objectnav.worlds import pad_world
 from dc2g_jax.programs import jit
+from dc2g_jax.rollouts.devices import Report, every_device, share_out
 
 #: Control periods of an episode: 50 s (section III-C).
 TIME_LIMIT = 500
@@ -122,7 +122,7 @@ def search_all(
         on_device = functools.partial(jax.device_put, device=device)
         own_agent, own_sites, own_where = on_device((agent, sites, where[own]))
         one_by_one = device.platform == "cpu"
-        robots = _set_out(*on_device((keys[own], starts[own], targets[own])), own_agent, limit=limit)
+        robots = _reset(*on_device((keys[own], starts[own], targets[own])), own_agent, limit=limit)
         go_on = functools.partial(_go_on, own_where, own_sites, own_agent, one_by_one=one_by_one)
         # Drives no leg: this is where the program is compiled.
         robots = jax.block_until_ready(go_on(robots, legs=jnp.int32(0)))
@@ -158,8 +158,8 @@ def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[Site, dict[str,
 
 
 @functools.partial(jit, static_argnames=("limit",))
-def _set_out(keys: Array, starts: Array, targets: Array, agent: Agent, *, limit: int) -> Robot:
-    return jax.vmap(lambda key, start, target: set_out(key, start, target, agent, limit))(keys, starts, targets)
+def _reset(keys: Array, starts: Array, targets: Array, agent: Agent, *, limit: int) -> Robot:
+    return jax.vmap(lambda key, start, target: reset(key, start, target, agent, limit))(keys, starts, targets)
 
 
 @jit

@@ -11,7 +11,6 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from dc2g_jax.estimation.training import TrainingState, check_numbers, loss_or_nan, running_average
 from dc2g_jax.objectnav import networks
 from dc2g_jax.objectnav.data import (
     ALL_SYMMETRIES,
@@ -26,6 +25,7 @@ from dc2g_jax.objectnav.losses import LossWeights, total_loss
 from dc2g_jax.objectnav.metrics import FIVE_ACTIONS, NINE_ACTIONS, action_accuracy, confusion, occupancy_scores
 from dc2g_jax.objectnav.networks import CostMapArchitecture, CostMapEstimator, fused_cost
 from dc2g_jax.programs import jit
+from dc2g_jax.training.cost_to_go import TrainingState, check_numbers, loss_or_nan, running_average
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,7 +147,7 @@ def train_step(
     the same weights as training that was not.
 
     Returns:
-      The new state and the loss, as `dc2g_jax.estimation.training.loss_or_nan` has it.
+      The new state and the loss, as `dc2g_jax.training.cost_to_go.loss_or_nan` has it.
     """
     recipe = config.recipe
     _, batches_key = _keys(config.seed)

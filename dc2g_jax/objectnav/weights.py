@@ -10,7 +10,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.files.whole import replacing
+from dc2g_jax.files.atomic import replacing
 
 
 def write_safetensors(path: str | Path, tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> None:

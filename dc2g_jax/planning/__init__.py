@@ -1,1 +1,1 @@
-"""Frontiers and the planners built on them."""
+"""Frontiers, the planners built on them, and the planner on a robot, one call at a time."""

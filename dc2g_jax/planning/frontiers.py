@@ -9,9 +9,9 @@ from jaxtyping import Array, UInt
 
 from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.bitboard import Board
+from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import PoseSet, only
 from dc2g_jax.grid.sensing import Kernel, poses_that_see
-from dc2g_jax.gridworld import Belief
 
 
 def _beyond(belief: Belief, known: Board) -> Board:

@@ -16,9 +16,9 @@ from jaxtyping import Array, Float, Int, UInt8
 from dc2g_jax.estimation.estimators import Estimator, extent_of, update_estimates
 from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.bitboard import Board
+from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import PoseSet, every_heading
 from dc2g_jax.grid.world import World
-from dc2g_jax.gridworld import Belief
 from dc2g_jax.planning import frontiers
 from dc2g_jax.planning.rules import Rules
 from dc2g_jax.planning.selection import ENDLESS, ExpectedCost, Patience, Selection

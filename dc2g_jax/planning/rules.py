@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid import bitboard, search
 from dc2g_jax.grid.bitboard import Board
+from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import PoseSet, every_heading, with_headings
 from dc2g_jax.grid.sensing import Kernel, expanding_kernel, field_of_view, line_of_sight
-from dc2g_jax.gridworld import Belief
 from dc2g_jax.planning import frontiers
 
 

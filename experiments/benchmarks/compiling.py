@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterator
 import jax
 import jax.numpy as jnp
 
-from dc2g_jax import gridworld
-from dc2g_jax import rollout as rollout_module
 from dc2g_jax.datasets.pairs import TrainingSet
-from dc2g_jax.estimation import training
-from dc2g_jax.estimation.training import TrainingConfig, init_state
-from dc2g_jax.rollout import STEP_LIMIT
-from dc2g_jax.training_data import DataConfig
+from dc2g_jax.grid import gridworld
+from dc2g_jax.rollouts import rollout as rollout_module
+from dc2g_jax.rollouts.rollout import STEP_LIMIT
+from dc2g_jax.training import cost_to_go
+from dc2g_jax.training.cost_to_go import TrainingConfig, init_state
+from dc2g_jax.training.cost_to_go_data import DataConfig
 from experiments.benchmarks.bench import SENSING_RANGE, Bench, own
 from experiments.benchmarks.programs import Program, compile_program, nothing_kept
 from experiments.benchmarks.rows import Row
@@ -70,7 +70,7 @@ def _train_step(bench: Bench) -> Callable[[], Program]:
     state = jax.eval_shape(functools.partial(init_state, recipe), hyperparameters)
     draw = DataConfig(extra_houses=0).draw_batch
 
-    step = training._compiled_step_at_once
+    step = cost_to_go._compiled_step_at_once
     return lambda: compile_program(step, state, hyperparameters, data, recipe=recipe, draw_batch=draw)
 
 

@@ -10,14 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax.devices import every_device
-from dc2g_jax.estimation import networks
+from dc2g_jax.estimation.networks import compact_unet
 from dc2g_jax.grid import bitboard, search
+from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import PoseSet, every_heading, unpack
 from dc2g_jax.grid.sensing import expanding_kernel, visible
-from dc2g_jax.gridworld import Belief
 from dc2g_jax.planning import frontiers, planners
 from dc2g_jax.programs import jit
+from dc2g_jax.rollouts.devices import every_device
 from experiments.baselines import libraries
 from experiments.benchmarks.bench import SENSING_RANGE, Bench, own
 from experiments.benchmarks.machine import BANDWIDTH, FLOAT_ARITHMETIC
@@ -169,7 +169,7 @@ def network_row(bench: Bench, section: str, batch: int) -> Row:
     """The network alone on partial maps."""
     belief = bench.robots("frontier").batch(batch).belief
     weights, terrain = bench.network.weights, jnp.moveaxis(belief.terrain, -1, 0)
-    program = compile_program(functools.partial(networks.apply, bench.network.architecture), weights, terrain)
+    program = compile_program(functools.partial(compact_unet.apply, bench.network.architecture), weights, terrain)
     measured = bench.measure(lambda: program.call(weights, terrain))
     seconds = measured.timing.median
     least_bytes = sum(leaf.nbytes for leaf in jax.tree.leaves((weights, terrain))) + measured.output.nbytes
@@ -187,7 +187,7 @@ def network_pace_row(bench: Bench) -> Row:
     batch, devices = 4 if bench.quick else 64, every_device()
     belief = bench.robots("frontier").batch(batch).belief
     weights, terrain = bench.network.weights, jnp.moveaxis(belief.terrain, -1, 0)
-    program = jit(functools.partial(networks.apply, bench.network.architecture))
+    program = jit(functools.partial(compact_unet.apply, bench.network.architecture))
     placed = [jax.device_put((weights, terrain), device) for device in devices]
     with ThreadPoolExecutor(len(devices)) as pool:
         measured = bench.measure(lambda: list(pool.map(lambda inputs: jax.block_until_ready(program(*inputs)), placed)))

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax.devices import cores
 from dc2g_jax.programs import jit
+from dc2g_jax.rollouts.devices import cores
 from experiments.benchmarks.timing import measure
 from experiments.outputs import versions
 

@@ -14,12 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from dc2g_jax.devices import cores
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.grid.world import World
 from dc2g_jax.inspection.replay import actions_from_letters
 from dc2g_jax.planning.named import make_planner
-from dc2g_jax.rollout import STEP_LIMIT, rollout
+from dc2g_jax.rollouts.devices import cores
+from dc2g_jax.rollouts.rollout import STEP_LIMIT, rollout
 from experiments.baselines import c_gridworld
 from experiments.baselines.problem import Outcome, PlannerName, Problem, empty_outcome
 from experiments.benchmarks.bench import SENSING_RANGE, Bench, own

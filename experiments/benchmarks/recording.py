@@ -7,10 +7,10 @@ from pathlib import Path
 from rerun.chunk import RrdReader
 
 from dc2g_jax.datasets.houses import HouseDataset
-from dc2g_jax.evaluation import EpisodeResult, Runner
 from dc2g_jax.inspection.recording import Episode, record_frames
 from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.rules import SETTINGS
+from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
 from experiments.benchmarks.bench import SENSING_RANGE, Bench, own
 from experiments.benchmarks.rows import Row
 

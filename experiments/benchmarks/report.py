@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from dc2g_jax.files.whole import write_json
+from dc2g_jax.files.atomic import write_json
 from experiments.benchmarks.machine import Peak
 from experiments.benchmarks.rows import Row
 

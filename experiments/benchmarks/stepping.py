@@ -10,12 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax import gridworld
-from dc2g_jax.devices import cores
+from dc2g_jax.grid import gridworld
+from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.terrain import ROAD
 from dc2g_jax.grid.world import World
-from dc2g_jax.gridworld import Belief
+from dc2g_jax.rollouts.devices import cores
 from experiments.baselines import environments
 from experiments.baselines.environments import Environment
 from experiments.benchmarks.bench import SENSING_RANGE, Bench, own

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import jax
 
-from dc2g_jax.devices import cores
+from dc2g_jax.rollouts.devices import cores
 from experiments.benchmarks.bench import SENSING_RANGE, Bench, own
 from experiments.benchmarks.kernels import network_row
 from experiments.benchmarks.planners import UNIT, own_episodes, plain_programs

@@ -10,11 +10,16 @@ import numpy as np
 
 from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.estimation.estimators import world_cost_to_go
-from dc2g_jax.estimation.training import TrainingConfig, first_state, train_step
 from dc2g_jax.grid import bitboard
 from dc2g_jax.programs import jit
-from dc2g_jax.sweeps import init_states, stacked_hyperparameters, train_steps_side_by_side, train_steps_together
-from dc2g_jax.training_data import DataConfig
+from dc2g_jax.training.cost_to_go import TrainingConfig, first_state, train_step
+from dc2g_jax.training.cost_to_go_data import DataConfig
+from dc2g_jax.training.sweeps import (
+    init_states,
+    stacked_hyperparameters,
+    train_steps_side_by_side,
+    train_steps_together,
+)
 from experiments.benchmarks.bench import Bench, own
 from experiments.benchmarks.rows import Row
 

@@ -28,10 +28,9 @@ from dc2g_jax.datasets.download import (
     read_manifest,
 )
 from dc2g_jax.errors import InputError
-from tests.refusals import refusal_of
+from tests.support.places import PUBLISHED, SHARED
+from tests.support.refusals import refusal_of
 
-SHARED = Path(__file__).resolve().parents[3] / "shared"
-PUBLISHED = SHARED / "datasets" / "driveways_bing_iros19"
 needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason="../shared is absent")
 
 

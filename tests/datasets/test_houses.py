@@ -26,10 +26,9 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import read_class_image, read_palette, write_class_image
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, PATH, ROAD
 from tests.files.pngs import chunk, png
-from tests.refusals import refusal
+from tests.support.places import PUBLISHED, SHARED
+from tests.support.refusals import refusal
 
-SHARED = Path(__file__).resolve().parents[3] / "shared"
-PUBLISHED = SHARED / "datasets" / "driveways_bing_iros19"
 GOLDEN = SHARED / "golden"
 needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason="../shared is absent")
 

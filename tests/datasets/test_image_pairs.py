@@ -25,8 +25,8 @@ from dc2g_jax.estimation.images import cost_to_go_image, largest_cost
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.sampling import resize_nearest, sample_grid
 from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
-from tests import maps
-from tests.conftest import PUBLISHED
+from tests.support import maps
+from tests.support.places import PUBLISHED
 
 make_pairs = jax.jit(jax.vmap(lambda data, index: masked_map(data, index).pictures(), in_axes=(None, 0)))
 

@@ -11,9 +11,9 @@ from dc2g_jax.datasets.maps import Goal, draw_map, map_from_classes, read_map
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import Palette, read_palette
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, GRASS, HOUSE, PATH, ROAD
-from tests.datasets.test_occupancy import save
-from tests.maps import drawn
-from tests.refusals import refusal
+from tests.support.maps import drawn
+from tests.support.occupancy import save
+from tests.support.refusals import refusal
 
 COLOURS = {"front_door": (250, 0, 0), "grass": (10, 200, 10), "house": (1, 2, 3), "road": (90, 90, 90)}
 

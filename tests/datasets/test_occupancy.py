@@ -1,7 +1,6 @@
 """ROS occupancy maps: thresholds, frames and grids against plain loops, and one clear line for every fault."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,21 +8,8 @@ import pytest
 from dc2g_jax.datasets.maps import Goal, draw_map, read_map
 from dc2g_jax.datasets.occupancy import read_occupancy_map
 from dc2g_jax.grid.terrain import FRONT_DOOR, HOUSE, ROAD, UNKNOWN
-from tests.refusals import refusal
-
-FACTS = {
-    "image": "lab.pgm", "resolution": 0.05, "origin": [0.0, 0.0, 0.0], "negate": 0, "occupied_thresh": 0.65,
-    "free_thresh": 0.196,
-}  # fmt: skip
-
-
-def save(folder: Path, greys: np.ndarray, **facts: object) -> Path:
-    """Write `lab.yaml` and `lab.pgm`; a fact that is `None` is left out."""
-    height, width = greys.shape
-    (folder / "lab.pgm").write_bytes(f"P5\n# by hand\n{width} {height}\n255\n".encode() + greys.tobytes())
-    kept = {key: value for key, value in {**FACTS, **facts}.items() if value is not None}
-    (folder / "lab.yaml").write_text("".join(f"{key}: {value}\n" for key, value in kept.items()))
-    return folder / "lab.yaml"
+from tests.support.occupancy import save
+from tests.support.refusals import refusal
 
 
 def random_greys(seed: int, height: int = 17, width: int = 23) -> np.ndarray:

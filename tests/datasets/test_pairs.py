@@ -8,21 +8,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax import gridworld
 from dc2g_jax.datasets.masks import moments_along
 from dc2g_jax.datasets.pairs import SYMMETRIES, Pair, TrainingSet, draw_pairs, jittered, make_pair
 from dc2g_jax.estimation.estimators import world_cost_to_go
-from dc2g_jax.grid import bitboard
+from dc2g_jax.grid import bitboard, gridworld
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.sensing import field_of_view, line_of_sight
 from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.mask_collection import collect_masks, concatenate_masks
 from dc2g_jax.planning.planners import Frontier
 from dc2g_jax.planning.rules import complete_rules
-from dc2g_jax.rollout import Episodes, rollout
-from dc2g_jax.training_data import DataConfig
-from tests import maps
+from dc2g_jax.rollouts.rollout import Episodes, rollout
+from dc2g_jax.training.cost_to_go_data import DataConfig
+from dc2g_jax.training.mask_collection import collect_masks, concatenate_masks
 from tests.oracles import gridworld_oracle as oracle
+from tests.support import maps
 
 N_WORLDS, N_MASKS, N_OWN = 4, 30, 12
 

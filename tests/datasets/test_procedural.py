@@ -2,7 +2,6 @@
 
 import csv
 from collections import Counter
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -32,8 +31,8 @@ from dc2g_jax.grid.terrain import (
     SIDEWALK,
     TRAVERSABLE,
 )
+from tests.support.places import SHARED
 
-SHARED = Path(__file__).resolve().parents[3] / "shared"
 DRAWN = {FRONT_DOOR, GRASS, ROAD, DRIVEWAY, CAR, PATH, HOUSE, SIDEWALK}
 SEEDS = range(1_000, 1_025)
 

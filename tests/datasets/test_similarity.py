@@ -5,7 +5,7 @@ import pytest
 
 from dc2g_jax.datasets.similarity import VOCABULARY, distance_to_training, patch_histograms, similarity_scale
 from dc2g_jax.grid.terrain import CLASS_NAMES, GRASS, HOUSE, ROAD
-from tests import maps
+from tests.support import maps
 
 SHAPE = (64, 64)
 

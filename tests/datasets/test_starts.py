@@ -15,7 +15,7 @@ from dc2g_jax.datasets.starts import (
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.ground import connected_to_goal
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, ROAD, TRAVERSABLE
-from tests.refusals import refusal
+from tests.support.refusals import refusal
 
 
 @pytest.fixture(scope="module")

@@ -11,14 +11,14 @@ import pytest
 from dc2g_jax.datasets.houses import stack_worlds
 from dc2g_jax.datasets.starts import sample_starts
 from dc2g_jax.environments.functional import OUTSIDE, Observation, egocentric, front_door
-from dc2g_jax.evaluation import episodes_from
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.sensing import field_of_view
 from dc2g_jax.planning.planners import Oracle
-from dc2g_jax.rollout import rollout
-from tests.environments.houses import STREET, WALLED, YARD, house, start_poses
+from dc2g_jax.rollouts.evaluation import episodes_from
+from dc2g_jax.rollouts.rollout import rollout
 from tests.oracles import gridworld_oracle as oracle
-from tests.refusals import refusal
+from tests.support.houses import STREET, WALLED, YARD, house, start_poses
+from tests.support.refusals import refusal
 
 HOUSES = (house("street", STREET), house("yard", YARD))
 TERRAINS = (STREET, YARD)

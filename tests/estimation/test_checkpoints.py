@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation import translator
 from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network, save_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
-from dc2g_jax.estimation.networks import Architecture, init_weights
-from dc2g_jax.estimation.translator import TranslatorArchitecture
+from dc2g_jax.estimation.networks import pix2pix
+from dc2g_jax.estimation.networks.compact_unet import Architecture, init_weights
+from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
 from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.grid.terrain import CLASS_NAMES
 
@@ -161,7 +161,7 @@ def test_the_card_decides_what_kind_of_network_it_is(folder):
 def test_a_translator_comes_back_as_one(tmp_path):
     architecture = TranslatorArchitecture(size=32, base_filters=2, compute_dtype="bfloat16")
     saved = TranslatorCostToGo(
-        weights=translator.init_weights(translator.Generator, architecture, jax.random.key(0)),
+        weights=pix2pix.init_weights(pix2pix.Generator, architecture, jax.random.key(0)),
         architecture=architecture,
     )
     folder = save_network(tmp_path / "network", saved, {"loss": "l1"})

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from flax import struct
 
-from dc2g_jax import gridworld
 from dc2g_jax.estimation.estimators import update_estimates
+from dc2g_jax.grid import gridworld
+from dc2g_jax.grid.gridworld import belief_from_map
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.gridworld import belief_from_map
 from dc2g_jax.planning.planners import DC2G, EXPLORE, TO_GOAL
 from dc2g_jax.planning.rules import complete_rules
-from tests import maps
+from tests.support import maps
 
 SHAPE = (7, 33)
 asked: list[int] = []

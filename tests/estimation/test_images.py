@@ -12,8 +12,8 @@ from dc2g_jax.estimation import images
 from dc2g_jax.files.class_images import read_class_image, read_palette, write_class_image
 from dc2g_jax.grid.search import cost_to_go
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
-from tests import maps
-from tests.conftest import PUBLISHED
+from tests.support import maps
+from tests.support.places import PUBLISHED
 
 SHAPE = (9, 12)
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 
 from dc2g_jax.estimation.metrics import compare_images
-from tests import maps
+from tests.support import maps
 
 SHAPE = (8, 9)
 measure = jax.jit(lambda predicted, true: compare_images(predicted, true).metrics())

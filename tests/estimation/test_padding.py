@@ -5,21 +5,15 @@ import numpy as np
 import pytest
 
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.networks import Architecture, weight_shapes
+from dc2g_jax.estimation.networks.compact_unet import Architecture
 from dc2g_jax.estimation.padding import OUTSIDE, PaddedNetwork
-from tests import maps
+from tests.support import maps
+from tests.support.networks import random_network
 
 SMALL = Architecture(widths=(4, 4, 6, 8), quantiles=(0.25, 0.5, 0.75), cost_scale=10.0)
 
 alone = jax.jit(lambda network, terrain: network.estimate(terrain, ()))
 padded = jax.jit(lambda network, grid: PaddedNetwork(network).estimate(grid, ()))
-
-
-def random_network(architecture: Architecture) -> NetworkCostToGo:
-    """A network of random weights, none of them zero as some are before training."""
-    rng = np.random.default_rng(0)
-    weights = jax.tree.map(lambda leaf: rng.normal(0, 0.2, leaf.shape).astype(leaf.dtype), weight_shapes(architecture))
-    return NetworkCostToGo(weights=weights, architecture=architecture)
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from dc2g_jax.estimation.checkpoints import save_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.networks import Architecture, init_weights
+from dc2g_jax.estimation.networks.compact_unet import Architecture, init_weights
 
 
 @pytest.fixture(scope="session")

@@ -10,8 +10,8 @@ from dc2g_jax.grid.poses import ACTION_LETTERS
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
 from experiments.baselines import c_gridworld, libraries
 from experiments.baselines.problem import BaselineUnavailable, Outcome, PlannerName, Problem, make_problem
-from tests.maps import SHAPES, random_cells, random_pose, random_terrain
 from tests.oracles import gridworld_oracle as oracle
+from tests.support.maps import SHAPES, random_cells, random_pose, random_terrain
 
 RunEpisodes = Callable[[Problem, PlannerName], Outcome]
 

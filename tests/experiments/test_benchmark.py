@@ -19,8 +19,7 @@ from experiments.benchmarks.rows import Row, attempt
 from experiments.benchmarks.timing import checksum, measure, summarize
 from experiments.benchmarks.work import Work, count_work, equations
 from experiments.benchmarks.workload import make_workload, resized
-
-ROOT = Path(__file__).resolve().parents[2]
+from tests.support.places import ROOT
 
 
 def run(*options: object) -> subprocess.CompletedProcess:

@@ -11,9 +11,9 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import write_class_image
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS
 from experiments.check_map import Options, main
-from tests.datasets.test_occupancy import save
-from tests.experiments.test_commands import run
-from tests.maps import drawn
+from tests.support.commands import run
+from tests.support.maps import drawn
+from tests.support.occupancy import save
 
 PALETTE = "class,r,g,b\n" + "".join(
     f"{name},{r},{g},{b}\n" for name, (r, g, b) in zip(CLASS_NAMES, CLASS_COLORS, strict=True)

@@ -13,8 +13,8 @@ from dc2g_jax.planning.planners import DC2G, Frontier
 from dc2g_jax.planning.selection import ENDLESS
 from experiments import noisy_mapping, reproduce_fig9
 from experiments.driving import DrivingOptions, equipment
-from tests.driving.test_loop import STREET, WALLED
-from tests.refusals import refusal
+from tests.support.refusals import refusal
+from tests.support.streets import STREET, WALLED
 
 #: Images small enough to be rendered quickly.
 IMAGE = (64, 48)

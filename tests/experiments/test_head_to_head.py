@@ -3,7 +3,7 @@
 import pytest
 
 from dc2g_jax.datasets.starts import published_episodes
-from dc2g_jax.evaluation import EpisodeResult
+from dc2g_jax.rollouts.evaluation import EpisodeResult
 from experiments.head_to_head import Pair, compare, pair_up
 
 

@@ -6,7 +6,7 @@ import json
 import pytest
 
 from experiments.latency import Options, main
-from tests.refusals import refusal
+from tests.support.refusals import refusal
 
 
 @pytest.mark.slow

@@ -6,8 +6,8 @@ import pytest
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.starts import Start
 from experiments.map_options import start_in
-from tests.maps import drawn
-from tests.refusals import refusal
+from tests.support.maps import drawn
+from tests.support.refusals import refusal
 
 YARD = House(
     "yard",

@@ -7,9 +7,9 @@ from dc2g_jax.datasets.houses import House, map_dataset
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.mapping.sequences import read_sequence
 from experiments import map_recording
-from tests.inspection.recordings import read
-from tests.maps import drawn
-from tests.refusals import refusal
+from tests.support.maps import drawn
+from tests.support.recordings import read
+from tests.support.refusals import refusal
 
 YARD = drawn("""
     ####D#..

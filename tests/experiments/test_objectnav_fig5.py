@@ -8,8 +8,8 @@ import pytest
 
 from experiments import objectnav_fig5
 from experiments.objectnav_fig5 import Options, chosen, main
-from tests.objectnav.two_rooms import two_rooms
-from tests.refusals import refusal
+from tests.support.refusals import refusal
+from tests.support.two_rooms import two_rooms
 
 OPTIONS = Options(split="val", target="plant", agent="random", samples=8, limit=20)
 

@@ -8,8 +8,8 @@ import pytest
 from experiments import searches
 from experiments.objectnav_table1 import Options, main
 from experiments.searches import read_searches
-from tests.objectnav.two_rooms import two_rooms
-from tests.refusals import refusal
+from tests.support.refusals import refusal
+from tests.support.two_rooms import two_rooms
 
 OPTIONS = Options(count=1, episodes=2, agents=("random",), samples=4, limit=10, resamples=20)
 

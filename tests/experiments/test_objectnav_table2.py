@@ -11,8 +11,8 @@ from dc2g_jax.objectnav.networks import ABLATIONS, CostMapArchitecture, CostMapE
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE
 from experiments import objectnav_table2, searches
 from experiments.objectnav_table2 import METRICS, Options, main
-from tests.objectnav.two_rooms import two_rooms
-from tests.refusals import refusal
+from tests.support.refusals import refusal
+from tests.support.two_rooms import two_rooms
 
 KEY = jax.random.key(0)
 SMALL = CostMapArchitecture(widths=(4, 4), embedding=4, features=7, feature_width=3, inputs=ABLATIONS["both"])

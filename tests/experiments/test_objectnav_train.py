@@ -12,8 +12,8 @@ from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, load_
 from experiments import objectnav_train
 from experiments.objectnav_train import Options, house_digests, main
 from experiments.outputs import output_folder
-from tests.objectnav.two_rooms import two_rooms
-from tests.refusals import refusal
+from tests.support.refusals import refusal
+from tests.support.two_rooms import two_rooms
 
 
 @pytest.fixture

@@ -11,10 +11,10 @@ from dc2g_jax.datasets.houses import map_dataset
 from dc2g_jax.files.class_images import write_class_image
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS
 from experiments import draw_dataset, draw_episodes, explore_map, one_start, reproduce_fig8
-from tests.experiments.test_commands import complaint, run
-from tests.inspection import toy
-from tests.maps import drawn
-from tests.refusals import refusal
+from tests.support import toy
+from tests.support.commands import complaint, run
+from tests.support.maps import drawn
+from tests.support.refusals import refusal
 
 YARD = drawn("""
     ####D#

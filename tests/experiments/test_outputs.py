@@ -11,7 +11,7 @@ import jax
 import pytest
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.files.whole import replacing
+from dc2g_jax.files.atomic import replacing
 from experiments.outputs import commit, folder_in_use, output_folder
 
 

@@ -3,8 +3,8 @@
 import csv
 import dataclasses
 
-from dc2g_jax.estimation.networks import Architecture
-from dc2g_jax.estimation.training import TrainingConfig
+from dc2g_jax.estimation.networks.compact_unet import Architecture
+from dc2g_jax.training.cost_to_go import TrainingConfig
 from experiments.sweep_losses import Options, kind_of, write_results
 from experiments.training_loop import Log
 

@@ -15,7 +15,7 @@ from experiments import reproduce_fig4, reproduce_fig5, reproduce_fig6, translat
 from experiments import train_translator as train_translator_command
 from experiments.training_loop import Log
 from experiments.translation import TranslationOptions, train_translator, translation_data
-from tests import maps
+from tests.support import maps
 
 OPTIONS = TranslationOptions(
     size=32, base_filters=2, train_masks=5, validation_masks=1, steps=30, validate_every=10

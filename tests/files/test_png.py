@@ -11,7 +11,7 @@ from PIL import Image
 
 from dc2g_jax.files.png import read_png, write_png
 from tests.files.pngs import chunk, png
-from tests.refusals import refusal
+from tests.support.refusals import refusal
 
 KINDS = ("palette", "8-bit RGB", "8-bit RGBA", "8-bit grayscale", "16-bit grayscale")
 PIXELS = np.random.default_rng(0).integers(0, 256, (5, 4, 3)).astype(np.uint8)

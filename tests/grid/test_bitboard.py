@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 
 from dc2g_jax.grid import bitboard
-from tests import maps
 from tests.oracles import gridworld_oracle as oracle
+from tests.support import maps
 
 EXAMPLES = 25
 SHIFTS = (0, 1, -1, 2, -3, 31, -31, 32, -32, 33, -33, 63, -64, 65, -70)

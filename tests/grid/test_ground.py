@@ -5,8 +5,8 @@ import pytest
 
 from dc2g_jax.grid.ground import Piece, connected_to_goal, goals_without_ground, pieces, why_no_way
 from dc2g_jax.grid.terrain import FRONT_DOOR
-from tests import maps
 from tests.oracles import gridworld_oracle as oracle
+from tests.support import maps
 
 
 def test_connected_to_goal(street, island):

@@ -12,8 +12,8 @@ from dc2g_jax.inspection import animation
 from dc2g_jax.inspection.animation import animate, pictures, steps_shown
 from dc2g_jax.inspection.costs import exact_cost_to_go, highest_cost
 from dc2g_jax.inspection.figures import CLASS_COLOURS
-from tests.inspection import toy
-from tests.refusals import refusal
+from tests.support import toy
+from tests.support.refusals import refusal
 
 _LAST = 24
 

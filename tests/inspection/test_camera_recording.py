@@ -11,7 +11,7 @@ from dc2g_jax.inspection import camera_recording
 from dc2g_jax.inspection.camera_recording import CameraRecording, MappedFrame
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics
 from dc2g_jax.mapping.semantic_map import UNSEEN, MapSettings, SemanticMap
-from tests.inspection.recordings import read
+from tests.support.recordings import read
 
 SETTINGS = MapSettings(rows=4, columns=5, cell_size=2.0, levels=3, level_height=0.5, reach=9.0)
 CAMERA = Intrinsics(

@@ -28,7 +28,7 @@ from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.inspection.sheets import DPI, empty_sheet
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
 from dc2g_jax.planning.rules import SETTINGS
-from tests.inspection import toy
+from tests.support import toy
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS
 from dc2g_jax.inspection import contact_sheets, figures
 from dc2g_jax.inspection.contact_sheets import contact_pages, plot_contact_page
 from dc2g_jax.inspection.figures import PLANNER_STYLES, plot_house_strips
-from dc2g_jax.statistics import Summary
-from tests.inspection import toy
+from dc2g_jax.rollouts.statistics import Summary
+from tests.support import toy
 
 
 def _results(houses, planners=("oracle", "frontier", "dc2g"), episodes=3):

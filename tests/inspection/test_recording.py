@@ -10,7 +10,6 @@ from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import ExactCostToGo, world_cost_to_go
-from dc2g_jax.evaluation import EpisodeResult
 from dc2g_jax.grid.poses import FORWARD, make_pose
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax.grid.world import world_from_terrain
@@ -22,9 +21,10 @@ from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.planners import DC2G, EXPLORE, MODE_NAMES
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.planning.selection import ExpectedCost, Patience
-from dc2g_jax.statistics import extra_steps
-from tests.inspection.recordings import read
+from dc2g_jax.rollouts.evaluation import EpisodeResult
+from dc2g_jax.rollouts.statistics import extra_steps
 from tests.oracles import gridworld_oracle as oracle
+from tests.support.recordings import read
 
 _LETTERS = {"r": "road", "g": "grass", "d": "driveway", "F": "front_door", "h": "house"}
 _MAP = """
@@ -44,7 +44,8 @@ _RULES = SETTINGS["paper"].make_rules(3, None)
 _ESTIMATOR = ExactCostToGo()
 
 
-# What `dc2g_jax.evaluation.Runner` found from that start, written down: running it takes longer than all the rest.
+# What `dc2g_jax.rollouts.evaluation.Runner` found from that start, written down: running it takes longer than all the
+# rest.
 _ORACLE_STEPS = 28
 _ACTIONS = {
     "frontier": "LLFFFFFFFFFFFFFFFFRFFFFLLLLFRFFF",

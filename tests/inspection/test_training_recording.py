@@ -13,19 +13,19 @@ import pytest
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation import networks
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.networks import Architecture
-from dc2g_jax.estimation.training import TrainingConfig, first_state, train_step
+from dc2g_jax.estimation.networks import compact_unet
+from dc2g_jax.estimation.networks.compact_unet import Architecture
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.terrain import TRAVERSABLE
 from dc2g_jax.inspection import legend
 from dc2g_jax.inspection.legend import CostScale
 from dc2g_jax.inspection.training_recording import TrainingRecording, learning_rates, maps_to_watch, next_file
-from dc2g_jax.training_data import DataConfig
+from dc2g_jax.training.cost_to_go import TrainingConfig, first_state, train_step
+from dc2g_jax.training.cost_to_go_data import DataConfig
 from experiments.train import Options, open_recording
 from experiments.training_loop import run_steps
-from tests.inspection.recordings import read
+from tests.support.recordings import read
 
 _CONFIG = TrainingConfig(architecture=Architecture(widths=(4, 4, 4, 4)), steps=6, batch_size=2)
 _SHAPE = (3, 8, 10)
@@ -42,7 +42,7 @@ def _maps() -> Pair:
 
 
 def _network(seed: int) -> NetworkCostToGo:
-    weights = networks.init_weights(_CONFIG.architecture, jax.random.key(seed))
+    weights = compact_unet.init_weights(_CONFIG.architecture, jax.random.key(seed))
     return NetworkCostToGo(weights=weights, architecture=_CONFIG.architecture)
 
 
@@ -96,7 +96,7 @@ def test_predictions_are_those_of_the_network(logged):
     np.testing.assert_array_equal(exact[counts] - legend.FIRST_COST, maps.target[counts])
     assert np.all(exact[~counts] == legend.NOT_SHOWN)
     for step, seed in ((0, 0), (4, 2)):
-        outcomes = networks.apply(_CONFIG.architecture, _network(seed).weights, jnp.asarray(maps.terrain))
+        outcomes = compact_unet.apply(_CONFIG.architecture, _network(seed).weights, jnp.asarray(maps.terrain))
         expected = np.asarray(outcomes).mean(axis=-1)
         predicted = _shown(logged["/maps/predicted", "SegmentationImage:buffer"][step], maps)
         np.testing.assert_array_equal(predicted, scale.classes(expected, counts))

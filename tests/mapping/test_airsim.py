@@ -16,7 +16,7 @@ from dc2g_jax.grid.terrain import CLASS_NAMES, HOUSE, ROAD
 from dc2g_jax.mapping import airsim
 from dc2g_jax.mapping.airsim import AirSim, Camera
 from dc2g_jax.mapping.camera import CameraPose, check_shapes, points
-from tests.refusals import refusal
+from tests.support.refusals import refusal
 
 msgpack = pytest.importorskip("msgpack")
 

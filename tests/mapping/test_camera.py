@@ -7,8 +7,8 @@ import pytest
 
 from dc2g_jax.mapping.camera import CameraPose, Frame, intrinsics, level_camera, points, rays
 from dc2g_jax.mapping.checks import check_frame, check_intrinsics, check_pose
-from tests.mapping.frames import CAMERA, SETTINGS, camera_matrix, random_frame, turned
-from tests.refusals import refusal
+from tests.support.frames import CAMERA, SETTINGS, camera_matrix, random_frame, turned
+from tests.support.refusals import refusal
 
 
 def test_field_of_view_spans_the_image_from_edge_to_edge():

@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 
 from dc2g_jax.grid.terrain import CLASS_NAMES, TRAVERSABLE
 from dc2g_jax.mapping.scene import LEAF_HEIGHT, SHAPES, TILES, Scene, scene_from_heights, scene_from_terrain
-from tests.maps import drawn, random_cells, random_terrain, seeds
-from tests.refusals import refusal
+from tests.support.maps import drawn, random_cells, random_terrain, seeds
+from tests.support.refusals import refusal
 
 FRONT_DOOR, GRASS = CLASS_NAMES.index("front_door"), CLASS_NAMES.index("grass")
 MIDDLE = TILES // 2

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
+from dc2g_jax.grid.gridworld import belief_from_map
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.terrain import CAR, CLASS_NAMES, DRIVEWAY, GRASS, HOUSE, ROAD
-from dc2g_jax.gridworld import belief_from_map
 from dc2g_jax.mapping.camera import CameraPose, Frame, intrinsics, level_camera, points, rays
 from dc2g_jax.mapping.semantic_map import (
     HIGHEST,
@@ -23,9 +23,9 @@ from dc2g_jax.mapping.semantic_map import (
     integrate,
     terrain_map,
 )
-from tests.mapping.frames import CAMERA, FINE, SETTINGS, camera_matrix, random_frame
 from tests.oracles.semantic_map_oracle import OracleMap
-from tests.refusals import refusal
+from tests.support.frames import CAMERA, FINE, SETTINGS, camera_matrix, random_frame
+from tests.support.refusals import refusal
 
 NOTHING = CLASS_NAMES.index("nothing")
 

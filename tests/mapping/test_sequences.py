@@ -21,8 +21,8 @@ from dc2g_jax.mapping.sequences import (
     read_sequence,
     write_sequence,
 )
-from tests.mapping.frames import CAMERA, SETTINGS, random_frame
-from tests.refusals import refusal
+from tests.support.frames import CAMERA, SETTINGS, random_frame
+from tests.support.refusals import refusal
 
 SHAPE = (CAMERA.height, CAMERA.width)
 CAMERA_LINE = "19 23 14.3 8.9 28 18\n"

@@ -14,8 +14,8 @@ from dc2g_jax.mapping import simulator
 from dc2g_jax.mapping.camera import CameraPose, Frame, intrinsics, level_camera, points, rays
 from dc2g_jax.mapping.scene import TILES, Scene, scene_from_heights, scene_from_terrain
 from dc2g_jax.mapping.simulator import CAMERA_RANGE, FIELD_OF_VIEW, IMAGE_SIZE, picture, render, robot_camera
-from tests.maps import random_terrain
 from tests.oracles.raycast_oracle import Met, nearest_boxes
+from tests.support.maps import random_terrain
 
 SMALL = intrinsics(90, 24, 32)
 USUAL = intrinsics(FIELD_OF_VIEW, *IMAGE_SIZE)

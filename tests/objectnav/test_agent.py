@@ -7,9 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.control.footprint import Ground
-from dc2g_jax.control.mppi import MPPISettings
-from dc2g_jax.control.vehicle import at_rest, drive
 from dc2g_jax.mapping.camera import intrinsics
 from dc2g_jax.objectnav import agent as agents
 from dc2g_jax.objectnav.agent import (
@@ -20,7 +17,7 @@ from dc2g_jax.objectnav.agent import (
     LookAround,
     RandomUntilSeen,
     leg,
-    set_out,
+    reset,
     site_of,
     under_way,
 )
@@ -36,7 +33,10 @@ from dc2g_jax.objectnav.guides import (
 )
 from dc2g_jax.objectnav.mapping import EXPLORED, OBSTACLE, MapSettings
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
-from tests.objectnav.two_rooms import two_rooms
+from dc2g_jax.vehicles.footprint import Ground
+from dc2g_jax.vehicles.mppi import MPPISettings
+from dc2g_jax.vehicles.vehicle import at_rest, drive
+from tests.support.two_rooms import two_rooms
 
 BED_TARGET, PLANT_TARGET = GOALS.index(BED), GOALS.index(PLANT)
 LIMIT = 200
@@ -60,7 +60,7 @@ def agent_with(guide, steering=None):
 
 
 def robot_at(x, y, yaw=0.0, target=PLANT_TARGET, guide=None):
-    return set_out(KEY, jnp.array([x, y, yaw], jnp.float32), jnp.int32(target), agent_with(guide or NoIdea()), LIMIT)
+    return reset(KEY, jnp.array([x, y, yaw], jnp.float32), jnp.int32(target), agent_with(guide or NoIdea()), LIMIT)
 
 
 def test_the_distance_to_objects_is_that_of_the_way_around_walls(site):

@@ -37,8 +37,8 @@ from dc2g_jax.objectnav.midlevel import ConvolutionEncoder
 from dc2g_jax.objectnav.plan_cells import world_from_plan
 from dc2g_jax.objectnav.plans import Furniture
 from dc2g_jax.objectnav.worlds import scene
-from tests.objectnav.test_worlds import BED_BOX, PLANT_BOX, plan
-from tests.refusals import refusal
+from tests.support.plans import BED_BOX, PLANT_BOX, plan
+from tests.support.refusals import refusal
 
 #: A table in the room of the plant, to be looked over; a bed in the other.
 TABLE_BOX = Furniture(TABLE, 4.5, 2.0, 0.8, 0.4, 0.0, 0.7)

@@ -6,8 +6,8 @@ import pytest
 from dc2g_jax.objectnav.classes import GOALS
 from dc2g_jax.objectnav.evaluation import difference, results_of, summarize, way_there
 from dc2g_jax.objectnav.searches import Episode, Searches, sample_episodes
-from tests.objectnav.two_rooms import two_rooms
-from tests.refusals import refusal
+from tests.support.refusals import refusal
+from tests.support.two_rooms import two_rooms
 
 
 @pytest.fixture(scope="module")

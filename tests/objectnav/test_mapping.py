@@ -13,8 +13,8 @@ from dc2g_jax.objectnav import mapping
 from dc2g_jax.objectnav.classes import BED
 from dc2g_jax.objectnav.mapping import EXPLORED, OBSTACLE, MapSettings
 from dc2g_jax.objectnav.worlds import scene
-from tests.objectnav.two_rooms import two_rooms
-from tests.refusals import refusal
+from tests.support.refusals import refusal
+from tests.support.two_rooms import two_rooms
 
 SETTINGS = MapSettings(cells=90, local=30, cell_size=0.1, reach=4.0)
 CAMERA = intrinsics(90.0, 48, 64)

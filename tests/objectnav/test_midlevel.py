@@ -23,8 +23,8 @@ from dc2g_jax.objectnav.paint import painted
 from dc2g_jax.objectnav.plan_cells import world_from_plan
 from dc2g_jax.objectnav.weights import read_safetensors, write_safetensors
 from dc2g_jax.objectnav.worlds import scene
-from tests.objectnav.test_worlds import BED_BOX, plan
-from tests.refusals import refusal
+from tests.support.plans import BED_BOX, plan
+from tests.support.refusals import refusal
 
 ARCHITECTURE = EncoderArchitecture(widths=(4, 6, 8), features=5)
 

@@ -26,7 +26,7 @@ from dc2g_jax.objectnav.networks import (
     save_estimator,
     weight_shapes,
 )
-from tests.refusals import refusal
+from tests.support.refusals import refusal
 
 SMALL = CostMapArchitecture(widths=(6, 8), embedding=4, features=5, feature_width=3)
 

@@ -7,11 +7,11 @@ import jax
 import numpy as np
 import pytest
 
+from dc2g_jax.files.resources import resource
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, TrainedEncoder, init_encoder, save_encoder
 from dc2g_jax.objectnav.networks import BOTH, CostMapArchitecture, CostMapEstimator, init_weights, save_estimator
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, load_costs
-from dc2g_jax.shipped import shipped
-from tests.refusals import refusal
+from tests.support.refusals import refusal
 
 KEY = jax.random.key(0)
 
@@ -30,7 +30,7 @@ def folder(tmp_path):
 
 
 def test_the_shipped_network_is_the_one_on_its_card():
-    folder = shipped("weights/cost_maps_indoors")
+    folder = resource("weights/cost_maps_indoors")
     costs, card = load_costs(folder), json.loads((folder / "network.json").read_text())
     assert costs.estimator.architecture.inputs == BOTH
     assert costs.encoder.size == costs.estimator.architecture.features

@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.control.mppi import MPPISettings
 from dc2g_jax.mapping.camera import intrinsics
 from dc2g_jax.objectnav import searches
 from dc2g_jax.objectnav.agent import LIMITS, MPC, Agent, site_of
@@ -13,8 +12,9 @@ from dc2g_jax.objectnav.classes import CLASS_NAMES, GOALS
 from dc2g_jax.objectnav.guides import Frontier, GoalReacher
 from dc2g_jax.objectnav.mapping import MapSettings
 from dc2g_jax.objectnav.searches import sample_episodes, search_all
-from tests.objectnav.two_rooms import two_rooms
-from tests.refusals import refusal
+from dc2g_jax.vehicles.mppi import MPPISettings
+from tests.support.refusals import refusal
+from tests.support.two_rooms import two_rooms
 
 AGENT = Agent(
     guide=GoalReacher(Frontier()),
@@ -51,7 +51,7 @@ def test_robots_in_a_batch_do_what_they_do_one_by_one(found):
     starts = jnp.array([(one.x, one.y, one.yaw) for one in episodes], jnp.float32)
     targets = jnp.array([GOALS.index(CLASS_NAMES.index(one.target)) for one in episodes])
     keys = jax.random.split(jax.random.key(0), len(episodes))
-    robots = searches._set_out(keys, starts, targets, AGENT, limit=12)
+    robots = searches._reset(keys, starts, targets, AGENT, limit=12)
     where = jnp.zeros(len(episodes), jnp.int32)
     robots = searches._go_on(where, sites, AGENT, robots, legs=jnp.int32(3), one_by_one=False)
     np.testing.assert_allclose(robots.track, made.track, atol=1e-3)

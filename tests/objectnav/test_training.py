@@ -20,7 +20,7 @@ from dc2g_jax.objectnav.training import (
     train_step,
     validation_samples,
 )
-from tests.states import assert_same_bits, infinite
+from tests.support.states import assert_same_bits, infinite
 
 CONFIG = CostMapConfig(
     architecture=CostMapArchitecture(patch=20, widths=(8, 8), embedding=4, features=2, feature_width=4),

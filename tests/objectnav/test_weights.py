@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax.objectnav.weights import flattened, read_safetensors, write_safetensors
-from tests.refusals import refusal
+from tests.support.refusals import refusal
 
 
 def test_a_file_made_by_hand_is_read(tmp_path):

@@ -9,29 +9,11 @@ import pytest
 from hypothesis import given, settings
 
 from dc2g_jax.grid import bitboard, poses
-from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.sensing import expanding_kernel, field_of_view
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.gridworld import Belief
 from dc2g_jax.planning import frontiers
-from tests import maps
 from tests.oracles import gridworld_oracle as oracle
-
-SENSING, EXPANDING = 4, 3
-
-
-def belief_of(terrain, seen, pose) -> Belief:
-    """The belief of a robot that has seen these cells, by whatever way."""
-    world, board = world_from_terrain(terrain), bitboard.pack(jnp.asarray(seen))
-    return Belief(
-        pose=make_pose(*pose),
-        steps=jnp.int32(0),
-        classes=world.classes & board,
-        seen=board,
-        traversable=world.traversable & board,
-        goals=world.goals & board,
-        width=world.width,
-    )
+from tests.support import maps
+from tests.support.exploration import EXPANDING, SENSING, belief_of, random_moment
 
 
 @functools.cache
@@ -49,22 +31,6 @@ def frontier_sets(width: int):
         return unpacked, (*boards, *pose_sets)
 
     return jax.jit(run)
-
-
-def random_moment(seed: int, shape: tuple[int, int], density: float):
-    """A random map of which a random part has been seen: a few looks around, or cells at random."""
-    rng = np.random.default_rng([seed, 2])
-    terrain = maps.random_terrain(seed, shape, density)
-    terrain.flat[seed % terrain.size] = 3
-    pose = maps.random_pose(seed, np.isin(terrain, oracle.TRAVERSABLE_CLASSES))
-    seen = oracle.visible(pose, SENSING, shape)
-    if seed % 3:
-        for _ in range(rng.integers(8)):
-            look = (int(rng.integers(shape[1])), int(rng.integers(shape[0])), int(rng.integers(4)))
-            seen |= oracle.visible(look, SENSING, shape)
-    else:
-        seen |= rng.random(shape) < rng.choice([0.2, 0.6, 0.9, 1.0])
-    return terrain, seen, pose
 
 
 @pytest.mark.parametrize("shape", maps.SHAPES[::2], ids="{0[0]}x{0[1]}".format)

@@ -4,8 +4,8 @@ import pytest
 
 from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.extents import CroppedEstimator, WindowedEstimator
-from dc2g_jax.estimation.networks import Architecture
-from dc2g_jax.estimation.translator import TranslatorArchitecture
+from dc2g_jax.estimation.networks.compact_unet import Architecture
+from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
 from dc2g_jax.planning.named import NETWORK_PLANNERS, make_planner
 from dc2g_jax.planning.planners import DC2G, Frontier, Oracle
 from dc2g_jax.planning.rules import SETTINGS, complete_rules

@@ -1,7 +1,6 @@
 """Whole episodes on random maps against the plain implementation, action for action."""
 
 import functools
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,43 +8,36 @@ import numpy as np
 import pytest
 from flax import struct
 
-from dc2g_jax import gridworld
 from dc2g_jax.estimation.estimators import ExactCostToGo, world_cost_to_go
-from dc2g_jax.evaluation import action_letters
-from dc2g_jax.grid import poses
+from dc2g_jax.grid import gridworld, poses
+from dc2g_jax.grid.gridworld import belief_from_map
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.search import EIGHT_CONNECTED, FOUR_CONNECTED
 from dc2g_jax.grid.sensing import field_of_view, line_of_sight
 from dc2g_jax.grid.terrain import OPAQUE
 from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.gridworld import belief_from_map
 from dc2g_jax.planning.planners import DC2G, EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL, Frontier, Oracle
 from dc2g_jax.planning.rules import SETTINGS, complete_rules, reference_rules
 from dc2g_jax.planning.selection import ExpectedCost, Patience
-from dc2g_jax.rollout import Episodes, rollout
-from tests import maps
+from dc2g_jax.rollouts.evaluation import action_letters
+from dc2g_jax.rollouts.rollout import Episodes, rollout
 from tests.oracles import gridworld_oracle as oracle
-from tests.planning.test_frontiers import belief_of, random_moment
-from tests.refusals import refusal
+from tests.support import maps
+from tests.support.exploration import (
+    EPISODES,
+    EXPANDING,
+    SENSING,
+    STEP_LIMIT,
+    Scattered,
+    belief_of,
+    random_moment,
+    random_worlds,
+)
+from tests.support.refusals import refusal
 
-SENSING, EXPANDING = 4, 3
 RULES = {"reference": reference_rules(SENSING, EXPANDING), "complete": complete_rules(SENSING)}
-STEP_LIMIT = 120
-EPISODES = 10
 
 both_rules = pytest.mark.parametrize("rules", RULES)
-
-
-def random_worlds(shape, first_seed: int, doors: int = 1, episodes: int = EPISODES):
-    """Random maps, and a start on traversable ground that is no door in each."""
-    terrains, starts = [], []
-    for seed in range(first_seed, first_seed + episodes):
-        terrain = maps.random_terrain(seed, shape, (0.65, 0.75, 0.85)[seed % 3], doors=doors if seed % 4 else 2 * doors)
-        terrain.flat[0 if terrain.flat[0] != oracle.FRONT_DOOR else -1] = 3
-        ground = np.isin(terrain, oracle.TRAVERSABLE_CLASSES) & (terrain != oracle.FRONT_DOOR)
-        terrains.append(terrain)
-        starts.append(maps.random_pose(seed, ground))
-    return np.stack(terrains), starts
 
 
 def run(planner, terrains, starts, sensing=None, step_limit=STEP_LIMIT):
@@ -93,23 +85,6 @@ def test_dc2g_episodes_with_exact_cost_to_go(rules, moves):
     check_against_oracle(
         run(planner, terrains, starts), terrains, starts, "dc2g", rules, cost_to_go=lambda index: costs[..., index]
     )
-
-
-@struct.dataclass
-class Scattered:
-    """An estimator that depends on where and what has been observed, in whole numbers, with many ties."""
-
-    def init(self, world) -> tuple[()]:
-        del world
-        return ()
-
-    def estimate(self, terrain, state: Any):
-        del state
-        y, x = (
-            index.reshape(*index.shape, *(1 for _ in terrain.shape[2:])) for index in jnp.indices(terrain.shape[:2])
-        )
-        unknown = jnp.sum(terrain == 0, axis=(0, 1))
-        return ((7 * x + 5 * y + unknown + terrain) % 11).astype(jnp.float32)[None]
 
 
 def scattered(seen, terrain):

@@ -1,1 +1,0 @@
-"""From camera to door: a vehicle that maps, plans and drives at once (paper, section IV-D)."""

@@ -1,0 +1,15 @@
+"""Small files that the package ships: manifests, tables, weights."""
+
+from pathlib import Path
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def resource(name: str) -> Path:
+    """Return the path of a shipped file or folder, e.g. `resource("driveways_bing_iros19.sha256")`.
+
+    A wheel carries the data inside the package (`dc2g_jax/data`); in an editable install they lie in
+    `data` at the root of the repository. The path is not checked for existence.
+    """
+    inside = _PACKAGE / "data"
+    return (inside if inside.is_dir() else _PACKAGE.parent / "data") / name

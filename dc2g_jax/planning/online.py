@@ -1,0 +1,283 @@
+"""The planner on a robot: the map so far and the pose go in, one call at a time, and a decision comes out.
+
+No simulator, no batch. The robot's own software brings the map; cells may change and the map may grow between any two
+calls.
+"""
+
+import dataclasses
+import itertools
+import operator
+import textwrap
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpy.typing as npt
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, UInt8
+
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.estimators import Estimator, NetworkCostToGo, extent_of
+from dc2g_jax.estimation.padding import OUTSIDE, PaddedNetwork
+from dc2g_jax.grid import bitboard, poses, search
+from dc2g_jax.grid.gridworld import belief_from_map
+from dc2g_jax.grid.poses import HEADINGS, Pose
+from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
+from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE, UNKNOWN
+from dc2g_jax.grid.world import World, world_from_terrain
+from dc2g_jax.planning.decisions import FAR, Decision, RobotPose, View, decide
+from dc2g_jax.planning.named import NETWORK_PLANNERS, make_planner
+from dc2g_jax.planning.planners import DC2G
+from dc2g_jax.planning.rules import Rules, complete_rules
+from dc2g_jax.planning.selection import ExpectedCost
+from dc2g_jax.programs import jit
+
+#: Planners that need no map but the robot's own.
+PLANNERS = ("frontier", *NETWORK_PLANNERS)
+
+#: Side of the smallest grid that a program is compiled for, in cells; each further one is twice as large.
+_SMALLEST_GRID = 32
+
+#: Unobserved cells thought around an open-ended map on each side, at least. The network learned on maps of 50 x 50
+#: cells: with so many around it, even the smallest map looks like one of them.
+_OPEN_MARGIN = 24
+
+
+@struct.dataclass
+class _NoEstimate:
+    """All cells cost the same. With the distance as the score, DC2G is frontier exploration."""
+
+    def init(self, world: World) -> tuple[()]:
+        """Nothing is kept between steps."""
+        del world
+        return ()
+
+    def estimate(self, terrain: UInt8[Array, "h w"], state: tuple[()]) -> Float[Array, "1 h w"]:
+        """Zero."""
+        del state
+        return jnp.zeros((1, *terrain.shape))
+
+
+def _mirrored(cells: Array, axes: tuple[int, ...], terrain: UInt8[Array, "h w"]) -> Array:
+    """Cells `[... h w]` of a grid, with the map's part of it mirrored along axes of the grid and left where it is."""
+    for axis in axes:
+        inside = jnp.sum(jnp.any(terrain != OUTSIDE, axis=1 - axis), dtype=jnp.int32)
+        in_cells = cells.ndim - 2 + axis
+        cells = jnp.roll(jnp.flip(cells, in_cells), inside - terrain.shape[axis], in_cells)
+    return cells
+
+
+@jit
+def _look(
+    planner: DC2G, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]
+) -> tuple[Int[Array, "heading h w"], Bool[Array, "heading h w"], Float[Array, "h w"], Float[Array, "h w"]]:
+    """Distances, candidates, costs-to-go and scores, as in a `View` (Algorithm 2, lines 4 to 10).
+
+    Args:
+      planner: whose candidates and scores.
+      terrain: observed class indices, `OUTSIDE` beyond the map.
+      pose: column, row and heading.
+    """
+    width = terrain.shape[1]
+    observed = jnp.where(terrain == OUTSIDE, jnp.uint8(UNKNOWN), terrain)
+    belief = dataclasses.replace(belief_from_map(observed, Pose(*pose)), outside=bitboard.pack(terrain == OUTSIDE))
+    distance = search.distances(belief.pose, belief.traversable, width)
+    reachable = bitboard.pack(distance[0] >= 0)
+    candidate_poses = planner.candidates(belief, reachable)
+    candidates = poses.unpack(candidate_poses, width)
+    to_nearest = jnp.min(distance, axis=0, where=candidates, initial=FAR)
+    nearest = planner.preferred(belief, poses.pack(candidates & (distance == to_nearest)))
+
+    def summary_in_view(part: UInt8[Array, "h2 w2"], axes: tuple[int, ...]) -> Float[Array, "kept h2 w2"]:
+        state = planner.estimator.init(world_from_terrain(observed))
+        outcomes = planner.estimator.estimate(_mirrored(part, axes, part), state)
+        return _mirrored(planner.selection.summary(outcomes).astype(jnp.float32), axes, part)
+
+    def summary_of(part: UInt8[Array, "h2 w2"]) -> Float[Array, "kept h2 w2"]:
+        return jnp.mean(jnp.stack([summary_in_view(part, axes) for axes in planner.views]), axis=0)
+
+    def estimate() -> tuple[Array, Array]:
+        extent = extent_of(planner.estimator)
+        never_asked = jnp.full(jax.eval_shape(summary_of, terrain).shape, extent.prior, jnp.float32)
+        summary = extent.update(summary_of, terrain, Pose(*pose), never_asked)
+        surcharge = planner.surcharge(belief, candidate_poses, jnp.zeros(terrain.shape, jnp.int32))
+        return jnp.mean(summary, axis=0), planner.selection(summary, to_nearest) + surcharge
+
+    undecided = ~poses.is_empty(candidate_poses) & ~bitboard.intersects(reachable, belief.goals)
+    nothing = jnp.zeros(terrain.shape, jnp.float32)
+    cost_to_go, score = jax.lax.cond(undecided, estimate, lambda: (nothing, nothing))
+    return distance, poses.unpack(nearest, width), cost_to_go, score
+
+
+class OnlinePlanner:
+    """Decides for one robot from its own partial map, one call at a time.
+
+    ```
+    planner = OnlinePlanner(load_network(resource("weights/compact_unet")))
+    decision = planner.plan(grid, (x, y, heading))
+    ```
+
+    It plans anew at every call and remembers nothing, so cells of the map may change in any way. (So the network is
+    asked about the map and its mirror image at every call, not in turn, and patience has no end.) Exploration ends if
+    the robot, wherever it gets to, observes what its field of view covers there; cells that its sensor cannot make out
+    are to be marked `nothing`.
+
+    A program is compiled for each of a few sizes of grid when the planner is made, which takes some seconds each, and
+    longer the farther the robot sees. No call compiles anything after that, and the decision does not depend on the
+    grid that the map is laid into. An estimator other than a `NetworkCostToGo` is asked about grids of exactly the
+    map's size: each new size compiles.
+
+    Args:
+      estimator: the trained network, or any other estimator; `None` for frontier exploration.
+      planner: one of `PLANNERS`; where `None`, `dc2g`, or `frontier` without an estimator.
+      sensing_range: reach of the robot's 90-degree field of view, in cells, 1 to 64.
+      largest: rows and columns of the largest map to come.
+      open_ended: does the world go on beyond the map's edges? Then the robot explores across them too. Otherwise the
+        map's size is the world's, and beyond it there is nothing to observe.
+
+    Raises:
+      InputError: for a planner that is unknown or lacks its estimator, or sizes that are none.
+    """
+
+    def __init__(
+        self,
+        estimator: Estimator | None = None,
+        *,
+        planner: str | None = None,
+        sensing_range: int = 8,
+        largest: tuple[int, int] = (100, 100),
+        open_ended: bool = False,
+    ):
+        rows, columns = _whole_numbers("largest", largest, 2)
+        (reach,) = _whole_numbers("sensing_range", [sensing_range], 1)
+        if min(rows, columns, reach) < 1:
+            raise InputError(f"largest {rows} x {columns}, sensing_range {reach}: give whole numbers of at least 1")
+        if reach > MAX_SENSING_RANGE:
+            raise InputError(f"sensing_range {reach}: give one of at most {MAX_SENSING_RANGE}")
+        self._planner = _make_planner(planner, complete_rules(reach), estimator)
+        self._largest = rows, columns
+        self._margin = max(_OPEN_MARGIN, reach) if open_ended else 0
+        self._laid_into_larger = isinstance(self._planner.estimator, PaddedNetwork | _NoEstimate)
+        frame = 2 * self._margin
+        shapes = _shapes_up_to(rows + frame, columns + frame, larger_than=frame)
+        self._shapes = shapes if self._laid_into_larger else shapes[-1:]
+        for shape in self._shapes:
+            terrain = np.full(shape, UNKNOWN, np.uint8)
+            terrain[0, 0] = CLASS_NAMES.index("traversable")
+            self._view(terrain, RobotPose(0, 0, 0))
+
+    def plan(self, grid: npt.ArrayLike, pose: npt.ArrayLike, *, origin: npt.ArrayLike = (0, 0)) -> Decision:
+        """Decide the next action (Algorithm 2).
+
+        All poses, those given and those returned, are in the coordinates that the origin is given in. So a map that
+        has grown to the left or to the top comes with a smaller origin, and everything in it stays where it was. Where
+        y grows upward instead of downward, "L" and "R" change places, and so do north and south.
+
+        Args:
+          grid: observed class indices, uint8 `[h w]`, 0 where nothing has been observed; see `dc2g_jax.grid.terrain`.
+          pose: column x, row y and heading of the robot, on an observed cell that can be driven on.
+          origin: column x and row y of the grid's first cell.
+
+        Raises:
+          InputError: for a grid or a pose that makes no sense.
+        """
+        left, top = _whole_numbers("origin", origin, 2)
+        checked = _checked_grid(grid, self._largest)
+        robot = _checked_pose(pose, checked, left, top)
+        left, top = left - self._margin, top - self._margin
+        in_view = RobotPose(robot.x - left, robot.y - top, robot.heading)
+        return decide(self._view(self._laid_out(checked), in_view), left, top)
+
+    def _laid_out(self, grid: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h2 w2"]:
+        """The map, with its margin, in the upper left corner of the smallest grid that there is a program for."""
+        height, width = grid.shape
+        rows, columns = height + 2 * self._margin, width + 2 * self._margin
+        fitting = (shape for shape in self._shapes if rows <= shape[0] and columns <= shape[1])
+        terrain = np.full(next(fitting) if self._laid_into_larger else (rows, columns), OUTSIDE, np.uint8)
+        terrain[:rows, :columns] = UNKNOWN
+        terrain[self._margin : rows - self._margin, self._margin : columns - self._margin] = grid
+        return terrain
+
+    def _view(self, terrain: UInt8[np.ndarray, "h w"], robot: RobotPose) -> View:
+        """What to decide from, in one call of the device."""
+        looked = _look(self._planner, terrain, np.array(robot, np.int32))
+        distance, candidates, cost_to_go, score = jax.device_get(looked)
+        predicts = not isinstance(self._planner.estimator, _NoEstimate)
+        return View(distance, terrain == FRONT_DOOR, candidates, cost_to_go if predicts else None, score)
+
+
+def _make_planner(name: str | None, rules: Rules, estimator: Estimator | None) -> DC2G:
+    """The planner as one of DC2G's kind, with an estimator that is ready for maps of many sizes, if there is one."""
+    if name == "frontier" or (name is None and estimator is None):
+        return DC2G(_NoEstimate(), rules, ExpectedCost(distance_weight=1.0))
+    if estimator is None or name not in (None, *PLANNERS):
+        kind = "none" if estimator is None else type(estimator).__name__
+        known = ", ".join(PLANNERS)
+        raise InputError(f"planner {name!r}, estimator {kind}: use one of {known}; all but frontier need an estimator")
+    planner = make_planner(name or "dc2g", rules, estimator)
+    assert isinstance(planner, DC2G)
+    if isinstance(estimator, NetworkCostToGo):
+        return dataclasses.replace(planner, estimator=PaddedNetwork(estimator))
+    return planner
+
+
+def _shapes_up_to(rows: int, columns: int, *, larger_than: int) -> list[tuple[int, int]]:
+    """Shapes of the grids that a program is compiled for, ascending: squares, cut to the largest shape."""
+    doubled = (_SMALLEST_GRID << doublings for doublings in itertools.count())
+    sides = itertools.takewhile(lambda side: side < max(rows, columns), doubled)
+    return [*((min(side, rows), min(side, columns)) for side in sides if side > larger_than), (rows, columns)]
+
+
+def _whole_numbers(name: str, values: Any, count: int) -> list[int]:
+    """So many whole numbers, of whatever type they come in."""
+    try:
+        numbers = [operator.index(value) for value in values]
+    except TypeError:
+        numbers = []
+    if len(numbers) != count:
+        found = textwrap.shorten(repr(values), 60, placeholder=" ...")
+        raise InputError(f"{name} is {found}; give whole numbers, {count} of them")
+    return numbers
+
+
+def _checked_grid(grid: npt.ArrayLike, largest: tuple[int, int]) -> UInt8[np.ndarray, "h w"]:
+    """The grid, if it is one."""
+    grid = np.asarray(grid)
+    if grid.dtype != np.uint8 or grid.ndim != 2:
+        raise InputError(
+            f"grid has dtype {grid.dtype} and shape {grid.shape}; give class indices, uint8 [rows columns]"
+        )
+    if grid.size == 0 or grid.shape[0] > largest[0] or grid.shape[1] > largest[1]:
+        raise InputError(
+            f"grid has shape {grid.shape}; give 1 to {largest[0]} rows and 1 to {largest[1]} columns, or make the "
+            "planner with a larger `largest`"
+        )
+    if grid.max() >= len(CLASS_NAMES):
+        y, x = np.argwhere(grid >= len(CLASS_NAMES))[0]
+        raise InputError(
+            f"grid[{y}, {x}] is {grid[y, x]}; give class indices from 0 (not observed) to {len(CLASS_NAMES) - 1}, "
+            "see dc2g_jax.grid.terrain.CLASS_NAMES"
+        )
+    return grid
+
+
+def _checked_pose(pose: npt.ArrayLike, grid: UInt8[np.ndarray, "h w"], left: int, top: int) -> RobotPose:
+    """The pose, if a robot can be there."""
+    x, y, heading = _whole_numbers("pose", pose, 3)
+    height, width = grid.shape
+    if not 0 <= heading < HEADINGS:
+        raise InputError(f"the robot's heading is {heading}; give 0 (+x), 1 (+y), 2 (-x) or 3 (-y)")
+    if not (left <= x < left + width and top <= y < top + height):
+        raise InputError(
+            f"the robot is at ({x}, {y}), off the map of columns {left} to {left + width - 1} and rows {top} to "
+            f"{top + height - 1}; give both pose and origin in cells of one frame"
+        )
+    terrain = grid[y - top, x - left]
+    if not TRAVERSABLE[terrain]:
+        found = "has not been observed" if terrain == UNKNOWN else f"is {CLASS_NAMES[terrain]!r}, not traversable"
+        raise InputError(
+            f"the robot's cell ({x}, {y}) {found}; mark the ground under the robot as what it is, or as "
+            f"{CLASS_NAMES.index('traversable')} ('traversable')"
+        )
+    return RobotPose(x, y, heading)

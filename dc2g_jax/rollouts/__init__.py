@@ -1,0 +1,1 @@
+"""Many episodes at once, and what their results mean."""

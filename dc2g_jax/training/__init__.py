@@ -1,0 +1,1 @@
+"""Training of cost-to-go networks: data, losses, steps, sweeps."""

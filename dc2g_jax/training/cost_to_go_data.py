@@ -1,0 +1,366 @@
+"""From houses to training pairs, and the episodes that a network is validated on (Algorithm 1 and section IV-B)."""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, UInt8
+
+from dc2g_jax.datasets.houses import SPLIT_FILES, House, HouseDataset, stack_worlds
+from dc2g_jax.datasets.pairs import Pair, TrainingSet, draw_pairs
+from dc2g_jax.datasets.procedural import extra_training_houses
+from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.estimators import Estimator, world_cost_to_go
+from dc2g_jax.grid import bitboard
+from dc2g_jax.grid.sampling import sample_grid
+from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
+from dc2g_jax.mapping.noise import IN_MAPS, noisy_map, scaled
+from dc2g_jax.planning.named import make_planner
+from dc2g_jax.planning.planners import Planner
+from dc2g_jax.planning.rules import SETTINGS, Rules, complete_rules
+from dc2g_jax.programs import jit
+from dc2g_jax.rollouts.evaluation import Runner, episodes_from
+from dc2g_jax.training.cost_to_go import DrawBatch
+from dc2g_jax.training.mask_collection import LEADERS, Masks, collect_masks, concatenate_masks, leading_planners
+
+#: Seed of the procedural validation houses; those of training have the run's own, so it must be below this.
+_VALIDATION_SEED = 10_000
+
+#: Worlds whose labels are computed at a time.
+_LABELS_AT_A_TIME = 128
+
+
+def _with_noise(key: Array, terrain: UInt8[Array, "h w"], highest: float) -> UInt8[Array, "h w"]:
+    """A map as a camera's noise may leave it, at a random level."""
+    level_key, noise_key = jax.random.split(key)
+    return noisy_map(noise_key, terrain, scaled(IN_MAPS, jax.random.uniform(level_key, maxval=highest)))
+
+
+@dataclasses.dataclass(frozen=True)
+class DataConfig:
+    """What a network is trained on.
+
+    Attributes:
+      extra_houses: procedural houses beside the dataset's training houses.
+      starts_per_house: episodes in each of the dataset's training houses, for every sensing range and leading planner.
+      starts_per_extra_house: the same for the procedural houses.
+      masks_per_episode: moments of each episode that become observation masks.
+      ranges: sensing ranges, in cells, of the robots whose masks are learned from.
+      own_share: share of a batch drawn from the dataset's own houses rather than procedural ones, 0 to 1.
+      edge_weight: weight in the loss of cells within 2 cells of unobserved ground; others have weight 1.
+      half_weight_cost: cost-to-go, in cells, at which a cell weighs half as much as at a goal; `inf` for all alike.
+      jitter: logarithm of the largest factor by which half of the maps are stretched, and moved by 40 cells times it.
+      whole_share: share of pairs in which all of the map is observed, 0 to 1.
+      map_noise: highest level of noise in the maps, as a camera's leaves it; 0 for none.
+      data_seed: of houses and masks, 0 to 9999.
+    """
+
+    extra_houses: int = 2000
+    starts_per_house: int = 12
+    starts_per_extra_house: int = 1
+    masks_per_episode: int = 4
+    ranges: tuple[int, ...] = (4, 5, 6, 8, 10, 12)
+    own_share: float = 0.4
+    edge_weight: float = 4.0
+    half_weight_cost: float = 16.0
+    jitter: float = 0.15
+    whole_share: float = 0.2
+    map_noise: float = 0.0
+    data_seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.data_seed < _VALIDATION_SEED:
+            raise InputError(f"data seed {self.data_seed}: give one from 0 to {_VALIDATION_SEED - 1}")
+        if not self.ranges or not 1 <= min(self.ranges) <= max(self.ranges) <= MAX_SENSING_RANGE:
+            raise InputError(f"sensing ranges {self.ranges}: give one at least, each of 1 to {MAX_SENSING_RANGE} cells")
+        for name in ("starts_per_house", "starts_per_extra_house", "masks_per_episode"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} {getattr(self, name)}: give at least 1")
+        if self.extra_houses < 0:
+            raise InputError(f"extra houses {self.extra_houses}: give 0 or more")
+        for name in ("own_share", "whole_share"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InputError(f"{name} {getattr(self, name)}: give a share from 0 to 1")
+        for name in ("edge_weight", "jitter", "map_noise"):
+            if not 0 <= getattr(self, name) < float("inf"):
+                raise InputError(f"{name} {getattr(self, name)}: give a number from 0 on")
+        if not self.half_weight_cost > 0:
+            raise InputError(f"half_weight_cost {self.half_weight_cost}: give a number above 0, or inf")
+
+    @property
+    def draw_batch(self) -> DrawBatch:
+        """How a training step draws its pairs; see `dc2g_jax.datasets.pairs.draw_pairs`."""
+        return functools.partial(
+            draw_pairs,
+            own_share=self.own_share,
+            edge_weight=self.edge_weight,
+            half_weight_cost=self.half_weight_cost,
+            jitter=self.jitter,
+            whole_share=self.whole_share,
+            degrade=functools.partial(_with_noise, highest=self.map_noise) if self.map_noise else None,
+        )
+
+
+def drawn_houses(prefix: str, split: str, count: int, seed: int, cells: int) -> list[House]:
+    """Procedural houses on a grid of `cells` x `cells`."""
+    images = extra_training_houses(count, seed)
+    return [House(f"{prefix}{index:05d}", split, sample_grid(image, cells)) for index, image in enumerate(images)]
+
+
+def usable(dataset: HouseDataset, split: str) -> list[House]:
+    """Houses of a split in which an episode can be run.
+
+    Raises:
+      InputError: if there is none.
+    """
+    given = dataset.split(split)
+    if not given:
+        raise InputError(
+            f"{dataset.name}: has no {split} houses, and training needs one at least; put maps into its folder "
+            f"{split}/, or in the published layout name houses in {SPLIT_FILES[split]}"
+        )
+    houses = [house for house in given if why_no_episode(house) is None]
+    if not houses:
+        raise InputError(f"{dataset.name}: no episode can be run in any {split} house; training needs one at least")
+    return houses
+
+
+def _require_squares(own: list[House], drawn: int) -> None:
+    """See that so many drawn houses can be run beside a dataset's."""
+    height, width = own[0].terrain.shape
+    if drawn and height != width:
+        raise InputError(
+            f"{own[0].name}: has {width} x {height} cells, and drawn houses, which are square, are run beside it; "
+            "sample the maps to squares, or have none drawn: --extra-houses 0, and --validate-every 0 (training) or "
+            "--no-episodes (sweeps)"
+        )
+
+
+def check_houses(dataset: HouseDataset, *, extra: int, drawn: bool, validated: bool) -> None:
+    """See that a dataset can be trained on, in no time: for before anything is written.
+
+    Args:
+      dataset: the houses.
+      extra: drawn houses that are trained on beside them.
+      drawn: are episodes in drawn houses run for validation?
+      validated: is anything done in the dataset's validation houses?
+
+    Raises:
+      InputError: a split has no house that an episode can be run in, or drawn houses cannot be run beside them.
+    """
+    _require_squares(usable(dataset, "train"), extra)
+    if validated:
+        _require_squares(usable(dataset, "val"), int(drawn))
+
+
+def _with_drawn(own: list[House], prefix: str, count: int, seed: int) -> list[House]:
+    """Houses of a dataset, then procedural ones on a grid of the same size.
+
+    Raises:
+      InputError: drawn houses cannot be run beside one of the dataset's: it is not square, or called like one of them.
+    """
+    _require_squares(own, count)
+    height = own[0].terrain.shape[0]
+    drawn = drawn_houses(prefix, own[0].split, count, seed, height)
+    taken = {house.name for house in drawn}
+    for house in own:
+        if house.name in taken:
+            raise InputError(f"{house.name}: a drawn house that is run beside it has this name; rename the house")
+    return own + drawn
+
+
+def training_houses(dataset: HouseDataset, config: DataConfig) -> tuple[list[House], int]:
+    """The dataset's own training houses, then procedural ones on a grid of the same size; and how many are its own."""
+    own = usable(dataset, "train")
+    return _with_drawn(own, "e", config.extra_houses, config.data_seed), len(own)
+
+
+def _led_masks(
+    config: DataConfig,
+    houses: Sequence[House],
+    n_own: int,
+    leaders: Callable[[Rules], Sequence[Planner]],
+    on_progress: Callable[[int], None],
+) -> Masks:
+    """Masks of robots of all sensing ranges under way in all houses, ordered by house."""
+    index = {house.name: number for number, house in enumerate(houses)}
+    worlds = stack_worlds(houses)
+    collected: list[Masks] = []
+    for place, sensing_range in enumerate(config.ranges):
+        rules = complete_rules(sensing_range)
+        for turn, planner in enumerate(leaders(rules)):
+            seed = (config.data_seed * len(config.ranges) + place) * LEADERS + turn
+            starts = sample_starts(houses[:n_own], config.starts_per_house, seed=seed)
+            starts += sample_starts(houses[n_own:], config.starts_per_extra_house, seed=seed)
+            collected.append(
+                collect_masks(
+                    planner,
+                    worlds,
+                    episodes_from(starts, index),
+                    sensing=rules.sensing,
+                    per_episode=config.masks_per_episode,
+                    seed=seed,
+                )
+            )
+            on_progress(len(collected))
+    return by_house(collected)
+
+
+def by_house(parts: Sequence[Masks]) -> Masks:
+    """One collection out of several, ordered by house."""
+    masks = concatenate_masks(parts)
+    order = np.argsort(masks.world, kind="stable")
+    return Masks(boards=masks.boards[order], world=masks.world[order])
+
+
+def observation_masks(
+    config: DataConfig, houses: Sequence[House], n_own: int, on_progress: Callable[[int, int], None]
+) -> Masks:
+    """Masks of robots that explore blindly or are led by the exact cost-to-go with errors.
+
+    Args:
+      config: how many, of which robots.
+      houses: the houses; those of the dataset first.
+      n_own: how many are the dataset's.
+      on_progress: called as `on_progress(rollouts done, rollouts in all)`.
+    """
+    height, width = houses[0].terrain.shape
+    leaders = functools.partial(leading_planners, height=height, width=width, seed=config.data_seed)
+    return _led_masks(config, houses, n_own, leaders, lambda done: on_progress(done, len(config.ranges) * LEADERS))
+
+
+def masks_of_network(
+    config: DataConfig,
+    houses: Sequence[House],
+    n_own: int,
+    network: Estimator,
+    on_progress: Callable[[int, int], None],
+) -> Masks:
+    """Masks of robots that a trained network leads, where it leads well and where it does not (DAgger).
+
+    Robots of every other sensing range of the configuration, at four times as many moments of each episode.
+
+    Args:
+      config: how many, of which robots.
+      houses: the houses; those of the dataset first.
+      n_own: how many are the dataset's.
+      network: the network, as the `dc2g` planner uses it.
+      on_progress: called as `on_progress(rollouts done, rollouts in all)`.
+    """
+    some = dataclasses.replace(config, ranges=config.ranges[::2], masks_per_episode=4 * config.masks_per_episode)
+    return _led_masks(
+        some,
+        houses,
+        n_own,
+        lambda rules: [make_planner("dc2g", rules, network)],
+        lambda done: on_progress(done, len(some.ranges)),
+    )
+
+
+def check_masks(masks: Masks, houses: Sequence[House], where: str) -> None:
+    """See that masks belong to maps of this size.
+
+    Args:
+      masks: the masks.
+      houses: what they are of.
+      where: where the masks are from, for the message.
+
+    Raises:
+      InputError: if they do not, or name a house that is not there.
+    """
+    height, width = houses[0].terrain.shape
+    wanted = (bitboard.word_count(width), height)
+    if masks.boards.ndim != 3 or masks.boards.shape[1:] != wanted or masks.boards.dtype != np.uint32:
+        raise InputError(
+            f"{where}: masks of shape {masks.boards.dtype.name}{list(masks.boards.shape[1:])}, but maps of "
+            f"{height} x {width} cells need uint32{list(wanted)}; delete the file to collect masks anew"
+        )
+    if len(masks.world) != len(masks.boards) or np.any((masks.world < 0) | (masks.world >= len(houses))):
+        raise InputError(
+            f"{where}: masks of houses other than these {len(houses)}; delete the file to collect them anew"
+        )
+
+
+def training_set(houses: Sequence[House], n_own: int, masks: Masks) -> TrainingSet:
+    """Labels of all houses (Algorithm 1, line 5) beside their masks."""
+    solve = jit(world_cost_to_go)
+    labels = []
+    for first in range(0, len(houses), _LABELS_AT_A_TIME):
+        # The last call repeats the last house, so that all calls have one shape.
+        some = np.minimum(np.arange(first, first + _LABELS_AT_A_TIME), len(houses) - 1)
+        labels.append(np.moveaxis(np.asarray(solve(stack_worlds([houses[number] for number in some]))), -1, 0))
+    return TrainingSet(
+        terrain=jnp.asarray(np.stack([house.terrain for house in houses])),
+        cost_to_go=jnp.asarray(np.concatenate(labels)[: len(houses)]),
+        masks=jnp.asarray(masks.boards),
+        mask_world=jnp.asarray(masks.world, jnp.int32),
+        n_own=jnp.int32(np.sum(masks.world < n_own)),
+    )
+
+
+def validation_pairs(dataset: HouseDataset, *, count: int, edge_weight: float) -> Pair:
+    """The same pairs in every run, half of them of the dataset's validation houses, half of procedural ones.
+
+    Procedural houses are square: all pairs are of the dataset's where its maps are not.
+
+    Args:
+      dataset: whose validation houses to use.
+      count: number of pairs.
+      edge_weight: see `dc2g_jax.datasets.pairs.make_pair`.
+    """
+    own = usable(dataset, "val")
+    height, width = own[0].terrain.shape
+    houses = _with_drawn(own, "v", 32 if height == width else 0, _VALIDATION_SEED)
+    config = DataConfig(ranges=(5, 8), starts_per_house=8)
+    masks = observation_masks(config, houses, len(own), lambda done, total: None)
+    data = training_set(houses, len(own), masks)
+    return draw_pairs(
+        jax.random.key(0), data, batch_size=count, own_share=0.5, edge_weight=edge_weight, jitter=0.0, whole_share=0.0
+    )
+
+
+class Validation:
+    """Episodes in validation houses: the dataset's own, and procedural ones that no training has seen.
+
+    Args:
+      dataset: whose validation houses to use.
+      drawn: how many procedural houses.
+
+    Raises:
+      InputError: no episode can be run in any validation house, or even the oracle needs too many steps in one, or
+        drawn houses cannot be run beside them.
+    """
+
+    def __init__(self, dataset: HouseDataset, drawn: int = 64):
+        own = usable(dataset, "val")
+        houses = HouseDataset("validation", "folder", tuple(_with_drawn(own, "v", drawn, _VALIDATION_SEED)))
+        self._runners = {name: Runner(houses, SETTINGS[name]) for name in ("published", "paper")}
+        self._starts: Mapping[str, list[Start]] = {
+            "own": sample_starts(own, 20, seed=0),
+            "procedural": sample_starts(houses.houses[len(own) :], 3, seed=0),
+        }
+        for runner in self._runners.values():
+            for starts in self._starts.values():
+                runner.run(starts, ["oracle"])  # kept for later; what cannot be run is refused before any training
+
+    def figures(self, estimator: Estimator, planner: str = "dc2g") -> dict[str, float]:
+        """Mean and median extra steps of a planner in percent, 5-cell (`published`) and 8-cell sensing (`paper`).
+
+        `mean_extra` is the mean of the four means: the one figure to choose by.
+        """
+        figures: dict[str, Any] = {}
+        for settings, runner in self._runners.items():
+            for houses, starts in self._starts.items():
+                results = runner.run(starts, [planner], estimator)
+                extra = np.array([result.extra for result in results])
+                figures[f"{settings}_{houses}_mean_extra"] = float(extra.mean())
+                figures[f"{settings}_{houses}_median_extra"] = float(np.median(extra))
+        figures["mean_extra"] = float(
+            np.mean([value for name, value in figures.items() if name.endswith("mean_extra")])
+        )
+        return {name: round(value, 2) for name, value in figures.items()}

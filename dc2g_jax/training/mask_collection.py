@@ -1,0 +1,132 @@
+"""Observation masks taken along the paths of planners (the masks of Algorithm 1, from robots rather than by hand)."""
+
+import functools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Int8, UInt32
+
+from dc2g_jax.datasets.masks import Moments, moments_along
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.estimators import ExactCostToGo
+from dc2g_jax.grid.sensing import Kernel
+from dc2g_jax.grid.world import World
+from dc2g_jax.planning.planners import DC2G, Frontier, Planner
+from dc2g_jax.planning.rules import Rules
+from dc2g_jax.programs import jit
+from dc2g_jax.rollouts.rollout import Episodes, rollout
+
+_EPISODES_PER_CALL = 128
+
+#: Errors of the leading planners: standard deviation of the logarithm of the cost-to-go's error.
+_NOISE = (0.2, 0.5, 1.0)
+
+#: How many planners `leading_planners` gives.
+LEADERS = 1 + len(_NOISE)
+
+
+def _smooth_noise(rng: np.random.Generator, height: int, width: int) -> Float[np.ndarray, "h w"]:
+    """A smooth random field of zero mean and unit standard deviation, float32."""
+    coarse = rng.standard_normal((8, 8)).astype(np.float32)
+    field = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    return (field - field.mean()) / field.std()
+
+
+def leading_planners(rules: Rules, height: int, width: int, *, seed: int) -> list[Planner]:
+    """Planners whose robots get about as far as those that will use the network, and not in one way only.
+
+    Blind exploration, and DC2G with the exact cost-to-go times smooth log-normal errors of growing size.
+
+    Args:
+      rules: what the robots see.
+      height: rows of the maps.
+      width: columns of the maps.
+      seed: of the errors.
+    """
+    rng = np.random.default_rng([seed, rules.sensing.radius])
+    errors = [jnp.asarray(noise * _smooth_noise(rng, height, width)) for noise in _NOISE]
+    return [
+        Frontier(rules=rules),
+        *(DC2G(estimator=ExactCostToGo(log_error=error), rules=rules) for error in errors),
+    ]
+
+
+class Masks(NamedTuple):
+    """Observation masks and the worlds they belong to.
+
+    Attributes:
+      boards: observed cells.
+      world: index of each mask's world.
+    """
+
+    boards: UInt32[np.ndarray, "masks n_words h"]
+    world: Int[np.ndarray, "masks"]
+
+
+@functools.partial(jit, static_argnames=("sensing",))
+def _moments(
+    worlds: World,
+    episodes: Episodes,
+    actions: Int8[Array, "b t"],
+    times: Int[Array, "b k"],
+    *,
+    sensing: Kernel,
+) -> Moments:
+    own_worlds = jax.tree.map(lambda leaf: leaf[..., episodes.world], worlds)
+    along = jax.vmap(functools.partial(moments_along, sensing=sensing), in_axes=(-1, 0, 0, 0))
+    return along(own_worlds, episodes.start, actions, times)
+
+
+def collect_masks(
+    planner: Planner,
+    worlds: World,
+    episodes: Episodes,
+    *,
+    sensing: Kernel,
+    per_episode: int,
+    seed: int,
+    step_limit: int = 300,
+) -> Masks:
+    """Run a planner and keep what its robots had seen at random moments while no goal was in reach.
+
+    Args:
+      planner: leads the robots.
+      worlds: stack of worlds of one size.
+      episodes: world index and first pose of each episode; at least one.
+      sensing: the robots' field of view.
+      per_episode: moments drawn from each episode; those with a goal in reach are left out.
+      seed: of the moments.
+      step_limit: actions after which an episode ends.
+    """
+    done = rollout(planner, worlds, episodes, sensing=sensing, step_limit=step_limit)
+    rng = np.random.default_rng(seed)
+    times = (rng.random((len(episodes), per_episode)) * done.steps[:, None]).astype(np.int32)
+    boards, owners = [], []
+    for first in range(0, len(episodes), _EPISODES_PER_CALL):
+        # The last call repeats the last episode, so that all calls have one shape.
+        part = np.minimum(np.arange(first, first + _EPISODES_PER_CALL), len(episodes) - 1)
+        some = jax.tree.map(lambda leaf, part=part: leaf[part], episodes)
+        moments = _moments(worlds, some, done.actions[part], times[part], sensing=sensing)
+        keep = np.array(moments.exploring)
+        keep[len(episodes) - first :] = False
+        boards.append(np.asarray(moments.seen)[keep])
+        owners.append(np.broadcast_to(np.asarray(some.world)[:, None], keep.shape)[keep])
+    return Masks(boards=np.concatenate(boards), world=np.concatenate(owners))
+
+
+def concatenate_masks(parts: Sequence[Masks]) -> Masks:
+    """One collection out of several.
+
+    Raises:
+      InputError: if there is no mask in any of them.
+    """
+    if not any(len(part.world) for part in parts):
+        raise InputError(
+            "no mask: wherever a robot starts in these houses, it sees a front door at once, so there is nothing to "
+            "learn; give larger houses, or robots that see less far"
+        )
+    return Masks(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))

@@ -1,0 +1,177 @@
+"""Training runs that differ in numbers only, trained together."""
+
+import dataclasses
+import functools
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float, Int
+
+from dc2g_jax.errors import InputError
+from dc2g_jax.programs import jit
+from dc2g_jax.rollouts.devices import on_cores
+from dc2g_jax.training.cost_to_go import (
+    DrawBatch,
+    Hyperparameters,
+    TrainingConfig,
+    TrainingState,
+    init_state,
+    train_step,
+    train_step_at_once,
+)
+from dc2g_jax.training.losses import parse_losses
+
+
+def runs_of_grid(
+    base: TrainingConfig,
+    *,
+    losses: Sequence[str],
+    learning_rates: Sequence[float],
+    widths: Sequence[Sequence[int]],
+    seeds: Sequence[int],
+) -> dict[str, TrainingConfig]:
+    """Every combination, by a name that says what it is.
+
+    Args:
+      base: everything else.
+      losses: see `dc2g_jax.training.losses.parse_losses`.
+      learning_rates: peak learning rates.
+      widths: channels of the network at its scales.
+      seeds: of weights and batches.
+
+    Raises:
+      InputError: where an axis of the grid is empty or a value is not good.
+    """
+    for name, values in (("loss", losses), ("learning rate", learning_rates), ("widths", widths), ("seed", seeds)):
+        if not values:
+            raise InputError(f"{name}: no value to try; give one at least")
+        if len({str(value) for value in values}) < len(values):
+            raise InputError(f"{name}: {', '.join(map(str, values))} has a value twice; give each once")
+    runs: dict[str, TrainingConfig] = {}
+    for width, loss, rate, seed in itertools.product(widths, losses, learning_rates, seeds):
+        name = f"{loss}_rate{float(rate)!r}_width{'-'.join(map(str, width))}_seed{seed}".replace(",", "+")
+        run = dataclasses.replace(
+            base,
+            architecture=dataclasses.replace(base.architecture, widths=tuple(width)),
+            losses=parse_losses(loss),
+            learning_rate=float(rate),
+            seed=seed,
+        )
+        if run in runs.values():
+            raise InputError(f"loss: {', '.join(losses)} names the same loss twice; give each once")
+        runs[name] = run
+    return runs
+
+
+def group_by_shape(runs: Mapping[str, TrainingConfig]) -> list[dict[str, TrainingConfig]]:
+    """Runs whose networks have one shape, which can be trained together, in the order of their first ones.
+
+    All runs of a group are given the same losses, those that a run does not ask for with weight 0.
+    """
+    names = list(dict.fromkeys(name for config in runs.values() for name, _ in config.losses))
+    groups: dict[TrainingConfig, dict[str, TrainingConfig]] = {}
+    for run, config in runs.items():
+        weights = dict(config.losses)
+        whole = dataclasses.replace(config, losses=tuple((name, weights.get(name, 0.0)) for name in names))
+        groups.setdefault(whole.recipe, {})[run] = whole
+    return list(groups.values())
+
+
+def stacked_hyperparameters(configs: Sequence[TrainingConfig]) -> Hyperparameters:
+    """The numbers of all runs of a group, stacked."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *(config.hyperparameters for config in configs))
+
+
+def init_states(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> TrainingState:
+    """The states of several runs before the first step, stacked; each as `init_state` gives it."""
+    return jax.vmap(functools.partial(init_state, recipe))(hyperparameters)
+
+
+def steps_left_out(states: TrainingState) -> Int[Array, "runs"]:
+    """Steps of each run that changed nothing, because the loss or the weights would not have been finite."""
+    (_, taken), *_ = optax.tree_utils.tree_get_all_with_path(states.optimizer, "count")
+    return states.step - taken
+
+
+def _unless_diverged(new: TrainingState, before: TrainingState, loss: Float[Array, ""]) -> TrainingState:
+    """Where the loss is NaN, everything but the number of the step as it was before; see `steps_left_out`."""
+    kept = jax.tree.map(lambda now, then: jnp.where(jnp.isfinite(loss), now, then), new, before)
+    return kept.replace(step=new.step)
+
+
+@functools.partial(jit, static_argnames=("recipe", "draw_batch"), donate_argnames=("states",))
+def train_steps_together(
+    states: TrainingState,
+    hyperparameters: Hyperparameters,
+    data: Any,
+    *,
+    recipe: TrainingConfig,
+    draw_batch: DrawBatch,
+) -> tuple[TrainingState, Float[Array, "runs"]]:
+    """`train_steps` with all runs in one program: what accelerators are for."""
+
+    def one_step(state: TrainingState, numbers: Hyperparameters) -> tuple[TrainingState, Float[Array, ""]]:
+        new, loss = train_step_at_once(state, numbers, data, recipe=recipe, draw_batch=draw_batch)
+        return _unless_diverged(new, state, loss), loss
+
+    return jax.vmap(one_step)(states, hyperparameters)
+
+
+@jit
+def _of_run(stack: Any, run: Int[Array, ""]) -> Any:
+    return jax.tree.map(lambda leaf: leaf[run], stack)
+
+
+@functools.partial(jit, donate_argnames=("before",))
+def _stacked(before: TrainingState, new: Sequence[TrainingState], losses: Float[Array, "runs"]) -> TrainingState:
+    """The new states of all runs in one stack."""
+    return jax.vmap(_unless_diverged)(jax.tree.map(lambda *leaves: jnp.stack(leaves), *new), before, losses)
+
+
+def train_steps_side_by_side(
+    states: TrainingState,
+    hyperparameters: Hyperparameters,
+    data: Any,
+    *,
+    recipe: TrainingConfig,
+    draw_batch: DrawBatch,
+) -> tuple[TrainingState, Float[Array, "runs"]]:
+    """`train_steps` with a run at a time on each core of a CPU, all by the programs of a single run."""
+
+    def step(run: int) -> tuple[TrainingState, Float[Array, ""]]:
+        state, numbers = _of_run((states, hyperparameters), jnp.int32(run))
+        return train_step(state, numbers, data, recipe=recipe, draw_batch=draw_batch)
+
+    new, each = zip(*on_cores(step, len(hyperparameters.seed)), strict=True)
+    losses = jnp.stack(each)
+    return _stacked(states, new, losses), losses
+
+
+def train_steps(
+    states: TrainingState,
+    hyperparameters: Hyperparameters,
+    data: Any,
+    *,
+    recipe: TrainingConfig,
+    draw_batch: DrawBatch,
+) -> tuple[TrainingState, Float[Array, "runs"]]:
+    """Take one optimiser step of several runs, each on batches of its own, the way that is fast on the device.
+
+    A run whose loss or weights would not be finite keeps those that it had, and its loss is NaN; the others go on.
+
+    Args:
+      states: states of all runs, stacked; used up.
+      hyperparameters: of all runs, stacked.
+      data: what `draw_batch` draws from; shared.
+      recipe: what all runs have in common.
+      draw_batch: see `train_step`.
+
+    Returns:
+      The new states and the losses.
+    """
+    take = train_steps_side_by_side if jax.default_backend() == "cpu" else train_steps_together
+    return take(states, hyperparameters, data, recipe=recipe, draw_batch=draw_batch)

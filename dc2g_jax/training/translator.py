@@ -1,0 +1,199 @@
+"""Training the image-to-image translator: losses, state, one step (sections III-B and IV-A)."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+from jaxtyping import Array, Float, Int, UInt32
+
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.networks import pix2pix
+from dc2g_jax.estimation.networks.pix2pix import Discriminator, Generator, TranslatorArchitecture
+from dc2g_jax.programs import jit
+from dc2g_jax.training.cost_to_go import check_numbers, loss_or_nan
+
+
+class LossWeights(NamedTuple):
+    """What the generator minimises: a weighted sum.
+
+    Attributes:
+      l1: weight of the mean absolute difference from the true picture.
+      gan: weight of the discriminator's doubt.
+    """
+
+    l1: float
+    gan: float
+
+
+#: pix2pix takes the absolute difference of pictures from -1 to 1; here they are from 0 to 1.
+_L1_SCALE = 2.0
+
+#: The paper's three losses, by name; weights as in pix2pix.
+LOSSES = {"l1": LossWeights(100.0, 0.0), "gan": LossWeights(0.0, 1.0), "l1+gan": LossWeights(100.0, 1.0)}
+
+
+@dataclasses.dataclass(frozen=True)
+class TranslatorConfig:
+    """How to train a translator; defaults as in the paper.
+
+    Attributes:
+      architecture: the networks.
+      loss: one of `LOSSES`.
+      batch_size: pairs a step.
+      learning_rate: of Adam, for both networks.
+      beta1: of Adam.
+
+    Raises:
+      InputError: for an unknown loss, or numbers that no training can have.
+    """
+
+    architecture: TranslatorArchitecture = dataclasses.field(default_factory=TranslatorArchitecture)
+    loss: str = "l1+gan"
+    batch_size: int = 1
+    learning_rate: float = 2e-4
+    beta1: float = 0.5
+
+    def __post_init__(self) -> None:
+        if self.loss not in LOSSES:
+            raise InputError(f"loss: no loss is called {self.loss!r}; use one of: {', '.join(LOSSES)}")
+        check_numbers(self.learning_rate, batch_size=self.batch_size)
+
+
+@struct.dataclass
+class TranslatorState:
+    """Everything that training needs to go on; saved and restored as a whole.
+
+    Attributes:
+      step: optimiser steps taken.
+      key: of the run, as data: decides the order of the pairs and what is dropped, step by step. Part of the state, so
+        that runs of several seeds share a compiled step.
+      generator: the generator's weights.
+      discriminator: the discriminator's weights; they stay what they are where the loss makes no use of them.
+      generator_optimizer: optax state.
+      discriminator_optimizer: optax state.
+    """
+
+    step: Int[Array, ""]
+    key: UInt32[Array, "2"]
+    generator: Any
+    discriminator: Any
+    generator_optimizer: Any
+    discriminator_optimizer: Any
+
+
+class ImageBatch(Protocol):
+    """Pairs of pictures, see `dc2g_jax.datasets.image_pairs.ImagePair`."""
+
+    @property
+    def image(self) -> Float[Array, "b s s 3"]:
+        """Pictures of partial maps."""
+        ...
+
+    @property
+    def target(self) -> Float[Array, "b s s 3"]:
+        """Pictures of their cost-to-go."""
+        ...
+
+
+#: `(key of the run, step, data) -> batch`
+DrawImages = Callable[[Array, Array, Any], ImageBatch]
+
+
+def _optimizer(config: TranslatorConfig) -> optax.GradientTransformation:
+    return optax.adam(config.learning_rate, b1=config.beta1)
+
+
+def init_translator(config: TranslatorConfig, *, seed: int) -> TranslatorState:
+    """The state before the first step.
+
+    Args:
+      config: how to train.
+      seed: of weights, the order of the pairs and dropout.
+    """
+    generator_key, discriminator_key, run_key = jax.random.split(jax.random.key(seed), 3)
+    generator = pix2pix.init_weights(Generator, config.architecture, generator_key)
+    discriminator = pix2pix.init_weights(Discriminator, config.architecture, discriminator_key)
+    return TranslatorState(
+        step=jnp.int32(0),
+        key=jax.random.key_data(run_key),
+        generator=generator,
+        discriminator=discriminator,
+        generator_optimizer=_optimizer(config).init(generator),
+        discriminator_optimizer=_optimizer(config).init(discriminator),
+    )
+
+
+def discriminator_loss(
+    architecture: TranslatorArchitecture, weights: Any, batch: ImageBatch, generated: Float[Array, "b s s 3"]
+) -> Float[Array, ""]:
+    """Cross-entropy of telling true from generated patches: the mean of each kind's, added up."""
+    images = jnp.concatenate([batch.image, batch.image])
+    odds = pix2pix.discriminate(architecture, weights, images, jnp.concatenate([batch.target, generated]))
+    true, false = jnp.split(odds, 2)
+    return jnp.mean(jax.nn.softplus(-true)) + jnp.mean(jax.nn.softplus(false))
+
+
+def generator_loss(
+    config: TranslatorConfig, discriminator: Any, batch: ImageBatch, generated: Float[Array, "b s s 3"]
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """What the generator minimises, and the mean absolute difference from the true pictures.
+
+    The sum, weighted as in `LOSSES`, of the mean absolute difference of pictures from -1 to 1 and of the cross-entropy
+    of being taken for true, patch by patch.
+    """
+    loss = LOSSES[config.loss]
+    difference = jnp.mean(jnp.abs(generated - batch.target))
+    total = loss.l1 * _L1_SCALE * difference
+    if loss.gan:
+        odds = pix2pix.discriminate(config.architecture, discriminator, batch.image, generated)
+        total += loss.gan * jnp.mean(jax.nn.softplus(-odds))
+    return total, difference
+
+
+def _updated(config: TranslatorConfig, weights: Any, gradient: Any, optimizer: Any) -> tuple[Any, Any]:
+    updates, optimizer = _optimizer(config).update(gradient, optimizer, weights)
+    return optax.apply_updates(weights, updates), optimizer
+
+
+@functools.partial(jit, static_argnames=("config", "draw_batch"), donate_argnames=("state",))
+def translator_step(
+    state: TranslatorState, data: Any, *, config: TranslatorConfig, draw_batch: DrawImages
+) -> tuple[TranslatorState, Float[Array, ""]]:
+    """Take one step: first the discriminator learns to tell the generator's pictures, then the generator to fool it.
+
+    The batch and the dropout of a step depend on the run's key and the number of the step alone, so training that was
+    interrupted and resumed gives the same weights as training that was not.
+
+    Returns:
+      The new state and the mean absolute difference of the generated pictures from the true ones, NaN where a weight
+      of either network is no longer finite.
+    """
+    architecture = config.architecture
+    batch_key, dropout_key = jax.random.split(jax.random.wrap_key_data(state.key))
+    batch = draw_batch(batch_key, state.step, data)
+    dropout_key = jax.random.fold_in(dropout_key, state.step)
+    generated, backward = jax.vjp(
+        lambda weights: pix2pix.translate(architecture, weights, batch.image, dropout_key), state.generator
+    )
+    discriminator, discriminator_optimizer = state.discriminator, state.discriminator_optimizer
+    if LOSSES[config.loss].gan:
+        gradient = jax.grad(lambda weights: discriminator_loss(architecture, weights, batch, generated))(discriminator)
+        discriminator, discriminator_optimizer = _updated(config, discriminator, gradient, discriminator_optimizer)
+    loss_of = functools.partial(generator_loss, config, discriminator, batch)
+    by_picture, difference = jax.grad(loss_of, has_aux=True)(generated)
+    (gradient,) = backward(by_picture)
+    generator, generator_optimizer = _updated(config, state.generator, gradient, state.generator_optimizer)
+    new = TranslatorState(
+        step=state.step + 1,
+        key=state.key,
+        generator=generator,
+        discriminator=discriminator,
+        generator_optimizer=generator_optimizer,
+        discriminator_optimizer=discriminator_optimizer,
+    )
+    return new, loss_or_nan(difference, (generator, discriminator))

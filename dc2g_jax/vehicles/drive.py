@@ -1,0 +1,392 @@
+"""The whole loop of one robot: camera -> semantic map -> estimator -> Algorithm 2 -> vehicle (paper, section IV-D).
+
+Ten times a second the vehicle gets a command. Every few of these periods the camera delivers a frame, which goes into
+the map. A planner of `dc2g_jax.planning.planners` decides on the map that has come of it, just as it does in the
+gridworld: from the cell and the quarter turn next to the robot's pose. Its plan is driven until the robot enters the
+next cell, has driven it to its end, or a second is over; then it decides anew.
+
+Two things a gridworld robot need not know. A cell that the camera does not make out, although the robot stands where
+it should see it, counts as an obstacle from then on; so exploration ends whatever the camera misses. And what the map
+takes for a door but is none is ground once the robot has stood there. A robot that finds nothing left to explore does
+not believe its map: it begins a new one, some times, before it gives up.
+
+Everything is a pure function of one robot; see `dc2g_jax.vehicles.fleet` for many.
+"""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int, Key, UInt8
+
+from dc2g_jax.grid import bitboard, search
+from dc2g_jax.grid.gridworld import Belief, belief_from_map
+from dc2g_jax.grid.poses import HEADINGS, Pose, PoseSet, moved
+from dc2g_jax.grid.sensing import Kernel
+from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE, UNKNOWN
+from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, level_camera
+from dc2g_jax.mapping.noise import NoiseLevels, PoseDrift, drift_on, drifted, no_drift, noisy_frame
+from dc2g_jax.mapping.scene import Scene
+from dc2g_jax.mapping.semantic_map import MapSettings, SemanticMap, empty_map, integrate, terrain_map
+from dc2g_jax.mapping.simulator import CAMERA_HEIGHT, CAMERA_PITCH, CAMERA_RANGE, render
+from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL, MapRevisingPlanner
+from dc2g_jax.vehicles.avoidance import People, navigate
+from dc2g_jax.vehicles.following import Following, Path, path_through
+from dc2g_jax.vehicles.footprint import Ground, cell_at, clearance, surroundings
+from dc2g_jax.vehicles.pedestrians import Pedestrians, Walking, place, walk, walkable_cells
+from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive, wrapped
+
+#: What a robot is doing.
+UNDER_WAY, ARRIVED, NOTHING_LEFT = 0, 1, 2
+STATUS_NAMES = ("under_way", "arrived", "nothing_left")
+
+#: Actions of a plan that are driven before the next decision, at most.
+_ACTIONS_AHEAD = 10
+
+#: Periods after which the robot decides anew, whatever has happened.
+_DECISION_PERIODS = 10
+
+#: How often a robot that finds nothing left to explore begins a new map, until it believes it.
+_NEW_MAPS = 3
+
+#: Facing within so many radians of where it should, the robot has turned.
+_TURNED = 0.1
+
+_NOTHING, _GROUND = CLASS_NAMES.index("nothing"), CLASS_NAMES.index("traversable")
+
+
+@struct.dataclass
+class Site:
+    """A house in three dimensions, as it is. Sites of one size can be stacked.
+
+    Attributes:
+      terrain: class index of every cell.
+      scene: what stands there.
+    """
+
+    terrain: UInt8[Array, "h w"]
+    scene: Scene
+
+
+@struct.dataclass
+class Equipment:
+    """What a robot is made of. Noise levels and weights are values: other ones need no new program.
+
+    Attributes:
+      planner: decides where to go.
+      sensing: what of the grid the camera makes out, as far as the planner is concerned.
+      camera: its intrinsics.
+      mapping: what the map covers.
+      noise: what is wrong with camera and pose.
+      limits: of the vehicle.
+      frame_periods: control periods from one frame to the next.
+    """
+
+    planner: MapRevisingPlanner
+    sensing: Kernel = struct.field(pytree_node=False)
+    camera: Intrinsics
+    mapping: MapSettings
+    noise: NoiseLevels
+    limits: VehicleLimits
+    frame_periods: int = struct.field(pytree_node=False, default=2)
+
+
+@struct.dataclass
+class Robot:
+    """A robot on its way.
+
+    Attributes:
+      key: of its random numbers.
+      vehicle: where it is.
+      drift: how wrong it is about that.
+      moved: how far it has come since the last frame: metres, and quarter turns.
+      prior: what it knew of the map beforehand, 0 where nothing.
+      map: what its camera has seen.
+      missed: cells that it should have seen and has not.
+      no_door: cells where it stood and no door was.
+      terrain: class index of every cell, 0 where nothing is known: what has come of all that.
+      planner_state: what the planner keeps.
+      path: what it drives.
+      decided_in: column and row of the cell where it decided last.
+      decided_on: class index of every cell at that decision.
+      mode: plan mode of that decision.
+      new_maps: how often it has begun a new map.
+      people: pedestrians around it.
+      periods: control periods since it set out.
+      decided_at: period of the last decision.
+      status: `UNDER_WAY`, `ARRIVED` or `NOTHING_LEFT`.
+      off_ground: periods that its footprint touched ground where it should not be.
+      touched: periods that it touched a pedestrian.
+    """
+
+    key: Key[Array, ""]
+    vehicle: VehicleState
+    drift: PoseDrift
+    moved: Float[Array, ""]
+    prior: UInt8[Array, "h w"]
+    map: SemanticMap
+    missed: Bool[Array, "h w"]
+    no_door: Bool[Array, "h w"]
+    terrain: UInt8[Array, "h w"]
+    planner_state: Any
+    path: Path
+    decided_in: Int[Array, "2"]
+    decided_on: UInt8[Array, "h w"]
+    mode: Int[Array, ""]
+    new_maps: Int[Array, ""]
+    people: Pedestrians
+    periods: Int[Array, ""]
+    decided_at: Int[Array, ""]
+    status: Int[Array, ""]
+    off_ground: Int[Array, ""]
+    touched: Int[Array, ""]
+
+
+def reset(
+    key: Key[Array, ""],
+    start: Pose,
+    site: Site,
+    equipment: Equipment,
+    *,
+    pedestrians: int = 0,
+    knows_map: ArrayLike = False,
+) -> Robot:
+    """A robot at its start, which has seen nothing.
+
+    Args:
+      key: of all its random numbers.
+      start: column, row and heading.
+      site: where it is.
+      equipment: what it is made of.
+      pedestrians: how many people walk around.
+      knows_map: does it know the whole map beforehand?
+    """
+    key, own_key = jax.random.split(key)
+    cell_size = equipment.mapping.cell_size
+    position = jnp.stack([(start.x + 0.5) * cell_size, -(start.y + 0.5) * cell_size]).astype(jnp.float32)
+    yaw = -start.heading * (2 * jnp.pi / HEADINGS)
+    here = jnp.stack([start.x, start.y])
+    nowhere = jnp.zeros(site.terrain.shape, bool)
+    prior = jnp.where(knows_map, site.terrain, jnp.uint8(UNKNOWN))
+    nothing = jnp.int32(0)
+    return Robot(
+        key=key,
+        vehicle=at_rest(position, yaw),
+        drift=no_drift(),
+        moved=jnp.float32(0),
+        prior=prior,
+        map=empty_map(equipment.mapping),
+        missed=nowhere,
+        no_door=nowhere,
+        terrain=prior,
+        planner_state=equipment.planner.init(world_from_terrain(site.terrain)),
+        path=path_through(jnp.tile(here, (_ACTIONS_AHEAD + 1, 1)), 1, start.heading, cell_size),
+        decided_in=here,
+        decided_on=prior,
+        mode=jnp.int32(EXPLORE),
+        new_maps=nothing,
+        people=place(own_key, Ground(walkable_cells(site.terrain), cell_size), pedestrians, position),
+        periods=nothing,
+        # The first period begins with a decision.
+        decided_at=jnp.int32(-_DECISION_PERIODS),
+        status=jnp.int32(UNDER_WAY),
+        off_ground=nothing,
+        touched=nothing,
+    )
+
+
+def step(robot: Robot, site: Site, equipment: Equipment) -> Robot:
+    """The robot one control period later; one that is no longer under way stays as it is."""
+
+    def go_on(robot: Robot) -> Robot:
+        looks = robot.periods % equipment.frame_periods == 0
+        robot = jax.lax.cond(looks, lambda robot: look(robot, site, equipment), lambda robot: robot, robot)
+        robot = jax.lax.cond(
+            _has_to_decide(robot, equipment), lambda robot: decide(robot, equipment), lambda robot: robot, robot
+        )
+        return _drive(robot, site, equipment)
+
+    return jax.lax.cond(robot.status == UNDER_WAY, go_on, lambda robot: robot, robot)
+
+
+def believed(robot: Robot) -> VehicleState:
+    """The vehicle as the robot takes it to be."""
+    drift = robot.drift
+    position = robot.vehicle.position + jnp.stack([drift.x, drift.y])
+    return dataclasses.replace(robot.vehicle, position=position, yaw=wrapped(robot.vehicle.yaw + drift.yaw))
+
+
+def camera_pose(vehicle: VehicleState) -> CameraPose:
+    """Where the vehicle's camera is: above its middle, looking ahead and down."""
+    x, y = vehicle.position
+    return level_camera(x, y, CAMERA_HEIGHT, vehicle.yaw, CAMERA_PITCH)
+
+
+def look(robot: Robot, site: Site, equipment: Equipment) -> Robot:
+    """Take a frame into the map. The error of the pose has grown by what the robot has moved since the last one."""
+    frame, robot = sensed(robot, site, equipment)
+    return _with_terrain(
+        dataclasses.replace(robot, map=integrate(robot.map, frame, equipment.camera, equipment.mapping)), equipment
+    )
+
+
+def sensed(robot: Robot, site: Site, equipment: Equipment) -> tuple[Frame, Robot]:
+    """What the camera delivers, from where the robot thinks that it is."""
+    key, drift_key, frame_key = jax.random.split(robot.key, 3)
+    noise, since = equipment.noise, jnp.sqrt(robot.moved)
+    steps = dataclasses.replace(noise, position_drift=noise.position_drift * since, yaw_drift=noise.yaw_drift * since)
+    drift = drift_on(drift_key, robot.drift, steps)
+    pose = camera_pose(robot.vehicle)
+    frame = noisy_frame(frame_key, render(site.scene, equipment.camera, pose, CAMERA_RANGE), noise)
+    robot = dataclasses.replace(robot, key=key, drift=drift, moved=jnp.zeros_like(robot.moved))
+    return dataclasses.replace(frame, pose=drifted(pose, drift)), robot
+
+
+def _with_terrain(robot: Robot, equipment: Equipment) -> Robot:
+    """The robot with what has come of its map and of what it has learned."""
+    terrain = jnp.where(robot.prior != UNKNOWN, robot.prior, terrain_map(robot.map, equipment.mapping))
+    terrain = jnp.where(robot.missed & (terrain == UNKNOWN), jnp.uint8(_NOTHING), terrain)
+    terrain = jnp.where(robot.no_door & (terrain == FRONT_DOOR), jnp.uint8(_GROUND), terrain)
+    # Where it stands it can stand.
+    column, row = _cell(believed(robot), equipment)
+    here = terrain[row, column]
+    here = jnp.where(jnp.asarray(TRAVERSABLE)[here], here, jnp.uint8(_GROUND))
+    return dataclasses.replace(robot, terrain=terrain.at[row, column].set(here))
+
+
+def decide(robot: Robot, equipment: Equipment) -> Robot:
+    """Choose a way (Algorithm 2)."""
+    vehicle = believed(robot)
+    column, row = _cell(vehicle, equipment)
+    quarter = jnp.round(-vehicle.yaw / (2 * jnp.pi / HEADINGS)).astype(jnp.int32) % HEADINGS
+    pose = Pose(x=column, y=row, heading=quarter)
+    robot = _lessons(robot, pose, equipment)
+    belief = belief_from_map(robot.terrain, pose)
+    changed = bitboard.pack(robot.terrain != robot.decided_on)
+    plan, planner_state = equipment.planner.plan(belief, equipment.planner.revised(robot.planner_state, changed))
+    cells, length, heading = _way(belief, plan.subgoals)
+    # Of a new map, what lies to the left is seen first.
+    gives_up = plan.mode == GAVE_UP
+    length, heading = jnp.where(gives_up, 1, length), jnp.where(gives_up, quarter - 1, heading)
+    new_maps = robot.new_maps + gives_up
+    nowhere = jnp.zeros_like(robot.missed)
+    voxels, missed, no_door = jax.tree.map(
+        lambda new, old: jnp.where(gives_up, new, old),
+        (empty_map(equipment.mapping), nowhere, nowhere),
+        (robot.map, robot.missed, robot.no_door),
+    )
+    return dataclasses.replace(
+        robot,
+        map=voxels,
+        missed=missed,
+        no_door=no_door,
+        planner_state=planner_state,
+        path=path_through(cells, length, heading, equipment.mapping.cell_size),
+        decided_in=jnp.stack([column, row]),
+        decided_on=robot.terrain,
+        mode=plan.mode,
+        new_maps=new_maps,
+        decided_at=robot.periods,
+        status=jnp.where(new_maps > _NEW_MAPS, NOTHING_LEFT, robot.status).astype(jnp.int32),
+    )
+
+
+def _cell(vehicle: VehicleState, equipment: Equipment) -> Int[Array, "2"]:
+    """Column and row of the cell where a vehicle is, or of the map's nearest to it."""
+    mapping = equipment.mapping
+    last = jnp.array([mapping.columns - 1, mapping.rows - 1])
+    return jnp.clip(cell_at(vehicle.position, mapping.cell_size), 0, last)
+
+
+def _has_driven_path(robot: Robot) -> Bool[Array, ""]:
+    """Does the robot stand at the end of its path, facing as it should?"""
+    vehicle, path = believed(robot), robot.path
+    near = jnp.linalg.norm(path.points[-1] - vehicle.position) < Following().arrival
+    turned = jnp.abs(wrapped(path.yaw - vehicle.yaw)) < _TURNED
+    return near & turned & (vehicle.speed == 0)
+
+
+def _has_to_decide(robot: Robot, equipment: Equipment) -> Bool[Array, ""]:
+    """Is it time for a decision? A robot that has begun a new map looks around first."""
+    elsewhere = jnp.any(_cell(believed(robot), equipment) != robot.decided_in)
+    waited = robot.periods - robot.decided_at >= _DECISION_PERIODS
+    return jnp.where(robot.mode == GAVE_UP, False, elsewhere | waited) | _has_driven_path(robot)
+
+
+def _lessons(robot: Robot, pose: Pose, equipment: Equipment) -> Robot:
+    """What a robot learns from standing at the end of its path: what it misses there, and that no door is there."""
+    stands = _has_driven_path(robot)
+    belief = belief_from_map(robot.terrain, pose)
+    covered = equipment.sensing.visible(pose, belief.opaque, belief.width) & ~belief.seen
+    missed = bitboard.unpack(covered, belief.width)
+    robot = dataclasses.replace(
+        robot,
+        missed=robot.missed | (missed & stands & (robot.mode == EXPLORE)),
+        no_door=robot.no_door.at[pose.y, pose.x].max(stands & (robot.mode == TO_GOAL)),
+    )
+    return _with_terrain(robot, equipment)
+
+
+def _way(belief: Belief, subgoals: PoseSet) -> tuple[Int[Array, "n 2"], Int[Array, ""], Int[Array, ""]]:
+    """The cells of the first actions of a shortest plan into the subgoals (Algorithm 2, line 12).
+
+    Returns:
+      Column and row of the cell after each action, the robot's own first; how many of them count; last heading.
+    """
+
+    def act(carry: tuple[Pose, Array], _: None) -> tuple[tuple[Pose, Array], Array]:
+        pose, length = carry
+        first = search.first_action(pose, subgoals, belief.traversable)
+        goes_on = first.length > 0
+        after = moved(pose, first.action, belief.height, belief.width)
+        pose = jax.tree.map(lambda new, old: jnp.where(goes_on, new, old), after, pose)
+        return (pose, length + goes_on), jnp.stack([pose.x, pose.y])
+
+    (last, length), cells = jax.lax.scan(act, (belief.pose, jnp.int32(1)), length=_ACTIONS_AHEAD)
+    return jnp.concatenate([jnp.stack([belief.pose.x, belief.pose.y])[None], cells]), length, last.heading
+
+
+def _drive(robot: Robot, site: Site, equipment: Equipment) -> Robot:
+    """One control period: choose a command on the map so far, and take it on the ground that is there."""
+    limits, cell_size = equipment.limits, equipment.mapping.cell_size
+    known = Ground(jnp.asarray(TRAVERSABLE)[robot.terrain], cell_size)
+    vehicle = believed(robot)
+    walking = Walking()
+    command = navigate(vehicle, robot.path, known, _people_seen(robot, walking), limits)
+    key, walk_key = jax.random.split(robot.key)
+    after = drive(robot.vehicle, command, limits)
+    sidewalks = Ground(walkable_cells(site.terrain), cell_size)
+    people = walk(walk_key, robot.people, sidewalks, robot.vehicle, limits.radius, walking)
+    drivable = Ground(jnp.asarray(TRAVERSABLE)[site.terrain], cell_size)
+    clear = clearance(after.position, surroundings(drivable, after.position, 2 * limits.radius))
+    nearest = jnp.min(jnp.linalg.norm(people.position - after.position, axis=-1), initial=jnp.inf)
+    column, row = _cell(after, equipment)
+    turned = jnp.abs(after.turn_rate) * CONTROL_PERIOD / (2 * jnp.pi / HEADINGS)
+    return dataclasses.replace(
+        robot,
+        key=key,
+        vehicle=after,
+        moved=robot.moved + after.speed * CONTROL_PERIOD + turned,
+        people=people,
+        periods=robot.periods + 1,
+        status=jnp.where(site.terrain[row, column] == FRONT_DOOR, ARRIVED, robot.status).astype(jnp.int32),
+        off_ground=robot.off_ground + (clear < limits.radius),
+        touched=robot.touched + (nearest < limits.radius + walking.radius),
+    )
+
+
+def _people_seen(robot: Robot, walking: Walking) -> People:
+    """The people as the robot sees them: they are where they are relative to it, wherever it thinks it is."""
+    drift = robot.drift
+    along, across = jnp.cos(drift.yaw), jnp.sin(drift.yaw)
+    turn = jnp.stack([jnp.stack([along, across]), jnp.stack([-across, along])])
+
+    def turned(offsets: Float[Array, "people 2"]) -> Float[Array, "people 2"]:
+        return jnp.sum(offsets[..., None] * turn, axis=-2)
+
+    positions = believed(robot).position + turned(robot.people.position - robot.vehicle.position)
+    return People(positions=positions, velocities=turned(robot.people.velocity), radius=walking.radius)

@@ -1,0 +1,171 @@
+"""Pedestrians who walk along sidewalks, for a vehicle to keep clear of.
+
+Each walks from the cell where it is to the next, drawn at random from those beside it, and turns round only where
+there is no other. It keeps to its own side of the cells' middles, and its footprint on cells where people walk. It does
+not step in front of a vehicle: it waits, and when it has waited long enough, goes back and tries another way. Who has
+had to go back too often, shut in at the end of a path perhaps, leaves across the lawn and is gone. People do not see
+each other.
+
+All functions are for the people of one world; `jax.vmap` makes them take many worlds.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, UInt8
+
+from dc2g_jax.grid.poses import FORWARD
+from dc2g_jax.grid.terrain import CLASS_NAMES
+from dc2g_jax.vehicles.footprint import Ground, cell_centers, contains, distance_to_segment
+from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleState
+
+#: Class index -> do people walk there? bool [16].
+WALKABLE = np.isin(CLASS_NAMES, ["sidewalk", "path"])
+
+#: Places as near as this are the same one, metres.
+_SAME_PLACE = 1e-3
+
+#: Log-odds of what is never drawn while there is anything else.
+_LAST_RESORT = -1e9
+
+#: Where people are who are nowhere on the map, metres.
+NOWHERE = 1e5
+
+
+@struct.dataclass
+class Pedestrians:
+    """People on their way.
+
+    Attributes:
+      position: of their middles, metres.
+      velocity: metres per second.
+      came_from: column and row of the last cell whose middle they passed.
+      heads_for: column and row of the cell they walk to.
+      side: how far from the middle of cells they walk, metres.
+      waited: how long they have been standing in front of the vehicle, seconds.
+      turned_back: how often they have gone back because of it.
+    """
+
+    position: Float[Array, "people 2"]
+    velocity: Float[Array, "people 2"]
+    came_from: Int[Array, "people 2"]
+    heads_for: Int[Array, "people 2"]
+    side: Float[Array, "people 2"]
+    waited: Float[Array, "people"]
+    turned_back: Int[Array, "people"]
+
+
+@struct.dataclass
+class Walking:
+    """How people walk.
+
+    Attributes:
+      speed: metres per second.
+      radius: of the circle that each of them takes up, metres.
+      space: what they leave between themselves and a vehicle in front of them, metres.
+      foresight: for how long they expect the vehicle to drive on as it does, seconds.
+      patience: for how long they wait for it before they go back, seconds.
+      returns: how often they go back before they leave.
+    """
+
+    speed: float = struct.field(pytree_node=False, default=1.2)
+    radius: float = struct.field(pytree_node=False, default=0.25)
+    space: float = struct.field(pytree_node=False, default=0.3)
+    foresight: float = struct.field(pytree_node=False, default=1.0)
+    patience: float = struct.field(pytree_node=False, default=2.0)
+    returns: int = struct.field(pytree_node=False, default=3)
+
+
+def walkable_cells(terrain: UInt8[Array, "h w"] | UInt8[np.ndarray, "h w"]) -> Bool[Array, "h w"]:
+    """The cells of a map that people walk on: sidewalks and paths."""
+    return jnp.asarray(WALKABLE)[terrain]
+
+
+def place(
+    key: Array, sidewalks: Ground, count: int, away_from: Float[Array, "2"], walking: Walking | None = None
+) -> Pedestrians:
+    """People at random places on the sidewalks, standing, in cells whose middle is over three metres from a place.
+
+    Args:
+      key: of the random numbers.
+      sidewalks: cells where people walk. Where there are none far enough from the place, people are `NOWHERE`.
+      count: how many people.
+      away_from: the place, where the vehicle starts, metres.
+      walking: how they walk; None for the usual way.
+    """
+    walking = Walking() if walking is None else walking
+    of_cell, of_side = jax.random.split(key)
+    height, width = sidewalks.cells.shape
+    column, row = jnp.meshgrid(jnp.arange(width), jnp.arange(height))
+    every_cell = jnp.stack([column.ravel(), row.ravel()], axis=-1)
+    distance = jnp.linalg.norm(cell_centers(every_cell, sidewalks.cell_size) - away_from, axis=-1)
+    free = sidewalks.cells.ravel() & (distance > 3)
+    drawn = jax.random.categorical(of_cell, jnp.where(free, 0.0, -jnp.inf), shape=(count,))
+    cells = jnp.where(jnp.any(free), every_cell[drawn], int(NOWHERE / sidewalks.cell_size))
+    room = max(sidewalks.cell_size / 2 - walking.radius - 0.01, 0)
+    side = jax.random.uniform(of_side, (count, 2), minval=-room, maxval=room)
+    return Pedestrians(
+        position=cell_centers(cells, sidewalks.cell_size) + side,
+        velocity=jnp.zeros((count, 2), jnp.float32),
+        came_from=cells,
+        heads_for=cells,
+        side=side,
+        waited=jnp.zeros(count, jnp.float32),
+        turned_back=jnp.zeros(count, jnp.int32),
+    )
+
+
+def walk(
+    key: Array, people: Pedestrians, sidewalks: Ground, vehicle: VehicleState, vehicle_radius: float,
+    walking: Walking | None = None,
+) -> Pedestrians:  # fmt: skip
+    """The people one period later.
+
+    Args:
+      key: of the random numbers of this period.
+      people: as they are now.
+      sidewalks: cells where they walk.
+      vehicle: as it is now.
+      vehicle_radius: of its footprint, metres.
+      walking: how they walk; None for the usual way.
+    """
+    walking = Walking() if walking is None else walking
+    ahead = walking.foresight * vehicle.speed * jnp.stack([jnp.cos(vehicle.yaw), jnp.sin(vehicle.yaw)])
+    personal = walking.radius + vehicle_radius + walking.space
+
+    def one(key: Array, person: Pedestrians) -> Pedestrians:
+        goal = cell_centers(person.heads_for, sidewalks.cell_size) + person.side
+        is_there = jnp.linalg.norm(goal - person.position) < _SAME_PLACE
+        came_from = jnp.where(is_there, person.heads_for, person.came_from)
+        heads_for = jnp.where(is_there, _next_cell(key, person, sidewalks), person.heads_for)
+        to_go = cell_centers(heads_for, sidewalks.cell_size) + person.side - person.position
+        distance = jnp.linalg.norm(to_go)
+        step = person.position + jnp.minimum(walking.speed * CONTROL_PERIOD / jnp.maximum(distance, 1e-6), 1) * to_go
+        comes_nearer = jnp.sum((vehicle.position - person.position) * to_go) > 0
+        in_the_way = comes_nearer & (distance_to_segment(step, vehicle.position, ahead) < personal)
+        waited = jnp.where(in_the_way, person.waited + CONTROL_PERIOD, 0)
+        gives_way = waited > walking.patience
+        turned_back = person.turned_back + gives_way
+        leaves = turned_back > walking.returns
+        position = jnp.where(in_the_way, person.position, step)
+        return Pedestrians(
+            position=jnp.where(leaves, NOWHERE, position),
+            velocity=jnp.where(leaves, 0, (position - person.position) / CONTROL_PERIOD),
+            came_from=jnp.where(gives_way, heads_for, came_from),
+            heads_for=jnp.where(gives_way, came_from, heads_for),
+            side=person.side,
+            waited=jnp.where(gives_way, 0, waited),
+            turned_back=turned_back,
+        )
+
+    return jax.vmap(one)(jax.random.split(key, len(people.waited)), people)
+
+
+def _next_cell(key: Array, person: Pedestrians, sidewalks: Ground) -> Int[Array, "2"]:
+    """The cell that a person walks to from the one it has come to: back only where there is no other way."""
+    beside = person.heads_for + jnp.array(FORWARD)
+    is_back = jnp.all(beside == person.came_from, axis=-1)
+    free = contains(sidewalks, beside)
+    drawn = jax.random.categorical(key, jnp.where(free, jnp.where(is_back, _LAST_RESORT, 0.0), -jnp.inf))
+    return jnp.where(jnp.any(free), beside[drawn], person.heads_for)

@@ -1,0 +1,138 @@
+"""The network: any map size, plain weights, and a loss that ignores what does not count."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from flax import nnx
+
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, world_cost_to_go
+from dc2g_jax.estimation.networks import compact_unet
+from dc2g_jax.estimation.networks.compact_unet import Architecture, CompactUNet, init_weights, weight_shapes
+from dc2g_jax.grid.search import EIGHT_CONNECTED
+from dc2g_jax.grid.terrain import CLASS_NAMES
+from dc2g_jax.grid.world import world_from_terrain
+from tests.support import maps
+
+SMALL = Architecture(widths=(4, 4, 6, 8), quantiles=(0.25, 0.5, 0.75), cost_scale=10.0)
+apply = jax.jit(functools.partial(compact_unet.apply, SMALL))
+
+
+@pytest.fixture(scope="module")
+def weights():
+    return init_weights(SMALL, jax.random.key(0))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 1), (7, 33), (32, 32), (49, 50)], ids="{0[0]}x{0[1]}".format)
+def test_maps_of_any_size(weights, shape):
+    terrain = np.stack([maps.random_terrain(seed, shape, 0.7) for seed in range(3)])
+    estimate = np.asarray(apply(weights, terrain))
+    assert estimate.shape == (3, *shape, 3)
+    assert estimate.dtype == np.float32
+    assert np.isfinite(estimate).all()
+
+
+def test_maps_of_a_batch_do_not_touch_each_other(weights):
+    terrain = np.stack([maps.random_terrain(seed, (20, 20), 0.7) for seed in range(3)])
+    together = np.asarray(apply(weights, terrain))
+    for one, alone in zip(together, terrain, strict=True):
+        np.testing.assert_allclose(apply(weights, alone[None])[0], one, rtol=1e-4, atol=1e-4)
+
+
+def test_what_is_observed_matters(weights):
+    terrain = maps.random_terrain(0, (20, 20), 0.7)
+    hidden = np.where(np.arange(20) < 10, terrain, 0).astype(np.uint8)
+    assert not np.allclose(apply(weights, terrain[None]), apply(weights, hidden[None]))
+
+
+def test_weights_depend_on_the_key_alone(weights):
+    jax.tree.map(np.testing.assert_array_equal, init_weights(SMALL, jax.random.key(0)), weights)
+    other = init_weights(SMALL, jax.random.key(1))
+    assert not np.array_equal(other["embed"]["kernel"], weights["embed"]["kernel"])
+    assert all(leaf.dtype == jnp.float32 for leaf in jax.tree.leaves(weights))
+
+
+def test_shapes_are_known_without_weights(weights):
+    shapes = weight_shapes(SMALL)
+    assert jax.tree.structure(shapes) == jax.tree.structure(weights)
+    assert [leaf.shape for leaf in jax.tree.leaves(shapes)] == [leaf.shape for leaf in jax.tree.leaves(weights)]
+
+
+def test_the_pure_function_is_the_module():
+    module = CompactUNet(SMALL, rngs=nnx.Rngs(3))
+    weights = nnx.to_pure_dict(nnx.split(module)[1])
+    terrain = jnp.asarray(maps.random_terrain(0, (20, 20), 0.7)[None])
+    np.testing.assert_allclose(apply(weights, terrain), module(terrain), rtol=1e-5, atol=1e-5)
+
+
+def test_another_number_of_scales_is_refused():
+    with pytest.raises(InputError, match=r"widths \(4, 4\).*4 scales"):
+        Architecture(widths=(4, 4))
+
+
+@pytest.mark.parametrize("levels", [(), (0.5, 0.1), (0.5, 0.5), (0.0, 0.5), (0.5, 1.0)])
+def test_quantiles_that_are_none_are_refused(levels):
+    with pytest.raises(InputError, match="ascending levels"):
+        Architecture(quantiles=levels)
+
+
+def test_the_estimator_is_the_network_on_one_map(weights):
+    terrain = maps.random_terrain(0, (20, 20), 0.7)
+    network = NetworkCostToGo(weights=weights, architecture=SMALL)
+    state = network.init(world_from_terrain(terrain))
+    np.testing.assert_allclose(
+        np.moveaxis(network.estimate(jnp.asarray(terrain), state), 0, -1),
+        apply(weights, terrain[None])[0],
+        rtol=1e-4,
+        atol=1e-4,
+    )
+
+
+def test_estimates_of_a_batch_are_those_of_its_maps(weights):
+    terrain = np.stack([maps.random_terrain(seed, (9, 20), 0.7) for seed in range(4)], axis=-1)
+    network = NetworkCostToGo(weights=weights, architecture=SMALL)
+    together = np.asarray(network.estimate(jnp.asarray(terrain), ()))
+    assert together.shape == (3, 9, 20, 4)
+    for index in range(4):
+        alone = network.estimate(jnp.asarray(terrain[..., index]), ())
+        np.testing.assert_allclose(together[..., index], alone, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("levels", [(), (0.5, 0.5), (0.7, 0.3), (0.0, 0.5), (0.5, 1.0)])
+def test_levels_that_are_no_quantiles_are_refused(levels):
+    with pytest.raises(ValueError, match="quantiles"):
+        init_weights(Architecture(quantiles=levels), jax.random.key(0))
+
+
+def test_the_exact_estimator_knows_the_hidden_map(street):
+    world = world_from_terrain(street)
+    nothing = jnp.zeros(street.shape, jnp.uint8)
+    for moves in (EIGHT_CONNECTED, EIGHT_CONNECTED[:4]):
+        exact = ExactCostToGo(moves=moves)
+        estimate = exact.estimate(nothing, exact.init(world))
+        np.testing.assert_array_equal(estimate[0], world_cost_to_go(world, moves=moves))
+    assert np.asarray(estimate)[0, 4, 2] == 4  # up the path from the road
+    assert np.isinf(np.asarray(estimate)[0, 0, 0])
+    error = np.log(np.linspace(0.5, 2, street.size).reshape(street.shape)).astype(np.float32)
+    wrong = ExactCostToGo(log_error=jnp.asarray(error))
+    np.testing.assert_allclose(wrong.estimate(nothing, wrong.init(world)), estimate * np.exp(error), rtol=1e-6)
+
+
+@pytest.mark.parametrize("widths", [(4, 8, 16, 32), (16, 32, 64, 128)])
+def test_multiply_accumulates(widths):
+    """Counted layer by layer, for maps whose sides halve four times without rest."""
+    a, b, c, d = widths
+    cells = {halvings: (48 // 2**halvings) ** 2 for halvings in (1, 2, 3, 4)}
+    residual = {width: 2 * 9 * width * width for width in widths}
+    by_hand = (
+        cells[1] * (4 * len(CLASS_NAMES) * a + 2 * residual[a] + a * 4 * 5)
+        + cells[2] * (9 * a * b + 2 * residual[b] + b * a)
+        + cells[3] * (9 * b * c + 2 * residual[c] + c * b)
+        + cells[4] * (9 * c * d + 2 * residual[d] + d * c)
+    )
+    # Where a kernel hangs over the map's edge nothing is multiplied.
+    counted = compact_unet.multiply_accumulates(Architecture(widths=widths), 48, 48)
+    assert 0.75 * by_hand < counted < by_hand

@@ -1,0 +1,141 @@
+"""The pix2pix networks: the published shapes, layers that do what they say, and an estimator that planners can use."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax.estimation import images
+from dc2g_jax.estimation.estimators import TranslatorCostToGo
+from dc2g_jax.estimation.networks import pix2pix
+from dc2g_jax.estimation.networks.pix2pix import Discriminator, Generator, TranslatorArchitecture, init_weights
+from dc2g_jax.grid import gridworld
+from dc2g_jax.grid.poses import make_pose
+from dc2g_jax.grid.sampling import resize_nearest
+from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.planning.planners import DC2G
+from dc2g_jax.planning.rules import complete_rules
+
+TINY = TranslatorArchitecture(size=32, base_filters=4)
+translate = jax.jit(functools.partial(pix2pix.translate, TINY))
+
+
+@pytest.fixture(scope="module")
+def weights():
+    return init_weights(Generator, TINY, jax.random.key(0))
+
+
+@pytest.fixture(scope="module")
+def pictures() -> np.ndarray:
+    return np.random.default_rng(0).random((2, 32, 32, 3), dtype=np.float32)
+
+
+def count(tree) -> int:
+    return sum(leaf.size for leaf in jax.tree.leaves(tree))
+
+
+def test_the_full_size_is_that_of_pix2pix():
+    full = TranslatorArchitecture()
+    assert full.widths == (64, 128, 256, 512, 512, 512, 512, 512)
+    assert count(pix2pix.weight_shapes(full)) == 54_419_459
+    make = functools.partial(init_weights, Discriminator, full)
+    assert count(jax.eval_shape(make, jax.random.key(0))) == 2_769_601
+    picture = jax.ShapeDtypeStruct((1, 256, 256, 3), jnp.float32)
+    odds = jax.eval_shape(
+        functools.partial(pix2pix.discriminate, full),
+        jax.eval_shape(make, jax.random.key(0)),
+        picture,
+        picture,
+    )
+    assert odds.shape == (1, 30, 30)
+
+
+def test_weights_are_drawn_as_pix2pix_draws_them(weights):
+    layer = weights["down1"]
+    assert float(jnp.std(layer["convolution"]["kernel"])) == pytest.approx(0.02, rel=0.1)
+    assert abs(float(jnp.mean(layer["norm"]["scale"])) - 1) < 0.02
+    assert not np.any(layer["convolution"]["bias"])
+    assert not np.array_equal(layer["convolution"]["kernel"], weights["up1"]["convolution"]["kernel"])
+
+
+def test_pictures_become_pictures(weights, pictures):
+    answers = translate(weights, pictures)
+    assert (answers.shape, answers.dtype) == ((2, 32, 32, 3), jnp.float32)
+    assert 0 <= float(answers.min()) < float(answers.max()) <= 1
+    # Each picture is normalised by itself, so it does not matter which others are asked about.
+    np.testing.assert_allclose(answers[:1], translate(weights, pictures[:1]), atol=1e-5)
+
+
+def test_features_are_dropped_only_with_a_key_and_as_the_key_says(weights, pictures):
+    plain = translate(weights, pictures)
+    one, again, other = (translate(weights, pictures, jax.random.key(seed)) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(plain, translate(weights, pictures))
+    np.testing.assert_array_equal(one, again)
+    assert not np.allclose(one, plain, atol=1e-4)
+    assert not np.allclose(one, other, atol=1e-4)
+
+
+def test_doubling_is_a_transposed_convolution():
+    layer = pix2pix._Doubling(5, 3, dtype=jnp.float32)
+    layer.kernel[...] = jax.random.normal(jax.random.key(0), layer.kernel.shape)
+    layer.bias[...] = jnp.arange(3.0)
+    features = jax.random.normal(jax.random.key(1), (2, 4, 6, 5))
+    # JAX's transposed convolution slides the kernel, whose transpose this is; hence the flip.
+    expected = jax.lax.conv_transpose(
+        features, layer.kernel[::-1, ::-1], (2, 2), "SAME", dimension_numbers=("NHWC", "HWIO", "NHWC")
+    )
+    np.testing.assert_allclose(layer(features), expected + np.arange(3.0), atol=1e-5)
+
+
+def test_normalisation_is_by_channel_and_picture():
+    layer = pix2pix._InstanceNorm(3)
+    layer.scale[...] = jnp.array([1.0, 2.0, -1.0])
+    features = np.random.default_rng(0).normal(5, 3, (2, 8, 8, 3)).astype(np.float32)
+    mean, deviation = features.mean(axis=(1, 2), keepdims=True), features.std(axis=(1, 2), keepdims=True)
+    np.testing.assert_allclose(
+        layer(jnp.asarray(features)), (features - mean) / deviation * np.asarray(layer.scale[...]), atol=1e-4
+    )
+
+
+def test_bfloat16_answers_about_the_same(weights, pictures):
+    half = TranslatorArchitecture(size=32, base_filters=4, compute_dtype="bfloat16")
+    answers = jax.jit(functools.partial(pix2pix.translate, half))(weights, pictures)
+    assert answers.dtype == jnp.float32
+    np.testing.assert_allclose(answers, translate(weights, pictures), atol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("change", "mention"),
+    [({"size": 48}, "48"), ({"size": 16}, "16"), ({"base_filters": 0}, "0"), ({"compute_dtype": "int8"}, "bfloat16")],
+)
+def test_networks_that_cannot_be_built(change, mention):
+    with pytest.raises(ValueError, match=mention):
+        TranslatorArchitecture(**change)
+
+
+def test_the_estimate_is_read_off_the_picture(weights, street):
+    network = TranslatorCostToGo(weights=weights, architecture=TINY)
+    ask = jax.jit(network.estimate)
+    estimate = ask(jnp.asarray(street), network.init(world_from_terrain(street)))
+    large = resize_nearest(jnp.asarray(street), 32, 32)
+    picture = images.in_eight_bits(translate(weights, images.semantic_image(large)[None])[0])
+    read = images.read_cost_to_go(picture, *street.shape)
+    np.testing.assert_allclose(estimate[0], read, atol=1.01 / 255)  # a rounding error counts one
+    assert estimate.shape == (1, *street.shape)
+    assert np.isfinite(estimate).all()
+    many = ask(jnp.stack([jnp.asarray(street)] * 3, axis=-1), ())
+    np.testing.assert_allclose(many, np.repeat(np.asarray(estimate)[..., None], 3, axis=3), atol=1e-5)
+
+
+def test_a_planner_uses_it(weights, street):
+    rules = complete_rules(2)
+    planner = DC2G(TranslatorCostToGo(weights=weights, architecture=TINY), rules)
+    world = world_from_terrain(street)
+    plan = jax.jit(planner.plan)
+    belief, state = gridworld.reset(world, make_pose(9, 5, 2), rules.sensing), planner.init(world)
+    for _ in range(3):
+        decision, state = plan(belief, state)
+        belief = gridworld.step(world, belief, decision.action, rules.sensing)
+    assert int(belief.steps) == 3

@@ -1,0 +1,404 @@
+"""The planner on a robot: the batch planners' actions and the plain implementation's choices, whatever the grid."""
+
+import dataclasses
+import functools
+
+import jax
+import numpy as np
+import pytest
+from flax import struct
+
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.estimators import Estimator, NetworkCostToGo
+from dc2g_jax.estimation.extents import Window, WindowedEstimator
+from dc2g_jax.estimation.networks.compact_unet import Architecture
+from dc2g_jax.grid.gridworld import belief_from_map
+from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
+from dc2g_jax.grid.terrain import FRONT_DOOR
+from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.planning import online
+from dc2g_jax.planning.decisions import Candidate, Decision
+from dc2g_jax.planning.named import make_planner
+from dc2g_jax.planning.online import OnlinePlanner
+from dc2g_jax.planning.planners import MODE_NAMES
+from dc2g_jax.planning.rules import complete_rules
+from tests.oracles import gridworld_oracle as oracle
+from tests.support import maps
+from tests.support.exploration import SENSING, STEP_LIMIT, Scattered, random_moment, random_worlds
+from tests.support.networks import random_network
+
+#: Maps, and the largest that planners are made for: one program, three, and one for maps that go on beyond their edges.
+SHAPE = (11, 29)
+LARGEST = (14, 32)
+LARGER = (33, 65)
+OPEN_ENDED = (16, 16)
+
+
+@functools.cache
+def network() -> NetworkCostToGo:
+    """A tiny network that has learned nothing."""
+    return random_network(Architecture(widths=(4, 4, 4, 4)))
+
+
+@struct.dataclass
+class BothViews:
+    """What an estimator makes of the map and of its mirror image on average, which the planner should go by."""
+
+    estimator: Estimator
+
+    def init(self, world):
+        return self.estimator.init(world)
+
+    def estimate(self, terrain, state=()):
+        mirrored = self.estimator.estimate(terrain[:, ::-1], state)[:, :, ::-1]
+        return (self.estimator.estimate(terrain, state) + mirrored) / 2
+
+
+@functools.cache
+def planner_of(name: str, largest: tuple[int, int] = LARGEST, open_ended: bool = False) -> OnlinePlanner:
+    estimator = None if name == "frontier" else network()
+    return OnlinePlanner(
+        estimator,
+        planner=name,
+        sensing_range=SENSING,
+        largest=OPEN_ENDED if open_ended else largest,
+        open_ended=open_ended,
+    )
+
+
+def observed(terrain, seen):
+    return np.where(seen, terrain, 0).astype(np.uint8)
+
+
+def cropped(grid):
+    """The smallest part of a grid that holds everything observed, and its origin."""
+    rows, columns = (np.flatnonzero((grid != 0).any(axis=axis)) for axis in (1, 0))
+    return grid[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], (int(columns[0]), int(rows[0]))
+
+
+def episode(planner: OnlinePlanner, terrain, pose, crop: bool = False):
+    """What a robot knows, where it is and what it is told, step by step; it does what it is told."""
+    seen, decision = oracle.visible(pose, SENSING, terrain.shape), None
+    for _ in range(STEP_LIMIT):
+        grid, origin = cropped(observed(terrain, seen)) if crop else (observed(terrain, seen), (0, 0))
+        decision = planner.plan(grid, pose, origin=origin)
+        yield grid, pose, decision
+        if decision.action is None:
+            return
+        pose = oracle.moved(pose, ACTION_LETTERS.index(decision.action), terrain.shape)
+        assert pose == decision.path[1]
+        seen |= oracle.visible(pose, SENSING, terrain.shape)
+
+
+def assert_alike(decision: Decision, other: Decision) -> None:
+    """The same choice for the same reason; estimates may differ in their last bits, and ranks after the first too."""
+    assert (decision.mode, decision.path, decision.actions) == (other.mode, other.path, other.actions)
+    ours, theirs = (sorted(each.candidates) for each in (decision, other))
+    assert [each[:3] for each in ours] == [each[:3] for each in theirs]
+    for one, another in zip(ours, theirs, strict=True):
+        assert one.distance == another.distance
+        assert one.cost_to_go == pytest.approx(another.cost_to_go, abs=1e-3)
+        assert one.score == pytest.approx(another.score, abs=1e-3)
+
+
+# --- the choice -------------------------------------------------------------------------------------------------------
+
+
+def test_every_step_of_an_episode_is_that_of_the_batch_planner():
+    @jax.jit
+    def plan(planner, grid, pose):
+        return planner.plan(belief_from_map(grid, make_pose(*pose)), planner.init(world_from_terrain(grid)))[0]
+
+    batch_planner = make_planner("dc2g", complete_rules(SENSING), BothViews(network()))
+    batch_planner = dataclasses.replace(batch_planner, views=((),))
+    terrains, starts = random_worlds(SHAPE, 900, episodes=8)
+    for terrain, start in zip(terrains, starts, strict=True):
+        for grid, pose, decision in episode(planner_of("dc2g"), terrain, start):
+            wanted = jax.device_get(plan(batch_planner, grid, pose))
+            assert decision.mode == MODE_NAMES[wanted.mode]
+            assert len(decision.actions) == wanted.length
+            if decision.action:
+                assert decision.action == ACTION_LETTERS[wanted.action]
+
+
+def poses_to_choose_from(seen, free, pose, rim_width: int):
+    radii = {"sensing_radius": SENSING, "expanding_radius": SENSING}
+    found = oracle.explore_poses(seen, oracle.reachable(free, *pose[:2]), pose, rules="complete", **radii)
+    opening = oracle.opening_poses(found, seen, rim_width, SENSING)
+    return opening if opening.any() else found
+
+
+def scattered_planner() -> OnlinePlanner:
+    """One whose estimator must not be given a grid larger than the map."""
+    return OnlinePlanner(Scattered(), sensing_range=SENSING, largest=SHAPE)
+
+
+@pytest.mark.parametrize(
+    ("make", "estimate", "weight", "rim_width", "gain_weight"),
+    [
+        (lambda: planner_of("frontier"), lambda grid: np.zeros((1, *grid.shape)), 1.0, 0, 0.0),
+        (lambda: planner_of("dc2g"), jax.jit(BothViews(network()).estimate), 0.5, 1, 3.0),
+        (scattered_planner, BothViews(Scattered()).estimate, 0.5, 1, 3.0),
+    ],
+    ids=["frontier", "dc2g", "another estimator"],
+)
+def test_decisions_hold_what_the_plain_implementation_finds(make, estimate, weight, rim_width, gain_weight):
+    planner, modes = make(), dict.fromkeys(("explore", "to_goal", "gave_up"), 0)
+    for seed in range(60):
+        terrain, seen, pose = random_moment(seed, SHAPE, 0.8)
+        if seed % 2:
+            terrain = np.where(terrain == FRONT_DOOR, 3, terrain).astype(np.uint8)
+        grid, free = observed(terrain, seen), seen & np.isin(terrain, oracle.TRAVERSABLE_CLASSES)
+        decision = planner.plan(grid, pose)
+        doors = oracle.reachable(free, *pose[:2]) & (terrain == FRONT_DOOR)
+        found = poses_to_choose_from(seen, free, pose, rim_width)
+        mode = "to_goal" if doors.any() else "explore" if found.any() else "gave_up"
+        assert decision.mode == mode
+        modes[mode] += 1
+        if mode == "gave_up":
+            assert decision == Decision(None, mode, None, (), "", (), decision.why)
+            continue
+        targets = np.stack([doors] * 4)
+        if mode == "explore":
+            distance = np.where(found, oracle.distances_from(free, pose), 10**6)
+            costs = np.asarray(estimate(grid)).mean(axis=0)
+            share = oracle.newly_seen(found, seen, SENSING) / len(oracle.sensing_offsets(SENSING, 0))
+            score = costs + weight * distance.min(axis=0) - gain_weight * share
+            check_ranking(decision, found.any(axis=0), distance, costs, score)
+            nearest = found & (distance == distance.min(axis=0))
+            preferred = oracle.facing_most_unseen(nearest, seen) if gain_weight else nearest
+            targets = preferred & (score < score[found.any(axis=0)].min() + 1e-4)
+        actions = oracle.shortest_actions(free, pose, targets)
+        assert decision.actions == "".join(ACTION_LETTERS[action] for action in actions)
+        check_path(decision, pose, SHAPE)
+    assert min(modes.values()) > 1, modes
+
+
+def check_ranking(decision: Decision, cells, distance, costs, score) -> None:
+    ranked = decision.candidates
+    assert {(each.y, each.x) for each in ranked} == set(zip(*map(np.ndarray.tolist, np.nonzero(cells)), strict=True))
+    assert len(ranked) == cells.sum()
+    assert [each.score for each in ranked] == sorted(each.score for each in ranked)
+    assert ranked[0][:3] == decision.subgoal
+    for each in ranked:
+        assert each.distance == distance[each.heading, each.y, each.x] == distance[:, each.y, each.x].min()
+        assert each.score == pytest.approx(score[each.y, each.x], abs=1e-3)
+        if each.cost_to_go is not None:
+            assert each.cost_to_go == pytest.approx(costs[each.y, each.x], abs=1e-3)
+
+
+def check_path(decision: Decision, pose, shape) -> None:
+    assert decision.path[0] == pose
+    for letter, before, after in zip(decision.actions, decision.path[:-1], decision.path[1:], strict=True):
+        assert oracle.moved(before, ACTION_LETTERS.index(letter), shape) == after
+    assert decision.path[-1] == decision.subgoal
+    assert decision.action == (decision.actions[0] if decision.actions else None)
+
+
+def test_reasons(street):
+    planner = planner_of("frontier")
+    at_door = planner.plan(street, (2, 0, 3))
+    assert (at_door.action, at_door.mode, at_door.path) == (None, "to_goal", ((2, 0, 3),))
+    assert at_door.why == "to goal: the robot stands on the door at (2, 0)"
+    assert planner.plan(street, (2, 1, 3)).why == "to goal: the door at (2, 0) is reachable in 1 action"
+    doorless = np.where(street == FRONT_DOOR, 7, street).astype(np.uint8)
+    why = planner.plan(doorless, (2, 3, 0)).why
+    assert why == "gave up: no door is reachable, and nothing unobserved can be seen from anywhere reachable"
+    corridor = np.full((1, 5), 3, np.uint8)
+    corridor[0, 4] = 0
+    why = planner.plan(corridor, (0, 0, 1)).why
+    assert why == "explore: (0, 0) facing east is the nearest of 4 candidates, 1 action away; next best 2 at (1, 0)"
+    why = planner.plan(corridor[:, 3:], (0, 0, 1)).why
+    assert why == "explore: (0, 0) facing east is the only candidate, 1 action away"
+
+
+def test_an_estimator_with_an_extent_is_asked_about_it_alone():
+    side, prior = 7, 50.0
+    planner = OnlinePlanner(WindowedEstimator(Scattered(), Window(side, prior)), sensing_range=SENSING, largest=SHAPE)
+    found = {"inside": 0, "beyond": 0}
+    for seed in range(30):
+        terrain, seen, pose = random_moment(seed, SHAPE, 0.8)
+        grid = observed(np.where(terrain == FRONT_DOOR, 3, terrain).astype(np.uint8), seen)
+        window = np.pad(grid, side)[pose[1] + side - 3 : pose[1] + side + 4, pose[0] + side - 3 : pose[0] + side + 4]
+        costs = np.asarray(BothViews(Scattered()).estimate(window))[0]
+        for each in planner.plan(grid, pose).candidates:
+            x, y = each.x - pose[0] + 3, each.y - pose[1] + 3
+            inside = 0 <= x < side and 0 <= y < side
+            assert each.cost_to_go == pytest.approx(costs[y, x] if inside else prior)
+            found["inside" if inside else "beyond"] += 1
+    assert min(found.values()) > 5, found
+
+
+# --- the grid the map is laid into, and where the map lies ------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["frontier", "dc2g"])
+def test_decisions_do_not_depend_on_the_grid(name):
+    fitting, larger = planner_of(name), planner_of(name, LARGER)
+    for seed in range(25):
+        shape = ((5, 7), (11, 29), (14, 32), (12, 31), (1, 32))[seed % 5]
+        terrain, seen, pose = random_moment(seed, shape, 0.8)
+        grid = observed(terrain, seen)
+        assert_alike(fitting.plan(grid, pose), larger.plan(grid, pose))
+
+
+def test_beyond_a_map_of_known_size_there_is_nothing_to_explore():
+    road = np.full((6, 6), 3, np.uint8)
+    assert planner_of("dc2g").plan(road, (2, 2, 0)).mode == "gave_up"
+    beyond = planner_of("dc2g", open_ended=True).plan(road, (2, 2, 0))
+    assert beyond.mode == "explore"
+    # From every cell on the border something can be seen.
+    border = {(x, y) for x in range(6) for y in range(6) if {x, y} & {0, 5}}
+    assert border <= {(each.x, each.y) for each in beyond.candidates}
+
+
+@pytest.mark.parametrize("open_ended", [False, True])
+@pytest.mark.parametrize("name", ["frontier", "dc2g"])
+def test_everything_is_in_the_coordinates_of_the_origin(name, open_ended):
+    def moved(pose):
+        return (pose[0] - 1000, pose[1] + 7, *pose[2:])
+
+    planner = planner_of(name, open_ended=open_ended)
+    for seed in range(6):
+        terrain, seen, pose = random_moment(seed, (11, 15), 0.8)
+        here, there = (
+            planner.plan(observed(terrain, seen), place(pose), origin=place((0, 0)))
+            for place in (lambda pose: pose, moved)
+        )
+        assert there.actions == here.actions
+        assert there.path == tuple(moved(each) for each in here.path)
+        assert there.candidates == tuple(Candidate(*moved(each)) for each in here.candidates)
+
+
+def test_an_open_ended_map_may_grow_in_all_directions_at_every_step():
+    """Cut to what has been observed, the map grows as the robot goes; its decisions are those in the whole world."""
+    directions = set()
+    for seed in range(6):
+        terrain = np.pad(maps.random_terrain(seed, (14, 14), 0.8, doors=0), 1, constant_values=2)
+        terrain[2 + seed, 3] = 3
+        terrain[14, 13 - seed] = FRONT_DOOR
+        start = maps.random_pose(seed, np.isin(terrain, oracle.TRAVERSABLE_CLASSES) & (terrain != FRONT_DOOR))
+        success, letters, _ = oracle.run_episode(
+            terrain, start, "frontier", rules="complete",
+            sensing_radius=SENSING, expanding_radius=SENSING, max_steps=STEP_LIMIT,
+        )  # fmt: skip
+        steps = list(episode(planner_of("frontier", open_ended=True), terrain, start, crop=True))
+        assert "".join(decision.action or "" for _, _, decision in steps) == letters
+        assert (steps[-1][-1].mode == "to_goal") == success
+        directions |= directions_of_growth(terrain, start, letters)
+    assert directions == {"left", "up", "right", "down"}
+
+
+def directions_of_growth(terrain, pose, letters: str) -> set[str]:
+    grid = observed(terrain, oracle.visible(pose, SENSING, terrain.shape))
+    (before, (left, top)), found = cropped(grid), set()
+    for letter in letters:
+        pose = oracle.moved(pose, ACTION_LETTERS.index(letter), terrain.shape)
+        grid = np.where(oracle.visible(pose, SENSING, terrain.shape), terrain, grid)
+        after, (new_left, new_top) = cropped(grid)
+        found |= {"left"} if new_left < left else set()
+        found |= {"up"} if new_top < top else set()
+        found |= {"right"} if new_left + after.shape[1] > left + before.shape[1] else set()
+        found |= {"down"} if new_top + after.shape[0] > top + before.shape[0] else set()
+        before, left, top = after, new_left, new_top
+    return found
+
+
+@pytest.mark.parametrize("name", ["frontier", "dc2g"])
+def test_no_size_of_map_compiles_anything(name):
+    planner = planner_of(name, LARGER)
+    compiled = online._look.compiled_count()
+    for height, width in ((1, 1), (3, 32), (33, 2), (32, 32), (32, 33), (33, 64), (33, 65)):
+        decision = planner.plan(np.full((height, width), 3, np.uint8), (0, 0, 0))
+        assert decision.mode == "gave_up"
+        corner = np.full((height, width), 3, np.uint8)
+        corner[-1, -1] = 0 if height * width > 1 else 3
+        planner.plan(corner, (0, 0, 0))
+    assert online._look.compiled_count() == compiled
+
+
+def test_cells_may_change_between_calls():
+    """A map is planned in as it is: ground that turned out blocked, or was never there, is forgotten."""
+    planner, road = planner_of("dc2g"), np.full((9, 9), 3, np.uint8)
+    road[8, 8] = FRONT_DOOR
+    assert planner.plan(road, (0, 0, 0)).mode == "to_goal"
+    blocked = road.copy()
+    blocked[5] = 7
+    assert planner.plan(blocked, (0, 0, 0)).mode == "gave_up"
+    lost = road.copy()
+    lost[5] = 0
+    assert planner.plan(lost, (0, 0, 0)).mode == "explore"
+    assert planner.plan(road, (0, 0, 0)).mode == "to_goal"
+
+
+# --- bad input --------------------------------------------------------------------------------------------------------
+
+ROAD = np.full((5, 6), 3, np.uint8)
+
+
+def with_cell(value: int) -> np.ndarray:
+    grid = ROAD.copy()
+    grid[2, 1] = value
+    return grid
+
+
+@pytest.mark.parametrize(
+    ("grid", "pose", "origin", "words"),
+    [
+        (ROAD.astype(np.int32), (1, 2, 0), (0, 0), ["int32", "uint8"]),
+        (ROAD[0], (1, 2, 0), (0, 0), ["(6,)", "[rows columns]"]),
+        (ROAD[:0], (1, 2, 0), (0, 0), ["(0, 6)", "1 to 14 rows"]),
+        (np.full((15, 5), 3, np.uint8), (1, 2, 0), (0, 0), ["(15, 5)", "1 to 14 rows", "larger"]),
+        (np.full((5, 33), 3, np.uint8), (1, 2, 0), (0, 0), ["(5, 33)", "1 to 32 columns", "larger"]),
+        (with_cell(16), (0, 0, 0), (0, 0), ["grid[2, 1] is 16", "15"]),
+        (ROAD, (6, 2, 0), (0, 0), ["(6, 2)", "columns 0 to 5", "origin"]),
+        (ROAD, (1, 2, 0), (0, 3), ["(1, 2)", "rows 3 to 7", "origin"]),
+        (ROAD, (-1, 2, 0), (0, 0), ["(-1, 2)", "off the map"]),
+        (ROAD, (1, 2, 4), (0, 0), ["heading is 4", "3 (-y)"]),
+        (ROAD, (1, 2, -1), (0, 0), ["heading is -1"]),
+        (ROAD, (1.5, 2, 0), (0, 0), ["pose", "1.5", "whole numbers, 3 of them"]),
+        (ROAD, (1, 2), (0, 0), ["pose", "whole numbers, 3 of them"]),
+        (ROAD, None, (0, 0), ["pose", "None"]),
+        (ROAD, ROAD, (0, 0), ["pose is array([[3, 3", "..."]),
+        (ROAD, (1, 2, 0), (0.0, 0), ["origin", "whole numbers, 2 of them"]),
+        (with_cell(0), (1, 2, 0), (0, 0), ["(1, 2)", "not been observed", "15"]),
+        (with_cell(7), (1, 2, 0), (0, 0), ["(1, 2)", "'house'", "15"]),
+    ],
+)
+def test_bad_input_is_one_line_with_the_value_and_the_remedy(grid, pose, origin, words):
+    with pytest.raises(InputError) as refused:
+        planner_of("frontier").plan(grid, pose, origin=origin)
+    message = str(refused.value)
+    assert "\n" not in message
+    assert all(word in message for word in words), message
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"planner": "oracle"}, ["'oracle'", "frontier, dc2g, dc2g_uncertain"]),
+        ({"planner": "dc2g"}, ["'dc2g'", "need an estimator"]),
+        ({"sensing_range": 0}, ["sensing_range 0", "at least 1"]),
+        ({"sensing_range": 65}, ["sensing_range 65", "at most 64"]),
+        ({"largest": (0, 5)}, ["0 x 5", "at least 1"]),
+        ({"largest": (5,)}, ["largest", "whole numbers"]),
+        ({"largest": 50}, ["largest is 50", "whole numbers"]),
+        ({"sensing_range": 2.5}, ["sensing_range is [2.5]", "whole numbers"]),
+        ({"largest": (5.5, 5)}, ["5.5", "whole numbers"]),
+    ],
+)
+def test_planners_that_cannot_be_made(options, words):
+    with pytest.raises(InputError) as refused:
+        OnlinePlanner(None, **options)
+    assert all(word in str(refused.value) for word in words), refused.value
+
+
+def test_an_estimate_that_is_no_number_is_refused():
+    broken = NetworkCostToGo(
+        weights=jax.tree.map(lambda leaf: np.full_like(leaf, np.nan), network().weights),
+        architecture=network().architecture,
+    )
+    grid = np.full((3, 3), 3, np.uint8)
+    grid[2, 2] = 0
+    with pytest.raises(InputError, match="weights"):
+        OnlinePlanner(broken, sensing_range=SENSING, largest=LARGEST).plan(grid, (0, 0, 0))

@@ -1,0 +1,110 @@
+"""Episodes by name: planners, order of results, extra steps and summaries."""
+
+import jax
+import numpy as np
+import pytest
+
+from dc2g_jax.datasets.houses import House, HouseDataset
+from dc2g_jax.datasets.starts import Start
+from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation.networks.compact_unet import Architecture, init_weights
+from dc2g_jax.grid.terrain import FRONT_DOOR
+from dc2g_jax.planning.planners import Frontier
+from dc2g_jax.planning.rules import SETTINGS, complete_rules
+from dc2g_jax.rollouts.evaluation import Runner, episodes_from
+from tests.oracles import gridworld_oracle as oracle
+from tests.support.refusals import refusal, refusal_of
+
+RULES = complete_rules(4)
+
+
+@pytest.fixture(scope="module")
+def dataset(street) -> HouseDataset:
+    mirrored = np.ascontiguousarray(street[:, ::-1])
+    return HouseDataset("toys", "folder", (House("left", "test", street), House("right", "val", mirrored)))
+
+
+STARTS = (
+    Start("right", 0, 4, 0, 4, 3),
+    Start("left", 9, 5, 1),
+    Start("right", 9, 5, 2),
+    Start("left", 0, 6, 3, 4, 3),
+    Start("left", 0, 6, 3),
+    Start("right", 4, 4, 1, 4, 3),
+)
+
+
+def test_results_come_in_the_order_of_planners_and_starts_whatever_their_ranges(dataset):
+    results = Runner(dataset, SETTINGS["reference"]).run(STARTS, ["frontier", "oracle", "frontier"])
+    assert [result.planner for result in results] == ["frontier"] * len(STARTS) + ["oracle"] * len(STARTS)
+    for result, start in zip(results, STARTS * 2, strict=True):
+        assert (result.house, result.x, result.y, result.heading) == start[:4]
+        sensing = start.sensing_range or 8
+        expanding = start.expanding_range or sensing
+        assert (result.range, result.expanding_range) == (sensing, expanding)
+        episode = {
+            name: oracle.run_episode(
+                dataset.house(start.house).terrain,
+                (start.x, start.y, start.heading),
+                name,
+                rules="reference",
+                sensing_radius=sensing,
+                expanding_radius=expanding,
+                max_steps=500,
+            )
+            for name in ("oracle", "frontier")
+        }
+        success, actions, mode = episode[result.planner]
+        assert (result.success, result.actions, result.mode) == (success, actions, mode)
+        assert (result.steps, result.oracle_steps) == (len(actions), len(episode["oracle"][1]))
+        assert result.extra == pytest.approx(100 * (len(actions) / len(episode["oracle"][1]) - 1))
+
+
+def test_dc2g_runs_on_the_network_it_is_given(dataset):
+    architecture = Architecture(widths=(4,) * len(Architecture().widths))
+    network = NetworkCostToGo(weights=init_weights(architecture, jax.random.key(0)), architecture=architecture)
+    runner = Runner(dataset, SETTINGS["paper"], step_limit=40)
+    results = runner.run(STARTS[1:3], ["dc2g", "oracle"], network)
+    assert [result.planner for result in results] == ["dc2g", "dc2g", "oracle", "oracle"]
+    assert all(result.success and result.extra >= 0 and result.expanding_range is None for result in results)
+
+
+def test_progress_names_the_planner(dataset):
+    reports: list[tuple[str, int, int]] = []
+    runner = Runner(dataset, SETTINGS["paper"], step_limit=40, progress=lambda *report: reports.append(report))
+    runner.run(STARTS[1:3], ["oracle"])
+    assert reports[-1] == ("oracle", 2, 2)
+
+
+def test_planners_of_ones_own_are_run_beside_the_others(dataset):
+    runner = Runner(dataset, SETTINGS["reference"])
+    results = runner.run(STARTS, ["mine", "frontier"], own={"mine": Frontier})
+    assert [result._replace(planner="frontier") for result in results[: len(STARTS)]] == results[len(STARTS) :]
+    assert {result.planner for result in results[: len(STARTS)]} == {"mine"}
+    with pytest.raises(ValueError, match=r"no planner is called 'mine'; known: oracle, .*Runner\.run"):
+        runner.run(STARTS, ["mine"])
+    with pytest.raises(ValueError, match="own: holds an oracle"):
+        runner.run(STARTS, ["oracle"], own={"oracle": Frontier})
+
+
+def test_no_starts_no_results(dataset):
+    assert Runner(dataset, SETTINGS["paper"]).run([], ["frontier"]) == []
+    assert len(episodes_from([], {})) == 0
+
+
+@pytest.mark.parametrize(("x", "y", "heading"), [(-1, 0, 0), (0, -1, 0), (50, 0, 0), (0, 50, 0), (0, 0, 4), (0, 0, -1)])
+def test_a_start_that_is_no_pose_on_the_map_is_refused(x, y, heading, dataset):
+    start = STARTS[0]._replace(x=x, y=y, heading=heading)
+    refusal_of(ValueError, lambda: Runner(dataset, SETTINGS["paper"]).run([start], ["oracle"]), start.house, "no pose")
+
+
+def test_a_step_limit_that_not_even_the_oracle_keeps_is_refused(dataset):
+    runner = Runner(dataset, SETTINGS["paper"], step_limit=2)
+    refusal(lambda: runner.run(STARTS[1:3], ["frontier"]), STARTS[1].house, "within 2 actions", "larger step limit")
+
+
+def test_the_step_limit_grows_with_the_map(dataset):
+    assert Runner(dataset, SETTINGS["paper"]).step_limit == 500
+    campus = House("campus", "test", np.full((60, 100), FRONT_DOOR, np.uint8))
+    assert Runner(HouseDataset("own", "folder", (campus,)), SETTINGS["paper"]).step_limit == 60 * 100 // 5
+    refusal(lambda: Runner(dataset, SETTINGS["paper"], step_limit=0), "step limit 0", "at least 1")

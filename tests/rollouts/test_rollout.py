@@ -1,0 +1,197 @@
+"""Many episodes at once give what each gives alone, whatever the slots and the order."""
+
+import threading
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation.networks.compact_unet import Architecture, init_weights
+from dc2g_jax.grid.poses import make_pose
+from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.planning.planners import DC2G, EXPLORE, GAVE_UP, TO_GOAL, Frontier, Oracle
+from dc2g_jax.planning.rules import complete_rules
+from dc2g_jax.planning.selection import ReservationCost
+from dc2g_jax.rollouts import rollout as rollout_module
+from dc2g_jax.rollouts.devices import share_out
+from dc2g_jax.rollouts.evaluation import episodes_from
+from dc2g_jax.rollouts.rollout import NO_ACTION, Episodes, Trajectories, rollout
+from tests.oracles import gridworld_oracle as oracle
+from tests.support import maps
+
+RULES = complete_rules(3)
+SHAPE = (8, 10)
+N_WORLDS, N_EPISODES = 6, 29
+
+
+@pytest.fixture(scope="module")
+def terrains(street, island) -> np.ndarray:
+    return np.stack([street, island, *(maps.random_terrain(seed, SHAPE, 0.75) for seed in range(N_WORLDS - 2))])
+
+
+def some_episodes(terrains: np.ndarray, seed: int, count: int = N_EPISODES) -> Episodes:
+    world = np.random.default_rng(seed).integers(len(terrains), size=count)
+    poses = []
+    for number, index in enumerate(world):
+        ground = np.isin(terrains[index], oracle.TRAVERSABLE_CLASSES) & (terrains[index] != oracle.FRONT_DOOR)
+        poses.append(maps.random_pose(1000 * seed + number, ground))
+    return Episodes(world=jnp.asarray(world, jnp.int32), start=make_pose(*np.array(poses).T))
+
+
+def run(terrains, episodes, planner=None, **options) -> Trajectories:
+    planner = Frontier(RULES) if planner is None else planner
+    options = {"sensing": RULES.sensing, "step_limit": 60, "slots": N_EPISODES, **options}
+    return rollout(planner, world_from_terrain(np.moveaxis(terrains, 0, -1)), episodes, **options)
+
+
+def assert_equal(one: Trajectories, other: Trajectories) -> None:
+    for name in ("actions", "steps", "success", "mode"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
+@pytest.mark.parametrize("slots", [1, 3, 128])
+def test_results_do_not_depend_on_the_number_of_slots(terrains, slots):
+    episodes = some_episodes(terrains, 0)
+    done = run(terrains, episodes, slots=slots)
+    for index in range(N_EPISODES):
+        terrain = terrains[int(episodes.world[index])]
+        pose = tuple(int(part[index]) for part in (episodes.start.x, episodes.start.y, episodes.start.heading))
+        success, actions, mode = oracle.run_episode(
+            terrain, pose, "frontier", rules="complete", sensing_radius=3, expanding_radius=3, max_steps=60
+        )
+        letters = "".join("FLR"[action] for action in done.actions[index, : done.steps[index]])
+        assert (bool(done.success[index]), letters) == (success, actions)
+        assert mode == ("explore", "to_goal", "gave_up")[done.mode[index]]
+        assert (done.actions[index, done.steps[index] :] == NO_ACTION).all()
+
+
+def test_results_do_not_depend_on_the_order(terrains):
+    episodes = some_episodes(terrains, 1)
+    order = np.random.default_rng(0).permutation(N_EPISODES)
+    straight, shuffled = run(terrains, episodes), run(terrains, jax.tree.map(lambda leaf: leaf[order], episodes))
+    assert_equal(shuffled, jax.tree.map(lambda leaf: leaf[order], straight))
+    assert_equal(straight, run(terrains, episodes))
+
+
+def test_types_of_the_results(terrains):
+    done = run(terrains, some_episodes(terrains, 0))
+    assert done.actions.shape == (N_EPISODES, 60)
+    assert (done.actions.dtype, done.steps.dtype, done.success.dtype) == (np.int8, np.int32, bool)
+    assert all(isinstance(leaf, np.ndarray) for leaf in jax.tree.leaves(done))
+    assert set(np.unique(done.mode)) <= {EXPLORE, TO_GOAL, GAVE_UP}
+
+
+def test_no_episodes(terrains):
+    reports: list[int] = []
+    done = run(terrains, episodes_from([], {}), on_progress=reports.append)
+    assert done.actions.shape == (0, 60)
+    assert done.actions.dtype == np.int8
+    assert len(done.steps) == len(done.success) == len(done.mode) == 0
+    one = run(terrains, some_episodes(terrains, 0), slots=3)
+    for name in ("actions", "steps", "success", "mode"):
+        assert getattr(done, name).dtype == getattr(one, name).dtype, name
+
+
+def test_the_step_limit_ends_an_episode(terrains):
+    episodes = some_episodes(terrains, 0)
+    free = run(terrains, episodes)
+    limited = run(terrains, episodes, step_limit=4)
+    assert limited.actions.shape == (N_EPISODES, 4)
+    np.testing.assert_array_equal(limited.actions, free.actions[:, :4])
+    np.testing.assert_array_equal(limited.steps, np.minimum(free.steps, 4))
+    np.testing.assert_array_equal(limited.success, free.success & (free.steps <= 4))
+    assert (free.steps > 4).any()
+    assert limited.success.any()
+
+
+def test_progress_grows_and_ends_at_the_number_of_episodes(terrains, monkeypatch):
+    monkeypatch.setattr(rollout_module, "_SECONDS_PER_CALL", 0)
+    reports: list[int] = []
+    run(terrains, some_episodes(terrains, 2), slots=1, on_progress=reports.append)
+    assert len(reports) > 3
+    assert reports == sorted(reports)
+    assert reports[-1] == N_EPISODES
+    assert 0 <= reports[0] < N_EPISODES
+
+
+def test_what_fails_in_one_queue_ends_the_rollout(terrains):
+    def fail(finished: int) -> None:
+        raise RuntimeError(f"{finished} episodes are enough")
+
+    with pytest.raises(RuntimeError, match="are enough"):
+        run(terrains, some_episodes(terrains, 2), on_progress=fail)
+
+
+def test_a_worker_that_fails_ends_the_others():
+    others = threading.Event()
+
+    def serve(device, own, report):
+        if 1 in own:
+            raise RuntimeError("broken")
+        while report(0):
+            others.wait(0.01)
+        others.set()
+        return own
+
+    with pytest.raises(RuntimeError, match="broken"):
+        share_out(2, jax.devices()[:1] * 2, serve)
+    assert others.is_set()
+
+
+def test_actions_are_kept_only_if_asked_for(terrains):
+    episodes = some_episodes(terrains, 0)
+    kept, dropped = run(terrains, episodes), run(terrains, episodes, keep_actions=False)
+    assert dropped.actions.shape == (N_EPISODES, 0)
+    for name in ("steps", "success", "mode"):
+        np.testing.assert_array_equal(getattr(dropped, name), getattr(kept, name))
+
+
+def compiled_programs() -> list[int]:
+    return [program.compiled_count() for program in rollout_module._programs(jax.default_backend())]
+
+
+def test_one_program_serves_all_episodes_of_the_same_shapes(terrains):
+    run(terrains, some_episodes(terrains, 3))
+    run(terrains, some_episodes(terrains, 3), Oracle())
+    before = compiled_programs()
+    run(terrains, some_episodes(terrains, 4))
+    run(terrains[::-1], some_episodes(terrains[::-1], 5))
+    run(terrains, some_episodes(terrains, 6), Frontier(complete_rules(3)), on_progress=lambda _: None)
+    run(terrains, some_episodes(terrains, 6), Oracle())
+    # Nor does the number of episodes matter, up to the next power of two.
+    for count in (N_EPISODES - 1, N_EPISODES + 2):
+        run(terrains, some_episodes(terrains, 8, count))
+    assert compiled_programs() == before
+
+
+def network_planner(seed: int) -> DC2G:
+    architecture = Architecture(widths=(4,) * len(Architecture().widths))
+    network = NetworkCostToGo(weights=init_weights(architecture, jax.random.key(seed)), architecture=architecture)
+    return DC2G(network, RULES, ReservationCost(0.5))
+
+
+def test_one_program_serves_all_weights_of_an_architecture(terrains):
+    episodes = some_episodes(terrains, 7, count=5)
+
+    def leads(seed: int) -> Trajectories:
+        return run(terrains, episodes, network_planner(seed), slots=5)
+
+    first = leads(0)
+    before = compiled_programs()
+    assert_equal(leads(0), first)
+    leads(1)
+    assert compiled_programs() == before
+
+
+def test_a_network_leads_each_robot_as_if_it_were_alone(terrains):
+    """Neither the slots nor the devices nor the company in the network's batches change a single action."""
+    episodes, planner = some_episodes(terrains, 9), network_planner(0)
+    together = run(terrains, episodes, planner, slots=32, devices=jax.local_devices()[:1])
+    cpu = jax.local_devices()[0]
+    for options in ({"slots": 5}, {"slots": 17, "devices": [cpu, cpu, cpu]}, {"slots": 1}):
+        assert_equal(run(terrains, episodes, planner, **options), together)
+    for number in range(0, N_EPISODES, 7):
+        alone = run(terrains, jax.tree.map(lambda leaf, n=number: leaf[n : n + 1], episodes), planner)
+        assert_equal(alone, jax.tree.map(lambda leaf, n=number: leaf[n : n + 1], together))

@@ -1,0 +1,223 @@
+"""Every boundary where a user's class enters a compiled program, under a `jax.jit` that takes one class for another.
+
+JAX confuses two classes of equal structure only where their hashes happen to meet. Here they always meet: the first of
+two equal structures stands in for both. `python -m tests.support.collisions` prints, for each boundary, whether the second
+class was asked. A class that is asked says so with an exception.
+"""
+
+import functools
+import inspect
+import json
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+import optax  # noqa: F401 before the change: what libraries compile is theirs
+import orbax.checkpoint  # noqa: F401
+from flax import nnx, struct  # noqa: F401
+
+_jit = jax.jit
+
+
+def colliding_jit(function: Callable | None = None, **options: Any) -> Any:
+    """`jax.jit` with a cache in which all structures have one hash."""
+    if function is None:
+        return functools.partial(colliding_jit, **options)
+    program = _jit(function, **options)
+    parameters = list(inspect.signature(function).parameters)
+    numbers, names = options.get("static_argnums", ()), options.get("static_argnames", ())
+    numbers = (numbers,) if isinstance(numbers, int) else numbers
+    static = {*((names,) if isinstance(names, str) else names), *(parameters[number] for number in numbers)}
+    known: list[Any] = []
+
+    def mistaken(value: Any) -> Any:
+        leaves, structure = jax.tree.flatten(value)
+        if structure not in known:
+            known.append(structure)
+        return jax.tree.unflatten(known[known.index(structure)], leaves)
+
+    @functools.wraps(function)
+    def call(*args, **kwargs):
+        args = tuple(arg if name in static else mistaken(arg) for name, arg in zip(parameters, args, strict=False))
+        return program(*args, **{name: arg if name in static else mistaken(arg) for name, arg in kwargs.items()})
+
+    call.lower, call.trace, call._cache_size = program.lower, program.trace, program._cache_size
+    return call
+
+
+class Asked(Exception):
+    """The code of the second class runs."""
+
+
+def asked(*args, **kwargs):
+    """Say so."""
+    raise Asked
+
+
+def variants(base: type, name: str) -> tuple[type, type]:
+    """Two classes like `base`, with equal structures; a method or property of the second says that it is asked."""
+    told = property(asked) if isinstance(inspect.getattr_static(base, name, None), property) else asked
+    return struct.dataclass(type("First", (base,), {})), struct.dataclass(type("Second", (base,), {name: told}))
+
+
+def with_property(whole: Any, name: str) -> tuple[tuple[type, type], Callable[[type], Any]]:
+    """Two classes with the fields of a dataclass, one of them behind a property; and what makes an object of them."""
+    fields = {field: getattr(whole, field) for field in whole.__dataclass_fields__ if field != name}
+    annotations = {"held": Any, **dict.fromkeys(fields, Any)}
+    base = struct.dataclass(type("Base", (), {"__annotations__": annotations, name: property(lambda self: self.held)}))
+    return variants(base, name), lambda cls: cls(held=getattr(whole, name), **fields)
+
+
+def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
+    """Boundary -> what sends an object of a class through it, and the two classes."""
+    from dc2g_jax.datasets.houses import HouseDataset
+    from dc2g_jax.datasets.starts import Start
+    from dc2g_jax.environments import functional, gymnasium_env
+    from dc2g_jax.estimation.estimators import ExactCostToGo
+    from dc2g_jax.grid.poses import make_pose
+    from dc2g_jax.grid.world import world_from_terrain
+    from dc2g_jax.inspection.replay import replay
+    from dc2g_jax.objectnav import guides, searches
+    from dc2g_jax.objectnav import training as indoor_training
+    from dc2g_jax.planning.online import OnlinePlanner
+    from dc2g_jax.planning.planners import DC2G, Frontier
+    from dc2g_jax.planning.rules import SETTINGS, complete_rules
+    from dc2g_jax.rollouts.evaluation import Runner, episodes_from
+    from dc2g_jax.training import cost_to_go, translator
+    from dc2g_jax.training.image_evaluation import compare
+    from dc2g_jax.training.mask_collection import collect_masks
+    from dc2g_jax.training.sweeps import init_states, stacked_hyperparameters, train_steps
+    from experiments.benchmarks import workload
+    from tests.objectnav import test_searches
+    from tests.objectnav import test_training as test_indoor
+    from tests.support.houses import DATASET, STREET
+    from tests.support.two_rooms import two_rooms
+    from tests.training import test_cost_to_go, test_translator
+    from tests.vehicles import test_drive
+
+    rules = complete_rules(4)
+    start = Start("street", 0, 4, 0)
+    runner = Runner(HouseDataset("street", "toy", DATASET.houses[:1]), SETTINGS["paper"], step_limit=20)
+    world = world_from_terrain(STREET)
+    batch = jax.tree.map(lambda leaf: leaf[..., None], world)
+    episodes = episodes_from([start], {"street": 0})
+    house = two_rooms()
+    searched = searches.sample_episodes([house], 1, seed=2)
+    environment, params = functional.front_door(DATASET.houses[:1], sensing_range=4, step_limit=60)
+    of_params, make_params = with_property(params, "worlds")
+    of_indoor, make_indoor = with_property(test_indoor.data.__wrapped__(), "headings")
+
+    @struct.dataclass
+    class Drawer:
+        """What a training draws from: a user's class, with a field for the data."""
+
+        data: Any
+
+        def pairs(self, draw, *args, **options):
+            return draw(*args, self.data, **options)
+
+    draw_pairs = lambda key, data, **options: data.pairs(test_cost_to_go.DRAW, key, **options)  # noqa: E731
+    draw_images = lambda key, step, data: data.pairs(test_translator.DRAW, key, step)  # noqa: E731
+
+    def run(planner: Any) -> None:
+        runner.trajectories(planner, rules, [start])
+
+    def train(cls: type) -> None:
+        config = test_cost_to_go.CONFIG
+        cost_to_go.train_step(
+            cost_to_go.first_state(config), config.hyperparameters, cls(test_cost_to_go.data.__wrapped__()),
+            recipe=config.recipe, draw_batch=draw_pairs,
+        )  # fmt: skip
+
+    def sweep(cls: type) -> None:
+        config = test_cost_to_go.CONFIG
+        numbers = stacked_hyperparameters([config, config])
+        data = cls(test_cost_to_go.data.__wrapped__())
+        states = init_states(config.recipe, numbers)
+        train_steps(states, numbers, data, recipe=config.recipe, draw_batch=draw_pairs)
+
+    def translate(cls: type) -> None:
+        config = test_translator.CONFIG
+        state = translator.init_translator(config, seed=0)
+        data = cls(test_translator.data.__wrapped__())
+        translator.translator_step(state, data, config=config, draw_batch=draw_images)
+
+    def train_indoors(cls: type) -> None:
+        config = test_indoor.CONFIG
+        state = indoor_training.first_state(config)
+        indoor_training.train_step(state, make_indoor(cls), config=config)
+
+    def search(guide: Any) -> None:
+        agent = test_searches.AGENT.replace(guide=guides.GoalReacher(guide))
+        searches.search_all(agent, [house], searched, limit=12)
+
+    def benchmark(cls: type) -> None:
+        one = workload.make_workload(DATASET, per_house=1)
+        workload.robots_under_way(one, cls(rules), rules.sensing, 2)
+
+    def replayed(planner: Any) -> None:
+        replay(world, make_pose(0, 4, 0), np.zeros(2, np.int8), planner=planner, rules=rules)
+
+    def drive(planner: Any) -> None:
+        test_drive.drives(planner, test_drive.EAST, time_limit=2.0)
+
+    def picture(cls: type) -> None:
+        side = np.kron(STREET, np.ones((2, 2), np.uint8))
+        compare(cls(), side, np.ones(side.shape, np.float32), np.ones((1, 1), bool))
+
+    of_planner, of_estimator = variants(Frontier, "plan"), variants(ExactCostToGo, "estimate")
+    shown = np.full(STREET.shape, STREET[4, 0])
+    return {
+        "rollout, first state": (lambda cls: run(cls(rules)), variants(Frontier, "init")),
+        "rollout, steps": (lambda cls: run(cls(rules)), of_planner),
+        "rollout, estimator": (lambda cls: run(DC2G(cls(), rules)), of_estimator),
+        "masks": (
+            lambda cls: collect_masks(
+                cls(rules),
+                batch,
+                episodes,
+                sensing=rules.sensing,
+                per_episode=1,
+                seed=0,
+            ),
+            of_planner,
+        ),
+        "replay": (lambda cls: replayed(cls(rules)), of_planner),
+        "replay, estimator": (lambda cls: replayed(DC2G(cls(), rules)), of_estimator),
+        "online, estimator": (
+            lambda cls: OnlinePlanner(cls(), sensing_range=4, largest=STREET.shape).plan(shown, (0, 4, 0)),
+            of_estimator,
+        ),
+        "fleet": (lambda cls: drive(cls(test_drive.RULES)), of_planner),
+        "searches, guide": (lambda cls: search(cls()), variants(guides.Frontier, "guide")),
+        "training": (train, variants(Drawer, "pairs")),
+        "sweep": (sweep, variants(Drawer, "pairs")),
+        "translator": (translate, variants(Drawer, "pairs")),
+        "indoor training": (train_indoors, of_indoor),
+        "environment": (
+            lambda cls: gymnasium_env._reset(jax.random.key(0), make_params(cls), environment),
+            of_params,
+        ),
+        "pictures": (picture, of_estimator),
+        "benchmark": (benchmark, of_planner),
+    }
+
+
+def main() -> None:
+    """Print the verdicts as JSON."""
+    jax.jit = colliding_jit
+    verdicts = {}
+    for name, (use, (first, second)) in boundaries().items():
+        use(first)
+        try:
+            use(second)
+            verdicts[name] = "the first class ran for the second"
+        except Asked:
+            verdicts[name] = "right"
+        print(name, verdicts[name], flush=True)
+    print(json.dumps(verdicts))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,64 @@
+"""Small houses for environments to be in."""
+
+import numpy as np
+
+from dc2g_jax.datasets.houses import House, HouseDataset
+from dc2g_jax.grid.terrain import ROAD
+from tests.support.maps import drawn
+
+#: Two doors, and ground to bump into.
+STREET = drawn("""
+    ##D#..t...
+    ..P..##D#.
+    ..P..##d#.
+    SSPSSSSdSS
+    RRRRRRRRRR
+    RRRRRRRRRR
+    SSSSSSSSSS
+    .t...#....
+""")
+
+#: One door, close to few road cells; as large as the street.
+YARD = drawn("""
+    ..........
+    .##D#.....
+    .##P......
+    ...PPP....
+    .....R....
+    .....R....
+    ..........
+    ..........
+""")
+
+#: As large, and no episode can be run in it.
+WALLED = drawn("""
+    ..........
+    .###......
+    .#D#......
+    .###......
+    ..........
+    RRRRRRRRRR
+    RRRRRRRRRR
+    ..........
+""")
+
+
+def house(name: str, terrain: np.ndarray, split: str = "train") -> House:
+    return House(name, split, terrain)
+
+
+DATASET = HouseDataset(
+    "small",
+    "folder",
+    (
+        house("street", STREET),
+        house("walled", WALLED),
+        house("yard", YARD),
+        house("lane", STREET[:, ::-1].copy(), "val"),
+    ),
+)
+
+
+def start_poses(terrain: np.ndarray) -> set[tuple[int, int, int]]:
+    """Every pose (x, y, heading) that a random episode may begin with: in these maps, all road."""
+    return {(int(x), int(y), heading) for y, x in np.argwhere(terrain == ROAD) for heading in range(4)}

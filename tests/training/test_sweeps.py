@@ -1,0 +1,186 @@
+"""Sweeps: the grid, what can be trained together, and that together is like alone."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax.datasets.pairs import TrainingSet, draw_pairs
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.estimators import world_cost_to_go
+from dc2g_jax.estimation.networks.compact_unet import Architecture
+from dc2g_jax.grid import bitboard
+from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.training.cost_to_go import TrainingConfig, first_state, mean_loss, train_step
+from dc2g_jax.training.losses import parse_losses
+from dc2g_jax.training.sweeps import (
+    group_by_shape,
+    init_states,
+    runs_of_grid,
+    stacked_hyperparameters,
+    steps_left_out,
+    train_steps,
+    train_steps_side_by_side,
+    train_steps_together,
+)
+from tests.support import maps
+
+BASE = TrainingConfig(architecture=Architecture(widths=(4, 4, 4, 4), quantiles=(0.3, 0.7)), steps=20, batch_size=4)
+DRAW = functools.partial(draw_pairs, own_share=1.0, edge_weight=2.0, jitter=0.0, whole_share=0.0)
+
+
+@pytest.fixture(scope="module")
+def data() -> TrainingSet:
+    terrain = maps.random_terrain(0, (12, 12), 0.85, doors=2)
+    seen = np.stack([maps.random_cells(seed, (12, 12), 0.8) for seed in range(3)])
+    return TrainingSet(
+        terrain=jnp.asarray(terrain)[None],
+        cost_to_go=world_cost_to_go(world_from_terrain(terrain))[None],
+        masks=jax.vmap(bitboard.pack)(jnp.asarray(seen)),
+        mask_world=jnp.zeros(3, jnp.int32),
+        n_own=jnp.int32(3),
+    )
+
+
+def grid(**axes):
+    whole = {"losses": ["l1"], "learning_rates": [1e-3], "widths": [BASE.architecture.widths], "seeds": [0]}
+    return runs_of_grid(BASE, **{**whole, **axes})
+
+
+def test_losses_from_text():
+    assert parse_losses("l1") == (("l1", 1.0),)
+    assert parse_losses("quantile = 2, log=0.5") == (("quantile", 2.0), ("log", 0.5))
+
+
+@pytest.mark.parametrize(
+    ("text", "mention"),
+    [
+        ("l7", "known losses: quantile, l1"),
+        ("", "known losses"),
+        ("l1=zero", "'zero'; give a number above 0"),
+        ("l1=-1", "above 0"),
+        ("l1=", "above 0"),
+        ("l1=nan", "above 0"),
+        ("l1=inf", "above 0"),
+        ("l1,l1=2", "twice"),
+    ],
+)
+def test_losses_that_are_refused(text, mention):
+    with pytest.raises(InputError, match=mention):
+        parse_losses(text)
+
+
+def test_a_grid_is_every_combination():
+    runs = grid(losses=["l1", "l2,log=0.5"], learning_rates=[1e-3, 2e-3], seeds=[0, 1, 2], widths=[(4,) * 4, (8,) * 4])
+    assert len(runs) == 24
+    assert len(set(runs.values())) == 24
+    assert not any(character in name for name in runs for character in "/ ,")
+
+
+@pytest.mark.parametrize("axis", ["losses", "learning_rates", "widths", "seeds"])
+def test_an_axis_without_values_or_with_one_twice_is_refused(axis):
+    with pytest.raises(InputError, match="give one at least"):
+        grid(**{axis: []})
+    value = {"losses": "l1", "learning_rates": 1e-3, "widths": (4,) * 4, "seeds": 3}[axis]
+    with pytest.raises(InputError, match="twice"):
+        grid(**{axis: [value, value]})
+
+
+def test_one_loss_in_two_spellings_is_refused_and_close_rates_are_not():
+    with pytest.raises(InputError, match="l1, l1=1 names the same loss twice"):
+        grid(losses=["l1", "l1=1"])
+    assert len(grid(learning_rates=[0.002, 0.0020000001])) == 2
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, float("nan")])
+def test_learning_rates_that_are_refused(rate):
+    with pytest.raises(InputError, match="above 0"):
+        grid(learning_rates=[rate])
+
+
+def test_runs_of_one_shape_go_together():
+    runs = grid(losses=["l1", "l2=3"], seeds=[0, 1], widths=[(4,) * 4, (8,) * 4])
+    groups = group_by_shape(runs)
+    assert [len(group) for group in groups] == [4, 4]
+    assert {name for group in groups for name in group} == set(runs)
+    for group in groups:
+        assert len({config.recipe for config in group.values()}) == 1
+        for name, config in group.items():
+            assert {loss: weight for loss, weight in config.losses if weight} == dict(runs[name].losses)
+
+
+WAYS = pytest.mark.parametrize("way", [train_steps, train_steps_together])
+
+
+def train(way, data, configs, steps: int, states=None):
+    hyperparameters, recipe = stacked_hyperparameters(configs), configs[0].recipe
+    states = init_states(recipe, hyperparameters) if states is None else states
+    losses = []
+    for _ in range(steps):
+        states, loss = way(states, hyperparameters, data, recipe=recipe, draw_batch=DRAW)
+        losses.append(np.asarray(loss))
+    return states, np.array(losses)
+
+
+@WAYS
+def test_together_is_like_alone(way, data):
+    configs = list(group_by_shape(grid(losses=["l1", "l2=3"], learning_rates=[1e-3, 4e-3]))[0].values())
+    states, losses = train(way, data, configs, 5)
+    for index, config in enumerate(configs):
+        state = first_state(config)
+        for step in range(5):
+            state, loss = train_step(state, config.hyperparameters, data, recipe=config.recipe, draw_batch=DRAW)
+            assert float(loss) == pytest.approx(float(losses[step, index]), rel=1e-4)
+        alone, ours = jax.tree.leaves(state.weights), jax.tree.leaves(states.weights)
+        for one, stacked in zip(alone, ours, strict=True):
+            np.testing.assert_allclose(stacked[index], one, rtol=1e-3, atol=1e-5)
+
+
+def test_side_by_side_is_bit_for_bit_like_alone(data):
+    configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
+    states, _ = train(train_steps_side_by_side, data, configs, 3)
+    for index, config in enumerate(configs):
+        state = first_state(config)
+        for _ in range(3):
+            state, _ = train_step(state, config.hyperparameters, data, recipe=config.recipe, draw_batch=DRAW)
+        jax.tree.map(lambda stack, one, index=index: np.testing.assert_array_equal(stack[index], one), states, state)
+
+
+@WAYS
+def test_stopped_and_gone_on_is_bit_for_bit_like_not_stopped(way, data):
+    configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
+    whole, _ = train(way, data, configs, 6)
+    half, _ = train(way, data, configs, 2)
+    again, _ = train(way, data, configs, 4, jax.tree.map(lambda leaf: jnp.asarray(np.array(leaf)), half))
+    jax.tree.map(np.testing.assert_array_equal, whole, again)
+
+
+def test_a_loss_of_no_weight_makes_no_run_diverge(data):
+    config = dataclasses.replace(BASE, losses=(("l1", 1.0), ("l2", 0.0)))
+    weights = jax.tree.map(lambda leaf: 1e10 * leaf, first_state(config).weights)
+    batch = DRAW(jax.random.key(0), data, batch_size=4)
+    both = jax.value_and_grad(functools.partial(mean_loss, config.recipe, jnp.array([1.0, 0.0])))(weights, batch)
+    alone = dataclasses.replace(config, losses=(("l1", 1.0),)).recipe
+    one = jax.value_and_grad(functools.partial(mean_loss, alone, jnp.array([1.0])))(weights, batch)
+    assert not np.isfinite(mean_loss(config.recipe, jnp.array([0.0, 1.0]), weights, batch))
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), both, one)
+
+
+@WAYS
+def test_a_run_that_diverges_keeps_its_weights_and_leaves_the_others_alone(way, data):
+    configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
+    losses = tuple((name, float("nan")) for name, _ in configs[1].losses)
+    configs[1] = dataclasses.replace(configs[1], losses=losses)
+    states, losses = train(way, data, configs, 4)
+    alone, _ = train(way, data, configs[:1], 4)
+    assert np.isfinite(losses[:, 0]).all()
+    assert np.isnan(losses[:, 1]).all()
+    assert states.step.tolist() == [4, 4]
+    assert steps_left_out(states).tolist() == [0, 4]
+    for one, both in zip(jax.tree.leaves(alone.weights), jax.tree.leaves(states.weights), strict=True):
+        np.testing.assert_allclose(both[0], one[0], rtol=1e-3, atol=1e-5)
+    first = init_states(configs[0].recipe, stacked_hyperparameters(configs)).weights
+    jax.tree.map(lambda one, other: np.testing.assert_array_equal(one[1], other[1]), states.weights, first)

@@ -1,0 +1,150 @@
+"""Training the translator is a function of its configuration alone, whatever interrupts it, and it learns."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax.datasets.drawn_masks import drawn_masks
+from dc2g_jax.datasets.houses import House
+from dc2g_jax.datasets.image_pairs import ImageSet, all_pairs, draw_image_pairs
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax.estimation.networks import pix2pix
+from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
+from dc2g_jax.training.translator import (
+    LOSSES,
+    TranslatorConfig,
+    discriminator_loss,
+    generator_loss,
+    init_translator,
+    translator_step,
+)
+from tests.support import maps
+from tests.support.states import assert_same_bits, infinite
+
+CONFIG = TranslatorConfig(
+    architecture=TranslatorArchitecture(size=32, base_filters=4), batch_size=2, learning_rate=2e-3
+)
+STEPS = 30
+DRAW = functools.partial(draw_image_pairs, batch_size=CONFIG.batch_size, whole_share=0.1, augment=True)
+
+
+@pytest.fixture(scope="module")
+def data() -> ImageSet:
+    houses = [House(f"h{seed}", "train", maps.random_terrain(seed, (40, 32), 0.85)) for seed in range(2)]
+    return all_pairs(houses, drawn_masks(4, 32, seed=0))
+
+
+def train(data, steps: int, state=None, config: TranslatorConfig = CONFIG):
+    # On a device by name, as restored states are: the step is then compiled once for both.
+    state = jax.device_put(init_translator(config, seed=0) if state is None else state, jax.devices()[0])
+    differences = []
+    for _ in range(steps):
+        state, difference = translator_step(state, data, config=config, draw_batch=DRAW)
+        differences.append(float(difference))
+    return state, differences
+
+
+@pytest.fixture(scope="module")
+def trained(data):
+    """A run without interruption."""
+    state, differences = train(data, STEPS)
+    return jax.tree.map(np.array, state), differences
+
+
+def test_an_interrupted_run_ends_like_one_that_was_not(data, trained, tmp_path):
+    state, differences = None, []
+    for steps in (7, STEPS - 7):
+        # A new process each time.
+        checkpoints = TrainingCheckpoints(
+            tmp_path / "run", CONFIG, first_state=functools.partial(init_translator, seed=0)
+        )
+        state = checkpoints.restore()
+        assert (state is None) == (not differences)
+        state, part = train(data, steps, state)
+        differences += part
+        checkpoints.save(state)
+        checkpoints.close()
+    assert differences == trained[1]
+    assert_same_bits(state, trained[0])
+
+
+def test_it_learns(trained):
+    differences = trained[1]
+    assert np.isfinite(differences).all()
+    assert np.mean(differences[-5:]) < 0.8 * np.mean(differences[:5])
+
+
+def first_layers(state) -> tuple[np.ndarray, np.ndarray]:
+    layers = state.generator["down0"], state.discriminator["layer0"]
+    return tuple(np.array(layer["convolution"]["kernel"]) for layer in layers)
+
+
+def test_the_discriminator_learns_only_where_it_is_asked(data, trained):
+    start = first_layers(init_translator(CONFIG, seed=0))
+    both = first_layers(trained[0])
+    assert not np.array_equal(both[0], start[0])
+    assert not np.array_equal(both[1], start[1])
+    alone = first_layers(train(data, 1, config=dataclasses.replace(CONFIG, loss="l1"))[0])
+    assert not np.array_equal(alone[0], start[0])
+    assert np.array_equal(alone[1], start[1])
+
+
+def test_the_discriminator_loss_is_the_cross_entropy(data):
+    batch = DRAW(jax.random.key(0), jnp.int32(0), data)
+    generated = 1 - batch.target
+    weights = init_translator(CONFIG, seed=0).discriminator
+    judge = jax.jit(functools.partial(pix2pix.discriminate, CONFIG.architecture))
+    believed, doubted = (
+        1 / (1 + np.exp(-np.asarray(judge(weights, batch.image, answer)))) for answer in (batch.target, generated)
+    )
+    loss = jax.jit(functools.partial(discriminator_loss, CONFIG.architecture))(weights, batch, generated)
+    assert float(loss) == pytest.approx(np.mean(-np.log(believed)) + np.mean(-np.log(1 - doubted)), rel=1e-5)
+
+
+@pytest.mark.parametrize(("loss", "by_difference", "by_doubt"), [("l1", 100, 0), ("gan", 0, 1), ("l1+gan", 100, 1)])
+def test_the_generator_loss_is_that_of_pix2pix(data, loss, by_difference, by_doubt):
+    batch = DRAW(jax.random.key(0), jnp.int32(0), data)
+    generated, weights = 0.7 * batch.target, init_translator(CONFIG, seed=0).discriminator
+    odds = jax.jit(functools.partial(pix2pix.discriminate, CONFIG.architecture))(weights, batch.image, generated)
+    doubt = np.mean(-np.log(1 / (1 + np.exp(-np.asarray(odds, np.float64)))))
+    # pix2pix takes pictures from -1 to 1.
+    difference = np.mean(np.abs((2 * np.asarray(generated) - 1) - (2 * np.asarray(batch.target) - 1)))
+    config = dataclasses.replace(CONFIG, loss=loss)
+    total, half = jax.jit(functools.partial(generator_loss, config))(weights, batch, generated)
+    assert float(total) == pytest.approx(by_difference * difference + by_doubt * doubt, rel=1e-5)
+    assert float(half) == pytest.approx(difference / 2, rel=1e-5)
+
+
+def test_another_seed_gives_other_weights():
+    one, other = (init_translator(CONFIG, seed=seed).generator for seed in (0, 1))
+    assert not np.array_equal(one["down0"]["convolution"]["kernel"], other["down0"]["convolution"]["kernel"])
+
+
+def test_an_unknown_loss_is_refused_with_those_there_are():
+    with pytest.raises(InputError) as caught:
+        TranslatorConfig(loss="l2")
+    message = str(caught.value)
+    assert "\n" not in message
+    for name in ("l2", *LOSSES):
+        assert repr(name) in message or name in message
+
+
+@pytest.mark.parametrize("network", ["generator_optimizer", "discriminator_optimizer"])
+def test_weights_that_are_not_finite_are_noticed_in_the_step_that_makes_them(data, network):
+    state = init_translator(CONFIG, seed=0)
+    _, differences = train(data, 1, state.replace(**{network: infinite(getattr(state, network))}))
+    assert np.isnan(differences[0])
+
+
+def test_a_step_is_compiled_once(data):
+    state, _ = train(data, 1)
+    before = translator_step.compiled_count()
+    train(data, 1, init_translator(CONFIG, seed=1))
+    state, _ = train(data, 2, state)
+    train(dataclasses.replace(data, masks=data.masks ^ jnp.uint32(1)), 1, state)
+    assert translator_step.compiled_count() == before
