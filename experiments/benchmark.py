@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Literal
 
+from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import NetworkCostToGo
@@ -20,8 +22,6 @@ from experiments.benchmarks.stepping import environment_rows
 from experiments.benchmarks.sweeps import batch_rows, grid_rows, range_rows
 from experiments.benchmarks.training import training_rows
 from experiments.benchmarks.workload import make_workload
-from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
-from experiments.outputs import output_folder
 
 Section = Literal[
     "planners", "environment", "kernels", "network", "training", "programs", "recording", "batch", "grid", "range"

@@ -4,15 +4,15 @@ import dataclasses
 
 import numpy as np
 
+from dc2g_jax.cli.common import OutOption, command_line
+from dc2g_jax.cli.map_options import MapOptions, doubts_about, terrain_of
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.maps import require_way_to_goal
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.grid.ground import Piece, connected_to_goal, goals_without_ground, pieces
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE, UNKNOWN
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.inspection.map_figures import plot_map
-from experiments.common import OutOption, command_line
-from experiments.map_options import MapOptions, doubts_about, terrain_of
-from experiments.outputs import output_folder
 
 #: Pieces of a map whose places a line names.
 _NAMED_PIECES = 5

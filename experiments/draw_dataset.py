@@ -6,11 +6,11 @@ from typing import Literal
 
 from tqdm import tqdm
 
+from dc2g_jax.cli.common import DatasetOption, OutOption, command_line
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.inspection.contact_sheets import contact_pages, plot_contact_page
-from experiments.common import DatasetOption, OutOption, command_line
-from experiments.outputs import output_folder
 
 
 @dataclasses.dataclass(frozen=True)

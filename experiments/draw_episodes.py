@@ -8,6 +8,9 @@ from typing import Annotated
 import tyro
 from tqdm import tqdm
 
+from dc2g_jax.cli.common import DatasetOption, OutOption, command_line
+from dc2g_jax.cli.episodes import read_episodes
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import group_of, open_dataset
 from dc2g_jax.datasets.starts import published_episodes
 from dc2g_jax.errors import InputError
@@ -15,9 +18,6 @@ from dc2g_jax.inspection.episode_figures import plot_trajectories
 from dc2g_jax.inspection.figures import plot_house_strips
 from dc2g_jax.planning.named import PlannerName
 from dc2g_jax.rollouts.evaluation import EpisodeResult
-from experiments.common import DatasetOption, OutOption, command_line
-from experiments.episodes import read_episodes
-from experiments.outputs import output_folder
 
 
 @dataclasses.dataclass(frozen=True)

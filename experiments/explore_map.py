@@ -3,14 +3,14 @@
 import dataclasses
 import sys
 
+from dc2g_jax.cli.common import NetworkOption, OutOption, StepLimitOption, command_line
+from dc2g_jax.cli.episodes import EpisodeTable
+from dc2g_jax.cli.map_options import MapOptions, StartOption, doubts_about, start_in, terrain_of
+from dc2g_jax.cli.one_start import Animation, draw_request, make_request, require_sensing_range, run_request, tell_files
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.maps import require_way_to_goal
 from dc2g_jax.planning.named import PlannerName
-from experiments.common import NetworkOption, OutOption, StepLimitOption, command_line
-from experiments.episodes import EpisodeTable
-from experiments.map_options import MapOptions, StartOption, doubts_about, start_in, terrain_of
-from experiments.one_start import Animation, draw_request, make_request, require_sensing_range, run_request, tell_files
-from experiments.outputs import output_folder
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,6 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line, digests, open_network
+from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import PublishedEpisode, published_episodes
 from dc2g_jax.errors import InputError
@@ -20,9 +23,6 @@ from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax.rollouts.rollout import STEP_LIMIT
 from dc2g_jax.rollouts.statistics import extra_steps, house_bootstrap
-from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, digests, open_network
-from experiments.episodes import EpisodeProgress, EpisodeTable
-from experiments.outputs import output_folder
 
 #: Groups of the tables, in order; the last holds all episodes.
 GROUPS = ("train", "same_neighborhood", "new_neighborhood", "urban", "all")

@@ -16,6 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
@@ -28,8 +30,6 @@ from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.rollout import STEP_LIMIT
 from experiments.benchmarks.machine import describe
 from experiments.benchmarks.workload import Workload, make_workload, resized
-from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
-from experiments.outputs import output_folder
 
 
 @dataclasses.dataclass(frozen=True)

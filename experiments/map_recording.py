@@ -13,6 +13,9 @@ import tyro
 from jaxtyping import Array
 from tqdm import tqdm
 
+from dc2g_jax.cli.common import DatasetOption, OutOption, command_line
+from dc2g_jax.cli.map_options import StartOption, start_in
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import House, open_dataset
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
@@ -31,9 +34,6 @@ from dc2g_jax.mapping.semantic_map import MapSettings, empty_map, integrate, ter
 from dc2g_jax.mapping.sequences import ImageSequence, Shot
 from dc2g_jax.mapping.simulator import FIELD_OF_VIEW, picture, render, robot_camera
 from dc2g_jax.programs import jit
-from experiments.common import DatasetOption, OutOption, command_line
-from experiments.map_options import StartOption, start_in
-from experiments.outputs import output_folder
 
 HouseOption = Annotated[str | None, tyro.conf.arg(metavar="HOUSE", help_behavior_hint="")]
 ImageSizeOption = Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")]

@@ -10,6 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
+from dc2g_jax.cli.common import OutOption, command_line
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.grid.terrain import HOUSE, ROAD
@@ -18,8 +20,6 @@ from dc2g_jax.mapping.semantic_map import MapSettings, empty_map, integrate, ter
 from dc2g_jax.programs import jit
 from experiments.benchmarks.machine import describe
 from experiments.benchmarks.timing import measure
-from experiments.common import OutOption, command_line
-from experiments.outputs import output_folder
 
 
 class Case(NamedTuple):

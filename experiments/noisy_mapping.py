@@ -8,6 +8,18 @@ from typing import Any, Literal
 
 import numpy as np
 
+from dc2g_jax.cli.common import (
+    SHIPPED_NOISY_NETWORK,
+    DatasetOption,
+    NetworkOption,
+    OutOption,
+    command_line,
+    digests,
+    open_network,
+)
+from dc2g_jax.cli.driving import DrivingOptions, drive, equipment
+from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import Start, sample_starts
 from dc2g_jax.errors import InputError
@@ -20,18 +32,6 @@ from dc2g_jax.rollouts.evaluation import Runner
 from dc2g_jax.rollouts.statistics import house_bootstrap
 from dc2g_jax.vehicles.drive import STATUS_NAMES
 from dc2g_jax.vehicles.fleet import Drives
-from experiments.common import (
-    SHIPPED_NOISY_NETWORK,
-    DatasetOption,
-    NetworkOption,
-    OutOption,
-    command_line,
-    digests,
-    open_network,
-)
-from experiments.driving import DrivingOptions, drive, equipment
-from experiments.episodes import EpisodeProgress, EpisodeTable
-from experiments.outputs import output_folder
 
 _COLUMNS = ("house", "x", "y", "heading", "seconds", "status", "off_ground", "touched")
 _REMEDY = "remove the file to drive these anew"

@@ -15,6 +15,9 @@ import tyro
 from jaxtyping import Array, Bool, Float
 from tqdm import tqdm
 
+from dc2g_jax.cli.common import NetworkOption, OutOption, command_line
+from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.cli.searches import TITLES, AgentName, agent_with, costs_for
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
@@ -40,9 +43,6 @@ from dc2g_jax.objectnav.mapping import MapSettings
 from dc2g_jax.objectnav.searches import TIME_LIMIT, Episode, Searches, sample_episodes
 from dc2g_jax.objectnav.starts import sample_starts
 from dc2g_jax.programs import jit
-from experiments.common import NetworkOption, OutOption, command_line
-from experiments.outputs import output_folder
-from experiments.searches import TITLES, AgentName, agent_with, costs_for
 
 #: Moments that the figure shows.
 _COLUMNS = 5

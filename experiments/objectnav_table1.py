@@ -10,11 +10,9 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from dc2g_jax.errors import InputError
-from dc2g_jax.objectnav.evaluation import EpisodeResult, Summary, summarize
-from experiments.common import NetworkOption, OutOption, command_line
-from experiments.outputs import output_folder
-from experiments.searches import (
+from dc2g_jax.cli.common import NetworkOption, OutOption, command_line
+from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.cli.searches import (
     TITLES,
     AgentName,
     SearchOptions,
@@ -24,6 +22,8 @@ from experiments.searches import (
     costs_for,
     digests,
 )
+from dc2g_jax.errors import InputError
+from dc2g_jax.objectnav.evaluation import EpisodeResult, Summary, summarize
 
 
 class PaperLine(NamedTuple):

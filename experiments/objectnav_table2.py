@@ -10,6 +10,9 @@ from typing import Annotated, NamedTuple
 
 import tyro
 
+from dc2g_jax.cli.common import OutOption, command_line
+from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.cli.searches import ON_NETWORK, SearchOptions, SearchTable, agent_with, conclude, digests, open_costs
 from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect
 from dc2g_jax.objectnav.evaluation import EpisodeResult, Summary, summarize
@@ -17,9 +20,6 @@ from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.networks import ABLATIONS, CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 from dc2g_jax.objectnav.training import CostMapConfig, figures, validation_samples
-from experiments.common import OutOption, command_line
-from experiments.outputs import output_folder
-from experiments.searches import ON_NETWORK, SearchOptions, SearchTable, agent_with, conclude, digests, open_costs
 
 #: What the lines are called, by name of the ablation.
 TITLES = {"both": "both", "semantic": "only semantic map", "midlevel": "only mid-level"}

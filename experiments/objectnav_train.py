@@ -18,6 +18,10 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
+from dc2g_jax.cli.common import check_seed, command_line
+from dc2g_jax.cli.outputs import command_written, commit, output_folder
+from dc2g_jax.cli.training_loop import FiniteLoss, Log, check_pauses, run_steps
+from dc2g_jax.cli.training_sets import kept_arrays
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
@@ -41,10 +45,6 @@ from dc2g_jax.objectnav.training import (
     validation_samples,
 )
 from dc2g_jax.training.cost_to_go import TrainingState
-from experiments.common import check_seed, command_line
-from experiments.outputs import command_written, commit, output_folder
-from experiments.training_loop import FiniteLoss, Log, check_pauses, run_steps
-from experiments.training_sets import kept_arrays
 
 #: The encoder that is trained where none is given: houses of the training split, pictures of each.
 _ENCODER_HOUSES, _PICTURES_A_HOUSE = 200, 40

@@ -8,6 +8,8 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
+from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.drawn_masks import VARIANTS, drawn_masks
 from dc2g_jax.datasets.houses import House, open_dataset
 from dc2g_jax.datasets.image_pairs import houses_with_door
@@ -16,8 +18,6 @@ from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.inspection.image_figures import Example, plot_translations
 from dc2g_jax.training.image_data import MASK_SEEDS
 from dc2g_jax.training.image_evaluation import compare, map_for
-from experiments.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
-from experiments.outputs import output_folder
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from dc2g_jax.cli.common import DatasetOption, OutOption, command_line, open_network
+from dc2g_jax.cli.outputs import number_or_null, output_folder
 from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset
 from dc2g_jax.datasets.image_pairs import houses_with_door
 from dc2g_jax.datasets.similarity import distance_to_training, similarity_scale
@@ -17,8 +19,6 @@ from dc2g_jax.files.tables import write_table
 from dc2g_jax.grid.sampling import resize_nearest
 from dc2g_jax.inspection.image_figures import METRIC_LABELS, Points, plot_by_similarity
 from dc2g_jax.training.image_evaluation import GRID_CELLS, full_map_metrics
-from experiments.common import DatasetOption, OutOption, command_line, open_network
-from experiments.outputs import number_or_null, output_folder
 
 #: Pixels a side of the maps that are compared with the training maps.
 _SIZE = 256

@@ -14,6 +14,17 @@ from typing import Literal, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
+from dc2g_jax.cli.common import (
+    DatasetOption,
+    NetworkOption,
+    OutOption,
+    StepLimitOption,
+    command_line,
+    digests,
+    open_network,
+)
+from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset, tell_on_stderr
 from dc2g_jax.datasets.starts import Start, published_episodes, sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
@@ -29,17 +40,6 @@ from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax.rollouts.rollout import STEP_LIMIT
 from dc2g_jax.rollouts.statistics import Summary, extra_steps, summarize
-from experiments.common import (
-    DatasetOption,
-    NetworkOption,
-    OutOption,
-    StepLimitOption,
-    command_line,
-    digests,
-    open_network,
-)
-from experiments.episodes import EpisodeProgress, EpisodeTable
-from experiments.outputs import output_folder
 
 
 @dataclasses.dataclass(frozen=True)

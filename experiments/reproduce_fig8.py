@@ -8,17 +8,17 @@ from typing import Annotated
 
 import tyro
 
+from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line
+from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
+from dc2g_jax.cli.map_options import StartOption, start_in
+from dc2g_jax.cli.one_start import Animation, draw_request, make_request, require_sensing_range, run_request, tell_files
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import Start, sample_starts
 from dc2g_jax.errors import InputError
 from dc2g_jax.planning.named import PlannerName
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import Runner
-from experiments.common import DatasetOption, NetworkOption, OutOption, command_line
-from experiments.episodes import EpisodeProgress, EpisodeTable
-from experiments.map_options import StartOption, start_in
-from experiments.one_start import Animation, draw_request, make_request, require_sensing_range, run_request, tell_files
-from experiments.outputs import output_folder
 
 
 @dataclasses.dataclass(frozen=True)

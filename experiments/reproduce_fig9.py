@@ -12,6 +12,17 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
+from dc2g_jax.cli.common import (
+    SHIPPED_NOISY_NETWORK,
+    DatasetOption,
+    NetworkOption,
+    OutOption,
+    command_line,
+    open_network,
+)
+from dc2g_jax.cli.driving import TIME_LIMIT, DrivingOptions, equipment
+from dc2g_jax.cli.map_options import StartOption, start_in
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import why_no_episode
 from dc2g_jax.errors import InputError
@@ -21,17 +32,6 @@ from dc2g_jax.inspection.driving_figures import plot_moments
 from dc2g_jax.vehicles.drive import STATUS_NAMES, Equipment, reset
 from dc2g_jax.vehicles.fleet import sites_of
 from dc2g_jax.vehicles.trace import Moment, moments
-from experiments.common import (
-    SHIPPED_NOISY_NETWORK,
-    DatasetOption,
-    NetworkOption,
-    OutOption,
-    command_line,
-    open_network,
-)
-from experiments.driving import TIME_LIMIT, DrivingOptions, equipment
-from experiments.map_options import StartOption, start_in
-from experiments.outputs import output_folder
 
 #: Moments that the figure shows.
 _ROWS = 4

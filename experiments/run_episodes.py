@@ -8,14 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from dc2g_jax.datasets.houses import open_dataset
-from dc2g_jax.datasets.starts import read_starts
-from dc2g_jax.errors import InputError
-from dc2g_jax.planning.named import NETWORK_PLANNERS, PlannerName
-from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.rollouts.evaluation import Runner
-from dc2g_jax.rollouts.statistics import summarize
-from experiments.common import (
+from dc2g_jax.cli.common import (
     DatasetOption,
     NetworkOption,
     OutOption,
@@ -24,8 +17,15 @@ from experiments.common import (
     digests,
     open_network,
 )
-from experiments.episodes import EpisodeProgress, EpisodeTable
-from experiments.outputs import output_folder
+from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
+from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.datasets.houses import open_dataset
+from dc2g_jax.datasets.starts import read_starts
+from dc2g_jax.errors import InputError
+from dc2g_jax.planning.named import NETWORK_PLANNERS, PlannerName
+from dc2g_jax.planning.rules import SETTINGS
+from dc2g_jax.rollouts.evaluation import Runner
+from dc2g_jax.rollouts.statistics import summarize
 
 
 @dataclasses.dataclass(frozen=True)

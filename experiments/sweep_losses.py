@@ -20,6 +20,10 @@ import numpy as np
 import tyro
 from jaxtyping import Array, Float
 
+from dc2g_jax.cli.common import DatasetOption, command_line, digests
+from dc2g_jax.cli.outputs import number_or_null, output_folder
+from dc2g_jax.cli.training_loop import Log, check_pauses, run_steps
+from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
 from dc2g_jax.errors import InputError
@@ -40,10 +44,6 @@ from dc2g_jax.training.sweeps import (
     steps_left_out,
     train_steps,
 )
-from experiments.common import DatasetOption, command_line, digests
-from experiments.outputs import number_or_null, output_folder
-from experiments.training_loop import Log, check_pauses, run_steps
-from experiments.training_sets import open_training_set
 
 #: Validation pairs, and how many of them at a time.
 _PAIRS, _PAIRS_AT_A_TIME = 512, 64

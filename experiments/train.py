@@ -16,6 +16,10 @@ import tyro
 from jaxtyping import Float
 from tqdm import tqdm
 
+from dc2g_jax.cli.common import DatasetOption, NetworkOption, command_line, digests
+from dc2g_jax.cli.outputs import command_written, commit, output_folder
+from dc2g_jax.cli.training_loop import FiniteLoss, Log, check_pauses, run_steps
+from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, load_network, save_network
@@ -26,10 +30,6 @@ from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_wa
 from dc2g_jax.training.cost_to_go import TrainingConfig, TrainingState, first_state, train_step
 from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses
 from dc2g_jax.training.losses import parse_losses
-from experiments.common import DatasetOption, NetworkOption, command_line, digests
-from experiments.outputs import command_written, commit, output_folder
-from experiments.training_loop import FiniteLoss, Log, check_pauses, run_steps
-from experiments.training_sets import open_training_set
 
 #: Maps that a recording shows predictions on.
 _MAPS_RECORDED = 6

@@ -10,10 +10,10 @@ from typing import Annotated, Literal
 
 import tyro
 
+from dc2g_jax.cli.common import DatasetOption, command_line, digests
+from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.cli.translation import TranslationOptions, require_steps, train_translator, translation_data
 from dc2g_jax.datasets.houses import open_dataset
-from experiments.common import DatasetOption, command_line, digests
-from experiments.outputs import output_folder
-from experiments.translation import TranslationOptions, require_steps, train_translator, translation_data
 
 
 @dataclasses.dataclass(frozen=True)

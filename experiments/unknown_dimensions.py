@@ -13,6 +13,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
+from dc2g_jax.cli.common import (
+    DatasetOption,
+    NetworkOption,
+    OutOption,
+    StepLimitOption,
+    command_line,
+    digests,
+    open_network,
+)
+from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
 from dc2g_jax.datasets.procedural import draw_neighbourhood
 from dc2g_jax.datasets.procedural.suburbs import SUBURBS
@@ -30,17 +41,6 @@ from dc2g_jax.rollouts.evaluation import Runner
 from dc2g_jax.rollouts.statistics import summarize
 from dc2g_jax.training.cost_to_go_data import drawn_houses, usable
 from experiments.benchmarks.timing import measure
-from experiments.common import (
-    DatasetOption,
-    NetworkOption,
-    OutOption,
-    StepLimitOption,
-    command_line,
-    digests,
-    open_network,
-)
-from experiments.episodes import EpisodeProgress, EpisodeTable
-from experiments.outputs import output_folder
 
 #: Seeds of the drawn houses and neighbourhoods of a split; those of training are below.
 SEEDS = {"val": 10_000, "test": 10_001}

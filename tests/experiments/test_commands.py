@@ -16,6 +16,7 @@ import jax
 import numpy as np
 import pytest
 
+from dc2g_jax.cli.common import command_line
 from dc2g_jax.datasets.houses import load_dataset, save_dataset
 from dc2g_jax.datasets.procedural import procedural_houses
 from dc2g_jax.datasets.starts import sample_starts
@@ -33,7 +34,6 @@ from experiments import (
     sweep_losses,
     train,
 )
-from experiments.common import command_line
 from tests.support.commands import complaint, run
 from tests.support.places import ROOT
 from tests.support.refusals import refusal

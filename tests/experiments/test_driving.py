@@ -6,13 +6,13 @@ import json
 import numpy as np
 import pytest
 
+from dc2g_jax.cli.driving import DrivingOptions, equipment
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.estimation.estimators import ExactCostToGo
 from dc2g_jax.planning.planners import DC2G, Frontier
 from dc2g_jax.planning.selection import ENDLESS
 from experiments import noisy_mapping, reproduce_fig9
-from experiments.driving import DrivingOptions, equipment
 from tests.support.refusals import refusal
 from tests.support.streets import STREET, WALLED
 

@@ -5,9 +5,9 @@ import json
 
 import pytest
 
-from experiments import searches
+from dc2g_jax.cli import searches
+from dc2g_jax.cli.searches import read_searches
 from experiments.objectnav_table1 import Options, main
-from experiments.searches import read_searches
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 

@@ -7,11 +7,11 @@ import json
 import numpy as np
 import pytest
 
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.objectnav.collecting import CollectionConfig
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, load_costs
 from experiments import objectnav_train
 from experiments.objectnav_train import Options, house_digests, main
-from experiments.outputs import output_folder
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 

@@ -3,10 +3,10 @@
 import csv
 import dataclasses
 
+from dc2g_jax.cli.training_loop import Log
 from dc2g_jax.estimation.networks.compact_unet import Architecture
 from dc2g_jax.training.cost_to_go import TrainingConfig
 from experiments.sweep_losses import Options, kind_of, write_results
-from experiments.training_loop import Log
 
 
 def test_runs_that_diverged_come_last(tmp_path):

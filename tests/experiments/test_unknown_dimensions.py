@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from dc2g_jax.cli.episodes import read_episodes
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
@@ -12,7 +13,6 @@ from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.estimation.estimators import WHOLE_MAP, ExactCostToGo, extent_of
 from dc2g_jax.estimation.extents import Window, WindowedEstimator
 from experiments import unknown_dimensions
-from experiments.episodes import read_episodes
 from experiments.unknown_dimensions import (
     Options,
     Worlds,

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from dc2g_jax.cli.training_loop import run_steps
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
 from dc2g_jax.errors import InputError
@@ -24,7 +25,6 @@ from dc2g_jax.inspection.training_recording import TrainingRecording, learning_r
 from dc2g_jax.training.cost_to_go import TrainingConfig, first_state, train_step
 from dc2g_jax.training.cost_to_go_data import DataConfig
 from experiments.train import Options, open_recording
-from experiments.training_loop import run_steps
 from tests.support.recordings import read
 
 _CONFIG = TrainingConfig(architecture=Architecture(widths=(4, 4, 4, 4)), steps=6, batch_size=2)

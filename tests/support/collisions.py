@@ -1,8 +1,8 @@
 """Every boundary where a user's class enters a compiled program, under a `jax.jit` that takes one class for another.
 
 JAX confuses two classes of equal structure only where their hashes happen to meet. Here they always meet: the first of
-two equal structures stands in for both. `python -m tests.support.collisions` prints, for each boundary, whether the second
-class was asked. A class that is asked says so with an exception.
+two equal structures stands in for both. `python -m tests.support.collisions` prints, for each boundary, whether the
+second class was asked. A class that is asked says so with an exception.
 """
 
 import functools

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from dc2g_jax.cli.training_loop import FiniteLoss, Log, check_pauses, run_steps
 from dc2g_jax.errors import InputError
-from experiments.training_loop import FiniteLoss, Log, check_pauses, run_steps
 
 
 @functools.partial(jax.jit, donate_argnames=("state",))

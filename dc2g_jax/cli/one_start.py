@@ -7,6 +7,8 @@ from typing import Literal, NamedTuple
 
 from tqdm import tqdm
 
+from dc2g_jax.cli.common import open_network
+from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
@@ -20,8 +22,6 @@ from dc2g_jax.planning.named import NETWORK_PLANNERS
 from dc2g_jax.planning.planners import GAVE_UP, MODE_NAMES
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
-from experiments.common import open_network
-from experiments.episodes import EpisodeProgress, EpisodeTable
 
 #: Bytes that the replay of an episode takes for a cell and a step, and the most that all replays may take.
 _REPLAY_BYTES, _MOST_BYTES = 45, 6e9

@@ -10,9 +10,9 @@ from pathlib import Path
 import jax
 import pytest
 
+from dc2g_jax.cli.outputs import commit, folder_in_use, output_folder
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import replacing
-from experiments.outputs import commit, folder_in_use, output_folder
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,7 +99,7 @@ def test_a_run_is_resumed_with_what_it_has_read(tmp_path):
 def test_a_folder_that_another_process_writes_to_is_refused(tmp_path):
     run = tmp_path / "run"
     command = (
-        "import pathlib, sys; from tests.experiments.test_outputs import Resumable, output_folder; "
+        "import pathlib, sys; from tests.cli.test_outputs import Resumable, output_folder; "
         "output_folder(Resumable(out=pathlib.Path(sys.argv[1])), 'wander'); print(flush=True); input()"
     )
     with subprocess.Popen(

@@ -7,6 +7,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from dc2g_jax.cli.common import NetworkOption
+from dc2g_jax.cli.episodes import EpisodeProgress
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
@@ -30,8 +32,6 @@ from dc2g_jax.objectnav.mapping import MapSettings
 from dc2g_jax.objectnav.networks import CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts, load_costs
 from dc2g_jax.objectnav.searches import TIME_LIMIT, Episode, sample_episodes, search_all
-from experiments.common import NetworkOption
-from experiments.episodes import EpisodeProgress
 
 #: The network that comes with the package, and its encoder.
 SHIPPED_INDOOR_NETWORK = "weights/cost_maps_indoors"

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from dc2g_jax.cli.episodes import EpisodeTable, read_episodes, write_episodes
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import Runner
-from experiments.episodes import EpisodeTable, read_episodes, write_episodes
 
 STARTS = (Start("left", 9, 5, 1), Start("right", 9, 5, 2))
 PLANNERS = ("oracle", "frontier")

@@ -9,13 +9,13 @@ import jax
 import tyro
 from tqdm import tqdm
 
+from dc2g_jax.cli.outputs import RUN_FILE, folder_in_use
 from dc2g_jax.datasets.download import cache_folder
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network
 from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.files.resources import resource
-from experiments.outputs import RUN_FILE, folder_in_use
 
 _Options = TypeVar("_Options")
 

@@ -31,7 +31,7 @@ class FiniteLoss:
         self.latest: float | None = None
         self._out = out
 
-    def __call__(self, step: int, loss: Float[np.ndarray, ""]) -> None:
+    def __call__(self, step: int, loss: np.floating) -> None:
         """Look at a loss.
 
         Raises:

@@ -7,6 +7,8 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import tyro
 
+from dc2g_jax.cli.outputs import command_written, commit, number_or_null
+from dc2g_jax.cli.training_loop import FiniteLoss, Log, check_pauses, run_steps
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.datasets.image_pairs import ImageSet, draw_image_pairs
 from dc2g_jax.errors import InputError
@@ -17,8 +19,6 @@ from dc2g_jax.training.cost_to_go import check_numbers
 from dc2g_jax.training.image_data import MaskKind, image_set
 from dc2g_jax.training.image_evaluation import metrics_over_pairs
 from dc2g_jax.training.translator import TranslatorConfig, TranslatorState, init_translator, translator_step
-from experiments.outputs import command_written, commit, number_or_null
-from experiments.training_loop import FiniteLoss, Log, check_pauses, run_steps
 
 #: A step takes seconds on a CPU.
 _STEPS_PER_LOOK = 10

@@ -1,0 +1,1 @@
+"""The command line: what the commands in `experiments` share."""
