@@ -31,7 +31,7 @@ class FiniteLoss:
         self.latest: float | None = None
         self._out = out
 
-    def __call__(self, step: int, loss: np.floating) -> None:
+    def __call__(self, step: int, loss: Any) -> None:
         """Look at a loss.
 
         Raises:
