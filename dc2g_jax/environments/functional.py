@@ -30,12 +30,9 @@ from dc2g_jax.grid import bitboard, gridworld
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import ACTION_LETTERS, HEADINGS, Pose, moved
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE, Kernel, field_of_view
-from dc2g_jax.grid.terrain import CLASS_NAMES
+from dc2g_jax.grid.terrain import OUTSIDE
 from dc2g_jax.grid.world import World, unpack_classes
 from dc2g_jax.rollouts.rollout import NO_ACTION, STEP_LIMIT
-
-#: What `egocentric` writes where the map ends: one more than the last class.
-OUTSIDE = len(CLASS_NAMES)
 
 #: Reward of every action.
 STEP_REWARD = -1.0
@@ -237,7 +234,7 @@ def egocentric(observation: Observation, radius: int) -> UInt8[Array, "side side
       radius: cells shown in each direction, of which the square has 2 `radius` + 1 a side.
 
     Returns:
-      Class indices, 0 where nothing has been observed, `OUTSIDE` beyond the map.
+      Class indices, 0 where nothing has been observed, `dc2g_jax.grid.terrain.OUTSIDE` beyond the map.
     """
     side = 2 * radius + 1
     framed = jnp.pad(observation.terrain, radius, constant_values=OUTSIDE)

@@ -1,7 +1,7 @@
 """The network on a grid of which the map fills only a part, so that one compiled program serves maps of many sizes.
 
-The map lies in the grid's upper left corner; all other cells are `OUTSIDE`. The answer is the network's to the map
-alone: its convolutions see nothing beyond the map's edge, wherever the grid ends.
+The map lies in the grid's upper left corner; all other cells are `OUTSIDE`, which the network reads as no class. The
+answer is the network's to the map alone: its convolutions see nothing beyond the map's edge, wherever the grid ends.
 """
 
 import functools
@@ -15,11 +15,8 @@ from jaxtyping import Array, Float, Int, UInt8
 
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.estimation.networks import compact_unet
-from dc2g_jax.grid.terrain import CLASS_NAMES
+from dc2g_jax.grid.terrain import OUTSIDE
 from dc2g_jax.grid.world import World
-
-#: Stands for a class index where there is no map. The network reads it as no class at all, as beyond a map's edge.
-OUTSIDE = 255
 
 
 def _convolved(
@@ -68,7 +65,7 @@ class PaddedNetwork:
     def estimate(self, terrain: UInt8[Array, "h w"], state: tuple[()]) -> Float[Array, "outcomes h w"]:
         """The network's answer to the map in a grid, in cells; without meaning where the grid is `OUTSIDE`."""
         del state
-        inside = terrain < len(CLASS_NAMES)
+        inside = terrain != OUTSIDE
         rows, columns = (jnp.sum(jnp.any(inside, axis=axis), dtype=jnp.int32) for axis in (1, 0))
         network = compact_unet.build(self.network.architecture, self.network.weights)
         for _, module in nnx.iter_modules(network):

@@ -1,52 +1,45 @@
-"""Terrain classes of a semantic map: their names, colours and which of them a robot may drive on."""
+"""Terrain classes of a semantic map: their names, colors and which of them a robot may drive on."""
 
 import numpy as np
 
+#: Class -> RGB color in the published dataset's palette, in the order of the indices.
+_PALETTE = {
+    "__ignore__": (0, 0, 0),
+    "front_door": (128, 0, 0),
+    "grass": (0, 128, 0),
+    "road": (128, 128, 0),
+    "driveway": (0, 0, 128),
+    "car": (128, 0, 128),
+    "path": (0, 128, 128),
+    "house": (128, 128, 128),
+    "sidewalk": (64, 0, 0),
+    "fence": (192, 0, 0),
+    "tree": (64, 128, 0),
+    "mailbox": (192, 128, 0),
+    "bush": (64, 0, 128),
+    "garage door": (192, 0, 128),
+    "nothing": (64, 128, 128),
+    "traversable": (255, 255, 255),
+}
+
 #: Class index -> name. Index 0 stands for "unknown or not observed".
-CLASS_NAMES: tuple[str, ...] = (
-    "__ignore__",
-    "front_door",
-    "grass",
-    "road",
-    "driveway",
-    "car",
-    "path",
-    "house",
-    "sidewalk",
-    "fence",
-    "tree",
-    "mailbox",
-    "bush",
-    "garage door",
-    "nothing",
-    "traversable",
-)
+CLASS_NAMES: tuple[str, ...] = tuple(_PALETTE)
+
+#: Class index -> RGB color, uint8 [class 3].
+CLASS_COLORS = np.array(list(_PALETTE.values()), np.uint8)
+
+#: The most classes: indices are bytes, and the two highest bytes mark what is no class while an image is read.
+MOST_CLASSES = 254
+if len(CLASS_NAMES) > MOST_CLASSES:
+    raise ValueError(
+        f"{len(CLASS_NAMES)} terrain classes do not fit into a byte; merge some, {MOST_CLASSES} are possible"
+    )
 
 #: Bits in a class index.
 CLASS_BITS = (len(CLASS_NAMES) - 1).bit_length()
 
-#: Class index -> RGB colour, uint8 [16 3], as in the published dataset's palette.
-CLASS_COLORS = np.array(
-    [
-        (0, 0, 0),
-        (128, 0, 0),
-        (0, 128, 0),
-        (128, 128, 0),
-        (0, 0, 128),
-        (128, 0, 128),
-        (0, 128, 128),
-        (128, 128, 128),
-        (64, 0, 0),
-        (192, 0, 0),
-        (64, 128, 0),
-        (192, 128, 0),
-        (64, 0, 128),
-        (192, 0, 128),
-        (64, 128, 128),
-        (255, 255, 255),
-    ],
-    dtype=np.uint8,
-)
+#: Stands for a class index in cells beyond the edge of a map.
+OUTSIDE = len(CLASS_NAMES)
 
 UNKNOWN = 0
 FRONT_DOOR = CLASS_NAMES.index("front_door")
@@ -60,10 +53,10 @@ SIDEWALK = CLASS_NAMES.index("sidewalk")
 
 _TRAVERSABLE_NAMES = ("front_door", "road", "driveway", "path", "sidewalk", "traversable")
 
-#: Class index -> may the robot drive there? bool [16].
+#: Class index -> may the robot drive there? bool [class].
 TRAVERSABLE = np.array([name in _TRAVERSABLE_NAMES for name in CLASS_NAMES])
 
 _OPAQUE_NAMES = ("car", "house", "fence", "tree", "bush", "garage door")
 
-#: Class index -> does it hide what is behind it from a camera a metre above the ground? bool [16].
+#: Class index -> does it hide what is behind it from a camera a metre above the ground? bool [class].
 OPAQUE = np.array([name in _OPAQUE_NAMES for name in CLASS_NAMES])

@@ -1,10 +1,10 @@
 """A voxel map with classes, built from depth images, and the 2D map that a planner reads off it (paper, section III-C).
 
 Each voxel has a log-odds of being occupied, updated and clamped as OctoMap does it (Hornung et al., Autonomous Robots
-2013), and a class that the frames vote for. Two bytes a voxel, in dense arrays: 80 kB for 50 x 50 cells and 16 levels,
-1.3 MB for 200 x 200. A frame touches only the window of the map that is within reach of the camera, so what it costs
-depends on the reach and the size of the image, not on the size of the map; while it is taken in, it needs 64 bytes for
-each voxel of the window and some for each pixel.
+2013), and a class that the frames vote for. Two bytes a voxel (three with more than 16 classes), in dense arrays: 80 kB
+for 50 x 50 cells and 16 levels, 1.3 MB for 200 x 200. A frame touches only the window of the map that is within reach
+of the camera, so what it costs depends on the reach and the size of the image, not on the size of the map; while it is
+taken in, it needs 64 bytes for each voxel of the window and some for each pixel.
 
 World frame, camera frame and units are those of `dc2g_jax.mapping.camera`. The lowest level is centred on the ground,
 z = 0. All functions are for one map; `jax.vmap` makes them take many.
@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int8, Int32, UInt8
+from jaxtyping import Array, Bool, Float, Int8, Int32, UInt, UInt8
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import CLASS_BITS, CLASS_NAMES, UNKNOWN
@@ -38,12 +38,15 @@ UNSEEN = -128
 MOST_CONFIDENT = 15
 
 #: The most voxels that a map may have: as many as 32-bit numbers can count for each class.
-MOST_VOXELS = 2**27 - 1
+MOST_VOXELS = 2 ** (31 - CLASS_BITS) - 1
 
 #: The class of something that stands there but has no label.
 _UNLABELLED_OBSTACLE = CLASS_NAMES.index("nothing")
 
 _CONFIDENCE_BITS = MOST_CONFIDENT.bit_length()
+
+#: The smallest type that holds a class and a confidence.
+_VOTES = np.min_scalar_type(2 ** (CLASS_BITS + _CONFIDENCE_BITS) - 1)
 
 
 @struct.dataclass
@@ -83,12 +86,12 @@ class SemanticMap:
 
     Attributes:
       log_odds: of being occupied, in units of `LOG_ODDS_UNIT`; `UNSEEN` where no frame has said anything.
-      votes: the class in the upper four bits (0: none); in the lower four, by how many frames its votes outweigh those
-        for other classes, `MOST_CONFIDENT` at most.
+      votes: in the lower four bits, by how many frames the votes for the class outweigh those for others,
+        `MOST_CONFIDENT` at most; above them the class (0: none).
     """
 
     log_odds: Int8[Array, "levels h w"]
-    votes: UInt8[Array, "levels h w"]
+    votes: UInt[Array, "levels h w"]
 
     @property
     def occupied(self) -> Bool[Array, "levels h w"]:
@@ -98,12 +101,12 @@ class SemanticMap:
     @property
     def classes(self) -> UInt8[Array, "levels h w"]:
         """Class index of what is there, 0 where nothing is or where it has no label."""
-        return self.votes >> _CONFIDENCE_BITS
+        return (self.votes >> _CONFIDENCE_BITS).astype(jnp.uint8)
 
     @property
     def confidence(self) -> UInt8[Array, "levels h w"]:
         """By how many frames the votes for the class outweigh the others."""
-        return self.votes & MOST_CONFIDENT
+        return (self.votes & MOST_CONFIDENT).astype(jnp.uint8)
 
 
 class _Window(NamedTuple):
@@ -122,7 +125,7 @@ def empty_map(settings: MapSettings) -> SemanticMap:
     _check_settings(settings)
     return SemanticMap(
         log_odds=jnp.full(settings.shape, UNSEEN, jnp.int8),
-        votes=jnp.zeros(settings.shape, jnp.uint8),
+        votes=jnp.zeros(settings.shape, _VOTES),
     )
 
 
@@ -277,14 +280,14 @@ def _updated(
     undecided = before.confidence == 0
     gained = jnp.minimum(before.confidence, MOST_CONFIDENT - 1) + 1
     confidence = jnp.where(undecided | (winner == before.classes), gained, before.confidence - 1)
-    voted = jnp.where(undecided, winner, before.classes) << _CONFIDENCE_BITS | confidence
+    voted = jnp.where(undecided, winner, before.classes).astype(_VOTES) << _CONFIDENCE_BITS | confidence
     votes = jnp.where(labelled, voted, before.votes)
-    return SemanticMap(log_odds=log_odds, votes=jnp.where(log_odds > 0, votes, jnp.uint8(0)))
+    return SemanticMap(log_odds=log_odds, votes=jnp.where(log_odds > 0, votes, 0))
 
 
 def _winner(counts: Int32[Array, "class *shape"]) -> tuple[UInt8[Array, "*shape"], Bool[Array, "*shape"]]:
     """The class, other than 0, with the largest count, the smaller index of two, and whether any count is not 0."""
-    last = len(CLASS_NAMES) - 1
+    last = 2**CLASS_BITS - 1
     from_last = last - jnp.arange(1, len(CLASS_NAMES)).reshape(-1, *(1,) * (counts.ndim - 1))
     # One maximum of count and class together: the position of a maximum is found far more slowly.
     best = jnp.max(counts[1:] << CLASS_BITS | from_last, axis=0)

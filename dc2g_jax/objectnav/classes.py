@@ -11,26 +11,33 @@ there.
 
 import numpy as np
 
+#: Class -> RGB color, in the order of the indices. Goals have colors of Okabe and Ito, which color-blind people tell
+#: apart; all else is paler or darker than they are.
+_PALETTE = {
+    "nothing": (255, 255, 255),
+    "bed": (0, 114, 178),
+    "chair": (230, 159, 0),
+    "sink": (86, 180, 233),
+    "plant": (0, 158, 115),
+    "couch": (213, 94, 0),
+    "armchair": (204, 121, 167),
+    "table": (214, 190, 156),
+    "desk": (184, 158, 118),
+    "cabinet": (140, 112, 84),
+    "shelf": (92, 72, 54),
+    "television": (44, 44, 52),
+    "toilet": (240, 228, 66),
+    "refrigerator": (190, 204, 222),
+    "counter": (160, 160, 148),
+    "lamp": (250, 226, 150),
+    "other object": (158, 142, 176),
+}
+
 #: Class index -> name. Index 0 stands for floor, wall and whatever has no class.
-CLASS_NAMES: tuple[str, ...] = (
-    "nothing",
-    "bed",
-    "chair",
-    "sink",
-    "plant",
-    "couch",
-    "armchair",
-    "table",
-    "desk",
-    "cabinet",
-    "shelf",
-    "television",
-    "toilet",
-    "refrigerator",
-    "counter",
-    "lamp",
-    "other object",
-)
+CLASS_NAMES: tuple[str, ...] = tuple(_PALETTE)
+
+#: Class index -> RGB color, uint8 [class 3].
+CLASS_COLORS = np.array(list(_PALETTE.values()), np.uint8)
 
 #: Semantic classes, those of the map's channels: class index `1 + channel`.
 SEMANTIC_CLASSES = len(CLASS_NAMES) - 1
@@ -43,31 +50,6 @@ NOTHING = 0
 
 #: What a robot may be sent to, by class index, in the paper's order (section III-C).
 GOALS: tuple[int, ...] = (BED, CHAIR, SINK, PLANT, COUCH)
-
-#: Class index -> RGB colour, uint8 [17 3]. Goals have colours of Okabe and Ito, which the colour-blind tell apart; all
-#: else is paler or darker than they are.
-CLASS_COLORS = np.array(
-    [
-        (255, 255, 255),
-        (0, 114, 178),
-        (230, 159, 0),
-        (86, 180, 233),
-        (0, 158, 115),
-        (213, 94, 0),
-        (204, 121, 167),
-        (214, 190, 156),
-        (184, 158, 118),
-        (140, 112, 84),
-        (92, 72, 54),
-        (44, 44, 52),
-        (240, 228, 66),
-        (190, 204, 222),
-        (160, 160, 148),
-        (250, 226, 150),
-        (158, 142, 176),
-    ],
-    dtype=np.uint8,
-)
 
 #: Room type -> name, as ProcTHOR has them. Index 0 is outside.
 ROOM_NAMES: tuple[str, ...] = ("outside", "Bedroom", "Bathroom", "Kitchen", "LivingRoom")

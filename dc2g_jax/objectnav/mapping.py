@@ -28,6 +28,10 @@ from dc2g_jax.vehicles.footprint import cell_at
 #: Channels of a map: the classes (class index 1 + channel), then what is an obstacle, then what is explored.
 OBSTACLE, EXPLORED = SEMANTIC_CLASSES, SEMANTIC_CLASSES + 1
 CHANNELS = SEMANTIC_CLASSES + 2
+if CHANNELS > 32:
+    raise ValueError(
+        f"{SEMANTIC_CLASSES} indoor classes: a cell of the map has 32 bits, so merge some, 30 are possible"
+    )
 
 
 @struct.dataclass

@@ -19,12 +19,12 @@ from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, NetworkCostToGo, extent_of
-from dc2g_jax.estimation.padding import OUTSIDE, PaddedNetwork
+from dc2g_jax.estimation.padding import PaddedNetwork
 from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.gridworld import belief_from_map
 from dc2g_jax.grid.poses import HEADINGS, Pose
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
-from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE, UNKNOWN
+from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, OUTSIDE, TRAVERSABLE, UNKNOWN
 from dc2g_jax.grid.world import World, world_from_terrain
 from dc2g_jax.planning.decisions import FAR, Decision, RobotPose, View, decide
 from dc2g_jax.planning.named import NETWORK_PLANNERS, make_planner

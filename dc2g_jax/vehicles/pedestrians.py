@@ -20,7 +20,7 @@ from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.vehicles.footprint import Ground, cell_centers, contains, distance_to_segment
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleState
 
-#: Class index -> do people walk there? bool [16].
+#: Class index -> do people walk there? bool [class].
 WALKABLE = np.isin(CLASS_NAMES, ["sidewalk", "path"])
 
 #: Places as near as this are the same one, metres.

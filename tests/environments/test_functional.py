@@ -10,9 +10,10 @@ import pytest
 
 from dc2g_jax.datasets.houses import stack_worlds
 from dc2g_jax.datasets.starts import sample_starts
-from dc2g_jax.environments.functional import OUTSIDE, Observation, egocentric, front_door
+from dc2g_jax.environments.functional import Observation, egocentric, front_door
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.sensing import field_of_view
+from dc2g_jax.grid.terrain import OUTSIDE
 from dc2g_jax.planning.planners import Oracle
 from dc2g_jax.rollouts.evaluation import episodes_from
 from dc2g_jax.rollouts.rollout import rollout

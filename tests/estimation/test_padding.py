@@ -6,7 +6,8 @@ import pytest
 
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.estimation.networks.compact_unet import Architecture
-from dc2g_jax.estimation.padding import OUTSIDE, PaddedNetwork
+from dc2g_jax.estimation.padding import PaddedNetwork
+from dc2g_jax.grid.terrain import OUTSIDE
 from tests.support import maps
 from tests.support.networks import random_network
 
