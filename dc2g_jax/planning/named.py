@@ -17,7 +17,7 @@ PLANNERS: tuple[PlannerName, ...] = get_args(PlannerName)
 
 
 def _on_network(selection: Selection, estimator: Estimator, rules: Rules) -> DC2G:
-    """A planner that runs on a network, as it was chosen on validation houses (see BENCHMARKS.md).
+    """A planner that runs on a network, as it was chosen on validation houses (see docs/notebook).
 
     It asks about the map and its mirror image in turn, and heads for the nearest goal in reach, whatever the rules.
     """
