@@ -16,7 +16,7 @@ import tyro
 from dc2g_jax.datasets import houses
 from tests.support.places import ROOT
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "BENCHMARKS.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 #: Packages of extras: examples that need them are run where they are installed.
 OPTIONAL = ("gymnasium",)
