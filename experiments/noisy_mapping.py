@@ -8,21 +8,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dc2g_jax.cli.common import (
-    SHIPPED_NOISY_NETWORK,
-    DatasetOption,
-    NetworkOption,
-    OutOption,
-    command_line,
-    digests,
-    open_network,
-)
+from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line, digests, open_network
 from dc2g_jax.cli.driving import DrivingOptions, drive, equipment
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import Start, sample_starts
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.checkpoints import SHIPPED_NOISY_NETWORK
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.tables import read_table, write_table

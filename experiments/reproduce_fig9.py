@@ -12,20 +12,14 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from dc2g_jax.cli.common import (
-    SHIPPED_NOISY_NETWORK,
-    DatasetOption,
-    NetworkOption,
-    OutOption,
-    command_line,
-    open_network,
-)
+from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
 from dc2g_jax.cli.driving import TIME_LIMIT, DrivingOptions, equipment
 from dc2g_jax.cli.map_options import StartOption, start_in
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import why_no_episode
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.checkpoints import SHIPPED_NOISY_NETWORK
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.inspection.camera_recording import CameraRecording, MappedFrame
 from dc2g_jax.inspection.driving_figures import plot_moments

@@ -13,7 +13,7 @@ from dc2g_jax.cli.outputs import RUN_FILE, folder_in_use
 from dc2g_jax.datasets.download import cache_folder
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network
+from dc2g_jax.estimation.checkpoints import SHIPPED_NETWORK, TrainedNetwork, load_network
 from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.files.resources import resource
 
@@ -26,9 +26,6 @@ OutOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior
 
 #: Actions after which an episode ends without success; where not given, as many as suit the size of the map.
 StepLimitOption = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
-
-#: The trained networks that come with the package: for maps without errors, and for maps that a camera has made.
-SHIPPED_NETWORK, SHIPPED_NOISY_NETWORK = "weights/compact_unet", "weights/compact_unet_noisy"
 
 
 def command_line(options: type[_Options], main: Callable[[_Options], None]) -> None:

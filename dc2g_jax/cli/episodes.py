@@ -9,9 +9,9 @@ from tqdm import tqdm
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
-from dc2g_jax.files.tables import read_table, write_table
+from dc2g_jax.files.tables import read_table
 from dc2g_jax.planning.rules import Rules
-from dc2g_jax.rollouts.evaluation import NO_PLANNERS, EpisodeResult, OwnPlanners, Runner
+from dc2g_jax.rollouts.evaluation import NO_PLANNERS, EpisodeResult, OwnPlanners, Results, Runner
 from dc2g_jax.rollouts.statistics import extra_steps
 
 
@@ -88,9 +88,8 @@ def _is_of(result: EpisodeResult, start: Start, rules: Rules, planner: str) -> b
 
 
 def write_episodes(path: Path, results: Sequence[EpisodeResult]) -> None:
-    """Write `episodes.csv`: one line an episode and planner, `success` as 0 or 1, `extra` in percent."""
-    rows = [{**one._asdict(), "success": int(one.success), "extra": round(one.extra, 4)}.values() for one in results]
-    write_table(path, EpisodeResult._fields, rows)
+    """Write `episodes.csv`, see `dc2g_jax.rollouts.evaluation.Results.save`."""
+    Results(results).save(path)
 
 
 def read_episodes(path: Path) -> list[EpisodeResult]:

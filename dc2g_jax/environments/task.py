@@ -10,11 +10,15 @@ from jaxtyping import Array, Int
 
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import why_no_episode
-from dc2g_jax.environments.functional import front_door, whole_number
+from dc2g_jax.environments.functional import SENSING_RANGE, FrontDoor, Params, front_door, whole_number
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.ground import connected_to_goal
 from dc2g_jax.grid.poses import HEADINGS, Pose, make_pose
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR
+from dc2g_jax.rollouts.rollout import STEP_LIMIT
+
+#: The environment that `make_env` makes.
+FRONT_DOOR_ID = "FrontDoor-v0"
 
 _START = ("house", "x", "y", "heading")
 
@@ -112,3 +116,38 @@ def _check_ground(house: House, x: int, y: int) -> None:
             f"no front door of {house.name} can be reached from ({x}, {y}), which is {CLASS_NAMES[terrain]}; "
             "start on a traversable cell that is connected to one"
         )
+
+
+def make_env(
+    name: str = FRONT_DOOR_ID,
+    *,
+    dataset: str | os.PathLike[str] | HouseDataset | None = None,
+    split: str = "train",
+    sensing_range: int = SENSING_RANGE,
+    step_limit: int = STEP_LIMIT,
+    cells: int = 50,
+) -> tuple[FrontDoor, Params]:
+    """Make a functional environment and its parameters, as in gymnax.
+
+    ```
+    env, params = dc2g_jax.make_env("FrontDoor-v0", dataset="procedural")
+    observation, state = env.reset(key, params)
+    observation, state, reward, done, info = env.step(key, state, action, params)
+    ```
+
+    Args:
+      name: `FrontDoor-v0`.
+      dataset: folder of houses, the word `procedural`, or an open dataset; `None` for the published houses, see
+        `dc2g_jax.datasets.houses.open_dataset`.
+      split: houses to be in: `train`, `val` or `test`. Those in which no episode can be run are left out.
+      sensing_range: reach of the 90-degree field of view, in cells.
+      step_limit: actions after which an episode is truncated.
+      cells: cells a side of the maps, where `dataset` is to be opened.
+
+    Raises:
+      InputError: an option is not valid, or the dataset is not.
+    """
+    if name != FRONT_DOOR_ID:
+        raise InputError(f"no environment is called {name!r}; known: {FRONT_DOOR_ID}")
+    task = Task(dataset, split, sensing_range, step_limit, cells)
+    return task.environment, task.params

@@ -5,6 +5,7 @@ import dataclasses
 import functools
 import json
 import logging
+import os
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,7 +22,11 @@ from dc2g_jax.estimation.networks.compact_unet import Architecture
 from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.digests import arrays_sha256
+from dc2g_jax.files.resources import resource
 from dc2g_jax.grid.terrain import CLASS_NAMES
+
+#: The trained networks that come with the package: for maps without errors, and for maps that a camera has made.
+SHIPPED_NETWORK, SHIPPED_NOISY_NETWORK = "weights/compact_unet", "weights/compact_unet_noisy"
 
 _CARD = "network.json"
 _WEIGHTS = "weights"
@@ -153,13 +158,16 @@ def _shapes(tree: Any) -> dict[str, tuple[int, ...]]:
     return {jax.tree_util.keystr(path): tuple(leaf.shape) for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
 
 
-def load_network(folder: str | Path) -> TrainedNetwork:
+def load_network(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork:
     """Load a network of any kind saved by `save_network`.
+
+    Args:
+      folder: where it was saved; the network that comes with the package where `None`.
 
     Raises:
       InputError: if there is none, it cannot be read, or its weights are those of another architecture.
     """
-    folder = Path(folder).absolute()
+    folder = Path(resource(SHIPPED_NETWORK) if folder is None else folder).absolute()
     kind, architecture, digest = _read_card(folder)
     wanted = kind.weight_shapes(architecture)
     if not (folder / _WEIGHTS / "_CHECKPOINT_METADATA").is_file():

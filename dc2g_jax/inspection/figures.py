@@ -372,6 +372,23 @@ def plot_house_strips(
     return save_figure(figure, path, dpi=300)
 
 
+def plot_results(results: Iterable[EpisodeResult], path: str | Path) -> list[Path]:
+    """Draw the extra steps of every episode, a strip a house, as `dc2g_jax.evaluate` gives them.
+
+    Args:
+      results: episodes of any number of planners; the oracle's are left out.
+      path: where to write, without an ending.
+
+    Returns:
+      The files written: PNG and SVG.
+
+    Raises:
+      ValueError: no planner but the oracle.
+    """
+    results = list(results)
+    return plot_house_strips(path, results, {result.house: "all" for result in results})
+
+
 def _group_place(group: str) -> tuple[int, str]:
     """Where a group stands among others."""
     order = list(_GROUP_LABELS)

@@ -2,12 +2,15 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
-from typing import Literal, get_args
+import importlib
+import os
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Literal, get_args
 
+from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, ExactCostToGo, answers_in_cells
 from dc2g_jax.planning.planners import DC2G, Frontier, MapRevisingPlanner, Oracle
-from dc2g_jax.planning.rules import Rules, nearest_goal
+from dc2g_jax.planning.rules import Rules, Settings, named_settings, nearest_goal
 from dc2g_jax.planning.selection import ExpectedCost, Patience, QuantileCost, Selection
 
 PlannerName = Literal["oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go"]
@@ -39,16 +42,44 @@ NETWORK_PLANNERS: Mapping[str, Callable[[Estimator, Rules], DC2G]] = {
 }
 
 
-def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) -> MapRevisingPlanner:
-    """A planner by name.
+def make(
+    name: str,
+    *,
+    network: Estimator | str | os.PathLike[str] | None = None,
+    settings: str | Settings = "paper",
+    sensing_range: int | None = None,
+) -> MapRevisingPlanner:
+    """Make a planner by name.
+
+    ```
+    planner = dc2g_jax.make("dc2g", sensing_range=8)
+    ```
 
     Args:
-      name: one of `PLANNERS`.
+      name: one of `PLANNERS`, or `package.module:Class` for a class of your own, which is called with the rules.
+      network: what `dc2g` and `dc2g_uncertain` run on: an estimator or the folder of a trained network; the shipped
+        network where `None`.
+      settings: the rules, one of `dc2g_jax.planning.rules.SETTINGS` or its name.
+      sensing_range: reach of the field of view in cells; the settings' own where `None`.
+
+    Raises:
+      InputError: for an unknown planner or unknown settings, a sensing range out of bounds, or a network that cannot
+        be read.
+    """
+    rules = named_settings(settings).rules(sensing_range)
+    return make_planner(name, rules, open_estimator(network) if name in NETWORK_PLANNERS else None)
+
+
+def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) -> MapRevisingPlanner:
+    """A planner by name, from rules and an estimator at hand.
+
+    Args:
+      name: one of `PLANNERS`, or `package.module:Class` for a class of your own, which is called with the rules.
       rules: what is seen and what counts as frontier.
       estimator: the network of `dc2g` and `dc2g_uncertain`.
 
     Raises:
-      ValueError: for an unknown name, or a planner that needs an estimator without one.
+      InputError: for an unknown name, or a planner that needs an estimator without one.
     """
     if name == "oracle":
         return Oracle()
@@ -60,7 +91,45 @@ def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) ->
         # Where costs have no scale, no distance can be added to them: the paper's rule.
         return NETWORK_PLANNERS[name](estimator, rules) if answers_in_cells(estimator) else DC2G(estimator, rules)
     if name in NETWORK_PLANNERS:
-        raise ValueError(f"the planner {name!r} needs an estimator, such as a trained network")
-    raise ValueError(
-        f"no planner is called {name!r}; known: {', '.join(PLANNERS)} (one of your own: give it to Runner.run as own)"
-    )
+        raise InputError(f"the planner {name!r} needs an estimator, such as a trained network")
+    return _imported(name)(rules)
+
+
+def check_names(names: Iterable[str]) -> None:
+    """Check that every name is one of `PLANNERS` or a class that can be imported.
+
+    Raises:
+      InputError: one is neither.
+    """
+    for name in names:
+        if name not in PLANNERS:
+            _imported(name)
+
+
+def open_estimator(network: Estimator | str | os.PathLike[str] | None) -> Estimator:
+    """An estimator as it is, or the network in a folder; the shipped network for `None`.
+
+    Raises:
+      InputError: the folder holds no network that can be read.
+    """
+    if network is not None and not isinstance(network, str | os.PathLike):
+        return network
+    # Orbax takes a second to import, and only files need it.
+    from dc2g_jax.estimation.checkpoints import load_network
+
+    return load_network(network)
+
+
+def _imported(name: str) -> Any:
+    """A planner's class by `package.module:Class`."""
+    module, colon, attribute = name.partition(":")
+    if not colon:
+        known = ", ".join(PLANNERS)
+        raise InputError(f"no planner is called {name!r}; known: {known} (one of your own: package.module:Class)")
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InputError(
+            f"planner {name!r}: cannot be imported ({error}); give package.module:Class, of a module that Python finds "
+            "in this folder or among the installed ones"
+        ) from None

@@ -11,7 +11,7 @@ from dc2g_jax.grid import bitboard, search
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import PoseSet, every_heading, with_headings
-from dc2g_jax.grid.sensing import Kernel, expanding_kernel, field_of_view, line_of_sight
+from dc2g_jax.grid.sensing import MAX_SENSING_RANGE, Kernel, expanding_kernel, field_of_view, line_of_sight
 from dc2g_jax.planning import frontiers
 
 
@@ -108,8 +108,11 @@ class Settings:
         Another sensing range than the setting's own brings an expanding range of its own, where none is given.
 
         Raises:
-          InputError: an expanding range is asked for, and these rules have no frontier-expanding kernel.
+          InputError: a range is out of bounds, or an expanding range is asked for and these rules have no
+            frontier-expanding kernel.
         """
+        if sensing_range is not None and not 1 <= sensing_range <= MAX_SENSING_RANGE:
+            raise InputError(f"sensing range {sensing_range}: give 1 to {MAX_SENSING_RANGE} cells")
         if sensing_range in (None, self.sensing_range):
             sensing_range = self.sensing_range
             expanding_range = self.expanding_range if expanding_range is None else expanding_range
@@ -133,3 +136,16 @@ SETTINGS = {
         Settings("occluded", 8, None, lambda sensing_range, _: complete_rules(sensing_range, line_of_sight)),
     )
 }
+
+
+def named_settings(settings: str | Settings) -> Settings:
+    """Settings by name; settings are returned as they are.
+
+    Raises:
+      InputError: none have this name.
+    """
+    if isinstance(settings, Settings):
+        return settings
+    if settings not in SETTINGS:
+        raise InputError(f"no settings are called {settings!r}; known: {', '.join(SETTINGS)}")
+    return SETTINGS[settings]

@@ -1,24 +1,28 @@
 """Episodes by house name: planners run from given starts, beside the oracle (paper, section IV-B)."""
 
 import collections
+import functools
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax.datasets.houses import HouseDataset, stack_worlds
-from dc2g_jax.datasets.starts import Start
+from dc2g_jax.datasets.houses import HouseDataset, open_dataset, stack_worlds
+from dc2g_jax.datasets.starts import Start, sample_starts
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
+from dc2g_jax.files.tables import write_table
 from dc2g_jax.grid.poses import ACTION_LETTERS, HEADINGS, make_pose
 from dc2g_jax.grid.terrain import FRONT_DOOR
-from dc2g_jax.planning.named import make_planner
+from dc2g_jax.planning.named import NETWORK_PLANNERS, check_names, make_planner, open_estimator
 from dc2g_jax.planning.planners import MODE_NAMES, Oracle, Planner
-from dc2g_jax.planning.rules import Rules, Settings
+from dc2g_jax.planning.rules import Rules, Settings, named_settings
 from dc2g_jax.rollouts.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
-from dc2g_jax.rollouts.statistics import extra_steps
+from dc2g_jax.rollouts.statistics import Summary, extra_steps, summarize
 
 #: A map of this many cells has one more action in its step limit: 500 for the published ones, of 50 x 50 cells.
 _CELLS_A_STEP = 50 * 50 // STEP_LIMIT
@@ -26,6 +30,9 @@ _CELLS_A_STEP = 50 * 50 // STEP_LIMIT
 #: Planners beside those of the package: name -> what makes one from the rules of an episode.
 OwnPlanners = Mapping[str, Callable[[Rules], Planner]]
 NO_PLANNERS: OwnPlanners = MappingProxyType({})
+
+#: A planner, or what makes one: a planner's name, or a class or function that is called with the rules of an episode.
+PlannerSource = str | Planner | Callable[[Rules], Planner]
 
 
 class EpisodeResult(NamedTuple):
@@ -60,6 +67,43 @@ class EpisodeResult(NamedTuple):
     extra: float
     mode: str
     actions: str
+
+
+class Results(tuple[EpisodeResult, ...]):
+    """Episodes of one or more planners, planner by planner, each in the order of the starts: a tuple of results.
+
+    `print(results)` shows the summary of each planner.
+    """
+
+    def of(self, planner: str) -> "Results":
+        """The episodes of one planner."""
+        return Results(result for result in self if result.planner == planner)
+
+    def summary(self) -> dict[str, Summary]:
+        """Mean and median of the extra steps in percent, and the success rate, by planner; episodes weigh equally."""
+        planners = dict.fromkeys(result.planner for result in self)
+        by_planner = {planner: self.of(planner) for planner in planners}
+        return {
+            planner: summarize([one.extra for one in own], [one.success for one in own])
+            for planner, own in by_planner.items()
+        }
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write `episodes.csv`: one line an episode and planner, `success` as 0 or 1, `extra` in percent."""
+        rows = [{**one._asdict(), "success": int(one.success), "extra": round(one.extra, 4)}.values() for one in self]
+        write_table(Path(path), EpisodeResult._fields, rows)
+
+    def __str__(self) -> str:
+        """A table: extra steps beyond the oracle and success, a line for each planner."""
+        table = self.summary()
+        width = max(map(len, ("planner", *table)))
+        lines = [f"{'planner':{width}}   extra steps %: mean   median   success %   episodes"]
+        for planner, row in table.items():
+            lines.append(
+                f"{planner:{width}}{row.mean_extra:>22.1f}{row.median_extra:>9.1f}{100 * row.success:>12.1f}"
+                f"{row.episodes:>11,}"
+            )
+        return "\n".join(lines)
 
 
 def action_letters(trajectories: Trajectories, episode: int) -> str:
@@ -165,7 +209,7 @@ class Runner:
 
         Args:
           starts: first poses; each may ask for its own ranges.
-          planners: names out of `PLANNERS` and of `own`.
+          planners: names as `make_planner` takes them, or out of `own`.
           estimator: the network of `dc2g`.
           own: further planners, or others in the place of those but the oracle, by name: each is made from the rules
             of an episode.
@@ -174,10 +218,10 @@ class Runner:
           Results, planner by planner in the order given, each in the order of the starts.
 
         Raises:
-          ValueError: for a start that is no pose on the map, or on a front door: there is nothing to look for; for a
-            planner of no known name; for an `oracle` of one's own, by which all are measured.
-          InputError: not even the oracle reaches a goal from a start within the step limit, or a start asks for an
-            expanding range, and the settings know none.
+          ValueError: for a start that is no pose on the map, or on a front door: there is nothing to look for; for an
+            `oracle` of one's own, by which all are measured.
+          InputError: a planner has no known name, not even the oracle reaches a goal from a start within the step
+            limit, or a start asks for an expanding range, and the settings know none.
         """
         if "oracle" in own:
             raise ValueError("own: holds an oracle, by which all are measured; give the planner another name")
@@ -234,3 +278,83 @@ def _result(
         mode=MODE_NAMES[trajectories.mode[row]],
         actions=action_letters(trajectories, row),
     )
+
+
+def evaluate(
+    planners: str | Iterable[str] | Mapping[str, PlannerSource],
+    dataset: HouseDataset | str | os.PathLike[str] | None = None,
+    *,
+    split: str = "test",
+    starts: Sequence[Start] | None = None,
+    starts_per_house: int = 10,
+    seed: int = 0,
+    settings: str | Settings = "paper",
+    sensing_range: int | None = None,
+    network: Estimator | str | os.PathLike[str] | None = None,
+    step_limit: int | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> Results:
+    """Run planners from the same starts and set every episode beside the oracle's.
+
+    ```
+    results = dc2g_jax.evaluate(["frontier", "dc2g"], "procedural", split="val")
+    results = dc2g_jax.evaluate({"mine": MyPlanner, "frontier": "frontier"}, "procedural", split="val")
+    print(results)
+    ```
+
+    Args:
+      planners: names, each one of `dc2g_jax.PLANNERS` or `package.module:Class`; or a name of your choice -> one of
+        these, a planner, or what makes a planner from the rules, such as its class.
+      dataset: houses, a folder of them, or `procedural`; `None` for the published ones, see `open_dataset`.
+      split: houses that starts are sampled in: `train`, `val` or `test`.
+      starts: first poses; sampled where `None`.
+      starts_per_house: how many are sampled in each house.
+      seed: of the sampled starts.
+      settings: the rules, one of `dc2g_jax.SETTINGS` or its name.
+      sensing_range: reach of the field of view in cells, for starts that do not say; the settings' own where `None`.
+      network: what `dc2g` and `dc2g_uncertain` run on: an estimator or the folder of a trained network; the shipped
+        network where `None`.
+      step_limit: actions after which an episode ends without success; `None` for as many as suit the maps' size.
+      progress: called as `progress(planner, finished, episodes)` now and then.
+
+    Raises:
+      InputError: an argument is not valid, no episode can be run in any of the houses, or a planner was made for
+        another field of view than that of the episodes.
+    """
+    named: Mapping[str, PlannerSource]
+    if isinstance(planners, Mapping):
+        named = planners
+    else:
+        named = {name: name for name in ([planners] if isinstance(planners, str) else planners)}
+    sources = [source for source in named.values() if isinstance(source, str)]
+    check_names(sources)
+    settings = named_settings(settings)
+    settings.rules(sensing_range)
+    estimator = open_estimator(network) if NETWORK_PLANNERS.keys() & set(sources) else None
+    if not isinstance(dataset, HouseDataset):
+        dataset = open_dataset(dataset)
+    if starts is None:
+        starts = sample_starts(dataset.split(split), starts_per_house, seed=seed)
+        if not starts:
+            raise InputError(f"{dataset.name}: no episode can be run in any house of split {split!r}; use another")
+    if sensing_range is not None:
+        starts = [start._replace(sensing_range=start.sensing_range or sensing_range) for start in starts]
+    own = {name: functools.partial(_made, name, source, estimator) for name, source in named.items() if source != name}
+    runner = Runner(dataset, settings, step_limit=step_limit, progress=progress)
+    return Results(runner.run(starts, named, estimator, own=own))
+
+
+def _made(name: str, source: PlannerSource, estimator: Estimator | None, rules: Rules) -> Planner:
+    """The planner, once it is sure that it goes by the field of view of the episodes."""
+    if isinstance(source, str):
+        return make_planner(source, rules, estimator)
+    ready = hasattr(source, "plan") and not isinstance(source, type)
+    planner: Any = source if ready else source(rules)  # type: ignore[operator]
+    sensing = getattr(planner, "rules", rules).sensing
+    if sensing != rules.sensing:
+        kind = "" if sensing.radius != rules.sensing.radius else " of another kind"
+        raise InputError(
+            f"planner {name!r}: was made for a field of view of {sensing.radius} cells, and the robots here have "
+            f"one of {rules.sensing.radius}{kind}; make it with the settings and the sensing_range of the evaluation"
+        )
+    return planner

@@ -6,9 +6,10 @@ from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, Trans
 from dc2g_jax.estimation.extents import CroppedEstimator, WindowedEstimator
 from dc2g_jax.estimation.networks.compact_unet import Architecture
 from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
-from dc2g_jax.planning.named import NETWORK_PLANNERS, make_planner
+from dc2g_jax.planning.named import NETWORK_PLANNERS, check_names, make, make_planner
 from dc2g_jax.planning.planners import DC2G, Frontier, Oracle
 from dc2g_jax.planning.rules import SETTINGS, complete_rules
+from tests.support.refusals import refusal
 
 RULES = complete_rules(4)
 
@@ -18,8 +19,8 @@ def test_make_planner():
     assert make_planner("oracle", RULES) == Oracle()
     assert make_planner("frontier", RULES) == Frontier(RULES)
     assert make_planner("true_cost_to_go", RULES) == DC2G(ExactCostToGo(), RULES)
-    for name, make in NETWORK_PLANNERS.items():
-        assert make_planner(name, RULES, estimator) == make(estimator, RULES)
+    for name, on_network in NETWORK_PLANNERS.items():
+        assert make_planner(name, RULES, estimator) == on_network(estimator, RULES)
     # Pictures have no scale that a distance could be added to.
     translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
     assert make_planner("dc2g", RULES, translator) == DC2G(translator, RULES)
@@ -27,8 +28,8 @@ def test_make_planner():
 
 def test_planners_on_a_network_head_for_the_nearest_door_whatever_the_rules():
     reference = SETTINGS["reference"].rules()
-    for make in NETWORK_PLANNERS.values():
-        planner = make(ExactCostToGo(), reference)
+    for on_network in NETWORK_PLANNERS.values():
+        planner = on_network(ExactCostToGo(), reference)
         assert planner.rules.frontier_expanding is reference.frontier_expanding
         assert planner.rules.goal_poses is RULES.goal_poses is not reference.goal_poses
 
@@ -48,3 +49,21 @@ def test_planners_that_cannot_be_made(name, words):
     with pytest.raises(ValueError, match=words) as caught:
         make_planner(name, RULES)
     assert repr(name) in str(caught.value)
+
+
+def test_make_takes_settings_and_the_network_from_where_it_is_told():
+    assert make("frontier") == Frontier(complete_rules(8))
+    assert make("frontier", settings="published") == Frontier(SETTINGS["published"].rules())
+    assert make("true_cost_to_go", settings=SETTINGS["paper"], sensing_range=4) == DC2G(ExactCostToGo(), RULES)
+    assert make("dc2g", network=ExactCostToGo()) == NETWORK_PLANNERS["dc2g"](ExactCostToGo(), complete_rules(8))
+    assert isinstance(make("dc2g").estimator, NetworkCostToGo)
+    refusal(lambda: make("frontier", sensing_range=65), "sensing range 65", "1 to 64")
+    refusal(lambda: make("dc2g", network="no_such_folder"), "no_such_folder", "not found")
+
+
+def test_a_class_is_named_by_its_module():
+    name = f"{Frontier.__module__}:{Frontier.__name__}"
+    check_names([name, "oracle"])
+    assert make(name, sensing_range=4) == Frontier(RULES)
+    for wrong in ("no_such_module:Planner", f"{Frontier.__module__}:NoSuchPlanner", ":Frontier", "math:"):
+        refusal(lambda wrong=wrong: check_names([wrong]), repr(wrong), "package.module:Class")

@@ -9,9 +9,10 @@ from dc2g_jax.datasets.starts import Start
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.estimation.networks.compact_unet import Architecture, init_weights
 from dc2g_jax.grid.terrain import FRONT_DOOR
+from dc2g_jax.planning.named import make
 from dc2g_jax.planning.planners import Frontier
 from dc2g_jax.planning.rules import SETTINGS, complete_rules
-from dc2g_jax.rollouts.evaluation import Runner, episodes_from
+from dc2g_jax.rollouts.evaluation import Results, Runner, episodes_from, evaluate
 from tests.oracles import gridworld_oracle as oracle
 from tests.support.refusals import refusal, refusal_of
 
@@ -81,7 +82,7 @@ def test_planners_of_ones_own_are_run_beside_the_others(dataset):
     results = runner.run(STARTS, ["mine", "frontier"], own={"mine": Frontier})
     assert [result._replace(planner="frontier") for result in results[: len(STARTS)]] == results[len(STARTS) :]
     assert {result.planner for result in results[: len(STARTS)]} == {"mine"}
-    with pytest.raises(ValueError, match=r"no planner is called 'mine'; known: oracle, .*Runner\.run"):
+    with pytest.raises(ValueError, match=r"no planner is called 'mine'; known: oracle, .*package\.module:Class"):
         runner.run(STARTS, ["mine"])
     with pytest.raises(ValueError, match="own: holds an oracle"):
         runner.run(STARTS, ["oracle"], own={"oracle": Frontier})
@@ -108,3 +109,47 @@ def test_the_step_limit_grows_with_the_map(dataset):
     campus = House("campus", "test", np.full((60, 100), FRONT_DOOR, np.uint8))
     assert Runner(HouseDataset("own", "folder", (campus,)), SETTINGS["paper"]).step_limit == 60 * 100 // 5
     refusal(lambda: Runner(dataset, SETTINGS["paper"], step_limit=0), "step limit 0", "at least 1")
+
+
+def test_evaluate_is_what_the_runner_gives_for_names_classes_and_planners(dataset):
+    starts = [start._replace(expanding_range=None) for start in STARTS]
+    own = {"class": Frontier, "ready": make("frontier", sensing_range=4), "named": f"{Frontier.__module__}:Frontier"}
+    results = evaluate({**own, "frontier": "frontier"}, dataset, starts=starts, sensing_range=4)
+    four = [start._replace(sensing_range=4) for start in starts]
+    expected = Runner(dataset, SETTINGS["paper"]).run(four, ["frontier"])
+    for name in (*own, "frontier"):
+        assert [one._replace(planner="frontier") for one in results.of(name)] == expected
+    assert evaluate("frontier", dataset, starts=starts, sensing_range=4) == Results(expected)
+
+
+def test_evaluate_samples_starts_in_the_houses_of_a_split(dataset):
+    results = evaluate(["oracle"], dataset, split="val", starts_per_house=3, seed=1)
+    assert {result.house for result in results} == {"right"}
+    assert results != evaluate(["oracle"], dataset, split="val", starts_per_house=3, seed=2)
+    refusal(lambda: evaluate(["oracle"], dataset, split="train"), "toys", "train")
+
+
+def test_a_planner_made_for_another_field_of_view_is_refused(dataset):
+    mine = {"mine": make("frontier", sensing_range=5)}
+    refusal(lambda: evaluate(mine, dataset, starts=STARTS[1:3]), "'mine'", "5 cells", "one of 8", "sensing_range")
+    occluded = {"mine": make("frontier", settings="occluded")}
+    refusal(lambda: evaluate(occluded, dataset, starts=STARTS[1:3]), "'mine'", "one of 8 of another kind")
+
+
+def test_evaluate_refuses_before_anything_runs(dataset):
+    refusal(lambda: evaluate(["fronteir"], dataset), "fronteir", "known: oracle")
+    refusal(lambda: evaluate(["frontier"], dataset, settings="papers"), "papers", "published")
+    refusal(lambda: evaluate(["frontier"], dataset, sensing_range=0), "sensing range 0")
+
+
+def test_results_are_summarized_and_saved(dataset, tmp_path):
+    results = evaluate(["frontier", "oracle"], dataset, starts=STARTS[1:3])
+    summary = results.summary()
+    assert list(summary) == ["frontier", "oracle"]
+    assert summary["frontier"].mean_extra == pytest.approx(np.mean([one.extra for one in results.of("frontier")]))
+    assert (summary["oracle"].mean_extra, summary["oracle"].success, summary["oracle"].episodes) == (0, 1, 2)
+    header, *lines = str(results).splitlines()
+    assert [line.split()[0] for line in (header, *lines)] == ["planner", "frontier", "oracle"]
+    assert {len(line) for line in lines} == {len(header)}
+    results.save(tmp_path / "episodes.csv")
+    assert len((tmp_path / "episodes.csv").read_text().splitlines()) == 1 + len(results)
