@@ -11,17 +11,18 @@ from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from experiments.benchmarks import figures, machine, report
-from experiments.benchmarks.bench import Bench
-from experiments.benchmarks.compiling import program_rows
-from experiments.benchmarks.kernels import kernel_rows, network_rows
-from experiments.benchmarks.planners import planner_rows
-from experiments.benchmarks.recording import recording_rows
-from experiments.benchmarks.rows import Row
-from experiments.benchmarks.stepping import environment_rows
-from experiments.benchmarks.sweeps import batch_rows, grid_rows, range_rows
-from experiments.benchmarks.training import training_rows
-from experiments.benchmarks.workload import make_workload
+
+from .benchmarks import figures, machine, report
+from .benchmarks.bench import Bench
+from .benchmarks.compiling import program_rows
+from .benchmarks.kernels import kernel_rows, network_rows
+from .benchmarks.planners import planner_rows
+from .benchmarks.recording import recording_rows
+from .benchmarks.rows import Row
+from .benchmarks.stepping import environment_rows
+from .benchmarks.sweeps import batch_rows, grid_rows, range_rows
+from .benchmarks.training import training_rows
+from .benchmarks.workload import make_workload
 
 Section = Literal[
     "planners", "environment", "kernels", "network", "training", "programs", "recording", "batch", "grid", "range"

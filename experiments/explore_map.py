@@ -3,14 +3,13 @@
 import dataclasses
 import sys
 
-from dc2g_jax.cli.common import NetworkOption, OutOption, StepLimitOption, command_line
+from dc2g_jax.cli.common import NetworkOption, OutOption, PlannersOption, StepLimitOption, command_line
 from dc2g_jax.cli.episodes import EpisodeTable
 from dc2g_jax.cli.map_options import MapOptions, StartOption, doubts_about, start_in, terrain_of
 from dc2g_jax.cli.one_start import Animation, draw_request, make_request, require_sensing_range, run_request, tell_files
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.maps import require_way_to_goal
-from dc2g_jax.planning.named import PlannerName
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,7 +20,8 @@ class Options(MapOptions):
       start: column, row (growing downward) and heading (0 right, 1 down, 2 left, 3 up); sampled where not given, on
         the road where there is one.
       seed: of the sampled start.
-      planner: planners to run, besides the oracle; figures show them in this order.
+      planner: planners to run, besides the oracle; figures show them in this order. One of your own as
+        package.module:Class.
       sensing_range: how many cells ahead a robot sees.
       network: folder of a trained network for `dc2g` and `dc2g_uncertain`; the shipped one where not given.
       step_limit: actions after which an episode ends without success; where not given, 500, and on
@@ -32,7 +32,7 @@ class Options(MapOptions):
 
     start: StartOption = None
     seed: int = 0
-    planner: tuple[PlannerName, ...] = ("dc2g", "frontier")
+    planner: PlannersOption = ("dc2g", "frontier")
     sensing_range: int = 8
     network: NetworkOption = None
     step_limit: StepLimitOption = None
@@ -54,7 +54,7 @@ def main(options: Options) -> None:
     results = run_request(request, EpisodeTable(out / "episodes.csv"))
     draw_request(out, "episode", request, results, options.animation)
     tell_files(out)
-    print("One start says little: --seed gives another; reproduce_fig7 --settings paper --dataset FOLDER runs many.")
+    print("One start says little: --seed gives another; dc2g fig7 --settings paper --dataset FOLDER runs many.")
     if options.network is None:
         print("The shipped network knows suburban houses on 50 x 50 cells: elsewhere, frontier may be shorter.")
 

@@ -28,8 +28,9 @@ from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.online import OnlinePlanner
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.rollout import STEP_LIMIT
-from experiments.benchmarks.machine import describe
-from experiments.benchmarks.workload import Workload, make_workload, resized
+
+from .benchmarks.machine import describe
+from .benchmarks.workload import Workload, make_workload, resized
 
 
 @dataclasses.dataclass(frozen=True)

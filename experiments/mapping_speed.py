@@ -18,8 +18,9 @@ from dc2g_jax.grid.terrain import HOUSE, ROAD
 from dc2g_jax.mapping.camera import Frame, Intrinsics, intrinsics, level_camera, rays
 from dc2g_jax.mapping.semantic_map import MapSettings, empty_map, integrate, terrain_map
 from dc2g_jax.programs import jit
-from experiments.benchmarks.machine import describe
-from experiments.benchmarks.timing import measure
+
+from .benchmarks.machine import describe
+from .benchmarks.timing import measure
 
 
 class Case(NamedTuple):

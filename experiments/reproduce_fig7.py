@@ -7,7 +7,7 @@ import collections
 import dataclasses
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -18,10 +18,12 @@ from dc2g_jax.cli.common import (
     DatasetOption,
     NetworkOption,
     OutOption,
+    PlannersOption,
     StepLimitOption,
+    check_planners,
     command_line,
     digests,
-    open_network,
+    network_for,
 )
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax.cli.outputs import output_folder
@@ -50,6 +52,7 @@ class Options:
       dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
       settings: `published` runs the paper's 400 episodes (5-cell sensing; published dataset only), `paper` runs
         sampled starts in every test house with 8-cell sensing, `both` runs both.
+      planner: planners to compare, by name; one of your own as package.module:Class.
       starts_per_house: sampled starts in each test house.
       seed: of the sampled starts.
       step_limit: actions after which an episode from a sampled start ends without success; where not given, 500, and on
@@ -62,6 +65,7 @@ class Options:
 
     dataset: DatasetOption = None
     settings: Literal["both", "published", "paper"] = "both"
+    planner: PlannersOption = PLANNERS
     starts_per_house: int = 10
     seed: int = 0
     step_limit: StepLimitOption = None
@@ -109,12 +113,12 @@ def _episode(result: EpisodeResult, group: str) -> Episode:
 
 
 def run_published(
-    dataset: HouseDataset, network: TrainedNetwork, table: EpisodeTable
+    dataset: HouseDataset, planners: Sequence[str], network: TrainedNetwork | None, table: EpisodeTable
 ) -> tuple[list[EpisodeResult], list[Episode]]:
     """The 400 published episodes: our results, and table entries with the authors' own beside ours."""
     published = published_episodes()
     runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())
-    results = table.run(runner, [episode.start for episode in published], PLANNERS, network)
+    results = table.run(runner, [episode.start for episode in published], planners, network)
     entries = [_episode(result, published[n % len(published)].group) for n, result in enumerate(results)]
     for episode in published:
         for planner, steps in (("authors_frontier", episode.frontier), ("authors_dc2g", episode.dc2g)):
@@ -124,7 +128,12 @@ def run_published(
 
 
 def frontier_over_dc2g(results: list[EpisodeResult]) -> dict[str, dict[str, float]]:
-    """Mean of frontier steps / DC2G steps, less one, in percent, by group: the paper's "189 % faster"."""
+    """Mean of frontier steps / DC2G steps, less one, in percent, by group: the paper's "189 % faster".
+
+    Nothing where one of the two was not run.
+    """
+    if not {"frontier", "dc2g"} <= {result.planner for result in results}:
+        return {}
     published = published_episodes()
     steps = {planner: [r.steps for r in results if r.planner == planner] for planner in ("frontier", "dc2g")}
     pairs = {
@@ -164,16 +173,28 @@ def sampled_episodes(dataset: HouseDataset, options: Options) -> tuple[Runner, l
     return Runner(dataset, SETTINGS["paper"], step_limit=options.step_limit, progress=EpisodeProgress()), starts
 
 
+def drawn(planners: Sequence[str]) -> list[str]:
+    """Planners that figures of single houses show: DC2G, frontier exploration and the user's own, else whatever ran."""
+    ran = [planner for planner in planners if planner != "oracle"]
+    return [planner for planner in ran if planner in ("dc2g", "frontier") or planner not in PLANNERS] or ran
+
+
 def record(
-    out: Path, dataset: HouseDataset, settings: str, results: list[EpisodeResult], network: TrainedNetwork, count: int
+    out: Path,
+    dataset: HouseDataset,
+    settings: str,
+    results: list[EpisodeResult],
+    network: TrainedNetwork | None,
+    count: int,
 ) -> None:
     """Record `count` episodes, spread evenly over those run: for the rerun viewer and as a figure."""
     rules = SETTINGS[settings].rules()
-    n_starts = len(results) // len(PLANNERS)
+    planners = list(dict.fromkeys(result.planner for result in results))
+    n_starts = len(results) // len(planners)
     chosen = sorted(set(np.linspace(0, n_starts - 1, min(count, n_starts)).round().astype(int).tolist()))
     for number in tqdm(chosen, desc=f"{'recordings':>16}", unit="episode", file=sys.stderr):
         by_planner = {result.planner: result for result in results[number::n_starts] if result.planner != "oracle"}
-        start = by_planner["dc2g"]
+        start = results[number]
         name = f"{settings}-{start.house}-x{start.x}-y{start.y}-h{start.heading}"
         house = dataset.house(start.house)
         episodes = {
@@ -181,20 +202,21 @@ def record(
             for planner, result in by_planner.items()
         }
         recording.record_frames(out / "recordings" / f"{name}.rrd", house=house, episodes=episodes)
-        drawn = {planner: episodes[planner].frames for planner in ("dc2g", "frontier")}
-        plot_episode(out / "recordings" / name, house, drawn)
+        frames = {planner: episodes[planner].frames for planner in sorted(drawn(planners))}
+        plot_episode(out / "recordings" / name, house, frames)
 
 
 def print_table(title: str, table: Table, groups: tuple[str, ...]) -> None:
     """Mean extra steps by planner and group, with the median behind it."""
     present = [group for group in groups if any(group in row for row in table.values())]
     print(f"\n{title}\nmean extra steps beyond the oracle, % (median)")
-    print(f"{'':18}" + "".join(f"{group:>20}" for group in present) + f"{'success':>10}")
+    width = max(18, *(len(planner) + 1 for planner in table))
+    print(f"{'':{width}}" + "".join(f"{group:>20}" for group in present) + f"{'success':>10}")
     for planner, row in table.items():
         if planner == "oracle":
             continue
         cells = "".join(f"{row[g].mean_extra:>11.1f} ({row[g].median_extra:>6.1f})" for g in present)
-        print(f"{planner:18}{cells}{100 * row[groups[-1]].success:>9.1f}%")
+        print(f"{planner:{width}}{cells}{100 * row[groups[-1]].success:>9.1f}%")
 
 
 def write_tables(out: Path, tables: dict[str, Table], entries: dict[str, list[Episode]]) -> None:
@@ -231,13 +253,16 @@ def main(options: Options) -> None:
     began = time.perf_counter()
     if options.record < 0:
         raise InputError(f"--record {options.record}: give the number of episodes to record, 0 for none")
+    check_planners(options.planner)
+    if options.planner == ("oracle",):
+        raise InputError("--planner oracle: give a planner to compare with the oracle")
     dataset = open_dataset(options.dataset)
     if options.settings == "published" and dataset.source != "published":
         raise InputError(
             f"{dataset.name}: the 400 published episodes need the published houses; give --dataset with a copy of "
             "them, or --settings paper for sampled starts"
         )
-    network = open_network(options.network)
+    network = network_for(options.planner, options.network)
     sampled = None if options.settings == "published" else sampled_episodes(dataset, options)
     out = output_folder(options, "reproduce_fig7", inputs=digests(dataset, network=network))
     table = EpisodeTable(out / "episodes.csv")
@@ -247,11 +272,12 @@ def main(options: Options) -> None:
     results: dict[str, list[EpisodeResult]] = {}
     ratio: dict[str, dict[str, float]] = {}
     if options.settings != "paper" and dataset.source == "published":
-        results["published"], entries["published"] = run_published(dataset, network, table)
+        results["published"], entries["published"] = run_published(dataset, options.planner, network, table)
         tables["published"] = tabulate(entries["published"], PUBLISHED_GROUPS)
         ratio = frontier_over_dc2g(results["published"])
         print_table(f"The 400 published episodes, 5-cell sensing ({label})", tables["published"], PUBLISHED_GROUPS)
-        print("\nmean of frontier steps / dc2g steps, less one, %")
+        if ratio:
+            print("\nmean of frontier steps / dc2g steps, less one, %")
         for whose, row in ratio.items():
             print(f"{whose:18}" + "".join(f"{row[group]:>11.1f}{'':9}" for group in PUBLISHED_GROUPS))
     elif options.settings != "paper":
@@ -261,7 +287,7 @@ def main(options: Options) -> None:
             if reason := why_no_episode(house):
                 tell_on_stderr(f"Left out: house {house.name}: {reason}")
         runner, starts = sampled
-        results["paper"] = table.run(runner, starts, PLANNERS, network)
+        results["paper"] = table.run(runner, starts, options.planner, network)
         entries["paper"] = [
             _episode(result, group_of(dataset.house(result.house)) or "test") for result in results["paper"]
         ]
@@ -276,7 +302,7 @@ def main(options: Options) -> None:
     whose = "" if options.network is None else f" Network: {options.network}."
     plot_extra_steps(out / "fig7", tables, f"Houses: {label}.{whose}")
     for settings, part in results.items():
-        compared = [result for result in part if result.planner in ("frontier", "dc2g")]
+        compared = [result for result in part if result.planner in drawn(options.planner)]
         groups = {episode.house: episode.group for episode in entries[settings]}
         plot_house_strips(out / f"houses_{settings}", compared, groups)
         if options.record:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line
+from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, PlannersOption, command_line
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax.cli.map_options import StartOption, start_in
 from dc2g_jax.cli.one_start import Animation, draw_request, make_request, require_sensing_range, run_request, tell_files
@@ -16,7 +16,6 @@ from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import Start, sample_starts
 from dc2g_jax.errors import InputError
-from dc2g_jax.planning.named import PlannerName
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import Runner
 
@@ -34,7 +33,7 @@ class Options:
       start: column, row (growing downward) and heading (0 right, 1 down, 2 left, 3 up) in that house; sampled where
         not given.
       seed: of the sampled starts.
-      planner: planners to show, in this order.
+      planner: planners to show, in this order; one of your own as package.module:Class.
       sensing_range: how many cells ahead a robot sees.
       dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
       network: folder of a trained network for `dc2g` and `dc2g_uncertain`; the shipped one where not given.
@@ -45,7 +44,7 @@ class Options:
     house: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     start: StartOption = None
     seed: int = 0
-    planner: tuple[PlannerName, ...] = ("dc2g", "frontier")
+    planner: PlannersOption = ("dc2g", "frontier")
     sensing_range: int = 8
     dataset: DatasetOption = None
     network: NetworkOption = None

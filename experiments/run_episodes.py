@@ -12,20 +12,19 @@ from dc2g_jax.cli.common import (
     DatasetOption,
     NetworkOption,
     OutOption,
+    PlannersOption,
     StepLimitOption,
+    check_planners,
     command_line,
     digests,
-    open_network,
+    network_for,
 )
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import read_starts
-from dc2g_jax.errors import InputError
-from dc2g_jax.planning.named import NETWORK_PLANNERS, PlannerName
 from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.rollouts.evaluation import Runner
-from dc2g_jax.rollouts.statistics import summarize
+from dc2g_jax.rollouts.evaluation import Results, Runner
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +34,7 @@ class Options:
     Attributes:
       starts: CSV file with columns house,x,y,heading (0 = +x, 1 = +y, 2 = -x, 3 = -y; y grows downward) and,
         optionally, range and, for the settings `published` and `reference`, expanding_range in cells.
-      planner: planners to run.
+      planner: planners to run, by name; one of your own as package.module:Class.
       settings: rules. `published`: as the paper's 400 episodes were run, 5-cell sensing. `reference`: as the authors'
         code at any range. `paper`: as the paper's text says, 8-cell sensing. `occluded`: the same,
         but houses, trees and other tall things hide what is behind them. A range in the file wins.
@@ -48,7 +47,7 @@ class Options:
     """
 
     starts: Annotated[Path, tyro.conf.arg(metavar="CSV")]
-    planner: tuple[PlannerName, ...] = ("oracle", "frontier", "dc2g")
+    planner: PlannersOption = ("oracle", "frontier", "dc2g")
     settings: Literal["published", "reference", "paper", "occluded"] = "paper"
     dataset: DatasetOption = None
     network: NetworkOption = None
@@ -59,11 +58,10 @@ class Options:
 
 def main(options: Options) -> None:
     """Run the episodes."""
-    if not options.planner or len(set(options.planner)) < len(options.planner):
-        raise InputError(f"--planner {' '.join(options.planner)}: give each planner once, one at least")
+    check_planners(options.planner)
     dataset = open_dataset(options.dataset)
     starts = read_starts(options.starts, dataset)
-    network = open_network(options.network) if NETWORK_PLANNERS.keys() & set(options.planner) else None
+    network = network_for(options.planner, options.network)
     runner = Runner(dataset, SETTINGS[options.settings], step_limit=options.step_limit, progress=EpisodeProgress())
     for start in starts:
         runner.rules(start)  # a range that cannot be had is refused before anything is written
@@ -72,13 +70,7 @@ def main(options: Options) -> None:
     out = output_folder(options, "run_episodes", inputs={"starts": digest, **digests(dataset, network=network)})
     results = EpisodeTable(out / "episodes.csv").run(runner, starts, options.planner, network)
     print(f"houses of {dataset.name}, settings {options.settings}, episodes of each planner: {len(starts)}")
-    for planner in options.planner:
-        own = [result for result in results if result.planner == planner]
-        summary = summarize([result.extra for result in own], [result.success for result in own])
-        print(
-            f"{planner:>16}: mean extra steps {summary.mean_extra:7.1f} %, median {summary.median_extra:7.1f} %, "
-            f"success {100 * summary.success:.1f} %"
-        )
+    print(Results(results))
     print(f"Written: {out / 'episodes.csv'}")
 
 

@@ -40,7 +40,8 @@ from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.evaluation import Runner
 from dc2g_jax.rollouts.statistics import summarize
 from dc2g_jax.training.cost_to_go_data import drawn_houses, usable
-from experiments.benchmarks.timing import measure
+
+from .benchmarks.timing import measure
 
 #: Seeds of the drawn houses and neighbourhoods of a split; those of training are below.
 SEEDS = {"val": 10_000, "test": 10_001}

@@ -1,7 +1,7 @@
 """What every command shares: options from the command line, errors and interruptions, the network."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -9,13 +9,14 @@ import jax
 import tyro
 from tqdm import tqdm
 
-from dc2g_jax.cli.outputs import RUN_FILE, folder_in_use
+from dc2g_jax.cli.outputs import RUN_FILE, folder_in_use, program
 from dc2g_jax.datasets.download import cache_folder
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import SHIPPED_NETWORK, TrainedNetwork, load_network
 from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.files.resources import resource
+from dc2g_jax.planning.named import NETWORK_PLANNERS, check_names
 
 _Options = TypeVar("_Options")
 
@@ -24,14 +25,16 @@ DatasetOption = Annotated[str | None, tyro.conf.arg(metavar="FOLDER", help_behav
 NetworkOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 OutOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 
+#: Planners: names out of `dc2g_jax.planning.named.PLANNERS`, or `package.module:Class`.
+PlannersOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
+
 #: Actions after which an episode ends without success; where not given, as many as suit the size of the map.
 StepLimitOption = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
 
 
 def command_line(options: type[_Options], main: Callable[[_Options], None]) -> None:
     """Run a command: parse its options, and turn bad input and Ctrl-C into one line and an exit status."""
-    program = f"python -m experiments.{Path(sys.argv[0]).stem}"
-    parsed = tyro.cli(options, prog=program, config=(tyro.conf.FlagCreatePairsOff,))
+    parsed = tyro.cli(options, prog=program(), config=(tyro.conf.FlagCreatePairsOff,))
     try:
         keep_compiled_programs()
         check_seed(getattr(parsed, "seed", 0))
@@ -61,12 +64,28 @@ def check_seed(seed: int, option: str = "seed") -> None:
         raise InputError(f"--{option} {seed}: give a number from 0 to {2**32 - 1}")
 
 
+def check_planners(planners: Sequence[str]) -> None:
+    """Check the planners that a command is to run.
+
+    Raises:
+      InputError: there are none, one is named twice, or one is unknown.
+    """
+    if not planners or len(set(planners)) < len(planners):
+        raise InputError(f"--planner {' '.join(planners)}: give each planner once, one at least")
+    check_names(planners)
+
+
 def keep_compiled_programs() -> None:
     """Keep compiled programs in the user's cache folder for later runs, unless JAX has been told where."""
     folder_option = "jax_compilation_cache_dir"
     if getattr(jax.config, folder_option) is None:
         jax.config.update(folder_option, str(cache_folder() / "compiled"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+def network_for(planners: Iterable[str], folder: Path | None) -> TrainedNetwork | None:
+    """The network in a folder, or the shipped one, if any of the planners runs on a network."""
+    return open_network(folder) if NETWORK_PLANNERS.keys() & set(planners) else None
 
 
 def open_network(folder: Path | None, otherwise: str = SHIPPED_NETWORK) -> TrainedNetwork:

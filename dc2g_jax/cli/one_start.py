@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 
 from tqdm import tqdm
 
-from dc2g_jax.cli.common import open_network
+from dc2g_jax.cli.common import check_planners, network_for
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import Start
@@ -18,7 +18,6 @@ from dc2g_jax.inspection.animation import animate
 from dc2g_jax.inspection.episode_figures import plot_episode, plot_trajectories
 from dc2g_jax.inspection.recording import Episode, record_frames
 from dc2g_jax.inspection.replay import replay_result
-from dc2g_jax.planning.named import NETWORK_PLANNERS
 from dc2g_jax.planning.planners import GAVE_UP, MODE_NAMES
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
@@ -60,9 +59,10 @@ def make_request(
       step_limit: actions after which an episode ends without success; `None` for as many as suit the map's size.
 
     Raises:
-      InputError: the network cannot be read, or the step limit is none.
+      InputError: a planner is unknown, the network cannot be read, or the step limit is less than 1.
     """
-    loaded = open_network(network) if NETWORK_PLANNERS.keys() & set(planners) else None
+    check_planners(planners)
+    loaded = network_for(planners, network)
     dataset = HouseDataset(house.name, "folder", (house,))
     runner = Runner(dataset, SETTINGS["paper"], step_limit=step_limit, progress=EpisodeProgress())
     return Request(house, start, planners, loaded, runner)
@@ -97,13 +97,14 @@ def _print_results(results: Sequence[EpisodeResult], house: House, limit: int) -
         f"{house.name}: {width} x {height} cells, {first.range}-cell sensing, start at column {first.x}, "
         f"row {first.y}, heading {('right', 'down', 'left', 'up')[first.heading]}"
     )
-    print(f"{'planner':16}{'steps':>8}{'extra steps':>14}   outcome")
+    width = max(16, *(len(result.planner) + 1 for result in results))
+    print(f"{'planner':{width}}{'steps':>8}{'extra steps':>14}   outcome")
     for result in results:
         outcome = "reached the goal" if result.success else f"stopped at the limit of {limit} steps"
         if not result.success and result.mode == MODE_NAMES[GAVE_UP]:
             outcome = "gave up: nothing left to explore"
         extra = "knows the map" if result.planner == "oracle" else f"{result.extra:.1f} %"
-        print(f"{result.planner:16}{result.steps:>8,}{extra:>14}   {outcome}")
+        print(f"{result.planner:{width}}{result.steps:>8,}{extra:>14}   {outcome}")
 
 
 def draw_request(

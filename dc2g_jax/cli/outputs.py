@@ -211,9 +211,14 @@ def _require_same_inputs(folder: Path, before: Mapping[str, str], now: Mapping[s
             )
 
 
+def program() -> str:
+    """The command that runs, as it is typed: `dc2g NAME` or `python -m experiments.MODULE`."""
+    return sys.argv[0] if sys.argv[0].startswith("dc2g ") else f"python -m experiments.{Path(sys.argv[0]).stem}"
+
+
 def command_written() -> str:
-    """The command as it was typed, with `python -m` before the name of the experiment."""
-    return shlex.join(["python", "-m", f"experiments.{Path(sys.argv[0]).stem}", *sys.argv[1:]])
+    """The command as it was typed, with its options."""
+    return " ".join([program(), *map(shlex.quote, sys.argv[1:])])
 
 
 @functools.cache

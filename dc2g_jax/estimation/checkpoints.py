@@ -130,7 +130,7 @@ def _read_json(path: Path, remedy: str) -> dict[str, Any]:
 
 def _read_card(folder: Path) -> tuple[_Kind, Any, str | None]:
     """Kind, architecture and digest of a saved network, once it is sure that this package can run it."""
-    remedy = "give a folder written by `python -m experiments.train` or `python -m experiments.train_translator`"
+    remedy = "give a folder written by `dc2g train` or `dc2g train-translator`"
     if (folder / "network" / _CARD).exists():
         remedy = f"give {folder / 'network'}"
     facts = _read_json(folder / _CARD, remedy)

@@ -106,9 +106,9 @@ def _compared_styles(planners: Iterable[str]) -> dict[str, PlannerStyle]:
 
 
 def _other_style(name: str, n: int) -> PlannerStyle:
-    """How a planner of another name looks, the n-th of these in a figure."""
+    """How a planner of another name looks, the n-th of these in a figure: a class without its module."""
     colour, hatch, marker = (styles[n % len(styles)] for styles in (_OTHER_COLOURS, _OTHER_HATCHES, _OTHER_MARKERS))
-    return PlannerStyle(name, colour, hatch, marker)
+    return PlannerStyle(name.rpartition(":")[2], colour, hatch, marker)
 
 
 def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, PlannerStyle]) -> None:

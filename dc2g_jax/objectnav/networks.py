@@ -303,7 +303,7 @@ def load_estimator(path: str | Path) -> tuple[CostMapEstimator, dict[str, Any]]:
       InputError: the file cannot be read, or holds no such network, or one for other classes.
     """
     tensors, facts = read_safetensors(path)
-    remedy = "give a network written by `python -m experiments.objectnav_train`"
+    remedy = "give a network written by `dc2g objectnav train`"
     try:
         card, known = json.loads(facts["card"]), json.loads(facts["architecture"])
         inputs = Inputs(*(bool(shown) for shown in known.pop("inputs")))

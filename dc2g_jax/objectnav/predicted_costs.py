@@ -79,7 +79,7 @@ def load_costs(folder: Path) -> PredictedCosts[CostMapEstimator]:
     """Read a trained network and its encoder.
 
     Args:
-      folder: as `python -m experiments.objectnav_train` writes it.
+      folder: as `dc2g objectnav train` writes it.
 
     Raises:
       InputError: a file is missing or is none of these, or the one does not go with the other.

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.baselines.problem import (
+from .problem import (
     PLANNERS,
     BaselineUnavailable,
     Offsets,

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from experiments.baselines.problem import PLANNERS, Offsets, Outcome, PlannerName, Problem, empty_outcome
+from .problem import PLANNERS, Offsets, Outcome, PlannerName, Problem, empty_outcome
 
 _Cells = npt.NDArray[np.uint8]  # 0 or 1, [h w]
 _Poses = npt.NDArray[np.uint8]  # [4 h w]

@@ -9,11 +9,12 @@ from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.planners import Planner
 from dc2g_jax.planning.rules import SETTINGS, Rules
-from experiments.benchmarks.machine import BANDWIDTH, WORD_ARITHMETIC
-from experiments.benchmarks.rows import Row
-from experiments.benchmarks.timing import Measured, Timing, measure
-from experiments.benchmarks.work import count_work
-from experiments.benchmarks.workload import Robots, Workload, robots_under_way, taken_over
+
+from .machine import BANDWIDTH, WORD_ARITHMETIC
+from .rows import Row
+from .timing import Measured, Timing, measure
+from .work import count_work
+from .workload import Robots, Workload, robots_under_way, taken_over
 
 #: Reach of the field of view where it is not what varies, in cells.
 SENSING_RANGE = 8

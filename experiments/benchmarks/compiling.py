@@ -15,9 +15,10 @@ from dc2g_jax.rollouts.rollout import STEP_LIMIT
 from dc2g_jax.training import cost_to_go
 from dc2g_jax.training.cost_to_go import TrainingConfig, init_state
 from dc2g_jax.training.cost_to_go_data import DataConfig
-from experiments.benchmarks.bench import SENSING_RANGE, Bench, own
-from experiments.benchmarks.programs import Program, compile_program, nothing_kept
-from experiments.benchmarks.rows import Row
+
+from .bench import SENSING_RANGE, Bench, own
+from .programs import Program, compile_program, nothing_kept
+from .rows import Row
 
 
 def _reset_and_step(bench: Bench, batch: int) -> dict[str, Callable[[], Program]]:

@@ -18,11 +18,12 @@ from dc2g_jax.grid.sensing import expanding_kernel, visible
 from dc2g_jax.planning import frontiers, planners
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import every_device
-from experiments.baselines import libraries
-from experiments.benchmarks.bench import SENSING_RANGE, Bench, own
-from experiments.benchmarks.machine import BANDWIDTH, FLOAT_ARITHMETIC
-from experiments.benchmarks.programs import compile_program
-from experiments.benchmarks.rows import Row, attempt
+
+from ..baselines import libraries
+from .bench import SENSING_RANGE, Bench, own
+from .machine import BANDWIDTH, FLOAT_ARITHMETIC
+from .programs import compile_program
+from .rows import Row, attempt
 
 UNIT = "maps"
 

@@ -14,7 +14,8 @@ import numpy as np
 from dc2g_jax.cli.outputs import versions
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import cores
-from experiments.benchmarks.timing import measure
+
+from .timing import measure
 
 #: Resources, as `shares` of rows name them.
 BANDWIDTH, WORD_ARITHMETIC, FLOAT_ARITHMETIC = "memory bandwidth", "32-bit word arithmetic", "float32 arithmetic"

@@ -20,13 +20,14 @@ from dc2g_jax.inspection.replay import actions_from_letters
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.rollouts.devices import cores
 from dc2g_jax.rollouts.rollout import STEP_LIMIT, rollout
-from experiments.baselines import c_gridworld
-from experiments.baselines.problem import Outcome, PlannerName, Problem, empty_outcome
-from experiments.benchmarks.bench import SENSING_RANGE, Bench, own
-from experiments.benchmarks.kernels import network_pace_row
-from experiments.benchmarks.rows import Row, attempt
-from experiments.benchmarks.timing import Measured
-from experiments.benchmarks.workload import Workload
+
+from ..baselines import c_gridworld
+from ..baselines.problem import Outcome, PlannerName, Problem, empty_outcome
+from .bench import SENSING_RANGE, Bench, own
+from .kernels import network_pace_row
+from .rows import Row, attempt
+from .timing import Measured
+from .workload import Workload
 
 UNIT = "planner steps"
 

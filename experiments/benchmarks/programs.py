@@ -10,7 +10,8 @@ import jax
 from jax.experimental.compilation_cache import compilation_cache
 
 from dc2g_jax.programs import jit
-from experiments.benchmarks.work import equations
+
+from .work import equations
 
 #: A program may need so much of the memory.
 _MOST_MEMORY = 0.5

@@ -11,8 +11,9 @@ from dc2g_jax.inspection.recording import Episode, record_frames
 from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
-from experiments.benchmarks.bench import SENSING_RANGE, Bench, own
-from experiments.benchmarks.rows import Row
+
+from .bench import SENSING_RANGE, Bench, own
+from .rows import Row
 
 #: Planners that are recorded side by side.
 _PLANNERS = ("frontier", "dc2g")

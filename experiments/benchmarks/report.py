@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from dc2g_jax.files.atomic import write_json
-from experiments.benchmarks.machine import Peak
-from experiments.benchmarks.rows import Row
+
+from .machine import Peak
+from .rows import Row
 
 #: Section -> heading.
 SECTIONS = {

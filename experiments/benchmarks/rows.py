@@ -5,9 +5,9 @@ import functools
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from experiments.baselines.problem import BaselineUnavailable
-from experiments.benchmarks.programs import TooLarge
-from experiments.benchmarks.timing import Measured, checksum
+from ..baselines.problem import BaselineUnavailable
+from .programs import TooLarge
+from .timing import Measured, checksum
 
 #: Batches are left out once one call is expected to take more seconds than these.
 _MOST_SECONDS = 15.0

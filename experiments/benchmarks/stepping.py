@@ -16,11 +16,12 @@ from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.terrain import ROAD
 from dc2g_jax.grid.world import World
 from dc2g_jax.rollouts.devices import cores
-from experiments.baselines import environments
-from experiments.baselines.environments import Environment
-from experiments.benchmarks.bench import SENSING_RANGE, Bench, own
-from experiments.benchmarks.programs import compile_program
-from experiments.benchmarks.rows import Row, attempt, growing
+
+from ..baselines import environments
+from ..baselines.environments import Environment
+from .bench import SENSING_RANGE, Bench, own
+from .programs import compile_program
+from .rows import Row, attempt, growing
 
 UNIT = "environment steps"
 

@@ -7,14 +7,15 @@ from collections.abc import Iterator
 import jax
 
 from dc2g_jax.rollouts.devices import cores
-from experiments.benchmarks.bench import SENSING_RANGE, Bench, own
-from experiments.benchmarks.kernels import network_row
-from experiments.benchmarks.planners import UNIT, own_episodes, plain_programs
-from experiments.benchmarks.programs import compile_program
-from experiments.benchmarks.rows import Row, growing
-from experiments.benchmarks.stepping import UNIT as ENVIRONMENT_UNIT
-from experiments.benchmarks.stepping import own_steps, peers
-from experiments.benchmarks.workload import Workload, cycles, resized
+
+from .bench import SENSING_RANGE, Bench, own
+from .kernels import network_row
+from .planners import UNIT, own_episodes, plain_programs
+from .programs import compile_program
+from .rows import Row, growing
+from .stepping import UNIT as ENVIRONMENT_UNIT
+from .stepping import own_steps, peers
+from .workload import Workload, cycles, resized
 
 #: Planner steps of every robot in one call of the batch sweep.
 _CYCLES = 4

@@ -20,8 +20,9 @@ from dc2g_jax.training.sweeps import (
     train_steps_side_by_side,
     train_steps_together,
 )
-from experiments.benchmarks.bench import Bench, own
-from experiments.benchmarks.rows import Row
+
+from .bench import Bench, own
+from .rows import Row
 
 #: Optimiser steps of a run, for the runs an hour: those of `python -m experiments.sweep_losses`.
 _STEPS_A_RUN = 2000

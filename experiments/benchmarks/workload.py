@@ -22,7 +22,8 @@ from dc2g_jax.planning.planners import Planner
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.evaluation import episodes_from
 from dc2g_jax.rollouts.rollout import Episodes
-from experiments.baselines.problem import Problem, make_problem
+
+from ..baselines.problem import Problem, make_problem
 
 #: Robots are looked at after 0 to so many actions.
 _MOST_ACTIONS = 96

@@ -1,0 +1,92 @@
+"""The command `dc2g`: every command of the package by name.
+
+Imports nothing heavy, so that the list of commands is there at once.
+"""
+
+import difflib
+import importlib
+import importlib.util
+import os
+import sys
+from types import TracebackType
+
+#: Name of a command -> its module in `experiments`, and what it does.
+COMMANDS = {
+    "fig4": ("reproduce_fig4", "Fig. 4: what a network predicts on whole and partial maps of test houses"),
+    "fig5": ("reproduce_fig5", "Fig. 5: three losses compared throughout training"),
+    "fig6": ("reproduce_fig6", "Fig. 6: networks on every test house, against its distance from training"),
+    "fig7": ("reproduce_fig7", "Fig. 7: extra steps beyond an oracle, by planner and neighborhood"),
+    "fig8": ("reproduce_fig8", "Fig. 8: planners side by side from one start"),
+    "fig9": ("reproduce_fig9", "Fig. 9: a vehicle with a camera drives to a front door"),
+    "run": ("run_episodes", "run planners from the starts in a CSV file"),
+    "head-to-head": ("head_to_head", "the authors' network against ours on the 400 published episodes"),
+    "unknown-dimensions": ("unknown_dimensions", "planning where the size of the map is unknown"),
+    "noisy-mapping": ("noisy_mapping", "from camera to door, with more and more noise"),
+    "map check": ("check_map", "look at a map of your own"),
+    "map explore": ("explore_map", "run planners on a map of your own"),
+    "map recording": ("map_recording", "map a recorded sequence of depth images"),
+    "draw dataset": ("draw_dataset", "every house of a dataset as a small map"),
+    "draw episodes": ("draw_episodes", "figures of episodes that have been run"),
+    "train": ("train", "train the cost-to-go network"),
+    "train-translator": ("train_translator", "train the paper's image-to-image translator"),
+    "sweep": ("sweep_losses", "train networks with many losses, learning rates, widths and seeds"),
+    "objectnav fig5": ("objectnav_fig5", "dense cost maps, Fig. 5: a search for an object"),
+    "objectnav table1": ("objectnav_table1", "dense cost maps, Table I: searching houses for objects"),
+    "objectnav table2": ("objectnav_table2", "dense cost maps, Table II: what the network is shown"),
+    "objectnav train": ("objectnav_train", "train the network that predicts cost maps indoors"),
+    "latency": ("latency", "time the decisions of the online planner"),
+    "mapping-speed": ("mapping_speed", "time how depth images are taken into maps"),
+    "benchmark": ("benchmark", "time planners, environment, kernels and network beside other implementations"),
+}
+
+
+def main() -> None:
+    """Run a command: `dc2g NAME OPTIONS`."""
+    words = sys.argv[1:]
+    if not words or words[0] in ("-h", "--help"):
+        print(_overview())
+        return
+    for count in (2, 1):
+        name = " ".join(words[:count])
+        if name in COMMANDS:
+            prepare()
+            # Where Python finds a planner of the user's by `package.module:Class`, as with `python -m`.
+            sys.path.append(os.getcwd())
+            sys.argv = [f"dc2g {name}", *words[count:]]
+            _run(COMMANDS[name][0])
+            return
+    close = [name for name in COMMANDS if name.split()[0] == words[0]] or difflib.get_close_matches(words[0], COMMANDS)
+    remedy = f"did you mean {' or '.join(f'dc2g {name}' for name in close)}?" if close else "dc2g --help lists all"
+    print(f"error: no command is called {words[0]!r}; {remedy}", file=sys.stderr)
+    sys.exit(2)
+
+
+def _overview() -> str:
+    """All commands, a line each."""
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:{width}}  {words}" for name, (_, words) in COMMANDS.items()]
+    return "\n".join(["usage: dc2g COMMAND [OPTIONS]", "", *lines, "", "Options of a command: dc2g COMMAND --help"])
+
+
+def _run(module: str) -> None:
+    """Run a module of `experiments`, which a wheel carries inside the package."""
+    package = "dc2g_jax.experiments" if importlib.util.find_spec("dc2g_jax.experiments") else "experiments"
+    command = importlib.import_module(f"{package}.{module}")
+    from dc2g_jax.cli.common import command_line
+
+    command_line(command.Options, command.main)
+
+
+def prepare() -> None:
+    """Before anything is imported that takes seconds: Ctrl-C is no error, and log files hold few lines of progress."""
+    if not sys.stderr.isatty():
+        os.environ.setdefault("TQDM_MININTERVAL", "15")
+    sys.excepthook = _tell_exception
+
+
+def _tell_exception(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Print what ended the program: one line for Ctrl-C."""
+    if issubclass(kind, KeyboardInterrupt):
+        print("interrupted", file=sys.stderr)
+    else:
+        sys.__excepthook__(kind, error, trace)

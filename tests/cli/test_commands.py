@@ -1,0 +1,90 @@
+"""The command `dc2g`, and what a wheel installs."""
+
+import json
+import os
+import subprocess
+import sys
+import sysconfig
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from dc2g_jax.cli import commands
+from tests.support.places import ROOT
+
+
+def ended(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
+    """The exit status of `dc2g WORDS`, run in this process."""
+    monkeypatch.setattr(sys, "argv", ["/somewhere/bin/dc2g", *words])
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(sys, "excepthook", sys.excepthook)
+    monkeypatch.setenv("TQDM_MININTERVAL", os.environ.get("TQDM_MININTERVAL", "0.1"))
+    try:
+        commands.main()
+    except SystemExit as stopped:
+        return int(stopped.code or 0)
+    return 0
+
+
+def test_every_command_has_a_name():
+    files = [path for path in (ROOT / "experiments").glob("*.py") if "command_line(Options" in path.read_text()]
+    assert sorted(module for module, _ in commands.COMMANDS.values()) == sorted(path.stem for path in files)
+
+
+def test_the_list_of_commands_loads_nothing(monkeypatch, capsys):
+    code = (
+        "import sys; from dc2g_jax.cli import commands; commands.main(); assert not {'jax', 'numpy'} & {*sys.modules}"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    assert all(f"  {name} " in shown for name in commands.COMMANDS)
+    assert ended(monkeypatch, "--help") == 0
+    assert capsys.readouterr().out == shown
+
+
+@pytest.mark.parametrize("name", ["fig7", "map check"])
+def test_a_command_names_itself_as_it_is_typed(name, monkeypatch, capsys):
+    assert ended(monkeypatch, *name.split(), "--help") == 0
+    assert f"usage: dc2g {name} " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [(["fig77"], "dc2g fig7"), (["map"], "dc2g map check or dc2g map explore"), (["xyzzy"], "dc2g --help lists all")],
+)
+def test_a_command_that_is_none(words, meant, monkeypatch, capsys):
+    assert ended(monkeypatch, *words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: no command is called '{words[0]}'")
+    assert meant in line
+
+
+def test_commands_that_are_imported_change_nothing():
+    code = "import sys; import experiments.reproduce_fig7; assert sys.excepthook is sys.__excepthook__"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+@pytest.mark.slow
+def test_a_wheel_installs_one_package_and_the_command(tmp_path):
+    """In an environment of its own, outside the repository, with this one's dependencies."""
+    wheels, environment = tmp_path / "wheels", tmp_path / "environment"
+    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
+    subprocess.run(
+        [*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", wheels, ROOT], check=True, cwd=tmp_path
+    )
+    (wheel,) = wheels.glob("*.whl")
+    names = zipfile.ZipFile(wheel).namelist()
+    assert {name.split("/")[0].partition("-")[0] for name in names} == {"dc2g_jax"}
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", environment], check=True)
+    subprocess.run([*pip, "--python", environment / "bin" / "python", "install", "--no-deps", wheel], check=True)
+    site = Path(sysconfig.get_path("purelib", vars={"base": str(environment)}))
+    (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    bare = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    dc2g = environment / "bin" / "dc2g"
+    options = ["--dataset", "procedural", "--starts-per-house", "1", "--planner", "frontier", "mine:Mine"]
+    (tmp_path / "mine.py").write_text("from dc2g_jax.planning.planners import Frontier as Mine\n")
+    subprocess.run([dc2g, "fig7", *options, "--out", "out"], check=True, cwd=tmp_path, env=bare)
+    made = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert made["runs"][0]["command"].startswith("dc2g fig7 --dataset procedural ")
+    facts = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert facts["paper"]["mine:Mine"] == facts["paper"]["frontier"]
