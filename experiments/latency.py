@@ -114,7 +114,7 @@ def main(options: Options) -> None:
     for cells in options.cells:
         workload = houses if cells == houses.cells else resized(houses, cells, count=16)
         planner = OnlinePlanner(
-            network, planner=options.planner, sensing_range=options.sensing_range, largest=(cells, cells)
+            options.planner, network=network, sensing_range=options.sensing_range, largest=(cells, cells)
         )
         # Else Python's collector looks through all that JAX has made, for a tenth of a second, during some call.
         gc.collect()

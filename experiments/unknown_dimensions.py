@@ -138,12 +138,9 @@ def all_worlds(options: Options, dataset: HouseDataset) -> dict[str, Worlds]:
 @jit
 def _ask(estimator: Estimator, terrain: UInt8[Array, "h w"], before: Float[Array, "1 h w"]) -> Float[Array, "1 h w"]:
     """One estimate of a robot in the middle of a map, the mean of the outcomes."""
-    pose = make_pose(terrain.shape[1] // 2, terrain.shape[0] // 2, 0)
-
-    def mean(part: UInt8[Array, "h w"]) -> Float[Array, "1 h w"]:
-        return jnp.mean(estimator.estimate(part, ()), axis=0, keepdims=True)
-
-    return extent_of(estimator).update(mean, terrain, pose, before)
+    pose, extent = make_pose(terrain.shape[1] // 2, terrain.shape[0] // 2, 0), extent_of(estimator)
+    outcomes = estimator.estimate(extent.part(terrain, pose), ())
+    return extent.merged(jnp.mean(outcomes, axis=0, keepdims=True), pose, before)
 
 
 def milliseconds(estimators: Mapping[str, Estimator], house: House) -> dict[str, float]:

@@ -18,11 +18,11 @@ from dc2g_jax.grid import bitboard, search
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.sampling import resize_nearest
-from dc2g_jax.grid.world import World, unpack_classes
+from dc2g_jax.grid.terrain import OUTSIDE
+from dc2g_jax.grid.world import World
 
-#: Estimates as a planner keeps them; and what makes them of a grid of observed class indices.
+#: Estimates as a planner keeps them.
 Estimates = Float[Array, "kept h w *batch"]
-Ask = Callable[[UInt8[Array, "h w *batch"]], Estimates]
 
 
 class Estimator(Protocol):
@@ -56,15 +56,12 @@ class Extent(Protocol):
         """What a cell costs of which no estimate has ever been made."""
         ...
 
-    def update(self, ask: Ask, terrain: UInt8[Array, "h w *batch"], pose: Pose, before: Estimates) -> Estimates:
-        """The new estimates of every cell.
+    def part(self, terrain: UInt8[Array, "h w *batch"], pose: Pose) -> UInt8[Array, "h2 w2 *batch"]:
+        """The part of the observed class indices (0 = not observed) to ask about, where the robot is in this pose."""
+        ...
 
-        Args:
-          ask: gives the estimate of any grid of observed class indices.
-          terrain: observed class indices (0 = not observed).
-          pose: where the robot is.
-          before: the old estimates.
-        """
+    def merged(self, answer: Float[Array, "kept h2 w2 *batch"], pose: Pose, before: Estimates) -> Estimates:
+        """The new estimates of every cell: the answer to the part, and the old estimates elsewhere."""
         ...
 
 
@@ -74,10 +71,15 @@ class WholeMap:
 
     prior: float = 0.0
 
-    def update(self, ask: Ask, terrain: UInt8[Array, "h w *batch"], pose: Pose, before: Estimates) -> Estimates:
-        """The answer to the whole map."""
+    def part(self, terrain: UInt8[Array, "h w *batch"], pose: Pose) -> UInt8[Array, "h w *batch"]:
+        """The whole map."""
+        del pose
+        return terrain
+
+    def merged(self, answer: Estimates, pose: Pose, before: Estimates) -> Estimates:
+        """The answer."""
         del pose, before
-        return ask(terrain)
+        return answer
 
 
 WHOLE_MAP = WholeMap()
@@ -93,56 +95,56 @@ def answers_in_cells(estimator: Estimator) -> bool:
     return getattr(estimator, "in_cells", True)
 
 
-def _call_sizes(n_robots: int) -> list[int]:
-    """Numbers of maps that an estimator is given at a time: the four largest powers of two up to half the robots.
-
-    Never fewer than four: the last bits of a convolution may depend on the size of a tiny batch.
-    """
-    largest = max(4, 1 << n_robots.bit_length() >> 2)
-    return [largest >> halvings for halvings in range(4) if largest >> halvings >= 4]
+def _call_sizes(n_robots: int, fewest: int) -> list[int]:
+    """Numbers of maps that an estimator is given at a time: the four largest powers of two up to half the robots."""
+    largest = max(fewest, 1 << n_robots.bit_length() >> 2)
+    return [largest >> halvings for halvings in range(4) if largest >> halvings >= fewest]
 
 
 def update_estimates(
-    estimate: Callable[[UInt8[Array, "h w some"], Any], Float[Array, "outcomes h w some"]],
+    estimate: Callable[[UInt8[Array, "h w some"], Pose, Estimates, Any], Estimates],
     wanted: Bool[Array, "*batch"],
     belief: Belief,
     state: Any,
-    estimates: Float[Array, "outcomes h w *batch"],
-    extent: Extent = WHOLE_MAP,
-) -> Float[Array, "outcomes h w *batch"]:
-    """Ask the estimator for the wanted robots alone, a few at a time, and keep the other robots' old estimates.
+    estimates: Float[Array, "kept h w *batch"],
+    *,
+    fewest: int = 4,
+) -> Float[Array, "kept h w *batch"]:
+    """Make new estimates for the wanted robots alone, a few at a time, and keep the other robots' old estimates.
 
     Args:
-      estimate: what to ask: an estimator's `estimate`, or something made of it.
+      estimate: `(observed class indices, poses, old estimates, states) ->` new estimates.
       wanted: which robots need a new estimate.
       belief: what the robots know.
       state: the estimator's state.
       estimates: the old estimates.
-      extent: which part of the map to ask about.
+      fewest: the least number of maps at a time; the last bits of a convolution may depend on it where it is tiny.
     """
     batch_axes = wanted.ndim
 
     def flat(leaf: Array) -> Array:
         return leaf.reshape(*leaf.shape[: leaf.ndim - batch_axes], -1)
 
-    wanted, classes, pose, old, state = jax.tree.map(flat, (wanted, belief.classes, belief.pose, estimates, state))
+    terrain = belief.terrain
+    if belief.outside is not None:
+        terrain = jnp.where(bitboard.unpack(belief.outside, belief.width), jnp.uint8(OUTSIDE), terrain)
+    wanted, terrain, pose, old, state = jax.tree.map(flat, (wanted, terrain, belief.pose, estimates, state))
     n_robots = wanted.shape[0]
-    sizes = _call_sizes(n_robots)
+    sizes = _call_sizes(n_robots, fewest)
     # Indices of the wanted robots first; the rest lie beyond the batch, where nothing is written.
     queue = jnp.nonzero(wanted, size=n_robots + sizes[-1], fill_value=n_robots)[0]
     n_wanted = jnp.sum(wanted, dtype=jnp.int32)
     # Unpacked before the loop: inside it XLA would unpack every cell again for each of a network's one-hot inputs.
-    terrain = jnp.moveaxis(unpack_classes(classes, belief.width), -1, 0)
+    terrain = jnp.moveaxis(terrain, -1, 0)
 
     def ask(at_a_time: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         asked, answers = carry
         robots = jax.lax.dynamic_slice_in_dim(queue, asked, at_a_time)
         # Where the queue has run out the map is unknown throughout.
-        own_terrain = terrain.at[robots].get(mode="fill", fill_value=0)
+        own_terrain = jnp.moveaxis(terrain.at[robots].get(mode="fill", fill_value=0), 0, -1)
         own_pose, own_state = jax.tree.map(lambda leaf: leaf.at[..., robots].get(mode="clip"), (pose, state))
         before = jnp.moveaxis(answers.at[robots].get(mode="clip"), 0, -1)
-        own_terrain = jnp.moveaxis(own_terrain, 0, -1)
-        answer = extent.update(lambda part: estimate(part, own_state), own_terrain, own_pose, before)
+        answer = estimate(own_terrain, own_pose, before, own_state)
         answer = jnp.moveaxis(answer, -1, 0).astype(answers.dtype)
         return asked + at_a_time, answers.at[robots].set(answer, mode="drop")
 

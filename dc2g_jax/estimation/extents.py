@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt8
 
-from dc2g_jax.estimation.estimators import Ask, Estimates, Estimator, answers_in_cells
+from dc2g_jax.estimation.estimators import Estimates, Estimator, answers_in_cells
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.sampling import nearest_pixel
 from dc2g_jax.grid.terrain import UNKNOWN
@@ -119,12 +119,18 @@ class Window:
     side: int = _TRAINED_SIDE
     prior: float = float(_TRAINED_SIDE)
 
-    def update(self, ask: Ask, terrain: UInt8[Array, "h w *batch"], pose: Pose, before: Estimates) -> Estimates:
-        """The answer to the window, and the old estimates around it. Beyond the map nothing is observed."""
-        height, width = terrain.shape[:2]
-        top, left = pose.y - self.side // 2, pose.x - self.side // 2
-        inside = _count(self.side, pose.x)
-        answer = ask(_read(terrain[None], top + inside, left + inside, jnp.uint8(UNKNOWN))[0])
+    def _first(self, pose: Pose) -> tuple[Int[Array, "*batch"], Int[Array, "*batch"]]:
+        """First row and column of the window."""
+        return pose.y - self.side // 2, pose.x - self.side // 2
+
+    def part(self, terrain: UInt8[Array, "h w *batch"], pose: Pose) -> UInt8[Array, "side side *batch"]:
+        """The window. Beyond the map nothing is observed."""
+        (top, left), inside = self._first(pose), _count(self.side, pose.x)
+        return _read(terrain[None], top + inside, left + inside, jnp.uint8(UNKNOWN))[0]
+
+    def merged(self, answer: Float[Array, "kept side side *batch"], pose: Pose, before: Estimates) -> Estimates:
+        """The answer to the window, and the old estimates around it."""
+        (top, left), (height, width) = self._first(pose), before.shape[1:3]
         return _read(answer, _count(height, pose.x) - top, _count(width, pose.x) - left, before)
 
 

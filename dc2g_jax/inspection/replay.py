@@ -10,15 +10,15 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Float32, Int, Int8, UInt8, UInt32
 
 from dc2g_jax.datasets.houses import House
-from dc2g_jax.estimation.estimators import Estimator, answers_in_cells
+from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.grid import bitboard, gridworld, poses, search
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import ACTION_LETTERS, Pose, every_heading, make_pose
 from dc2g_jax.grid.world import World, world_from_terrain
-from dc2g_jax.planning.decisions import FAR, View, decide
+from dc2g_jax.planning.decisions import shortest_plan
 from dc2g_jax.planning.frontiers import frontier_cells
 from dc2g_jax.planning.named import make_planner
-from dc2g_jax.planning.planners import DC2G, EXPLORE, Oracle, Planner, reachable_cells
+from dc2g_jax.planning.planners import EXPLORE, Planner, assess, measured, reachable_cells
 from dc2g_jax.planning.rules import Rules
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.evaluation import EpisodeResult
@@ -50,8 +50,8 @@ class Frames:
       frontier: frontier cells, whatever the rules count: reachable, with an unobserved 4-neighbour (paper, section
         III-D).
       score: while exploring, what the planner compares on the cells it chooses from, the lowest wins: cost-to-go plus
-        weighted distance and what `DC2G.surcharge` adds, or the distance alone for one that makes no estimate. NaN on
-        all other cells.
+        weighted distance and what `DC2G.surcharge` adds, or the distance alone for one that has no score. NaN on all
+        other cells.
       path: the plan as poses from the robot's own to the subgoal, both included: columns, rows, headings; none where
         there is no way.
       in_cells: is `cost_to_go` in cells? Otherwise in parts of the highest cost, 0 to 1.
@@ -93,13 +93,11 @@ def _frame(carry: _Carry, world: World, planner: Planner, rules: Rules) -> tuple
     width = belief.width
     pose = belief.pose
     reachable = reachable_cells(belief, carry.reachable)
-    plan, planner_state = planner.plan(belief, carry.planner_state)
+    assessment, planner_state = assess(planner, belief, carry.planner_state, rules)
+    plan = assessment.plan
     way_home = search.first_action(pose, every_heading(world.goals), world.traversable)
-    known = world.traversable if isinstance(planner, Oracle) else reachable
-    distance = search.distances(pose, known, width)
+    distance, score = measured(belief, assessment)
     nearest = poses.pack(distance == plan.length) & plan.subgoals
-    candidates = rules.frontier_expanding(belief, reachable)
-    chosen_from = planner.candidates(belief, reachable) if isinstance(planner, DC2G) else candidates
     boards = {
         "seen": belief.seen,
         "field_of_view": rules.sensing.visible(pose, world.opaque, width),
@@ -107,7 +105,7 @@ def _frame(carry: _Carry, world: World, planner: Planner, rules: Rules) -> tuple
         "frontier": frontier_cells(belief, reachable),
     }
     pose_sets = {
-        "candidates": candidates,
+        "candidates": rules.frontier_expanding(belief, reachable),
         "subgoals": jnp.where(poses.is_empty(nearest), plan.subgoals, nearest),
     }
     frame = {
@@ -120,11 +118,9 @@ def _frame(carry: _Carry, world: World, planner: Planner, rules: Rules) -> tuple
         "length": plan.length,
         "to_goal": jnp.where(way_home.found, way_home.length, -1),
         "distance": distance,
-        "to_candidate": jnp.min(distance, axis=0, where=poses.unpack(chosen_from, width), initial=FAR),
+        "score": jnp.where((plan.mode == EXPLORE) & (score < jnp.inf), score, jnp.nan),
+        "cost_to_go": assessment.cost_to_go,
     }
-    if isinstance(planner, DC2G):
-        frame["summary"] = jnp.mean(planner_state.estimates, axis=0)
-        frame["surcharge"] = planner.surcharge(belief, chosen_from, planner_state.decided_near)
     return carry._replace(reachable=reachable, planner_state=planner_state), frame
 
 
@@ -146,30 +142,20 @@ def _replay_chunk(
         return carry._replace(belief=belief), frame
 
     carry, frames = jax.lax.scan(cycle, carry, actions)
-    exploring = (frames["mode"] == EXPLORE)[:, None, None]
-    distance = frames.pop("to_candidate")
-    frames["cost_to_go"], score = None, distance.astype(jnp.float32)
-    if isinstance(planner, DC2G):
-        summary, surcharge = frames.pop("summary"), frames.pop("surcharge")
-        score = jax.vmap(planner.selection)(summary, distance) + surcharge
-        # All steps of the chunk in one batch.
-        outcomes = jax.vmap(planner.estimator.estimate, in_axes=(0, None))(
-            frames["terrain"], planner.estimator.init(world)
-        )
-        unasked = jax.vmap(planner.selection.summary)(outcomes.astype(jnp.float32))
-        frames["cost_to_go"] = jnp.where(exploring, jnp.mean(summary, axis=1), jnp.mean(unasked, axis=1))
-    frames["score"] = jnp.where(exploring & (distance < FAR), score, jnp.nan)
+    if hasattr(planner, "told"):
+        # What it would be told where it does not explore: all steps of the chunk in one batch.
+        told = jax.vmap(planner.told, in_axes=(0, None))(frames["terrain"], carry.planner_state.estimator)
+        exploring = (frames["mode"] == EXPLORE)[:, None, None]
+        frames["cost_to_go"] = jnp.where(exploring, frames["cost_to_go"], jnp.mean(told, axis=1))
     return carry, frames
 
 
 def _path(
     distance: Int[np.ndarray, "heading h w"], subgoals: Bool[np.ndarray, "heading h w"]
 ) -> Int[np.ndarray, "poses 3"]:
-    """The plan into the nearest of the subgoals, as a decision has it: among them alone, none better than another."""
-    subgoals = subgoals & (distance >= 0)
-    no_doors = np.zeros(subgoals.shape[1:], bool)
-    decision = decide(View(distance, no_doors, subgoals, None, np.zeros(no_doors.shape)), 0, 0)
-    return np.array(decision.path, int).reshape(-1, 3)
+    """The plan into the nearest of the subgoals."""
+    path = shortest_plan(distance, subgoals)[0] if np.any(subgoals & (distance >= 0)) else []
+    return np.array(path, int).reshape(-1, 3)
 
 
 def replay(
@@ -202,8 +188,7 @@ def replay(
         path += map(_path, fetched.pop("distance"), fetched["subgoals"])
         chunks.append(fetched)
     whole = jax.tree.map(lambda *parts: np.concatenate(parts)[:n_frames], *chunks)
-    in_cells = not isinstance(planner, DC2G) or answers_in_cells(planner.estimator)
-    return Frames(**whole, path=tuple(path[:n_frames]), in_cells=in_cells)
+    return Frames(**whole, path=tuple(path[:n_frames]), in_cells=getattr(planner, "in_cells", True))
 
 
 def actions_from_letters(letters: str) -> Int8[np.ndarray, "actions"]:

@@ -14,9 +14,6 @@ from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL
 #: Heading -> its name; y grows to the south.
 HEADING_NAMES = ("east", "south", "west", "north")
 
-#: Farther than any pose.
-FAR = 2**30
-
 
 class RobotPose(NamedTuple):
     """A pose in plain numbers.
@@ -41,10 +38,10 @@ class Candidate(NamedTuple):
       heading: of those in which something new can be seen from there, the one that is reached soonest; of equal ones,
         for a planner that weighs information gain, the one that faces the most unobserved cells.
       cost_to_go: predicted cost from there to the door, in cells where the estimator answers in cells: the mean, or
-        what the planner's selection rule takes in its place; `None` for frontier exploration, which predicts nothing.
+        what the planner's selection rule takes in its place; `None` for planners that predict nothing.
       distance: actions from the robot to this pose.
-      score: what the planner compares, the lowest wins: the cost-to-go plus the weighted distance, less what would be
-        new in view from there; for frontier exploration, the distance.
+      score: what the planner compares, the lowest wins: for `dc2g`, the cost-to-go plus the weighted distance, less
+        what would be new in view from there; for frontier exploration, the distance.
     """
 
     x: int
@@ -66,8 +63,8 @@ class Decision:
       subgoal: where the plan leads; `None` when the planner gave up.
       path: poses from the robot's own to the subgoal, both included, along the shortest plan over observed ground.
       actions: the plan as letters, one fewer than poses; its first is `action`.
-      candidates: what there was to choose from while exploring, one a cell, in ascending order of score; the first is
-        the subgoal. Empty in the other modes.
+      candidates: what there was to choose from while exploring, one a cell, the subgoal first, then in ascending order
+        of score. Empty in the other modes.
       why: the reason, one sentence.
     """
 
@@ -85,22 +82,24 @@ class View(NamedTuple):
 
     Attributes:
       distance: actions from the robot to every pose, -1 where there is no way.
-      doors: door cells.
-      candidates: poses to explore from, on each cell those that are reached soonest.
+      mode: plan mode.
+      subgoals: poses the plan leads into.
+      candidates: poses to explore from.
       cost_to_go: predicted for every cell, `None` if nothing is; without meaning, like `score`, when there is nothing
         to choose.
       score: of every cell with a candidate.
     """
 
     distance: Int[np.ndarray, "heading h w"]
-    doors: Bool[np.ndarray, "h w"]
+    mode: int | Int[np.ndarray, ""]
+    subgoals: Bool[np.ndarray, "heading h w"]
     candidates: Bool[np.ndarray, "heading h w"]
     cost_to_go: Float[np.ndarray, "h w"] | None
     score: Float[np.ndarray, "h w"]
 
 
 def decide(view: View, left: int, top: int) -> Decision:
-    """Go to a door if one is reachable, else explore from the candidate of lowest score, else give up.
+    """What a plan comes to: path, actions, ranked candidates and the reason.
 
     Args:
       view: what to decide from.
@@ -110,16 +109,18 @@ def decide(view: View, left: int, top: int) -> Decision:
     Raises:
       InputError: if a score is not a number.
     """
-    mode, targets = _targets(view)
-    if mode == GAVE_UP:
+    mode = MODE_NAMES[int(view.mode)]
+    if np.isnan(view.score[view.candidates.any(axis=0)]).any() and view.mode != TO_GOAL:
+        raise InputError("the estimated cost-to-go is not a number (NaN) in some cell; check the estimator's weights")
+    if view.mode == GAVE_UP:
         why = "gave up: no door is reachable, and nothing unobserved can be seen from anywhere reachable"
-        return Decision(None, MODE_NAMES[mode], None, (), "", (), why)
-    plan, actions = _shortest_plan(view.distance, targets)
+        return Decision(None, mode, None, (), "", (), why)
+    plan, actions = shortest_plan(view.distance, view.subgoals)
     path = tuple(RobotPose(left + x, top + y, heading) for x, y, heading in plan)
-    ranked = _ranked(view, plan[-1], left, top) if mode == EXPLORE else ()
+    ranked = _ranked(view, plan[-1], left, top) if view.mode == EXPLORE else ()
     return Decision(
         action=actions[0] if actions else None,
-        mode=MODE_NAMES[mode],
+        mode=mode,
         subgoal=path[-1],
         path=path,
         actions=actions,
@@ -128,28 +129,16 @@ def decide(view: View, left: int, top: int) -> Decision:
     )
 
 
-def _targets(view: View) -> tuple[int, Bool[np.ndarray, "heading h w"]]:
-    """Plan mode, and poses to head for: any on a reachable door, else the candidates of lowest score."""
-    doors = view.doors & (view.distance >= 0)
-    if doors.any():
-        return TO_GOAL, doors
-    if not view.candidates.any():
-        return GAVE_UP, view.candidates
-    scores = view.score[view.candidates.any(axis=0)]
-    if np.isnan(scores).any():
-        raise InputError("the estimated cost-to-go is not a number (NaN) in some cell; check the estimator's weights")
-    return EXPLORE, view.candidates & (view.score == scores.min())
-
-
-def _shortest_plan(
+def shortest_plan(
     distance: Int[np.ndarray, "heading h w"], targets: Bool[np.ndarray, "heading h w"]
 ) -> tuple[list[tuple[int, int, int]], str]:
     """The lexicographically smallest shortest plan into the targets: its poses (x, y, heading) and its letters.
 
     Args:
       distance: actions from the robot to every pose, -1 where there is no way.
-      targets: poses to reach, all of which can be reached.
+      targets: poses to reach, one of which can be reached at least.
     """
+    targets = targets & (distance >= 0)
     length = int(distance[targets].min())
     framed = np.pad(distance, ((0, 0), (1, 1), (1, 1)), constant_values=-1)
     # Poses on shortest plans, by the actions done, from all of them back to none.
@@ -176,13 +165,14 @@ def _next_to(pose: tuple[int, int, int], forward: int) -> tuple[tuple[int, int, 
 
 
 def _ranked(view: View, subgoal: tuple[int, int, int], left: int, top: int) -> tuple[Candidate, ...]:
-    """The candidates, one a cell, in ascending order of score; of equal ones the subgoal, then the nearest."""
-    y, x = np.nonzero(view.candidates.any(axis=0))
-    distances = np.where(view.candidates[:, y, x], view.distance[:, y, x], FAR)
+    """The candidates, one a cell: the subgoal, then in ascending order of score, of equal ones the nearest."""
+    reachable = view.candidates & (view.distance >= 0)
+    y, x = np.nonzero(reachable.any(axis=0))
+    distances = np.where(reachable[:, y, x], view.distance[:, y, x], view.distance.size)
     is_subgoal = (x == subgoal[0]) & (y == subgoal[1])
     heading = np.where(is_subgoal, subgoal[2], distances.argmin(axis=0))
     distance, score = distances.min(axis=0), view.score[y, x]
-    order = np.lexsort((x, y, distance, ~is_subgoal, score))
+    order = np.lexsort((x, y, distance, score, ~is_subgoal))
     columns = (column[order].tolist() for column in (x + left, y + top, heading, distance, score))
     costs = [None] * len(order) if view.cost_to_go is None else view.cost_to_go[y, x][order].tolist()
     return tuple(
@@ -201,8 +191,11 @@ def _why_explore(ranked: Sequence[Candidate]) -> str:
     place = f"explore: ({best.x}, {best.y}) facing {HEADING_NAMES[best.heading]}"
     what, details, digits = "is the nearest", f"{_actions(best.distance)} away", 0
     if best.cost_to_go is not None:
-        what, digits = "has the lowest score", 1
-        details = f"{best.score:.1f}: predicted cost-to-go {best.cost_to_go:.1f}, {details}"
+        details = f"predicted cost-to-go {best.cost_to_go:.1f}, {details}"
+    if best.score != best.distance or best.cost_to_go is not None:
+        what, details, digits = "has the lowest score", f"{best.score:.1f}: {details}", 1
+    if any(other.score < best.score for other in others):
+        what = "is chosen"
     if not others:
         return f"{place} is the only candidate, {details}"
     second = others[0]

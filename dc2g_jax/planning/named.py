@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, ExactCostToGo, answers_in_cells
+from dc2g_jax.planning.frontiers import facing_most
 from dc2g_jax.planning.planners import DC2G, Frontier, MapRevisingPlanner, Oracle
 from dc2g_jax.planning.rules import Rules, Settings, named_settings, nearest_goal
 from dc2g_jax.planning.selection import ExpectedCost, Patience, QuantileCost, Selection
@@ -31,6 +32,7 @@ def _on_network(selection: Selection, estimator: Estimator, rules: Rules) -> DC2
         rim_width=1,
         views=((), (1,)),
         gain_weight=3.0,
+        headings=facing_most,
         patience=Patience(radius=8, decisions=30, price=0.25),
     )
 

@@ -5,32 +5,33 @@ calls.
 """
 
 import dataclasses
+import functools
 import itertools
 import operator
 import textwrap
+from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
-from flax import struct
-from jaxtyping import Array, Bool, Float, Int, UInt8
+from jaxtyping import Array, Int, UInt8
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.estimators import Estimator, NetworkCostToGo, extent_of
-from dc2g_jax.estimation.padding import PaddedNetwork
-from dc2g_jax.grid import bitboard, poses, search
+from dc2g_jax.estimation.checkpoints import load_network
+from dc2g_jax.estimation.estimators import Estimator
+from dc2g_jax.files.resources import resource
+from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.gridworld import belief_from_map
 from dc2g_jax.grid.poses import HEADINGS, Pose
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
-from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, OUTSIDE, TRAVERSABLE, UNKNOWN
-from dc2g_jax.grid.world import World, world_from_terrain
-from dc2g_jax.planning.decisions import FAR, Decision, RobotPose, View, decide
+from dc2g_jax.grid.terrain import CLASS_NAMES, OUTSIDE, TRAVERSABLE, UNKNOWN
+from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.planning.decisions import Decision, RobotPose, View, decide
 from dc2g_jax.planning.named import NETWORK_PLANNERS, make_planner
-from dc2g_jax.planning.planners import DC2G
+from dc2g_jax.planning.planners import Planner, assess, measured
 from dc2g_jax.planning.rules import Rules, complete_rules
-from dc2g_jax.planning.selection import ExpectedCost
 from dc2g_jax.programs import jit
 
 #: Planners that need no map but the robot's own.
@@ -44,77 +45,30 @@ _SMALLEST_GRID = 32
 _OPEN_MARGIN = 24
 
 
-@struct.dataclass
-class _NoEstimate:
-    """All cells cost the same. With the distance as the score, DC2G is frontier exploration."""
-
-    def init(self, world: World) -> tuple[()]:
-        """Nothing is kept between steps."""
-        del world
-        return ()
-
-    def estimate(self, terrain: UInt8[Array, "h w"], state: tuple[()]) -> Float[Array, "1 h w"]:
-        """Zero."""
-        del state
-        return jnp.zeros((1, *terrain.shape))
-
-
-def _mirrored(cells: Array, axes: tuple[int, ...], terrain: UInt8[Array, "h w"]) -> Array:
-    """Cells `[... h w]` of a grid, with the map's part of it mirrored along axes of the grid and left where it is."""
-    for axis in axes:
-        inside = jnp.sum(jnp.any(terrain != OUTSIDE, axis=1 - axis), dtype=jnp.int32)
-        in_cells = cells.ndim - 2 + axis
-        cells = jnp.roll(jnp.flip(cells, in_cells), inside - terrain.shape[axis], in_cells)
-    return cells
-
-
-@jit
-def _look(
-    planner: DC2G, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]
-) -> tuple[Int[Array, "heading h w"], Bool[Array, "heading h w"], Float[Array, "h w"], Float[Array, "h w"]]:
-    """Distances, candidates, costs-to-go and scores, as in a `View` (Algorithm 2, lines 4 to 10).
+@functools.partial(jit, static_argnames=("rules",))
+def _look(planner: Planner, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"], *, rules: Rules) -> tuple[Any, ...]:
+    """The fields of a `View`.
 
     Args:
-      planner: whose candidates and scores.
+      planner: who decides.
       terrain: observed class indices, `OUTSIDE` beyond the map.
       pose: column, row and heading.
+      rules: what counts as frontier, where the planner does not say.
     """
     width = terrain.shape[1]
     observed = jnp.where(terrain == OUTSIDE, jnp.uint8(UNKNOWN), terrain)
     belief = dataclasses.replace(belief_from_map(observed, Pose(*pose)), outside=bitboard.pack(terrain == OUTSIDE))
-    distance = search.distances(belief.pose, belief.traversable, width)
-    reachable = bitboard.pack(distance[0] >= 0)
-    candidate_poses = planner.candidates(belief, reachable)
-    candidates = poses.unpack(candidate_poses, width)
-    to_nearest = jnp.min(distance, axis=0, where=candidates, initial=FAR)
-    nearest = planner.preferred(belief, poses.pack(candidates & (distance == to_nearest)))
-
-    def summary_in_view(part: UInt8[Array, "h2 w2"], axes: tuple[int, ...]) -> Float[Array, "kept h2 w2"]:
-        state = planner.estimator.init(world_from_terrain(observed))
-        outcomes = planner.estimator.estimate(_mirrored(part, axes, part), state)
-        return _mirrored(planner.selection.summary(outcomes).astype(jnp.float32), axes, part)
-
-    def summary_of(part: UInt8[Array, "h2 w2"]) -> Float[Array, "kept h2 w2"]:
-        return jnp.mean(jnp.stack([summary_in_view(part, axes) for axes in planner.views]), axis=0)
-
-    def estimate() -> tuple[Array, Array]:
-        extent = extent_of(planner.estimator)
-        never_asked = jnp.full(jax.eval_shape(summary_of, terrain).shape, extent.prior, jnp.float32)
-        summary = extent.update(summary_of, terrain, Pose(*pose), never_asked)
-        surcharge = planner.surcharge(belief, candidate_poses, jnp.zeros(terrain.shape, jnp.int32))
-        return jnp.mean(summary, axis=0), planner.selection(summary, to_nearest) + surcharge
-
-    undecided = ~poses.is_empty(candidate_poses) & ~bitboard.intersects(reachable, belief.goals)
-    nothing = jnp.zeros(terrain.shape, jnp.float32)
-    cost_to_go, score = jax.lax.cond(undecided, estimate, lambda: (nothing, nothing))
-    return distance, poses.unpack(nearest, width), cost_to_go, score
+    assessment, _ = assess(planner, belief, planner.init(world_from_terrain(observed)), rules)
+    distance, score = measured(belief, assessment)
+    subgoals, candidates = (poses.unpack(these, width) for these in (assessment.plan.subgoals, assessment.candidates))
+    return distance, assessment.plan.mode, subgoals, candidates, assessment.cost_to_go, score
 
 
 class OnlinePlanner:
     """Decides for one robot from its own partial map, one call at a time.
 
     ```
-    planner = OnlinePlanner(load_network(resource("weights/compact_unet")))
+    planner = OnlinePlanner("dc2g")
     decision = planner.plan(grid, (x, y, heading))
     ```
 
@@ -125,26 +79,27 @@ class OnlinePlanner:
 
     A program is compiled for each of a few sizes of grid when the planner is made, which takes some seconds each, and
     longer the farther the robot sees. No call compiles anything after that, and the decision does not depend on the
-    grid that the map is laid into. An estimator other than a `NetworkCostToGo` is asked about grids of exactly the
-    map's size: each new size compiles.
+    grid that the map is laid into. An estimator other than a `NetworkCostToGo`, or a planner of your own, is given
+    grids of exactly the map's size: each new size compiles.
 
     Args:
-      estimator: the trained network, or any other estimator; `None` for frontier exploration.
-      planner: one of `PLANNERS`; where `None`, `dc2g`, or `frontier` without an estimator.
+      planner: one of `PLANNERS`, or any planner; one that has `rules` goes by them.
+      network: the estimator of a planner by name, or the folder of a trained network; the shipped one where `None`.
       sensing_range: reach of the robot's 90-degree field of view, in cells, 1 to 64.
       largest: rows and columns of the largest map to come.
       open_ended: does the world go on beyond the map's edges? Then the robot explores across them too. Otherwise the
         map's size is the world's, and beyond it there is nothing to observe.
 
     Raises:
-      InputError: for a planner that is unknown or lacks its estimator, or sizes that are none.
+      InputError: for a planner that is unknown or sees to another range, a folder without a network, or sizes that
+        are none.
     """
 
     def __init__(
         self,
-        estimator: Estimator | None = None,
+        planner: str | Planner = "dc2g",
         *,
-        planner: str | None = None,
+        network: Estimator | str | Path | None = None,
         sensing_range: int = 8,
         largest: tuple[int, int] = (100, 100),
         open_ended: bool = False,
@@ -155,10 +110,15 @@ class OnlinePlanner:
             raise InputError(f"largest {rows} x {columns}, sensing_range {reach}: give whole numbers of at least 1")
         if reach > MAX_SENSING_RANGE:
             raise InputError(f"sensing_range {reach}: give one of at most {MAX_SENSING_RANGE}")
-        self._planner = _make_planner(planner, complete_rules(reach), estimator)
+        if isinstance(planner, str):
+            planner = _planner_by_name(planner, complete_rules(reach), network)
+        self._rules: Rules = getattr(planner, "rules", complete_rules(reach))
+        if self._rules.sensing.radius != reach:
+            raise InputError(f"sensing_range {reach}: the planner's rules say {self._rules.sensing.radius}; give that")
+        self._planner = getattr(planner, "memoryless", lambda: planner)()
         self._largest = rows, columns
         self._margin = max(_OPEN_MARGIN, reach) if open_ended else 0
-        self._laid_into_larger = isinstance(self._planner.estimator, PaddedNetwork | _NoEstimate)
+        self._laid_into_larger = getattr(self._planner, "knows_outside", False)
         frame = 2 * self._margin
         shapes = _shapes_up_to(rows + frame, columns + frame, larger_than=frame)
         self._shapes = shapes if self._laid_into_larger else shapes[-1:]
@@ -201,25 +161,19 @@ class OnlinePlanner:
 
     def _view(self, terrain: UInt8[np.ndarray, "h w"], robot: RobotPose) -> View:
         """What to decide from, in one call of the device."""
-        looked = _look(self._planner, terrain, np.array(robot, np.int32))
-        distance, candidates, cost_to_go, score = jax.device_get(looked)
-        predicts = not isinstance(self._planner.estimator, _NoEstimate)
-        return View(distance, terrain == FRONT_DOOR, candidates, cost_to_go if predicts else None, score)
+        looked = _look(self._planner, terrain, np.array(robot, np.int32), rules=self._rules)
+        return View(*jax.device_get(looked))
 
 
-def _make_planner(name: str | None, rules: Rules, estimator: Estimator | None) -> DC2G:
-    """The planner as one of DC2G's kind, with an estimator that is ready for maps of many sizes, if there is one."""
-    if name == "frontier" or (name is None and estimator is None):
-        return DC2G(_NoEstimate(), rules, ExpectedCost(distance_weight=1.0))
-    if estimator is None or name not in (None, *PLANNERS):
-        kind = "none" if estimator is None else type(estimator).__name__
-        known = ", ".join(PLANNERS)
-        raise InputError(f"planner {name!r}, estimator {kind}: use one of {known}; all but frontier need an estimator")
-    planner = make_planner(name or "dc2g", rules, estimator)
-    assert isinstance(planner, DC2G)
-    if isinstance(estimator, NetworkCostToGo):
-        return dataclasses.replace(planner, estimator=PaddedNetwork(estimator))
-    return planner
+def _planner_by_name(name: str, rules: Rules, network: Estimator | str | Path | None) -> Planner:
+    """One of `PLANNERS`, with the estimator that it needs."""
+    if name not in PLANNERS:
+        raise InputError(f"planner {name!r}: use one of {', '.join(PLANNERS)}, or give one of your own")
+    if name not in NETWORK_PLANNERS:
+        return make_planner(name, rules)
+    if network is None or isinstance(network, str | Path):
+        network = load_network(network or resource("weights/compact_unet"))
+    return make_planner(name, rules, network)
 
 
 def _shapes_up_to(rows: int, columns: int, *, larger_than: int) -> list[tuple[int, int]]:

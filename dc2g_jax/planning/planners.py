@@ -1,11 +1,15 @@
 """Planners behind one small protocol: `init` once per world, `plan` once per step.
 
+`assess` decides as `plan` does, and also says what from.
+
 Worlds, beliefs and states are those of one robot or of a batch, whose axes come last.
 
 A planner is a frozen dataclass and a pytree: what it learned (an estimator's weights) are its leaves, what it obeys
 (rules) is static. So one compiled program serves every checkpoint of the same architecture.
 """
 
+import dataclasses
+from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import jax
@@ -13,11 +17,12 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float, Int, UInt8
 
-from dc2g_jax.estimation.estimators import Estimator, extent_of, update_estimates
+from dc2g_jax.estimation.estimators import Estimates, Estimator, answers_in_cells, extent_of, update_estimates
+from dc2g_jax.estimation.padding import EveryView, ready_for_any_size
 from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.gridworld import Belief
-from dc2g_jax.grid.poses import PoseSet, every_heading
+from dc2g_jax.grid.poses import Pose, PoseSet, every_heading
 from dc2g_jax.grid.world import World
 from dc2g_jax.planning import frontiers
 from dc2g_jax.planning.rules import Rules
@@ -45,6 +50,26 @@ class Plan:
     subgoals: PoseSet
 
 
+@struct.dataclass
+class Assessment:
+    """One decision, and what it was made from: what recordings, figures and `OnlinePlanner` show.
+
+    Attributes:
+      plan: the decision.
+      ground: cells that the plan may lead over.
+      candidates: poses to choose a subgoal from.
+      score: of every cell with a candidate, the lowest wins; `None` where the nearest candidate wins. Like
+        `cost_to_go`, without meaning where the planner does not explore.
+      cost_to_go: the cost-to-go of every cell that the planner goes by; `None` if it goes by none.
+    """
+
+    plan: Plan
+    ground: Board
+    candidates: PoseSet
+    score: Float[Array, "h w *batch"] | None = None
+    cost_to_go: Float[Array, "h w *batch"] | None = None
+
+
 class Planner(Protocol):
     """What a rollout asks of a planner. Both methods are pure and traced.
 
@@ -68,6 +93,19 @@ class Planner(Protocol):
         ...
 
 
+class AssessingPlanner(Planner, Protocol):
+    """A planner that says what its plans are made of."""
+
+    def assess(self, belief: Belief, state: Any) -> tuple[Assessment, Any]:
+        """Decide the next action, and say what from. What nobody looks at is not computed where this is compiled."""
+        ...
+
+    def plan(self, belief: Belief, state: Any) -> tuple[Plan, Any]:
+        """Decide the next action from what has been observed."""
+        assessment, state = self.assess(belief, state)
+        return assessment.plan, state
+
+
 class MapRevisingPlanner(Planner, Protocol):
     """A planner that also serves where cells of the map may change their class, as a camera's do."""
 
@@ -77,7 +115,7 @@ class MapRevisingPlanner(Planner, Protocol):
 
 
 @struct.dataclass
-class Oracle:
+class Oracle(AssessingPlanner):
     """Shortest plan to the nearest goal on the whole map: the lower bound every planner is measured against."""
 
     #: Many robots fill a core's vector lanes, and so do the rows of one; the numbers between do neither.
@@ -88,13 +126,14 @@ class Oracle:
         """The whole map: traversable cells and goal cells."""
         return world.traversable, world.goals
 
-    def plan(self, belief: Belief, state: tuple[Board, Board]) -> tuple[Plan, tuple[Board, Board]]:
-        """First action of the shortest plan; gives up where there is none."""
+    def assess(self, belief: Belief, state: tuple[Board, Board]) -> tuple[Assessment, tuple[Board, Board]]:
+        """Head for the nearest goal; give up where there is no way. There is nothing to choose."""
         traversable, goals = state
         subgoals = every_heading(goals)
         first = search.first_action(belief.pose, subgoals, traversable)
         mode = jnp.where(first.found, TO_GOAL, GAVE_UP).astype(jnp.int32)
-        return Plan(action=first.action, mode=mode, length=first.length, subgoals=subgoals), state
+        plan = Plan(action=first.action, mode=mode, length=first.length, subgoals=subgoals)
+        return Assessment(plan, traversable, candidates=jnp.zeros_like(subgoals)), state
 
     def revised(self, state: tuple[Board, Board], changed: Board) -> tuple[Board, Board]:
         """All of it: an oracle goes by the world."""
@@ -105,6 +144,32 @@ def reachable_cells(belief: Belief, before: Board) -> Board:
     """Reachable cells now (Algorithm 2, line 4), grown from those reachable a step before: ground is never lost."""
     robot = bitboard.single(belief.pose.x, belief.pose.y, *before.shape[:2])
     return bitboard.flood(robot | before, belief.traversable)
+
+
+def assess(planner: Planner, belief: Belief, state: Any, rules: Rules) -> tuple[Assessment, Any]:
+    """What a planner decides, and what from.
+
+    Of a planner without `assess`, the candidates are those of the rules, over reachable ground, and the nearest wins.
+    """
+    if hasattr(planner, "assess"):
+        return planner.assess(belief, state)
+    plan, state = planner.plan(belief, state)
+    reachable = reachable_cells(belief, jnp.zeros_like(belief.seen))
+    return Assessment(plan, reachable, rules.frontier_expanding(belief, reachable)), state
+
+
+def measured(
+    belief: Belief, assessment: Assessment
+) -> tuple[Int[Array, "heading h w *batch"], Float[Array, "h w *batch"]]:
+    """Actions from the robot to every pose, -1 where there is no way; and the score of every cell.
+
+    The score is infinite on cells without candidates.
+    """
+    distance = search.distances(belief.pose, assessment.ground, belief.width)
+    candidates = poses.unpack(assessment.candidates, belief.width) & (distance >= 0)
+    nearest = jnp.min(jnp.where(candidates, distance.astype(jnp.float32), jnp.inf), axis=0)
+    score = nearest if assessment.score is None else jnp.where(jnp.any(candidates, axis=0), assessment.score, jnp.inf)
+    return distance, score
 
 
 def _explore_or_finish(belief: Belief, reachable: Board, subgoals: PoseSet, rules: Rules) -> Plan:
@@ -121,30 +186,38 @@ def _explore_or_finish(belief: Belief, reachable: Board, subgoals: PoseSet, rule
 
 
 @struct.dataclass
-class Frontier:
+class Frontier(AssessingPlanner):
     """Pure exploration: always to the nearest frontier-expanding pose (Yamauchi's frontier, the paper's baseline)."""
 
     rules: Rules = struct.field(pytree_node=False)
     robots_a_core: ClassVar[int] = Oracle.robots_a_core
     robots_on_large_maps: ClassVar[int] = Oracle.robots_on_large_maps
+    knows_outside: ClassVar[bool] = True
 
     def init(self, world: World) -> Board:
         """Nothing is reachable before the first observation."""
         return jnp.zeros_like(world.traversable)
 
-    def plan(self, belief: Belief, state: Board) -> tuple[Plan, Board]:
+    def assess(self, belief: Belief, state: Board) -> tuple[Assessment, Board]:
         """Head for the nearest frontier-expanding pose, or for the goal once it is reachable."""
         reachable = reachable_cells(belief, state)
         candidates = self.rules.frontier_expanding(belief, reachable)
-        return _explore_or_finish(belief, reachable, candidates, self.rules), reachable
+        plan = _explore_or_finish(belief, reachable, candidates, self.rules)
+        return Assessment(plan, reachable, candidates), reachable
 
     def revised(self, state: Board, changed: Board) -> Board:
         """None of it: ground can be lost."""
         return jnp.zeros_like(state)
 
 
+def any_heading(belief: Belief, nearest: PoseSet) -> PoseSet:
+    """All of each cell's nearest candidates."""
+    del belief
+    return nearest
+
+
 @struct.dataclass
-class DC2G:
+class DC2G(AssessingPlanner):
     """Deep Cost-to-Go (Algorithm 2): to the frontier-expanding pose that the estimated cost-to-go speaks for.
 
     Subgoals are the frontier-expanding poses of the rules that reveal something when reached, and where there are none
@@ -164,9 +237,9 @@ class DC2G:
         by: errors that a network makes in one of them alone are halved, at no more questions. Views other than the map
         as it is are for estimators that read nothing but the map.
       gain_weight: information gain, in units of the score: by so much the score of a cell is lower where all of the
-        field of view would be new. While nothing new is seen it stays as it is, so exploration ends all the same. Of
-        headings that a cell is reached in as soon, the one that faces the most of what has not been observed is taken,
-        where distance counts.
+        field of view would be new. While nothing new is seen it stays as it is, so exploration ends all the same.
+      headings: of headings that a cell is reached in as soon, those to take, where distance counts: all of them, or
+        those that `dc2g_jax.planning.frontiers.facing_most`.
       patience: with places that go on promising a goal.
     """
 
@@ -176,54 +249,90 @@ class DC2G:
     rim_width: int = struct.field(pytree_node=False, default=0)
     views: tuple[tuple[int, ...], ...] = struct.field(pytree_node=False, default=((),))
     gain_weight: float = struct.field(pytree_node=False, default=0.0)
+    headings: Callable[[Belief, PoseSet], PoseSet] = struct.field(pytree_node=False, default=any_heading)
     patience: Patience = struct.field(pytree_node=False, default=ENDLESS)
     #: A network answers many maps at once in less time each.
     robots_a_core: ClassVar[int] = 64
     robots_on_large_maps: ClassVar[int] = 16
 
+    @property
+    def knows_outside(self) -> bool:
+        """Can the map fill a part of the grid only, see `Belief.outside`? For that the estimator has to know."""
+        return getattr(self.estimator, "knows_outside", False)
+
+    @property
+    def in_cells(self) -> bool:
+        """Are costs-to-go in cells?"""
+        return answers_in_cells(self.estimator)
+
+    def memoryless(self) -> "DC2G":
+        """This planner for one robot whose state is new at every step, on maps of any size.
+
+        So the estimator is asked about all views each time, and patience has no end.
+        """
+        every_view = EveryView(ready_for_any_size(self.estimator), self.views)
+        return dataclasses.replace(self, estimator=every_view, views=((),), patience=ENDLESS)
+
     def init(self, world: World) -> "ExplorationState":
         """Nothing is reachable before the first observation; the estimator sets itself up."""
         nothing = jnp.zeros_like(world.traversable)
         estimator_state = self.estimator.init(world)
-        view = jnp.zeros(nothing.shape[2:], jnp.int32)
-        estimate = jax.eval_shape(self.estimate, world.terrain, (view, estimator_state))
+        told = jax.eval_shape(self.told, world.terrain, estimator_state)
+        prior = extent_of(self.estimator).prior
         return ExplorationState(
             reachable=nothing,
-            estimates=jnp.full((len(self.views), *estimate.shape), extent_of(self.estimator).prior, jnp.float32),
+            estimates=jnp.full((len(self.views), *told.shape), prior, jnp.float32),
             estimated_from=nothing,
-            view=view,
-            decided_near=jnp.zeros(estimate.shape[1:], jnp.int32),
+            view=jnp.zeros(nothing.shape[2:], jnp.int32),
+            decided_near=jnp.zeros(told.shape[1:], jnp.int32),
             estimator=estimator_state,
         )
 
-    def estimate(
-        self, terrain: UInt8[Array, "h w *batch"], state: tuple[Int[Array, "*batch"], Any]
-    ) -> Float[Array, "kept h w *batch"]:
-        """What the selection rule needs of an estimate.
+    def told(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Estimates:
+        """What the selection rule needs of the estimator's answer.
 
         Args:
           terrain: observed class indices.
-          state: which of the views to ask about, and the estimator's state.
+          state: the estimator's.
 
         Raises:
           ValueError: the estimator's answer does not have the shape of the map behind an axis of outcomes.
         """
-        view, estimator_state = state
-        seen_as = terrain
-        for number, axes in enumerate(self.views):
-            seen_as = jnp.where(view == number, jnp.flip(terrain, axes), seen_as) if axes else seen_as
-        costs = self.estimator.estimate(seen_as, estimator_state)
+        costs = self.estimator.estimate(terrain, state)
         if costs.shape[1:] != terrain.shape:
             raise ValueError(
                 f"{type(self.estimator).__name__} answers with {list(costs.shape)} for a map of {list(terrain.shape)}; "
                 "give [outcomes, *shape of the map], with one outcome at least"
             )
-        answer = self.selection.summary(costs)
+        return self.selection.summary(costs)
+
+    def estimate(
+        self,
+        terrain: UInt8[Array, "h w *batch"],
+        pose: Pose,
+        before: Estimates,
+        state: tuple[Int[Array, "*batch"], Any],
+    ) -> Estimates:
+        """New estimates: the answer to one of the views of the estimator's extent.
+
+        Args:
+          terrain: observed class indices.
+          pose: where the robot is.
+          before: the old estimates.
+          state: which of the views to ask about, and the estimator's state.
+        """
+        view, estimator_state = state
+        extent = extent_of(self.estimator)
+        part = extent.part(terrain, pose)
+        seen_as = part
+        for number, axes in enumerate(self.views):
+            seen_as = jnp.where(view == number, jnp.flip(part, axes), seen_as) if axes else seen_as
+        answer = self.told(seen_as, estimator_state)
         summary = answer
         for number, axes in enumerate(self.views):
             back = jnp.flip(answer, [1 + axis for axis in axes])
             summary = jnp.where(view == number, back, summary) if axes else summary
-        return summary
+        return extent.merged(summary, pose, before)
 
     def candidates(self, belief: Belief, reachable: Board) -> PoseSet:
         """Poses to choose a subgoal from (Algorithm 2, lines 6 to 8)."""
@@ -254,11 +363,7 @@ class DC2G:
             surcharge -= of_one_cell * frontiers.information_gain(belief, candidates, sensing)
         return surcharge
 
-    def preferred(self, belief: Belief, nearest: PoseSet) -> PoseSet:
-        """Of each cell's nearest candidates those to head for, should it be that cell."""
-        return frontiers.facing_most(belief, nearest) if self.gain_weight else nearest
-
-    def plan(self, belief: Belief, state: "ExplorationState") -> "tuple[Plan, ExplorationState]":
+    def assess(self, belief: Belief, state: "ExplorationState") -> "tuple[Assessment, ExplorationState]":
         """Head for the most promising frontier-expanding pose, or for the goal once it is reachable."""
         reachable = reachable_cells(belief, state.reachable)
         candidates = self.candidates(belief, reachable)
@@ -266,8 +371,8 @@ class DC2G:
         # An estimate stands until something new is seen; robots that do not explore ask for none.
         outdated = undecided & ~bitboard.is_empty(belief.seen ^ state.estimated_from)
         asked_about = state.view, state.estimator
-        extent = extent_of(self.estimator)
-        latest = update_estimates(self.estimate, outdated, belief, asked_about, state.estimates[0], extent)[None]
+        fewest = getattr(self.estimator, "fewest_maps", 4)
+        latest = update_estimates(self.estimate, outdated, belief, asked_about, state.estimates[0], fewest=fewest)[None]
         first = bitboard.is_empty(state.estimated_from)
         estimates = jnp.where(outdated, jnp.concatenate([latest, state.estimates[:-1]]), state.estimates)
         # The first answer stands for all views.
@@ -278,7 +383,7 @@ class DC2G:
         if self.selection.distance_weight:
             free = jnp.where(undecided, reachable, jnp.uint32(0))
             nearest, lengths = search.nearest_headings(belief.pose, candidates, free, belief.width)
-            nearest = self.preferred(belief, nearest)
+            nearest = self.headings(belief, nearest)
         decided_near = state.decided_near
         if self.patience.price:
             decided_near = decided_near + self.patience.near(belief.pose, belief.height, belief.width)
@@ -287,7 +392,8 @@ class DC2G:
         # Without a current estimate all candidates are equal, and of equal ones the plan goes to the nearest.
         subgoals = jnp.where(undecided, nearest & _lowest(score, poses.occupied(nearest), belief.width), candidates)
         plan = _explore_or_finish(belief, reachable, subgoals, self.rules)
-        return plan, ExplorationState(reachable, estimates, estimated_from, view, decided_near, state.estimator)
+        state = ExplorationState(reachable, estimates, estimated_from, view, decided_near, state.estimator)
+        return Assessment(plan, reachable, nearest, score, state.cost_to_go), state
 
     def revised(self, state: "ExplorationState", changed: Board) -> "ExplorationState":
         """All but the ground, which can be lost; the estimator is asked anew where what it was told has changed."""
@@ -312,6 +418,11 @@ class ExplorationState(NamedTuple):
     view: Int[Array, "*batch"]
     decided_near: Int[Array, "h w *batch"]
     estimator: Any
+
+    @property
+    def cost_to_go(self) -> Float[Array, "h w *batch"]:
+        """What is gone by: the mean of the estimates."""
+        return jnp.mean(self.estimates, axis=(0, 1))
 
 
 def _lowest(score: Float[Array, "h w *batch"], cells: Board, width: int) -> Board:

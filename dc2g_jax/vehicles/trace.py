@@ -4,13 +4,11 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
 from dc2g_jax.mapping.camera import Frame
 from dc2g_jax.mapping.simulator import picture
-from dc2g_jax.planning.planners import ExplorationState
 from dc2g_jax.programs import jit
 from dc2g_jax.vehicles.drive import UNDER_WAY, Equipment, Robot, Site, believed, camera_pose, sensed, step
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleState
@@ -57,6 +55,5 @@ def moments(robot: Robot, site: Site, equipment: Equipment, time_limit: float) -
     while int(robot.status) == UNDER_WAY and int(robot.periods) < time_limit / CONTROL_PERIOD:
         seconds = float(robot.periods) * CONTROL_PERIOD
         robot, place, frame, seen = _next(robot, site, equipment)
-        state = robot.planner_state
-        cost_to_go = jnp.mean(state.estimates, axis=(0, 1)) if isinstance(state, ExplorationState) else None
+        cost_to_go = getattr(robot.planner_state, "cost_to_go", None)
         yield Moment(seconds, *jax.device_get((seen, frame, robot, place, cost_to_go)))

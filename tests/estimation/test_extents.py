@@ -102,17 +102,12 @@ def test_a_window_asks_around_the_robot_and_keeps_the_rest(side):
     poses = np.array([(0, 0, 0), (30, 8, 1), (15, 4, 2), (3, 7, 3)])
     terrain = np.stack([seen_in(box) for box in BOXES[:4]], axis=-1)
     before = np.random.default_rng(0).random((2, *terrain.shape)).astype(np.float32)
-    asked = []
-
-    def ask(part):
-        asked.append(part)
-        return Places().estimate(part, ())
-
-    after = Window(side).update(ask, jnp.asarray(terrain), make_pose(*poses.T), jnp.asarray(before))
+    window, pose = Window(side), make_pose(*poses.T)
+    part = window.part(jnp.asarray(terrain), pose)
+    after = window.merged(Places().estimate(part, ()), pose, jnp.asarray(before))
     for robot, (x, y, _) in enumerate(poses):
         np.testing.assert_array_equal(after[..., robot], in_window(terrain[..., robot], x, y, side, before[..., robot]))
     # What lies beyond the map has not been observed.
-    (part,) = asked
     wide = np.pad(terrain, ((side, side), (side, side), (0, 0)))
     for robot, (x, y, _) in enumerate(poses):
         top, left = y + side - side // 2, x + side - side // 2

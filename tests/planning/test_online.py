@@ -20,7 +20,7 @@ from dc2g_jax.planning import online
 from dc2g_jax.planning.decisions import Candidate, Decision
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.online import OnlinePlanner
-from dc2g_jax.planning.planners import MODE_NAMES
+from dc2g_jax.planning.planners import MODE_NAMES, Frontier
 from dc2g_jax.planning.rules import complete_rules
 from tests.oracles import gridworld_oracle as oracle
 from tests.support import maps
@@ -56,10 +56,9 @@ class BothViews:
 
 @functools.cache
 def planner_of(name: str, largest: tuple[int, int] = LARGEST, open_ended: bool = False) -> OnlinePlanner:
-    estimator = None if name == "frontier" else network()
     return OnlinePlanner(
-        estimator,
-        planner=name,
+        name,
+        network=network(),
         sensing_range=SENSING,
         largest=OPEN_ENDED if open_ended else largest,
         open_ended=open_ended,
@@ -130,7 +129,7 @@ def poses_to_choose_from(seen, free, pose, rim_width: int):
 
 def scattered_planner() -> OnlinePlanner:
     """One whose estimator must not be given a grid larger than the map."""
-    return OnlinePlanner(Scattered(), sensing_range=SENSING, largest=SHAPE)
+    return OnlinePlanner(network=Scattered(), sensing_range=SENSING, largest=SHAPE)
 
 
 @pytest.mark.parametrize(
@@ -214,7 +213,9 @@ def test_reasons(street):
 
 def test_an_estimator_with_an_extent_is_asked_about_it_alone():
     side, prior = 7, 50.0
-    planner = OnlinePlanner(WindowedEstimator(Scattered(), Window(side, prior)), sensing_range=SENSING, largest=SHAPE)
+    planner = OnlinePlanner(
+        network=WindowedEstimator(Scattered(), Window(side, prior)), sensing_range=SENSING, largest=SHAPE
+    )
     found = {"inside": 0, "beyond": 0}
     for seed in range(30):
         terrain, seen, pose = random_moment(seed, SHAPE, 0.8)
@@ -377,7 +378,9 @@ def test_bad_input_is_one_line_with_the_value_and_the_remedy(grid, pose, origin,
     ("options", "words"),
     [
         ({"planner": "oracle"}, ["'oracle'", "frontier, dc2g, dc2g_uncertain"]),
-        ({"planner": "dc2g"}, ["'dc2g'", "need an estimator"]),
+        ({"planner": "true_cost_to_go"}, ["'true_cost_to_go'", "one of your own"]),
+        ({"planner": Frontier(complete_rules(3))}, ["sensing_range 8", "rules say 3"]),
+        ({"network": "nowhere"}, ["nowhere"]),
         ({"sensing_range": 0}, ["sensing_range 0", "at least 1"]),
         ({"sensing_range": 65}, ["sensing_range 65", "at most 64"]),
         ({"largest": (0, 5)}, ["0 x 5", "at least 1"]),
@@ -389,7 +392,7 @@ def test_bad_input_is_one_line_with_the_value_and_the_remedy(grid, pose, origin,
 )
 def test_planners_that_cannot_be_made(options, words):
     with pytest.raises(InputError) as refused:
-        OnlinePlanner(None, **options)
+        OnlinePlanner(**options)
     assert all(word in str(refused.value) for word in words), refused.value
 
 
@@ -401,4 +404,4 @@ def test_an_estimate_that_is_no_number_is_refused():
     grid = np.full((3, 3), 3, np.uint8)
     grid[2, 2] = 0
     with pytest.raises(InputError, match="weights"):
-        OnlinePlanner(broken, sensing_range=SENSING, largest=LARGEST).plan(grid, (0, 0, 0))
+        OnlinePlanner(network=broken, sensing_range=SENSING, largest=LARGEST).plan(grid, (0, 0, 0))

@@ -16,7 +16,8 @@ from dc2g_jax.grid.search import EIGHT_CONNECTED, FOUR_CONNECTED
 from dc2g_jax.grid.sensing import field_of_view, line_of_sight
 from dc2g_jax.grid.terrain import OPAQUE
 from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.planning.planners import DC2G, EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL, Frontier, Oracle
+from dc2g_jax.planning.frontiers import facing_most
+from dc2g_jax.planning.planners import DC2G, EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL, Frontier, Oracle, any_heading
 from dc2g_jax.planning.rules import SETTINGS, complete_rules, reference_rules
 from dc2g_jax.planning.selection import ExpectedCost, Patience
 from dc2g_jax.rollouts.evaluation import action_letters
@@ -169,7 +170,10 @@ def deciding(planner, width: int):
 def test_dc2g_weighs_the_distance_to_a_subgoal(rules, new_cell):
     shape, decided, turned, weight = (7, 33), 0, 0, 0.5
     gain_weight = new_cell * len(field_of_view(SENSING).offsets[0])
-    decide = deciding(DC2G(Scattered(), RULES[rules], ExpectedCost(weight), gain_weight=gain_weight), 33)
+    headings = facing_most if new_cell else any_heading
+    decide = deciding(
+        DC2G(Scattered(), RULES[rules], ExpectedCost(weight), gain_weight=gain_weight, headings=headings), 33
+    )
     for seed in range(40):
         terrain, seen, pose = random_moment(seed, shape, 0.8)
         terrain = np.where(terrain == oracle.FRONT_DOOR, 3, terrain).astype(np.uint8)
@@ -238,7 +242,7 @@ EXPLORERS = {
     "impatient": lambda rules: DC2G(
         Scattered(), rules, ExpectedCost(0.5), patience=Patience(radius=4, decisions=3, price=0.4375)
     ),
-    "curious": lambda rules: DC2G(Scattered(), rules, ExpectedCost(0.5), gain_weight=20.0),
+    "curious": lambda rules: DC2G(Scattered(), rules, ExpectedCost(0.5), gain_weight=20.0, headings=facing_most),
 }
 
 

@@ -183,10 +183,10 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
             ),
             of_planner,
         ),
-        "replay": (lambda cls: replayed(cls(rules)), of_planner),
+        "replay": (lambda cls: replayed(cls(rules)), variants(Frontier, "assess")),
         "replay, estimator": (lambda cls: replayed(DC2G(cls(), rules)), of_estimator),
         "online, estimator": (
-            lambda cls: OnlinePlanner(cls(), sensing_range=4, largest=STREET.shape).plan(shown, (0, 4, 0)),
+            lambda cls: OnlinePlanner(network=cls(), sensing_range=4, largest=STREET.shape).plan(shown, (0, 4, 0)),
             of_estimator,
         ),
         "fleet": (lambda cls: drive(cls(test_drive.RULES)), of_planner),
