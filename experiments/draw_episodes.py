@@ -9,7 +9,6 @@ import tyro
 from tqdm import tqdm
 
 from dc2g_jax.cli.common import DatasetOption, OutOption, command_line
-from dc2g_jax.cli.episodes import read_episodes
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import group_of, open_dataset
 from dc2g_jax.datasets.starts import published_episodes
@@ -18,6 +17,7 @@ from dc2g_jax.inspection.episode_figures import plot_trajectories
 from dc2g_jax.inspection.figures import plot_house_strips
 from dc2g_jax.planning.named import PlannerName
 from dc2g_jax.rollouts.evaluation import EpisodeResult
+from dc2g_jax.rollouts.results import read_rows
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +49,7 @@ def ranges_of(result: EpisodeResult) -> str:
 def main(options: Options) -> None:
     """Read, draw."""
     dataset = open_dataset(options.dataset)
-    results = [result for result in read_episodes(options.episodes) if result.planner in options.planner]
+    results = [result for result in read_rows(options.episodes, EpisodeResult) if result.planner in options.planner]
     if not results:
         raise InputError(f"{options.episodes}: has no episode of {' or '.join(options.planner)}; give other --planner")
     compared = {one.planner for one in results} != {"oracle"}

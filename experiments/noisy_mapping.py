@@ -1,33 +1,29 @@
 """The whole loop from camera to door, with more and more noise: `python -m experiments.noisy_mapping`."""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line, digests, open_network
-from dc2g_jax.cli.driving import DrivingOptions, drive, equipment
+from dc2g_jax.cli.driving import DriveResult, DrivingOptions, drive, equipment
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
-from dc2g_jax.datasets.starts import Start, sample_starts
+from dc2g_jax.datasets.starts import sample_starts
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import SHIPPED_NOISY_NETWORK
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.files.atomic import write_json
-from dc2g_jax.files.tables import read_table, write_table
 from dc2g_jax.inspection.driving_figures import plot_noise
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import Runner
+from dc2g_jax.rollouts.results import ResumableTable
 from dc2g_jax.rollouts.statistics import house_bootstrap
-from dc2g_jax.vehicles.drive import STATUS_NAMES
-from dc2g_jax.vehicles.fleet import Drives
-
-_COLUMNS = ("house", "x", "y", "heading", "seconds", "status", "off_ground", "touched")
-_REMEDY = "remove the file to drive these anew"
+from dc2g_jax.vehicles.drive import ARRIVED, STATUS_NAMES, Equipment
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,68 +56,23 @@ class Options(DrivingOptions):
     resume: bool = False
 
 
-class DriveTable:
-    """One CSV file a run, `drives/NAME.csv`; a run that has its file is not driven again."""
-
-    def __init__(self, folder: Path, starts: Sequence[Start]):
-        self._folder, self._starts = folder, starts
-        folder.mkdir(exist_ok=True)
-
-    def run(self, name: str, drive_it: Any) -> Drives:
-        """The drives of a run, from its file where there is one."""
-        path = self._folder / f"{name}.csv"
-        if not path.exists():
-            self._write(path, drive_it())
-        return self._read(path)
-
-    def _read(self, path: Path) -> Drives:
-        rows = read_table(path, _COLUMNS, remedy=_REMEDY)
-        if len(rows) != len(self._starts):
-            raise InputError(f"{path}: {len(rows)} drives, but the run has {len(self._starts)} starts; {_REMEDY}")
-        drives = []
-        for (line, row), start in zip(rows, self._starts, strict=True):
-            at = f"{path}: line {line}"
-            place = f"{start.house},{start.x},{start.y},{start.heading}"
-            if ",".join(row[name] for name in _COLUMNS[:4]) != place:
-                raise InputError(f"{at}: is not the drive from {place}; {_REMEDY}")
-            if row["status"] not in STATUS_NAMES:
-                raise InputError(f"{at}: status {row['status']!r} is none of {', '.join(STATUS_NAMES)}; {_REMEDY}")
-            try:
-                seconds, off_ground, touched = (float(row[name]) for name in ("seconds", "off_ground", "touched"))
-            except ValueError as error:
-                raise InputError(f"{at}: {error}; {_REMEDY}") from None
-            drives.append((seconds, STATUS_NAMES.index(row["status"]), off_ground, touched))
-        return Drives(*(np.array(column) for column in zip(*drives, strict=True)))
-
-    def _write(self, path: Path, drives: Drives) -> None:
-        rows = []
-        for number, start in enumerate(self._starts):
-            seconds, *times = (
-                round(float(values[number]), 2) for values in (drives.seconds, drives.off_ground, drives.touched)
-            )
-            place = (start.house, start.x, start.y, start.heading)
-            rows.append((*place, seconds, STATUS_NAMES[drives.status[number]], *times))
-        write_table(path, _COLUMNS, rows)
-
-
-def summary(drives: Drives, oracle: Drives, houses: Sequence[str]) -> dict[str, float]:
-    """What a run comes to.
+def summary(drives: Sequence[DriveResult], oracle: Sequence[DriveResult]) -> dict[str, float]:
+    """Figures of a run.
 
     Args:
       drives: of the run.
       oracle: from the same starts, with the map known.
-      houses: name of the house of each start.
     """
-    extra = 100 * (drives.seconds / oracle.seconds - 1)
-    low, high = house_bootstrap(extra, houses, resamples=2000, seed=0)
+    extra = [100 * (one.seconds / knowing.seconds - 1) for one, knowing in zip(drives, oracle, strict=True)]
+    low, high = house_bootstrap(extra, [one.house for one in drives], resamples=2000, seed=0)
     return {
         "extra": float(np.mean(extra)),
         "extra_low": low,
         "extra_high": high,
         "median_extra": float(np.median(extra)),
-        "success": float(np.mean(drives.success)),
-        "seconds_off_ground": float(np.mean(drives.off_ground)),
-        "seconds_touching_people": float(np.mean(drives.touched)),
+        "success": float(np.mean([one.status == STATUS_NAMES[ARRIVED] for one in drives])),
+        "seconds_off_ground": float(np.mean([one.off_ground for one in drives])),
+        "seconds_touching_people": float(np.mean([one.touched for one in drives])),
     }
 
 
@@ -147,7 +98,6 @@ def main(options: Options) -> None:
     if not starts:
         raise InputError(f"{dataset.name}: no episode can be run in its {options.split} houses; give another --split")
     out = output_folder(options, "noisy_mapping", inputs=digests(dataset, network=clean, noisy_network=noisy))
-    names = [start.house for start in starts]
     results: dict[str, dict[str, float]] = {}
     for settings in ("paper", "occluded"):
         runner = Runner(dataset, SETTINGS[settings], progress=EpisodeProgress())
@@ -156,19 +106,19 @@ def main(options: Options) -> None:
         results[f"gridworld, {settings}"] = {
             "extra": float(np.mean(extra)), "median_extra": float(np.median(extra)), "success": float(np.mean(success)),
         }  # fmt: skip
-    table = DriveTable(out / "drives", starts)
+    (out / "drives").mkdir(exist_ok=True)
+
+    def run(name: str, robot: Equipment, *, knows_map: bool = False) -> list[DriveResult]:
+        go = functools.partial(drive, name, houses, starts, robot, options.seed, options, knows_map=knows_map)
+        table = ResumableTable(out / "drives" / f"{name}.csv", DriveResult)
+        return table.next_results([start[:4] for start in starts], go)
+
     size = houses[0].terrain.shape
-    knowing = equipment("oracle", None, size, 0.0, options)
-    oracle = table.run(
-        "oracle", lambda: drive("oracle", houses, starts, knowing, options.seed, options, knows_map=True)
-    )
+    oracle = run("oracle", equipment("oracle", None, size, 0.0, options), knows_map=True)
     for trained, network in networks.items():
         for level in options.levels:
-            name = f"{trained}_{level:g}"
-            robot = equipment("dc2g", network, size, level, options)
-            run = lambda name=name, robot=robot: drive(name, houses, starts, robot, options.seed, options)  # noqa: E731
-            drives = table.run(name, run)
-            results[f"trained {trained}, noise {level:g}"] = summary(drives, oracle, names)
+            drives = run(f"{trained}_{level:g}", equipment("dc2g", network, size, level, options))
+            results[f"trained {trained}, noise {level:g}"] = summary(drives, oracle)
     write_json(out / "results.json", results)
     tell(results)
     files = plot_noise(out / "noisy_mapping", options.levels, results, f"{len(starts)} starts in {dataset.name}")

@@ -3,7 +3,7 @@
 import dataclasses
 import sys
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import tyro
@@ -23,8 +23,8 @@ from dc2g_jax.planning.planners import DC2G
 from dc2g_jax.planning.rules import complete_rules
 from dc2g_jax.planning.selection import ENDLESS
 from dc2g_jax.rollouts.evaluation import episodes_from
-from dc2g_jax.vehicles.drive import Equipment
-from dc2g_jax.vehicles.fleet import Drives, drive_all, sites_of
+from dc2g_jax.vehicles.drive import STATUS_NAMES, Equipment, StatusName
+from dc2g_jax.vehicles.fleet import drive_all, sites_of
 from dc2g_jax.vehicles.vehicle import VehicleLimits
 
 #: Cells that the camera sees ahead, as far as the planner is concerned, and its field of view.
@@ -81,10 +81,34 @@ def equipment(
     )
 
 
+class DriveResult(NamedTuple):
+    """One drive.
+
+    Attributes:
+      house: name of the house.
+      x: first column.
+      y: first row.
+      heading: first heading.
+      seconds: that it took.
+      status: how it ended, see `dc2g_jax.vehicles.drive`; under way where time was up.
+      off_ground: seconds for which the footprint touched ground where it should not be.
+      touched: seconds for which it touched a pedestrian.
+    """
+
+    house: str
+    x: int
+    y: int
+    heading: int
+    seconds: float
+    status: StatusName
+    off_ground: float
+    touched: float
+
+
 def drive(
     name: str, houses: Sequence[House], starts: Sequence[Start], robot: Equipment, seed: int, options: DrivingOptions,
     *, knows_map: bool = False,
-) -> Drives:  # fmt: skip
+) -> list[DriveResult]:  # fmt: skip
     """Drive from every start.
 
     Args:
@@ -103,7 +127,12 @@ def drive(
         def show(ended: int) -> None:
             bar.update(ended - bar.n)
 
-        return drive_all(
+        drives = drive_all(
             robot, sites, episodes, seed=seed, pedestrians=options.pedestrians, knows_map=knows_map,
             time_limit=TIME_LIMIT, on_progress=show,
         )  # fmt: skip
+    times = np.round([drives.seconds, drives.off_ground, drives.touched], 2).T.tolist()
+    return [
+        DriveResult(*start[:4], seconds, STATUS_NAMES[status], off_ground, touched)
+        for start, status, (seconds, off_ground, touched) in zip(starts, drives.status, times, strict=True)
+    ]

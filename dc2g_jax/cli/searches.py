@@ -14,7 +14,6 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.files.resources import resource
-from dc2g_jax.files.tables import read_table, write_table
 from dc2g_jax.objectnav.agent import (
     CONTROLLER,
     MPC,
@@ -32,6 +31,7 @@ from dc2g_jax.objectnav.mapping import MapSettings
 from dc2g_jax.objectnav.networks import CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts, load_costs
 from dc2g_jax.objectnav.searches import TIME_LIMIT, Episode, sample_episodes, search_all
+from dc2g_jax.rollouts.results import ResumableTable
 
 #: The network that comes with the package, and its encoder.
 SHIPPED_INDOOR_NETWORK = "weights/cost_maps_indoors"
@@ -160,10 +160,8 @@ def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLE
     )
 
 
-class SearchTable:
+class SearchTable(ResumableTable[EpisodeResult]):
     """`episodes.csv`: one line a search and agent, written anew whenever an agent has made all of its searches.
-
-    Opened where a run is resumed, it gives back what is there and runs the rest.
 
     Args:
       path: the file.
@@ -173,8 +171,7 @@ class SearchTable:
     """
 
     def __init__(self, path: Path):
-        self._path = path
-        self._done = read_searches(path) if path.exists() else []
+        super().__init__(path, EpisodeResult)
 
     def run(
         self,
@@ -184,7 +181,7 @@ class SearchTable:
         episodes: Sequence[Episode],
         options: SearchOptions,
     ) -> list[EpisodeResult]:
-        """What came of an agent's searches, made now or earlier.
+        """Results of an agent's searches, made now or earlier.
 
         Args:
           name: of the agent, its column in the table.
@@ -192,19 +189,20 @@ class SearchTable:
           houses: those of the episodes.
           episodes: the searches.
           options: time limit and seed.
+
+        Raises:
+          InputError: the file holds other searches.
         """
-        kept = [result for result in self._done if result.agent == name]
-        if [result[: len(Episode._fields)] for result in kept] == [tuple(episode) for episode in episodes]:
-            return kept
         progress = EpisodeProgress()
-        searches = search_all(
-            agent(), houses, episodes, limit=options.limit, seed=options.seed,
-            on_progress=lambda finished: progress(name, finished, len(episodes)),
-        )  # fmt: skip
-        results = results_of(name, houses, episodes, searches)
-        self._done = [*(result for result in self._done if result.agent != name), *results]
-        write_searches(self._path, self._done)
-        return results
+
+        def search() -> list[EpisodeResult]:
+            searches = search_all(
+                agent(), houses, episodes, limit=options.limit, seed=options.seed,
+                on_progress=lambda finished: progress(name, finished, len(episodes)),
+            )  # fmt: skip
+            return results_of(name, houses, episodes, searches)
+
+        return self.next_results([(*episode, name) for episode in episodes], search)
 
 
 def conclude(
@@ -249,31 +247,3 @@ def _in_words(one: Difference) -> str:
         for gain, (low, high) in ((one.success, one.success_interval), (one.spl, one.spl_interval))
     )
     return f"success {success}, SPL {spl}"
-
-
-def write_searches(path: Path, results: Sequence[EpisodeResult]) -> None:
-    """Write `episodes.csv`, yes and no as 1 and 0."""
-    rows = [[int(value) if isinstance(value, bool) else value for value in result] for result in results]
-    write_table(path, EpisodeResult._fields, rows)
-
-
-def read_searches(path: Path) -> list[EpisodeResult]:
-    """Read what `write_searches` wrote.
-
-    Raises:
-      InputError: for a file that cannot be read, a missing column, or a value that is none; names the line.
-    """
-    rows = read_table(path, list(EpisodeResult._fields), remedy="give the episodes.csv of an earlier run")
-    results = []
-    for line, row in rows:
-        try:
-            results.append(EpisodeResult(**{name: _value(name, row[name]) for name in EpisodeResult._fields}))
-        except ValueError as error:
-            raise InputError(f"{path}: line {line}: {error}; repair the line, or run the searches anew") from None
-    return results
-
-
-def _value(name: str, text: str) -> Any:
-    """A field of `EpisodeResult`."""
-    kind = EpisodeResult.__annotations__[name]
-    return bool(int(text)) if kind is bool else kind(text)

@@ -15,12 +15,12 @@ from dc2g_jax.datasets.houses import HouseDataset, open_dataset, stack_worlds
 from dc2g_jax.datasets.starts import Start, sample_starts
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
-from dc2g_jax.files.tables import write_table
 from dc2g_jax.grid.poses import ACTION_LETTERS, HEADINGS, make_pose
 from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.planning.named import NETWORK_PLANNERS, check_names, make_planner, open_estimator
 from dc2g_jax.planning.planners import MODE_NAMES, Oracle, Planner
 from dc2g_jax.planning.rules import Rules, Settings, named_settings
+from dc2g_jax.rollouts.results import write_rows
 from dc2g_jax.rollouts.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
 from dc2g_jax.rollouts.statistics import Summary, extra_steps, summarize
 
@@ -51,7 +51,7 @@ class EpisodeResult(NamedTuple):
       oracle_steps: actions the oracle took from the same start.
       extra: extra steps beyond the oracle's, in percent.
       mode: plan mode of the last decision.
-      actions: the actions as letters F, L, R.
+      actions: the actions as letters F, L, R; none where it gave up at once.
     """
 
     house: str
@@ -66,7 +66,7 @@ class EpisodeResult(NamedTuple):
     oracle_steps: int
     extra: float
     mode: str
-    actions: str
+    actions: str = ""
 
 
 class Results(tuple[EpisodeResult, ...]):
@@ -90,8 +90,7 @@ class Results(tuple[EpisodeResult, ...]):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write `episodes.csv`: one line an episode and planner, `success` as 0 or 1, `extra` in percent."""
-        rows = [{**one._asdict(), "success": int(one.success), "extra": round(one.extra, 4)}.values() for one in self]
-        write_table(Path(path), EpisodeResult._fields, rows)
+        write_rows(Path(path), self)
 
     def __str__(self) -> str:
         """A table: extra steps beyond the oracle and success, a line for each planner."""

@@ -14,7 +14,7 @@ Everything is a pure function of one robot; see `dc2g_jax.vehicles.fleet` for ma
 """
 
 import dataclasses
-from typing import Any
+from typing import Any, Literal, get_args
 
 import jax
 import jax.numpy as jnp
@@ -42,7 +42,8 @@ from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleStat
 
 #: What a robot is doing.
 UNDER_WAY, ARRIVED, NOTHING_LEFT = 0, 1, 2
-STATUS_NAMES = ("under_way", "arrived", "nothing_left")
+StatusName = Literal["under_way", "arrived", "nothing_left"]
+STATUS_NAMES: tuple[StatusName, ...] = get_args(StatusName)
 
 #: Actions of a plan that are driven before the next decision, at most.
 _ACTIONS_AHEAD = 10

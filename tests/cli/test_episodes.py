@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
-from dc2g_jax.cli.episodes import EpisodeTable, read_episodes, write_episodes
+from dc2g_jax.cli.episodes import EpisodeTable
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
 from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.rollouts.evaluation import Runner
+from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax.rollouts.results import read_rows, write_rows
+from tests.support.refusals import refusal
 
 STARTS = (Start("left", 9, 5, 1), Start("right", 9, 5, 2))
 PLANNERS = ("oracle", "frontier")
@@ -42,8 +44,8 @@ def results(dataset):
 def test_episodes_are_read_as_they_were_written(results, tmp_path):
     path = tmp_path / "episodes.csv"
     mixed = [*results, results[0]._replace(expanding_range=None, actions="", success=False, mode="gave_up")]
-    write_episodes(path, mixed)
-    assert read_episodes(path) == mixed
+    write_rows(path, mixed)
+    assert read_rows(path, EpisodeResult) == mixed
     assert [file.name for file in tmp_path.iterdir()] == ["episodes.csv"]
 
 
@@ -52,7 +54,7 @@ def test_episodes_are_read_as_they_were_written(results, tmp_path):
 )
 def test_a_damaged_table_is_refused(results, tmp_path, old, new, mention):
     path = tmp_path / "episodes.csv"
-    write_episodes(path, results)
+    write_rows(path, results)
     path.write_text(path.read_text().replace(old, new, 1))
     with pytest.raises(InputError, match=mention):
         EpisodeTable(path)
@@ -62,11 +64,11 @@ def test_an_interrupted_run_goes_on_with_the_planner_it_was_at(dataset, results,
     path = tmp_path / "episodes.csv"
     with pytest.raises(KeyboardInterrupt):
         EpisodeTable(path).run(Interrupted(dataset, at="frontier"), STARTS, PLANNERS)
-    assert read_episodes(path) == results[:2]
+    assert read_rows(path, EpisodeResult) == results[:2]
     runner = Interrupted(dataset)
     assert EpisodeTable(path).run(runner, STARTS, PLANNERS) == results
     assert runner.asked == ["frontier"]
-    assert read_episodes(path) == results
+    assert read_rows(path, EpisodeResult) == results
 
 
 def test_parts_of_a_run_are_kept_one_after_the_other(dataset, results, tmp_path):
@@ -76,35 +78,43 @@ def test_parts_of_a_run_are_kept_one_after_the_other(dataset, results, tmp_path)
     table.run(runner, STARTS, ["oracle"])
     with pytest.raises(KeyboardInterrupt):
         table.run(runner, STARTS[1:], PLANNERS)
-    assert read_episodes(path) == [*results[:2], results[1]]
+    assert read_rows(path, EpisodeResult) == [*results[:2], results[1]]
     runner, table = Interrupted(dataset), EpisodeTable(path)
     table.run(runner, STARTS, ["oracle"])
     assert table.run(runner, STARTS[1:], PLANNERS) == [results[1], results[3]]
     assert runner.asked == ["frontier"]
 
 
-@pytest.mark.parametrize(("further", "asked"), [(0, []), (1, ["oracle"])])
-def test_episodes_of_another_range_are_run_anew(dataset, results, tmp_path, further, asked):
+def test_episodes_of_the_range_asked_for_are_kept(dataset, results, tmp_path):
     path = tmp_path / "episodes.csv"
-    write_episodes(path, results)
-    starts = [start._replace(sensing_range=results[0].range + further) for start in STARTS]
+    write_rows(path, results)
+    starts = [start._replace(sensing_range=results[0].range) for start in STARTS]
     runner = Interrupted(dataset)
-    EpisodeTable(path).run(runner, starts, ["oracle"])
-    assert runner.asked == asked
+    assert EpisodeTable(path).run(runner, starts, ["oracle"]) == results[:2]
+    assert runner.asked == []
 
 
-def test_episodes_of_another_range_than_the_settings_own_are_run_anew(dataset, results, tmp_path):
+@pytest.mark.parametrize(
+    ("kept", "starts"),
+    [
+        ({}, [start._replace(sensing_range=9) for start in STARTS]),
+        ({"range": 5, "expanding_range": 5}, STARTS),
+        ({}, STARTS[::-1]),
+    ],
+    ids=["another range", "not the settings' own range", "other starts"],
+)
+def test_other_episodes_are_refused_and_stay(dataset, results, tmp_path, kept, starts):
     path = tmp_path / "episodes.csv"
-    write_episodes(path, [result._replace(range=5, expanding_range=5) for result in results])
-    runner = Interrupted(dataset)
-    EpisodeTable(path).run(runner, STARTS, ["oracle"])
-    assert runner.asked == ["oracle"]
+    write_rows(path, [result._replace(**kept) for result in results])
+    before, runner = path.read_text(), Interrupted(dataset)
+    refusal(lambda: EpisodeTable(path).run(runner, starts, ["oracle"]), path, "where this run has", "remove the file")
+    assert runner.asked == []
+    assert path.read_text() == before
 
 
-def test_episodes_of_other_starts_are_run_anew(dataset, results, tmp_path):
+def test_episodes_that_end_in_the_middle_of_a_planner_are_refused(dataset, results, tmp_path):
     path = tmp_path / "episodes.csv"
-    write_episodes(path, results)
-    runner = Interrupted(dataset)
-    assert EpisodeTable(path).run(runner, STARTS[::-1], ["oracle"]) == results[1::-1]
-    assert runner.asked == ["oracle"]
-    assert read_episodes(path) == results[1::-1]
+    write_rows(path, results[:1])
+    refusal(
+        lambda: EpisodeTable(path).run(Interrupted(dataset), STARTS, ["oracle"]), "has nothing where", "right,9,5,2"
+    )

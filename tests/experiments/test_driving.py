@@ -6,12 +6,12 @@ import json
 import numpy as np
 import pytest
 
-from dc2g_jax.cli.driving import DrivingOptions, equipment
+from dc2g_jax.cli.driving import DriveResult, DrivingOptions, equipment
 from dc2g_jax.datasets.houses import House, HouseDataset
-from dc2g_jax.datasets.starts import Start
 from dc2g_jax.estimation.estimators import ExactCostToGo
 from dc2g_jax.planning.planners import DC2G, Frontier
 from dc2g_jax.planning.selection import ENDLESS
+from dc2g_jax.rollouts.results import ResumableTable
 from experiments import noisy_mapping, reproduce_fig9
 from tests.support.refusals import refusal
 from tests.support.streets import STREET, WALLED
@@ -95,8 +95,8 @@ DRIVE = "street,9,2,2,4.0,arrived,0.0,0.0"
     ("lines", "mentions"),
     [
         ([], ["oracle.csv", "no rows"]),
-        ([DRIVE, DRIVE], ["oracle.csv", "2 drives", "1 starts", "remove the file"]),
-        ([DRIVE.replace("9", "8")], ["oracle.csv: line 2", "not the drive from", "remove the file"]),
+        ([DRIVE], ["oracle.csv", "has nothing where", "street,9,3,2", "remove the file"]),
+        ([DRIVE.replace("9", "8")], ["oracle.csv", "street,8,2,2 where", "street,9,2,2", "remove the file"]),
         ([DRIVE.replace("arrived", "flown")], ["oracle.csv: line 2", "'flown'", "arrived", "remove the file"]),
         ([DRIVE.replace("4.0", "soon")], ["oracle.csv: line 2", "soon", "remove the file"]),
     ],
@@ -104,8 +104,13 @@ DRIVE = "street,9,2,2,4.0,arrived,0.0,0.0"
 def test_kept_drives_that_are_not_of_this_run_are_refused(tmp_path, lines, mentions):
     header = "house,x,y,heading,seconds,status,off_ground,touched"
     (tmp_path / "oracle.csv").write_text("\n".join([header, *lines]) + "\n")
-    table = noisy_mapping.DriveTable(tmp_path, [Start("street", 9, 2, 2)])
-    refusal(lambda: table.run("oracle", lambda: pytest.fail("they are there")), *mentions)
+    asked = [("street", 9, 2, 2), ("street", 9, 3, 2)]
+
+    def resume() -> None:
+        table = ResumableTable(tmp_path / "oracle.csv", DriveResult)
+        table.next_results(asked, lambda: pytest.fail("they are there"))
+
+    refusal(resume, *mentions)
 
 
 @pytest.mark.parametrize(("planner", "kind"), [("dc2g", DC2G), ("frontier", Frontier)])

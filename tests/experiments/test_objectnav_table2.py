@@ -6,10 +6,11 @@ import json
 import jax
 import pytest
 
+from dc2g_jax.cli import searches
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, TrainedEncoder, init_encoder, save_encoder
 from dc2g_jax.objectnav.networks import ABLATIONS, CostMapArchitecture, CostMapEstimator, init_weights, save_estimator
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE
-from experiments import objectnav_table2, searches
+from experiments import objectnav_table2
 from experiments.objectnav_table2 import METRICS, Options, main
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms

@@ -5,13 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from dc2g_jax.cli.episodes import read_episodes
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.estimation.estimators import WHOLE_MAP, ExactCostToGo, extent_of
 from dc2g_jax.estimation.extents import Window, WindowedEstimator
+from dc2g_jax.rollouts.evaluation import EpisodeResult
+from dc2g_jax.rollouts.results import read_rows
 from experiments import unknown_dimensions
 from experiments.unknown_dimensions import (
     Options,
@@ -37,7 +38,7 @@ def test_every_planner_runs_the_same_episodes(street, compact_network, tmp_path,
     assert list(facts) == planners
     assert all(facts[planner]["episodes"] == 2 for planner in planners)
     assert facts["dc2g_window_16"]["milliseconds"] > 0
-    episodes = read_episodes(out / "episodes.csv")
+    episodes = read_rows(out / "episodes.csv", EpisodeResult)
     assert [episode.planner for episode in episodes] == [planner for planner in planners for _ in range(2)]
     assert all(episode.success for episode in episodes)
     assert "2 episodes in 1 maps of 10 x 8 cells, val" in capsys.readouterr().out
