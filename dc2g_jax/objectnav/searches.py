@@ -20,13 +20,13 @@ from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.starts import sample_starts
 from dc2g_jax.objectnav.worlds import pad_world
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import Report, every_device, share_out
+from dc2g_jax.rollouts.devices import Report, every_device, serve_paced, share_out
 
 #: Control periods of an episode: 50 s (section III-C).
 TIME_LIMIT = 500
 
-#: Legs of a robot between two reports of progress.
-_LEGS_PER_CALL = 5
+#: Legs of a robot that the first call of the device drives.
+_FIRST_LEGS = 5
 
 
 class Episode(NamedTuple):
@@ -124,13 +124,7 @@ def search_all(
         one_by_one = device.platform == "cpu"
         robots = _reset(*on_device((keys[own], starts[own], targets[own])), own_agent, limit=limit)
         go_on = functools.partial(_go_on, own_where, own_sites, own_agent, one_by_one=one_by_one)
-        # Drives no leg: this is where the program is compiled.
-        robots = jax.block_until_ready(go_on(robots, legs=jnp.int32(0)))
-        left, goes_on = len(own), report(0)
-        while left and goes_on:
-            robots = go_on(robots, legs=jnp.int32(_LEGS_PER_CALL))
-            left = int(np.sum(_under_way(robots)))
-            goes_on = report(len(own) - left)
+        robots = serve_paced(robots, go_on, _ended, len(own), report, first_steps=_FIRST_LEGS)
         return Searches(
             track=np.asarray(robots.track),
             declared=np.asarray(robots.status == DECLARED),
@@ -163,12 +157,12 @@ def _reset(keys: Array, starts: Array, targets: Array, agent: Agent, *, limit: i
 
 
 @jit
-def _under_way(robots: Robot) -> Bool[Array, "robots"]:
-    return jax.vmap(under_way)(robots)
+def _ended(robots: Robot) -> Int[Array, ""]:
+    return jnp.sum(~jax.vmap(under_way)(robots))
 
 
 @functools.partial(jit, static_argnames=("one_by_one",), donate_argnums=(3,))
-def _go_on(where: Array, sites: Site, agent: Agent, robots: Robot, *, legs: Array, one_by_one: bool) -> Robot:
+def _go_on(where: Array, sites: Site, agent: Agent, robots: Robot, legs: Array, *, one_by_one: bool) -> Robot:
     """Every robot that is under way some legs later.
 
     On a CPU one robot after the other, so that a branch not taken is not computed; on accelerators all together.

@@ -3,12 +3,14 @@
 import concurrent.futures
 import os
 import threading
+import time
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Array, Int
 
 #: Compiler options of a program that keeps to one core of a CPU, where each core runs a program of its own.
 ONE_CORE: dict[str, Any] = {"xla_cpu_multi_thread_eigen": False}
@@ -17,6 +19,13 @@ ONE_CORE: dict[str, Any] = {"xla_cpu_multi_thread_eigen": False}
 Results = TypeVar("Results")
 
 Result = TypeVar("Result")
+
+#: A pytree of arrays.
+State = TypeVar("State")
+
+#: Seconds that a call of a program on the device should take: between two calls progress is reported, and an interrupt
+#: heard.
+_SECONDS_PER_CALL = 0.3
 
 
 class Report(Protocol):
@@ -101,3 +110,38 @@ def share_out(
             stop.set()
     order = np.argsort(np.concatenate(shares))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
+
+
+def serve_paced(
+    state: State,
+    go_on: Callable[[State, Int[Array, ""]], State],
+    count_finished: Callable[[State], Int[Array, ""]],
+    n_pieces: int,
+    report: Report,
+    *,
+    first_steps: int,
+) -> State:
+    """Do pieces of work on one device, so many steps a call that each takes about as long; see `share_out`.
+
+    Args:
+      state: the first state.
+      go_on: `(state, steps) ->` the state after at most so many more steps of each piece.
+      count_finished: `state ->` how many pieces are finished.
+      n_pieces: how many there are.
+      report: told after each call.
+      first_steps: steps of the first call that takes any.
+
+    Returns:
+      The state in which all pieces are finished, or the work was stopped.
+    """
+    # Takes no step: this is where the program is compiled.
+    state = jax.block_until_ready(go_on(state, jnp.int32(0)))
+    finished, steps, goes_on = 0, first_steps, report(0)
+    while finished < n_pieces and goes_on:
+        began = time.perf_counter()
+        state = go_on(state, jnp.int32(steps))
+        finished = int(count_finished(state))
+        pace = steps / (time.perf_counter() - began)
+        steps = max(1, min(int(pace * _SECONDS_PER_CALL), 2 * steps))
+        goes_on = report(finished)
+    return state

@@ -7,7 +7,6 @@ not depend on the slot, the order or the core.
 
 import dataclasses
 import functools
-import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -24,14 +23,13 @@ from dc2g_jax.grid.sensing import Kernel
 from dc2g_jax.grid.world import World
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, Planner
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import ONE_CORE, Report, every_device, share_out
+from dc2g_jax.rollouts.devices import ONE_CORE, Report, every_device, serve_paced, share_out
 
 #: Step limit of an episode in the published results.
 STEP_LIMIT = 500
 
-#: Planner steps taken on the device by the first call that takes any, and seconds that each later one should take:
-#: between two calls progress is reported, and an interrupt heard.
-_FIRST_STEPS, _SECONDS_PER_CALL = 16, 0.3
+#: Planner steps taken on the device by the first call that takes any.
+_FIRST_STEPS = 16
 
 #: The action recorded after the end of an episode.
 NO_ACTION = -1
@@ -210,7 +208,7 @@ def _record(state: _State) -> _State:
 
 
 def _run(
-    state: _State, queue: _Queue, planner: Planner, n_steps: Int[Array, ""], *, sensing: Kernel, step_limit: int
+    state: _State, n_steps: Int[Array, ""], queue: _Queue, planner: Planner, *, sensing: Kernel, step_limit: int
 ) -> _State:
     """At most `n_steps` planner steps of every slot, refilled from the queue as robots finish."""
 
@@ -228,6 +226,11 @@ def _run(
         return (carry[1] < n_steps) & jnp.any(carry[0].slots.active)
 
     return jax.lax.while_loop(go_on, until_one_finishes, (state, jnp.int32(0)))[0]
+
+
+def _finished(state: _State) -> Int[Array, ""]:
+    """How many episodes have ended."""
+    return state.seated - jnp.sum(state.slots.active)
 
 
 def _first_state(
@@ -317,16 +320,7 @@ def rollout(
             own_planner, own_worlds, some, jnp.int32(len(own)), sensing=sensing, n_slots=slots, kept_steps=kept_steps
         )
         go_on = functools.partial(run, queue=queue, planner=own_planner, sensing=sensing, step_limit=step_limit)
-        # Takes no step: this is where the program is compiled.
-        state = go_on(state, n_steps=jnp.int32(0))
-        under_way, n_steps, goes_on = 1, _FIRST_STEPS, report(0)
-        while under_way and goes_on:
-            began = time.perf_counter()
-            state = go_on(state, n_steps=jnp.int32(n_steps))
-            under_way = int(jnp.sum(state.slots.active))
-            pace = n_steps / (time.perf_counter() - began)
-            n_steps = max(1, min(int(pace * _SECONDS_PER_CALL), 2 * n_steps))
-            goes_on = report(int(state.seated) - under_way)
+        state = serve_paced(state, go_on, _finished, len(own), report, first_steps=_FIRST_STEPS)
         return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(own)], state.results)
 
     return Trajectories(*jax.tree.leaves(share_out(n_episodes, devices, serve, on_progress)))

@@ -1,7 +1,6 @@
 """Many robots, each in the whole loop of an episode of its own, over all cores or accelerators."""
 
 import functools
-import time
 from collections.abc import Callable, Sequence
 
 import jax
@@ -15,14 +14,13 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.mapping.scene import CELL_SIZE, scene_from_terrain
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import Report, every_device, share_out
+from dc2g_jax.rollouts.devices import Report, every_device, serve_paced, share_out
 from dc2g_jax.rollouts.rollout import Episodes
 from dc2g_jax.vehicles.drive import ARRIVED, UNDER_WAY, Equipment, Robot, Site, reset, step
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD
 
-#: Control periods that the first call of the device drives, and seconds that each later one should take: between two
-#: calls progress is reported, and an interrupt heard.
-_FIRST_PERIODS, _SECONDS_PER_CALL = 10, 0.5
+#: Control periods that the first call of the device drives.
+_FIRST_PERIODS = 10
 
 
 @struct.dataclass
@@ -100,19 +98,12 @@ def drive_all(
         robots = _reset(
             own_keys, own_episodes, own_sites, own_equipment, fold=fold, pedestrians=pedestrians, knows_map=knows_map
         )
-        go_on = functools.partial(_go_on, own_episodes.world, own_sites, own_equipment, fold=fold)
-        # Takes no step: this is where the program is compiled.
-        robots = jax.block_until_ready(go_on(robots, until=jnp.int32(0)))
-        under_way, until, periods, goes_on = len(own), 0, _FIRST_PERIODS, report(0)
-        while under_way and until < last_period and goes_on:
-            until = min(until + periods, last_period)
-            began = time.perf_counter()
-            robots = go_on(robots, until=jnp.int32(until))
-            under_way = int(jnp.sum(robots.status == UNDER_WAY))
-            pace = periods / (time.perf_counter() - began)
-            periods = max(1, min(int(pace * _SECONDS_PER_CALL), 2 * periods))
-            goes_on = report(len(own) - under_way)
-        return _drives(robots)
+        go_on = functools.partial(_go_on, own_episodes.world, own_sites, own_equipment, last_period, fold=fold)
+
+        def ended(robots: Robot) -> Int[Array, ""]:
+            return jnp.sum((robots.status != UNDER_WAY) | (robots.periods >= last_period))
+
+        return _drives(serve_paced(robots, go_on, ended, len(own), report, first_steps=_FIRST_PERIODS))
 
     return share_out(len(episodes), every_device()[: len(episodes)], serve, on_progress)
 
@@ -138,14 +129,16 @@ def _reset(
     return fold(one, keys, episodes.world, episodes.start)
 
 
-@functools.partial(jit, static_argnames=("fold",), donate_argnums=(3,))
+@functools.partial(jit, static_argnames=("fold",), donate_argnames=("robots",))
 def _go_on(
-    worlds: Int[Array, "robots"], sites: Site, equipment: Equipment, robots: Robot, *, until: Array, fold: Callable
-) -> Robot:
-    """Drive every robot until so many periods have passed since it set out, or it has ended."""
+    worlds: Int[Array, "robots"], sites: Site, equipment: Equipment, last_period: ArrayLike, robots: Robot,
+    periods: ArrayLike, *, fold: Callable,
+) -> Robot:  # fmt: skip
+    """Drive every robot for so many periods, to the last one, or until it has ended."""
 
     def one(world: Array, robot: Robot) -> Robot:
         site = _site(sites, world)
+        until = jnp.minimum(robot.periods + periods, last_period)
         return jax.lax.while_loop(
             lambda robot: (robot.status == UNDER_WAY) & (robot.periods < until),
             lambda robot: step(robot, site, equipment),

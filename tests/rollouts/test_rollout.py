@@ -14,6 +14,7 @@ from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.planners import DC2G, EXPLORE, GAVE_UP, TO_GOAL, Frontier, Oracle
 from dc2g_jax.planning.rules import complete_rules
 from dc2g_jax.planning.selection import ReservationCost
+from dc2g_jax.rollouts import devices
 from dc2g_jax.rollouts import rollout as rollout_module
 from dc2g_jax.rollouts.devices import share_out
 from dc2g_jax.rollouts.evaluation import episodes_from
@@ -107,7 +108,7 @@ def test_the_step_limit_ends_an_episode(terrains):
 
 
 def test_progress_grows_and_ends_at_the_number_of_episodes(terrains, monkeypatch):
-    monkeypatch.setattr(rollout_module, "_SECONDS_PER_CALL", 0)
+    monkeypatch.setattr(devices, "_SECONDS_PER_CALL", 0)
     reports: list[int] = []
     run(terrains, some_episodes(terrains, 2), slots=1, on_progress=reports.append)
     assert len(reports) > 3
