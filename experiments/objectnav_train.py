@@ -20,7 +20,6 @@ from tqdm import tqdm
 
 from dc2g_jax.cli.common import check_seed, command_line
 from dc2g_jax.cli.outputs import command_written, commit, output_folder
-from dc2g_jax.cli.training_loop import FiniteLoss, Log, check_pauses, run_steps
 from dc2g_jax.cli.training_sets import kept_arrays
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
@@ -45,6 +44,7 @@ from dc2g_jax.objectnav.training import (
     validation_samples,
 )
 from dc2g_jax.training.cost_to_go import TrainingState
+from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 
 #: The encoder that is trained where none is given: houses of the training split, pictures of each.
 _ENCODER_HOUSES, _PICTURES_A_HOUSE = 200, 40
@@ -163,17 +163,17 @@ def kept(path: Path, make: Callable[[Callable[[int], None]], TrainingSet], house
     return TrainingSet(**{name: jnp.asarray(array) for name, array in arrays.items()})
 
 
-def train(options: Options, config: CostMapConfig, data: TrainingSet, validation: TrainingSet) -> None:
-    """Train to the end, saving now and then, and at Ctrl-C."""
-    facts = {name: str(getattr(options, name)) for name in ("houses", "count", "collection")}
-    checkpoints = TrainingCheckpoints(options.out, config, facts, first_state=first_state)
+def training_task(
+    options: Options, config: CostMapConfig, data: TrainingSet, validation: TrainingSet
+) -> Task[TrainingState]:
+    """What is trained; the network is saved in each validation."""
     batches = validation_samples(validation, config, options.validation_samples)
-    loss = FiniteLoss(options.out)
 
-    def validate(state: TrainingState, step: int) -> None:
+    def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
         weights = state.average if config.recipe.average_decay else state.weights
         estimator = CostMapEstimator(weights=weights, architecture=config.architecture)
-        found = {"step": step, "training_loss": loss.latest, **figures(estimator, batches, config)}
+        latest = None if loss is None else float(loss)
+        found = {"step": step, "training_loss": latest, **figures(estimator, batches, config)}
         card: dict[str, Any] = {
             "houses": options.houses,
             "cell_size": MapSettings.cell_size,
@@ -184,26 +184,15 @@ def train(options: Options, config: CostMapConfig, data: TrainingSet, validation
         }
         save_estimator(options.out / NETWORK_FILE, estimator, card)
         write_card(options.out, card)
-        Log(options.out).write(found)
-        tqdm.write(json.dumps(found), file=sys.stderr)
+        return [found]
 
-    try:
-        state = checkpoints.restore() or first_state(config)
-        run_steps(
-            state,
-            int(state.step),
-            config.steps,
-            take_step=lambda state: train_step(state, data, config=config),
-            look=loss,
-            validate=validate,
-            validate_every=options.validate_every,
-            save=checkpoints.save,
-            minutes_per_checkpoint=options.minutes_per_checkpoint,
-            description="train",
-            validated=Log(options.out).by_step(),
-        )
-    finally:
-        checkpoints.close()
+    return Task(
+        steps=config.steps,
+        init=functools.partial(first_state, config),
+        step=lambda state: train_step(state, data, config=config),
+        validate=validate,
+        validated=Log(options.out).by_step(),
+    )
 
 
 def house_digests(location: str) -> dict[str, str]:
@@ -233,7 +222,7 @@ def main(options: Options) -> None:
         if value is not None and value < 1:
             raise InputError(f"--{name.replace('_', '-')} {value}: give at least 1")
     check_seed(options.collection.data_seed, "data-seed")
-    check_pauses(options.validate_every, options.minutes_per_checkpoint)
+    pauses = Pauses(options.validate_every, options.minutes_per_checkpoint)
     if options.encoder is not None and not (options.out / ENCODER_FILE).exists():
         load_encoder(options.encoder)
     free = ("validate_every", "minutes_per_checkpoint", "validation_samples")
@@ -250,7 +239,10 @@ def main(options: Options) -> None:
     apart = dataclasses.replace(collection, data_seed=collection.data_seed + _VALIDATION_SEED)
     validation = kept(options.out / "validation.npz", functools.partial(collect, unknown, encoder, apart), len(unknown))
     print(f"Training on {data.headings.size} samples of {len(data.cells)} houses, {len(validation.cells)} to validate")
-    train(options, options.training(encoder.size), data, validation)
+    config = options.training(encoder.size)
+    facts = {name: str(getattr(options, name)) for name in ("houses", "count", "collection")}
+    checkpoints = TrainingCheckpoints(options.out, config, facts, first_state=first_state)
+    train(training_task(options, config, data, validation), options.out, checkpoints, pauses)
     print(f"Trained: {options.out / NETWORK_FILE}")
 
 

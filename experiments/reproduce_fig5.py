@@ -11,12 +11,12 @@ import tyro
 
 from dc2g_jax.cli.common import DatasetOption, check_seed, command_line, digests
 from dc2g_jax.cli.outputs import output_folder
-from dc2g_jax.cli.training_loop import Log
 from dc2g_jax.cli.translation import TranslationOptions, train_translator, translation_data
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.inspection.image_figures import plot_training
+from dc2g_jax.training.loop import Log
 from dc2g_jax.training.translator import LOSSES
 
 

@@ -5,12 +5,10 @@ them at once, in one program, a CPU a run at a time on each core, which is faste
 on where it was when run again with --resume.
 """
 
-import contextlib
 import dataclasses
 import functools
 import json
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,7 +20,6 @@ from jaxtyping import Array, Float
 
 from dc2g_jax.cli.common import DatasetOption, command_line, digests
 from dc2g_jax.cli.outputs import number_or_null, output_folder
-from dc2g_jax.cli.training_loop import Log, check_pauses, run_steps
 from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
@@ -36,7 +33,9 @@ from dc2g_jax.inspection.training_figures import plot_sweep
 from dc2g_jax.programs import jit
 from dc2g_jax.training.cost_to_go import TrainingConfig, TrainingState, first_state, mean_error
 from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses, validation_pairs
+from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax.training.sweeps import (
+    StackedCheckpoints,
     group_by_shape,
     init_states,
     runs_of_grid,
@@ -84,6 +83,11 @@ class Options:
     resume: bool = False
 
     @property
+    def pauses(self) -> Pauses:
+        """When training pauses."""
+        return Pauses(self.validate_every, self.minutes_per_checkpoint)
+
+    @property
     def runs(self) -> dict[str, TrainingConfig]:
         """The grid.
 
@@ -114,84 +118,49 @@ def validation_errors(architecture: Architecture, weights: Any, pairs: Pair) -> 
     return jax.lax.map(error, weights)
 
 
-def restore(checkpoints: Sequence[TrainingCheckpoints], first: TrainingState) -> TrainingState:
-    """The newest step that all runs have a state of, stacked; the first states where there is none."""
-    common = set.intersection(*(set(each.steps()) for each in checkpoints))
-    if not common:
-        for each in checkpoints:
-            each.delete()
-        return first
-    states = [each.restore(max(common)) for each in checkpoints]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
-
-
 def train_group(
-    options: Options,
-    runs: Mapping[str, TrainingConfig],
-    data: TrainingSet,
-    pairs: Pair,
-    log: Log,
-    facts: dict[str, Any],
+    options: Options, runs: Mapping[str, TrainingConfig], data: TrainingSet, pairs: Pair, facts: dict[str, Any]
 ) -> dict[str, NetworkCostToGo]:
     """Train runs of one shape to the end; their networks by name."""
     configs = list(runs.values())
     recipe, hyperparameters = configs[0].recipe, stacked_hyperparameters(configs)
-    draw = options.data.draw_batch
-    latest = [math.nan] * len(runs)  # before the first look
+    draw, log = options.data.draw_batch, Log(options.out)
 
-    def look(step: int, losses: np.ndarray) -> None:
-        latest[:] = losses.tolist()
-
-    def validate(states: TrainingState, step: int) -> None:
+    def validate(states: TrainingState, step: int, losses: Losses | None) -> list[dict[str, Any]]:
         errors = np.asarray(validation_errors(recipe.architecture, states.average, pairs))
         left_out = np.asarray(steps_left_out(states))
-        log.write(
-            *(
-                {
-                    "run": run,
-                    "step": step,
-                    "loss": number_or_null(latest[number]),
-                    "error": float(errors[number]),
-                    "steps_left_out": int(left_out[number]),
-                }
-                for number, run in enumerate(runs)
-            )
-        )
+        return [
+            {
+                "run": run,
+                "step": step,
+                "loss": None if losses is None else number_or_null(float(losses[number])),
+                "error": float(errors[number]),
+                "steps_left_out": int(left_out[number]),
+            }
+            for number, run in enumerate(runs)
+        ]
 
-    with contextlib.ExitStack() as stack:
-        folders = []
-        for run, config in runs.items():
-            folders.append(
-                TrainingCheckpoints(
-                    options.out / "runs" / run, config, {**facts, "parts": config.parts}, first_state=first_state
-                )
-            )
-            stack.callback(folders[-1].close)
-
-        def save(states: TrainingState) -> None:
-            for index, folder in enumerate(folders):
-                folder.save(jax.tree.map(lambda leaf, index=index: leaf[index], states))
-
-        states = restore(folders, jit(init_states, static_argnums=0)(recipe, hyperparameters))
-        states = run_steps(
-            states,
-            int(states.step[0]),
-            recipe.steps,
-            take_step=lambda states: train_steps(states, hyperparameters, data, recipe=recipe, draw_batch=draw),
-            look=look,
-            validate=validate,
-            validate_every=options.validate_every,
-            save=save,
-            minutes_per_checkpoint=options.minutes_per_checkpoint,
-            description=f"{len(runs)} runs",
-            validated=set.intersection(*(set(log.by_step(run)) for run in runs)),
-        )
+    task = Task(
+        steps=recipe.steps,
+        init=lambda: jit(init_states, static_argnums=0)(recipe, hyperparameters),
+        step=lambda states: train_steps(states, hyperparameters, data, recipe=recipe, draw_batch=draw),
+        validate=validate,
+        validated=set.intersection(*(set(log.by_step(run)) for run in runs)),
+        name=f"{len(runs)} runs",
+    )
+    folders = [options.out / "runs" / run for run in runs]
+    checkpoints = StackedCheckpoints(
+        [
+            TrainingCheckpoints(folder, config, {**facts, "parts": config.parts}, first_state=first_state)
+            for folder, config in zip(folders, configs, strict=True)
+        ]
+    )
+    states = train(task, options.out, checkpoints, options.pauses)
     networks = {}
-    for index, run in enumerate(runs):
+    for index, (run, config) in enumerate(runs.items()):
         weights = jax.tree.map(lambda leaf, index=index: leaf[index], states.average)
         networks[run] = NetworkCostToGo(weights=weights, architecture=recipe.architecture)
-        card = {"config": dataclasses.asdict(runs[run]), "facts": facts}
-        save_network(options.out / "runs" / run / "network", networks[run], card)
+        save_network(folders[index] / "network", networks[run], {"config": dataclasses.asdict(config), "facts": facts})
     return networks
 
 
@@ -260,8 +229,7 @@ def run_episodes(validation: Validation, networks: Mapping[str, NetworkCostToGo]
 
 def main(options: Options) -> None:
     """Train all, validate all, tabulate."""
-    check_pauses(options.validate_every, options.minutes_per_checkpoint)
-    runs = options.runs
+    _, runs = options.pauses, options.runs  # refused before anything is written
     groups = group_by_shape(runs)
     dataset = open_dataset(options.dataset)
     check_houses(dataset, extra=options.data.extra_houses, drawn=options.episodes, validated=True)
@@ -275,7 +243,7 @@ def main(options: Options) -> None:
     print(f"runs: {len(runs)}; programs that train them: {len(groups)}")
     networks: dict[str, NetworkCostToGo] = {}
     for group in groups:
-        networks |= train_group(options, group, data, pairs, log, facts)
+        networks |= train_group(options, group, data, pairs, facts)
     episodes = run_episodes(validation, networks, options.out / "episodes.json") if validation else {}
     height, width = data.terrain.shape[1:]
     rows = write_results(options.out, runs, log, episodes, (height, width))

@@ -3,9 +3,9 @@
 Interrupted or killed, it goes on where it was when run again with --resume.
 """
 
+import contextlib
 import dataclasses
 import json
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,22 +13,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
-from jaxtyping import Float
-from tqdm import tqdm
 
 from dc2g_jax.cli.common import DatasetOption, NetworkOption, command_line, digests
 from dc2g_jax.cli.outputs import command_written, commit, output_folder
-from dc2g_jax.cli.training_loop import FiniteLoss, Log, check_pauses, run_steps
 from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, load_network, save_network
+from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, load_network, newest_step, save_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.estimation.networks.compact_unet import Architecture
 from dc2g_jax.inspection.columns import viewer_sink
 from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_watch, next_file
 from dc2g_jax.training.cost_to_go import TrainingConfig, TrainingState, first_state, train_step
 from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses
+from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax.training.losses import parse_losses
 
 #: Maps that a recording shows predictions on.
@@ -153,83 +151,61 @@ def open_recording(options: Options, dataset: HouseDataset) -> TrainingRecording
     return TrainingRecording(options.out, options.training, maps, file=file, viewer=options.connect)
 
 
-def train(
-    options: Options, dataset: HouseDataset, checkpoints: TrainingCheckpoints, network: NetworkCostToGo | None
-) -> None:
-    """Train to the end, from a network where one is given, saving now and then, and at Ctrl-C."""
+def training_task(
+    options: Options,
+    dataset: HouseDataset,
+    network: NetworkCostToGo | None,
+    recording: TrainingRecording | None,
+) -> Task[TrainingState]:
+    """What is trained, from a network on where one is given; it is saved and looked at in each validation."""
     after = None if options.after is None else json.loads((options.after / "network.json").read_text())
     config = options.training
-    state = checkpoints.restore() or first_state(config)
-    first_step = int(state.step)
+    recipe, hyperparameters, draw = config.recipe, config.hyperparameters, options.data.draw_batch
     validation = Validation(dataset) if options.validate_every else None  # refused before minutes of collecting
     data = open_training_set(options.out, dataset, options.data, network)
-    draw = options.data.draw_batch
-    recipe, hyperparameters = config.recipe, config.hyperparameters
-    if network is not None and not first_step:
+
+    def init() -> TrainingState:
+        state = first_state(config)
+        if network is None:
+            return state
         fresh = [jax.tree.map(jnp.array, network.weights) for _ in range(2)]  # a step uses them up
-        state = dataclasses.replace(state, weights=fresh[0], average=fresh[1])
-    loss = FiniteLoss(options.out)
-    recording = open_recording(options, dataset) if first_step < config.steps else None
+        return dataclasses.replace(state, weights=fresh[0], average=fresh[1])
 
     def network_of(state: TrainingState) -> NetworkCostToGo:
         return NetworkCostToGo(weights=state.average, architecture=config.architecture)
 
-    def watch(state: TrainingState, step: int, mean: Float[np.ndarray, ""]) -> None:
-        if recording is not None:
-            recording.look(step, float(mean), network_of(state))
+    def watch(state: TrainingState, step: int, loss: Losses | None) -> None:
+        if recording is None:
+            return
+        if loss is None:
+            recording.predict(step, network_of(state))
+        else:
+            recording.look(step, float(loss), network_of(state))
 
-    def validate(state: TrainingState, step: int) -> None:
+    def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
         figures = validation.figures(network_of(state)) if validation else {}
-        report(options, dataset, network_of(state), after, step, loss.latest, figures)
+        card = model_card(options, dataset, after, step, figures)
+        save_network(options.out / "network", network_of(state), card)
         if recording is not None:
             recording.validate(step, figures, network_of(state))
+        return [{"step": step, "loss": None if loss is None else round(float(loss), 4), **figures}]
 
-    try:
-        if recording is not None:
-            recording.predict(first_step, network_of(state))
-        run_steps(
-            state,
-            first_step,
-            config.steps,
-            take_step=lambda state: train_step(state, hyperparameters, data, recipe=recipe, draw_batch=draw),
-            look=loss,
-            watch=watch,
-            validate=validate,
-            validate_every=options.validate_every,
-            save=checkpoints.save,
-            minutes_per_checkpoint=options.minutes_per_checkpoint,
-            description="train",
-            validated=[
-                step
-                for step, line in Log(options.out).by_step().items()
-                if "mean_extra" in line or not options.validate_every
-            ],
-        )
-    finally:
-        if recording is not None:
-            recording.close()
-
-
-def report(
-    options: Options,
-    dataset: HouseDataset,
-    network: NetworkCostToGo,
-    after: dict[str, Any] | None,
-    step: int,
-    loss: float | None,
-    figures: dict[str, float],
-) -> None:
-    """Save the network as it is, and add a line to the log."""
-    save_network(options.out / "network", network, model_card(options, dataset, after, step, figures))
-    line = {"step": step, "loss": loss if loss is None else round(loss, 4), **figures}
-    Log(options.out).write(line)
-    tqdm.write(json.dumps(line), file=sys.stderr)
+    return Task(
+        steps=config.steps,
+        init=init,
+        step=lambda state: train_step(state, hyperparameters, data, recipe=recipe, draw_batch=draw),
+        validate=validate,
+        validated=[
+            step for step, line in Log(options.out).by_step().items() if "mean_extra" in line or validation is None
+        ],
+        watch=watch,
+    )
 
 
 def main(options: Options) -> None:
     """Train, save and validate."""
     config = options.training  # refused before anything is written, as are all other options
-    check_pauses(options.validate_every, options.minutes_per_checkpoint)
+    pauses = Pauses(options.validate_every, options.minutes_per_checkpoint)
     network = None if options.after is None else compact_network(options.after, config.architecture)
     if options.connect is not None:
         viewer_sink(options.connect)  # an address that is none is refused before anything is written
@@ -241,13 +217,11 @@ def main(options: Options) -> None:
     apart = {"out", "resume", "dataset", *free}
     facts = {name: value for name, value in dataclasses.asdict(options).items() if name not in apart}
     facts["after"] = None if options.after is None else str(options.after)
-    checkpoints = TrainingCheckpoints(
-        options.out, config, {**facts, "dataset": dataset.name, "parts": config.parts}, first_state=first_state
-    )
-    try:
-        train(options, dataset, checkpoints, network)
-    finally:
-        checkpoints.close()
+    facts |= {"dataset": dataset.name, "parts": config.parts}
+    recording = open_recording(options, dataset) if newest_step(options.out) < config.steps else None
+    with contextlib.closing(recording) if recording else contextlib.nullcontext():
+        task = training_task(options, dataset, network, recording)
+        train(task, options.out, TrainingCheckpoints(options.out, config, facts, first_state=first_state), pauses)
     print(f"Trained: {options.out / 'network'}")
 
 

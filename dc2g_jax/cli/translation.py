@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal, NamedTuple
 import tyro
 
 from dc2g_jax.cli.outputs import command_written, commit, number_or_null
-from dc2g_jax.cli.training_loop import FiniteLoss, Log, check_pauses, run_steps
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.datasets.image_pairs import ImageSet, draw_image_pairs
 from dc2g_jax.errors import InputError
@@ -18,6 +17,7 @@ from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
 from dc2g_jax.training.cost_to_go import check_numbers
 from dc2g_jax.training.image_data import MaskKind, image_set
 from dc2g_jax.training.image_evaluation import metrics_over_pairs
+from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax.training.translator import TranslatorConfig, TranslatorState, init_translator, translator_step
 
 #: A step takes seconds on a CPU.
@@ -67,11 +67,16 @@ class TranslationOptions:
           InputError: for networks that cannot be built.
         """
         check_numbers(self.learning_rate, steps=self.steps)
-        check_pauses(self.validate_every, self.minutes_per_checkpoint)
+        _ = self.pauses  # refused here as well
         if not 0 <= self.whole_share <= 1:
             raise InputError(f"--whole-share {self.whole_share:g}: give a share from 0 to 1")
         architecture = TranslatorArchitecture(self.size, self.base_filters, self.compute_dtype)
         return TranslatorConfig(architecture, loss, self.batch_size, self.learning_rate)
+
+    @property
+    def pauses(self) -> Pauses:
+        """When training pauses."""
+        return Pauses(self.validate_every, self.minutes_per_checkpoint)
 
     def facts(self, dataset: HouseDataset, seed: int) -> dict[str, Any]:
         """What must be the same for a run to be resumed, beside the configuration."""
@@ -136,38 +141,30 @@ def train_translator(
     """
     require_steps(options.steps, out)
     first_state = partial(init_translator, seed=seed)
-    checkpoints = TrainingCheckpoints(out, config, options.facts(dataset, seed), first_state=first_state)
     draw = partial(
         draw_image_pairs,
         batch_size=config.batch_size,
         whole_share=options.whole_share,
         augment=options.augment,
     )
-    difference, log = FiniteLoss(out), Log(out)
 
-    def validate(state: TranslatorState, step: int) -> None:
+    def validate(state: TranslatorState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
         network = TranslatorCostToGo(weights=state.generator, architecture=config.architecture)
         save_network(out / "network", network, _card(dataset, config, options, seed, step))
-        if options.validate_every:
-            metrics = metrics_over_pairs(network, data.validation)
-            known = {name: number_or_null(value) for name, value in metrics.items()}
-            log.write({"step": step, "train_l1": difference.latest, **known})
+        if not options.validate_every:
+            return []
+        metrics = metrics_over_pairs(network, data.validation)
+        known = {name: number_or_null(value) for name, value in metrics.items()}
+        return [{"step": step, "train_l1": None if loss is None else float(loss), **known}]
 
-    try:
-        state = checkpoints.restore() or first_state(config)
-        run_steps(
-            state,
-            int(state.step),
-            options.steps,
-            take_step=lambda state: translator_step(state, data.train, config=config, draw_batch=draw),
-            look=difference,
-            validate=validate,
-            validate_every=options.validate_every,
-            save=checkpoints.save,
-            minutes_per_checkpoint=options.minutes_per_checkpoint,
-            description=out.name,
-            validated=log.by_step(),
-            steps_per_look=_STEPS_PER_LOOK,
-        )
-    finally:
-        checkpoints.close()
+    task = Task(
+        steps=options.steps,
+        init=partial(first_state, config),
+        step=lambda state: translator_step(state, data.train, config=config, draw_batch=draw),
+        validate=validate,
+        validated=Log(out).by_step(),
+        name=out.name,
+        steps_per_look=_STEPS_PER_LOOK,
+    )
+    checkpoints = TrainingCheckpoints(out, config, options.facts(dataset, seed), first_state=first_state)
+    train(task, out, checkpoints, options.pauses)

@@ -12,6 +12,7 @@ import optax
 from jaxtyping import Array, Float, Int
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import on_cores
 from dc2g_jax.training.cost_to_go import (
@@ -89,6 +90,37 @@ def stacked_hyperparameters(configs: Sequence[TrainingConfig]) -> Hyperparameter
 def init_states(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> TrainingState:
     """The states of several runs before the first step, stacked; each as `init_state` gives it."""
     return jax.vmap(functools.partial(init_state, recipe))(hyperparameters)
+
+
+@dataclasses.dataclass(frozen=True)
+class StackedCheckpoints:
+    """Stacked states of several runs, each kept in a folder of its own.
+
+    Attributes:
+      of_runs: the checkpoints of each run, in the order of the stack.
+    """
+
+    of_runs: Sequence[TrainingCheckpoints]
+
+    def restore(self) -> TrainingState | None:
+        """The states after the newest step that all runs have a state of, stacked; `None` if there is none."""
+        common = set.intersection(*(set(checkpoints.steps()) for checkpoints in self.of_runs))
+        if not common:
+            for checkpoints in self.of_runs:
+                checkpoints.delete()
+            return None
+        states = [checkpoints.restore(max(common)) for checkpoints in self.of_runs]
+        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+
+    def save(self, states: TrainingState) -> None:
+        """Save the state of each run."""
+        for run, checkpoints in enumerate(self.of_runs):
+            checkpoints.save(jax.tree.map(lambda leaf, run=run: leaf[run], states))
+
+    def close(self) -> None:
+        """Release the folders."""
+        for checkpoints in self.of_runs:
+            checkpoints.close()
 
 
 def steps_left_out(states: TrainingState) -> Int[Array, "runs"]:

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.cli.training_loop import run_steps
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.estimation.networks import compact_unet
 from dc2g_jax.estimation.networks.compact_unet import Architecture
@@ -24,6 +24,7 @@ from dc2g_jax.inspection.legend import CostScale
 from dc2g_jax.inspection.training_recording import TrainingRecording, learning_rates, maps_to_watch, next_file
 from dc2g_jax.training.cost_to_go import TrainingConfig, first_state, train_step
 from dc2g_jax.training.cost_to_go_data import DataConfig
+from dc2g_jax.training.loop import Pauses, Task, train
 from experiments.train import Options, open_recording
 from tests.support.recordings import read
 
@@ -170,34 +171,36 @@ def test_training_is_the_same_with_and_without_a_recording(tmp_path):
     )
     draw = DataConfig(extra_houses=0).draw_batch
 
-    def trained(watch, validate):
-        return run_steps(
-            first_state(_CONFIG),
-            0,
+    def trained(name, watch, validate):
+        task = Task(
             _CONFIG.steps,
-            take_step=lambda state: train_step(
-                state, _CONFIG.hyperparameters, data, recipe=_CONFIG.recipe, draw_batch=draw
-            ),
-            look=lambda step, loss: None,
-            watch=watch,
+            lambda: first_state(_CONFIG),
+            lambda state: train_step(state, _CONFIG.hyperparameters, data, recipe=_CONFIG.recipe, draw_batch=draw),
             validate=validate,
-            validate_every=2,
-            save=lambda state: None,
-            minutes_per_checkpoint=1.0,
-            description="train",
+            watch=watch,
             steps_per_look=1,
         )
+        out = tmp_path / name
+        return train(task, out, TrainingCheckpoints(out, _CONFIG, first_state=first_state), Pauses(2, 1.0))
 
     def network_of(state):
         return NetworkCostToGo(weights=state.average, architecture=_CONFIG.architecture)
 
     recording = _recording(tmp_path, _maps())
-    recorded = trained(
-        lambda state, step, loss: recording.look(step, float(loss), network_of(state)),
-        lambda state, step: recording.validate(step, {"mean_extra": 1.0}, network_of(state)),
-    )
+
+    def watch(state, step, loss):
+        if loss is None:
+            recording.predict(step, network_of(state))
+        else:
+            recording.look(step, float(loss), network_of(state))
+
+    def validate(state, step, loss):
+        recording.validate(step, {"mean_extra": 1.0}, network_of(state))
+        return []
+
+    recorded = trained("recorded", watch, validate)
     recording.close()
-    plain = trained(lambda state, step, loss: None, lambda state, step: None)
+    plain = trained("plain", lambda state, step, loss: None, lambda state, step, loss: [])
     jax.tree.map(np.testing.assert_array_equal, recorded, plain)
     assert sorted(read(tmp_path / "training-001.rrd")["/loss", "Scalars:scalars"]) == [1, 2, 3, 4, 5, 6]
 

@@ -1,34 +1,43 @@
-"""The loop of the training commands: when it validates and saves, whatever interrupts it, and its log."""
+"""The loop of training: when it validates and saves, whatever interrupts it, and its log."""
 
 import functools
 import os
 import signal
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import struct
+from jaxtyping import Array, Int
 
-from dc2g_jax.cli.training_loop import FiniteLoss, Log, check_pauses, run_steps
 from dc2g_jax.errors import InputError
+from dc2g_jax.training.loop import Log, Pauses, Task, train
+
+
+@struct.dataclass
+class State:
+    step: Int[Array, ""]
 
 
 @functools.partial(jax.jit, donate_argnames=("state",))
 def take_step(state):
     """A step that uses its state up, as those of training do."""
-    return state + 1, state[0]
+    return State(state.step + 1), state.step * 1.0
 
 
 class Training:
-    """A training that counts its steps, and notes what the loop does with it."""
+    """A training that counts its steps, and notes what the loop does with it. It keeps its states as well."""
 
-    def __init__(self):
+    def __init__(self, out: Path):
+        self.out = out
         self.validations: list[int] = []
         self.saved: list[int] = []
         self.interrupt_step, self.interrupt_validation, self.interrupts = -1, -1, 1
 
     def step(self, state):
-        if int(state[0]) == self.interrupt_step:
+        if int(state.step) == self.interrupt_step:
             self.interrupt_step = -1
             done = take_step(state)
             for _ in range(self.interrupts):
@@ -36,40 +45,46 @@ class Training:
             return done
         return take_step(state)
 
-    def validate(self, state, step):
-        assert int(state[0]) == step
+    def validate(self, state, step, losses):
+        assert int(state.step) == step
         if step == self.interrupt_validation:
             self.interrupt_validation = -1
             raise KeyboardInterrupt
         self.validations.append(step)
+        return [{"step": step}]
 
-    def run(self, first_step=0, **changes):
-        options = {
-            "take_step": self.step,
-            "look": lambda step, loss: None,
-            "validate": self.validate,
-            "validate_every": 10,
-            "save": lambda state: self.saved.append(int(state[0])),
-            "minutes_per_checkpoint": np.inf,
-            "description": "test",
-            "validated": self.validations,
-            "steps_per_look": 4,
-        }
-        return run_steps(jnp.full(3, first_step), first_step, 25, **{**options, **changes})
+    def restore(self):
+        return None
+
+    def save(self, state):
+        self.saved.append(int(state.step))
+
+    def close(self):
+        pass
+
+    def run(self, first_step=0, validate_every=10, minutes=np.inf, **changes):
+        task = Task(
+            25, lambda: State(jnp.int32(first_step)), **{"step": self.step, **changes}, validate=self.validate,
+            validated=self.validations, name="test", steps_per_look=4,
+        )  # fmt: skip
+        return train(task, self.out, self, Pauses(validate_every, minutes))
+
+
+@pytest.fixture
+def training(tmp_path) -> Training:
+    return Training(tmp_path)
 
 
 @pytest.mark.parametrize(("validate_every", "wanted"), [(10, [10, 20, 25]), (0, [25]), (25, [25])])
-def test_it_validates_now_and_then_and_in_the_end(validate_every, wanted):
-    training = Training()
-    assert int(training.run(validate_every=validate_every)[0]) == 25
+def test_it_validates_now_and_then_and_in_the_end(training, validate_every, wanted):
+    assert int(training.run(validate_every=validate_every).step) == 25
     assert training.validations == wanted
     assert training.saved == [25]
 
 
 @pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("step", [0, 5, 19, 24])
-def test_an_interrupt_in_a_step_keeps_all_that_is_done(step):
-    training = Training()
+def test_an_interrupt_in_a_step_keeps_all_that_is_done(training, step):
     training.interrupt_step = step
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
@@ -82,8 +97,7 @@ def test_an_interrupt_in_a_step_keeps_all_that_is_done(step):
 
 
 @pytest.mark.usefixtures("interruptible")
-def test_a_second_interrupt_breaks_a_step_off():
-    training = Training()
+def test_a_second_interrupt_breaks_a_step_off(training):
     training.interrupt_step, training.interrupts = 5, 2
     with pytest.raises(KeyboardInterrupt):
         training.run()
@@ -91,56 +105,71 @@ def test_a_second_interrupt_breaks_a_step_off():
 
 
 @pytest.mark.usefixtures("interruptible")
-def test_what_diverged_before_an_interrupt_is_not_saved(tmp_path):
-    training = Training()
+def test_what_diverged_before_an_interrupt_is_not_saved(training):
     training.interrupt_step = 5
-    look = FiniteLoss(tmp_path)
+
+    def step(state):
+        new, loss = training.step(state)
+        return new, jnp.where(new.step < 6, loss, jnp.nan)
+
     with pytest.raises(InputError, match="the loss is nan at step 6; lower --learning-rate"):
-        training.run(look=lambda step, loss: look(step, loss if step < 6 else np.float32(np.nan)))
+        training.run(step=step)
     assert training.saved == []
+
+
+def test_runs_trained_together_go_on_when_one_diverges(training):
+    def step(state):
+        new, loss = training.step(state)
+        return new, jnp.stack([loss, jnp.nan])
+
+    looked = []
+    training.run(step=step, watch=lambda state, step, losses: looked.append((step, losses)))
+    assert training.saved == [25]
+    assert looked[0] == (0, None)  # before the first step
+    assert looked[1][0] == 4
+    np.testing.assert_array_equal(looked[1][1], [1.5, np.nan])  # the mean of the steps between
 
 
 def test_pauses_that_are_none_are_refused():
     with pytest.raises(InputError, match="--validate-every -1: give at least 1"):
-        check_pauses(-1, 1.0)
+        Pauses(-1, 1.0)
     for minutes in (-0.5, np.nan):
         with pytest.raises(InputError, match=f"--minutes-per-checkpoint {minutes}: give a number from 0 on"):
-            check_pauses(10, minutes)
-    check_pauses(0, 0.0)
+            Pauses(10, minutes)
+    Pauses(0, 0.0)
 
 
 @pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize(("minutes", "saves", "kept"), [(0.0, 2, [4, 8]), (np.inf, 1, [25])])
-def test_an_interrupt_while_saving_lets_it_finish(minutes, saves, kept):
-    training = Training()
+def test_an_interrupt_while_saving_lets_it_finish(training, monkeypatch, minutes, saves, kept):
 
     def save(state):
         if len(training.saved) == saves - 1:
             os.kill(os.getpid(), signal.SIGINT)
-        training.saved.append(int(state[0]))
+        training.saved.append(int(state.step))
 
+    monkeypatch.setattr(training, "save", save)
     with pytest.raises(KeyboardInterrupt):
-        training.run(save=save, minutes_per_checkpoint=minutes)
+        training.run(minutes=minutes)
     assert training.saved == kept  # once each
 
 
 @pytest.mark.usefixtures("interruptible")
-def test_a_save_that_is_broken_off_is_not_begun_again():
-    training = Training()
+def test_a_save_that_is_broken_off_is_not_begun_again(training, monkeypatch):
 
     def save(state):
-        training.saved.append(int(state[0]))
+        training.saved.append(int(state.step))
         for _ in range(2):
             os.kill(os.getpid(), signal.SIGINT)
 
+    monkeypatch.setattr(training, "save", save)
     with pytest.raises(KeyboardInterrupt):
-        training.run(save=save)
+        training.run()
     assert training.saved == [25]
 
 
 @pytest.mark.parametrize("step", [10, 20, 25])
-def test_an_interrupted_validation_is_caught_up_with(step):
-    training = Training()
+def test_an_interrupted_validation_is_caught_up_with(training, step):
     training.interrupt_validation = step
     with pytest.raises(KeyboardInterrupt):
         training.run()
@@ -149,8 +178,7 @@ def test_an_interrupted_validation_is_caught_up_with(step):
     assert training.validations == [10, 20, 25]
 
 
-def test_a_finished_training_does_nothing_more():
-    training = Training()
+def test_a_finished_training_does_nothing_more(training):
     training.run()
     training.run(25)
     assert training.validations == [10, 20, 25]
