@@ -27,7 +27,7 @@ from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.digests import arrays_sha256
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect, random_views
-from dc2g_jax.objectnav.data import TrainingSet
+from dc2g_jax.objectnav.data import JourneySet
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses, split_file
 from dc2g_jax.objectnav.mapping import MapSettings
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, ImageEncoder, load_encoder, save_encoder, train_encoder
@@ -145,7 +145,7 @@ def open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
     return load_encoder(own)
 
 
-def kept(path: Path, make: Callable[[Callable[[int], None]], TrainingSet], houses: int) -> TrainingSet:
+def kept(path: Path, make: Callable[[Callable[[int], None]], JourneySet], houses: int) -> JourneySet:
     """A training set from a file, collected and kept there the first time.
 
     Args:
@@ -153,18 +153,18 @@ def kept(path: Path, make: Callable[[Callable[[int], None]], TrainingSet], house
       make: collects it; given a function to tell how many houses are done.
       houses: how many there are.
     """
-    names = [field.name for field in dataclasses.fields(TrainingSet)]
+    names = [field.name for field in dataclasses.fields(JourneySet)]
 
     def collect(show: Callable[[int, int], None]) -> dict[str, Any]:
         data = make(lambda done: show(done, houses))
         return {name: getattr(data, name) for name in names}
 
     arrays = kept_arrays(path, names, collect, unit="house")
-    return TrainingSet(**{name: jnp.asarray(array) for name, array in arrays.items()})
+    return JourneySet(**{name: jnp.asarray(array) for name, array in arrays.items()})
 
 
 def training_task(
-    options: Options, config: CostMapConfig, data: TrainingSet, validation: TrainingSet
+    options: Options, config: CostMapConfig, data: JourneySet, validation: JourneySet
 ) -> Task[TrainingState]:
     """What is trained; the network is saved in each validation."""
     batches = validation_samples(validation, config, options.validation_samples)

@@ -17,7 +17,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.inspection.image_figures import plot_training
 from dc2g_jax.training.loop import Log
-from dc2g_jax.training.translator import LOSSES
+from dc2g_jax.training.translator import TRANSLATOR_LOSSES
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Options:
 
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     dataset: DatasetOption = None
-    losses: tuple[str, ...] = tuple(LOSSES)
+    losses: tuple[str, ...] = tuple(TRANSLATOR_LOSSES)
     seeds: tuple[int, ...] = (0, 1, 2)
     window: int = 5
     training: Annotated[TranslationOptions, tyro.conf.arg(name="")] = dataclasses.field(

@@ -16,7 +16,7 @@ from dc2g_jax.grid import bitboard
 Degrade = Callable[[Array, UInt8[Array, "h w"]], UInt8[Array, "h w"]]
 
 #: Number of ways to turn and mirror a square map.
-SYMMETRIES = 8
+SYMMETRY_COUNT = 8
 
 
 @struct.dataclass
@@ -87,7 +87,7 @@ def make_pair(
     Args:
       data: labels and masks.
       index: which mask, 0 to masks - 1.
-      symmetry: 0 to `SYMMETRIES` - 1.
+      symmetry: 0 to `SYMMETRY_COUNT` - 1.
       whole: lift the mask, so that all of the map is observed.
       edge_weight: weight of cells near unobserved ground; other cells have weight 1.
       edge_width: how near is near, in cells.
@@ -173,7 +173,7 @@ def draw_pairs(
     low, high = jnp.where(own, 0, data.n_own), jnp.where(own, data.n_own, count)
     position = jax.random.uniform(place, (batch_size,))
     index = jnp.minimum(low + (position * (high - low)).astype(jnp.int32), high - 1)
-    symmetry = jax.random.randint(turn, (batch_size,), 0, SYMMETRIES)
+    symmetry = jax.random.randint(turn, (batch_size,), 0, SYMMETRY_COUNT)
     whole = jax.random.bernoulli(lift, whole_share, (batch_size,))
     make = functools.partial(make_pair, data, edge_weight=edge_weight, half_weight_cost=half_weight_cost)
     pairs = jax.vmap(make)(index, symmetry, whole)

@@ -17,7 +17,7 @@ from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.objectnav.agent import CAMERA_HEIGHT, CAMERA_PITCH
 from dc2g_jax.objectnav.cost_maps import distance_for_vehicle, inflated, with_tight_cells
 from dc2g_jax.objectnav.data import (
-    TrainingSet,
+    JourneySet,
     cell_codes,
     drive_to_goals,
     in_millimetres,
@@ -62,7 +62,7 @@ class CollectionConfig:
 
 
 class _House(NamedTuple):
-    """What is made of one house; the leaves of `TrainingSet` but for the number of the house."""
+    """What is made of one house; the leaves of `JourneySet` but for the number of the house."""
 
     cells: UInt8[np.ndarray, "h w"]
     distance: UInt16[np.ndarray, "goal h w"]
@@ -205,7 +205,7 @@ def collect(
     encoder: ImageEncoder,
     config: CollectionConfig,
     on_progress: Callable[[int], None] | None = None,
-) -> TrainingSet:
+) -> JourneySet:
     """Send robots through houses, on every device at once; the same for the same seed.
 
     Args:
@@ -234,7 +234,7 @@ def collect(
     def by_journey(leaf: np.ndarray) -> np.ndarray:
         return leaf.reshape(-1, *leaf.shape[2:])
 
-    return TrainingSet(
+    return JourneySet(
         cells=made.cells,
         distance=made.distance,
         house=np.repeat(np.arange(len(worlds), dtype=np.int32), config.journeys),

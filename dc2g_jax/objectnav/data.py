@@ -69,7 +69,7 @@ NORMALISATIONS: Mapping[str, Normalise] = MappingProxyType({"share": _share, "me
 
 
 @struct.dataclass
-class TrainingSet:
+class JourneySet:
     """Houses, how far it is in them, and journeys through them.
 
     Attributes:
@@ -183,7 +183,7 @@ def turned_heading(heading: Float[Array, ""], symmetry: Int[Array, "3"]) -> Floa
 
 
 def make_sample(
-    data: TrainingSet,
+    data: JourneySet,
     journey: Int[Array, ""],
     view: Int[Array, ""],
     target: Int[Array, ""],
@@ -223,7 +223,7 @@ def make_sample(
 
 def draw_samples(
     key: Array,
-    data: TrainingSet,
+    data: JourneySet,
     *,
     batch_size: int,
     symmetries: tuple[float, ...],

@@ -17,8 +17,8 @@ from dc2g_jax.objectnav.data import (
     NORMALISATIONS,
     PAPER_ROTATIONS,
     UPRIGHT,
+    JourneySet,
     Samples,
-    TrainingSet,
     draw_samples,
 )
 from dc2g_jax.objectnav.losses import LossWeights, total_loss
@@ -139,7 +139,7 @@ def mean_loss(config: CostMapConfig, weights: Any, samples: Samples) -> tuple[Fl
 
 @functools.partial(jit, static_argnames="config", donate_argnames="state")
 def train_step(
-    state: TrainingState, data: TrainingSet, *, config: CostMapConfig
+    state: TrainingState, data: JourneySet, *, config: CostMapConfig
 ) -> tuple[TrainingState, Float[Array, ""]]:
     """Take one optimiser step; the old state is used up.
 
@@ -190,7 +190,7 @@ def _examine(weights: Any, samples: Samples, config: CostMapConfig) -> dict[str,
     }
 
 
-def validation_samples(data: TrainingSet, config: CostMapConfig, count: int) -> list[Samples]:
+def validation_samples(data: JourneySet, config: CostMapConfig, count: int) -> list[Samples]:
     """The same samples in every validation, as they are, in batches as large as those of training."""
     draw = jit(
         functools.partial(

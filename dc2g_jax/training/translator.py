@@ -18,7 +18,7 @@ from dc2g_jax.programs import jit
 from dc2g_jax.training.cost_to_go import check_numbers, loss_or_nan
 
 
-class LossWeights(NamedTuple):
+class GeneratorLoss(NamedTuple):
     """What the generator minimises: a weighted sum.
 
     Attributes:
@@ -34,7 +34,11 @@ class LossWeights(NamedTuple):
 _L1_SCALE = 2.0
 
 #: The paper's three losses, by name; weights as in pix2pix.
-LOSSES = {"l1": LossWeights(100.0, 0.0), "gan": LossWeights(0.0, 1.0), "l1+gan": LossWeights(100.0, 1.0)}
+TRANSLATOR_LOSSES = {
+    "l1": GeneratorLoss(100.0, 0.0),
+    "gan": GeneratorLoss(0.0, 1.0),
+    "l1+gan": GeneratorLoss(100.0, 1.0),
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +47,7 @@ class TranslatorConfig:
 
     Attributes:
       architecture: the networks.
-      loss: one of `LOSSES`.
+      loss: one of `TRANSLATOR_LOSSES`.
       batch_size: pairs a step.
       learning_rate: of Adam, for both networks.
       beta1: of Adam.
@@ -59,8 +63,8 @@ class TranslatorConfig:
     beta1: float = 0.5
 
     def __post_init__(self) -> None:
-        if self.loss not in LOSSES:
-            raise InputError(f"loss: no loss is called {self.loss!r}; use one of: {', '.join(LOSSES)}")
+        if self.loss not in TRANSLATOR_LOSSES:
+            raise InputError(f"loss: no loss is called {self.loss!r}; use one of: {', '.join(TRANSLATOR_LOSSES)}")
         check_numbers(self.learning_rate, batch_size=self.batch_size)
 
 
@@ -143,10 +147,10 @@ def generator_loss(
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """What the generator minimises, and the mean absolute difference from the true pictures.
 
-    The sum, weighted as in `LOSSES`, of the mean absolute difference of pictures from -1 to 1 and of the cross-entropy
-    of being taken for true, patch by patch.
+    The sum, weighted as in `TRANSLATOR_LOSSES`, of the mean absolute difference of pictures from -1 to 1 and of the
+    cross-entropy of being taken for true, patch by patch.
     """
-    loss = LOSSES[config.loss]
+    loss = TRANSLATOR_LOSSES[config.loss]
     difference = jnp.mean(jnp.abs(generated - batch.target))
     total = loss.l1 * _L1_SCALE * difference
     if loss.gan:
@@ -181,7 +185,7 @@ def translator_step(
         lambda weights: pix2pix.translate(architecture, weights, batch.image, dropout_key), state.generator
     )
     discriminator, discriminator_optimizer = state.discriminator, state.discriminator_optimizer
-    if LOSSES[config.loss].gan:
+    if TRANSLATOR_LOSSES[config.loss].gan:
         gradient = jax.grad(lambda weights: discriminator_loss(architecture, weights, batch, generated))(discriminator)
         discriminator, discriminator_optimizer = _updated(config, discriminator, gradient, discriminator_optimizer)
     loss_of = functools.partial(generator_loss, config, discriminator, batch)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax.datasets.masks import moments_along
-from dc2g_jax.datasets.pairs import SYMMETRIES, Pair, TrainingSet, draw_pairs, jittered, make_pair
+from dc2g_jax.datasets.pairs import SYMMETRY_COUNT, Pair, TrainingSet, draw_pairs, jittered, make_pair
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.grid import bitboard, gridworld
 from dc2g_jax.grid.poses import make_pose
@@ -106,14 +106,14 @@ def test_labels_do_not_depend_on_what_is_hidden(street):
 def test_all_symmetries_are_distinct_and_turn_everything_alike():
     data, _ = training_set((12, 12))
     index = 2
-    pairs = pair_maker()(data, jnp.full(SYMMETRIES, index), jnp.arange(SYMMETRIES))
+    pairs = pair_maker()(data, jnp.full(SYMMETRY_COUNT, index), jnp.arange(SYMMETRY_COUNT))
     terrain, target, weight = (np.asarray(part) for part in (pairs.terrain, pairs.target, pairs.weight))
     assert len({grid.tobytes() for grid in terrain}) == 8
     assert len({grid.tobytes() for grid in target}) == 8
     # One of the eight ways to turn and mirror a square, the same one for all three grids.
     ways = [lambda g, k=k, f=f: np.rot90(g[:, ::-1] if f else g, k) for k in range(4) for f in (False, True)]
     used = set()
-    for symmetry in range(SYMMETRIES):
+    for symmetry in range(SYMMETRY_COUNT):
         matching = [
             number
             for number, way in enumerate(ways)
@@ -135,15 +135,15 @@ def test_cost_to_go_of_a_turned_map_is_the_turned_cost_to_go():
         mask_world=jnp.zeros(1, jnp.int32),
         n_own=jnp.int32(1),
     )
-    pairs = pair_maker()(full, jnp.zeros(SYMMETRIES, jnp.int32), jnp.arange(SYMMETRIES))
+    pairs = pair_maker()(full, jnp.zeros(SYMMETRY_COUNT, jnp.int32), jnp.arange(SYMMETRY_COUNT))
     costs = jax.jit(world_cost_to_go)(world_from_terrain(jnp.moveaxis(pairs.terrain, 0, -1)))
     np.testing.assert_array_equal(jnp.moveaxis(costs, -1, 0), pairs.target)
 
 
 def test_a_map_that_is_not_square_keeps_its_shape():
     data, _ = training_set((7, 33))
-    pairs = pair_maker()(data, jnp.full(SYMMETRIES, 1), jnp.arange(SYMMETRIES))
-    assert pairs.terrain.shape == (SYMMETRIES, 7, 33)
+    pairs = pair_maker()(data, jnp.full(SYMMETRY_COUNT, 1), jnp.arange(SYMMETRY_COUNT))
+    assert pairs.terrain.shape == (SYMMETRY_COUNT, 7, 33)
     assert len({np.asarray(grid).tobytes() for grid in pairs.terrain}) == 4
 
 

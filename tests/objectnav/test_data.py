@@ -22,7 +22,7 @@ from dc2g_jax.objectnav.data import (
     OBSTACLE,
     SYMMETRIES,
     UNEXPLORED,
-    TrainingSet,
+    JourneySet,
     cell_codes,
     draw_samples,
     make_sample,
@@ -51,7 +51,7 @@ def world():
 
 
 @pytest.fixture(scope="module")
-def samples(world) -> TrainingSet:
+def samples(world) -> JourneySet:
     """Journeys in one house; features are the mean colours of pictures' quarters."""
     kernel = jnp.ones((1, 3, 1, 1))
     encoder = ConvolutionEncoder(kernels=(kernel,), biases=(jnp.full(1, 3.0),), stride=24)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
-from dc2g_jax.objectnav.data import TrainingSet
+from dc2g_jax.objectnav.data import JourneySet
 from dc2g_jax.objectnav.networks import CostMapArchitecture, CostMapEstimator
 from dc2g_jax.objectnav.training import (
     BETTER_RECIPE,
@@ -31,13 +31,13 @@ CONFIG = CostMapConfig(
 
 
 @pytest.fixture(scope="module")
-def data() -> TrainingSet:
+def data() -> JourneySet:
     """Two empty rooms with a goal of one kind in the corner, and robots that have seen half of it."""
     rows, columns = np.indices((40, 40))
     free = (rows > 0) & (columns > 0) & (rows < 39) & (columns < 39)
     metres = np.where(free, np.hypot(rows, columns) * 100, 65535).astype(np.uint16)
     none = np.full_like(metres, 65535)
-    return TrainingSet(
+    return JourneySet(
         cells=jnp.asarray(np.stack([np.where(free, 1, 2)] * 2).astype(np.uint8)),
         distance=jnp.asarray(np.stack([[metres] + [none] * 4, [none] * 4 + [metres]])),
         house=jnp.asarray([0, 1], jnp.int32),

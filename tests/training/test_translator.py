@@ -16,7 +16,7 @@ from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.estimation.networks import pix2pix
 from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
 from dc2g_jax.training.translator import (
-    LOSSES,
+    TRANSLATOR_LOSSES,
     TranslatorConfig,
     discriminator_loss,
     generator_loss,
@@ -130,7 +130,7 @@ def test_an_unknown_loss_is_refused_with_those_there_are():
         TranslatorConfig(loss="l2")
     message = str(caught.value)
     assert "\n" not in message
-    for name in ("l2", *LOSSES):
+    for name in ("l2", *TRANSLATOR_LOSSES):
         assert repr(name) in message or name in message
 
 
