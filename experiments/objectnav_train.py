@@ -8,7 +8,6 @@ import functools
 import hashlib
 import json
 import shutil
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,7 +15,6 @@ from typing import Annotated, Any, Literal
 import jax.numpy as jnp
 import numpy as np
 import tyro
-from tqdm import tqdm
 
 from dc2g_jax.cli.common import check_seed, command_line
 from dc2g_jax.cli.outputs import command_written, commit, output_folder
@@ -30,7 +28,7 @@ from dc2g_jax.objectnav.collecting import CollectionConfig, collect, random_view
 from dc2g_jax.objectnav.data import JourneySet
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses, split_file
 from dc2g_jax.objectnav.mapping import MapSettings
-from dc2g_jax.objectnav.midlevel import EncoderArchitecture, ImageEncoder, load_encoder, save_encoder, train_encoder
+from dc2g_jax.objectnav.midlevel import EncoderArchitecture, ImageEncoder, encoder_task, load_encoder, save_encoder
 from dc2g_jax.objectnav.networks import ABLATIONS, CostMapArchitecture, CostMapEstimator, save_estimator
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE
 from dc2g_jax.objectnav.procthor import BOXES_FILE
@@ -132,15 +130,18 @@ def open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
     views = random_views(
         houses[:_ENCODER_HOUSES], _PICTURES_A_HOUSE, options.collection.data_seed, options.collection.largest
     )
-    with tqdm(total=options.encoder_steps, desc="encoder", unit="step", file=sys.stderr) as bar:
-        encoder, losses = train_encoder(
-            EncoderArchitecture(),
-            views,
-            steps=options.encoder_steps,
-            seed=options.seed,
-            on_step=lambda done: bar.update(done - bar.n),
-        )
-    save_encoder(own, encoder, {"losses": json.dumps(losses[-1]), "command": command_written(), "commit": commit()})
+    made = {"command": command_written(), "commit": commit()}
+    task = encoder_task(
+        EncoderArchitecture(),
+        views,
+        steps=options.encoder_steps,
+        save=lambda encoder, losses: save_encoder(own, encoder, {"losses": json.dumps(losses), **made}),
+        seed=options.seed,
+    )
+    folder = options.out / "encoder"
+    facts = {"steps": options.encoder_steps, "seed": options.seed}
+    checkpoints = TrainingCheckpoints(folder, EncoderArchitecture(), facts, first_state=lambda _: task.init())
+    train(task, folder, checkpoints, Pauses(0, options.minutes_per_checkpoint))
     # From the file, in half precision: as it will be used.
     return load_encoder(own)
 

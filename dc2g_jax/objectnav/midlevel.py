@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from flax import nnx, struct
-from jaxtyping import Array, Float, UInt8
+from jaxtyping import Array, Float, Int, UInt8
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.mapping.camera import CameraPose, intrinsics, rays
@@ -29,6 +29,7 @@ from dc2g_jax.objectnav.classes import CLASS_NAMES
 from dc2g_jax.objectnav.paint import NO_COLOR
 from dc2g_jax.objectnav.weights import flattened, read_safetensors, read_weights, write_safetensors
 from dc2g_jax.programs import jit
+from dc2g_jax.training.loop import Losses, Task
 
 #: Rows and columns of a picture, and of what the encoder is asked about it.
 IMAGE_SIZE = (48, 64)
@@ -37,6 +38,9 @@ _ASKED = (IMAGE_SIZE[0] // _BLOCK, IMAGE_SIZE[1] // _BLOCK)
 
 #: Pixels that an object's class must have to be in a picture, and the farthest depth that is told apart, metres.
 _PRESENT, _FAR = 12, 10.0
+
+#: Pictures on which the encoder is validated, at most.
+_JUDGED = 512
 
 #: Brightness of faces that look along x, along y and up.
 _LIGHT = (0.82, 0.7, 1.0)
@@ -276,56 +280,66 @@ def task_losses(answers: Answers, views: View) -> dict[str, Float[Array, ""]]:
     }
 
 
-def train_encoder(
+@struct.dataclass
+class EncoderState:
+    """A training of the default encoder under way.
+
+    Attributes:
+      step: optimizer steps taken.
+      weights: of the encoder.
+      optimizer: optax state.
+    """
+
+    step: Int[Array, ""]
+    weights: Any
+    optimizer: Any
+
+
+def encoder_task(
     architecture: EncoderArchitecture,
     views: View,
     *,
     steps: int,
+    save: Callable[[TrainedEncoder, dict[str, float]], None],
     batch_size: int = 64,
     seed: int = 0,
-    on_step: Callable[[int], None] | None = None,
-) -> tuple[TrainedEncoder, list[dict[str, float]]]:
-    """Train the default encoder on pictures; the same bits for the same seed.
+) -> Task[EncoderState]:
+    """The training of the default encoder on pictures; the same bits for the same seed.
 
     Args:
       architecture: of the encoder.
       views: all pictures.
-      steps: optimiser steps.
+      steps: optimizer steps.
+      save: called in each validation with the encoder and its losses on some of the pictures.
       batch_size: pictures a step.
       seed: of weights and batches.
-      on_step: called with the number of steps taken.
-
-    Returns:
-      The encoder, and the mean losses of each tenth of the steps.
     """
     optimizer = optax.adam(optax.cosine_decay_schedule(2e-3, max(steps, 1)))
-    weights = init_encoder(architecture, jax.random.key(seed))
-    state = optimizer.init(weights)
 
-    @functools.partial(jit, donate_argnums=(0, 1))
-    def step(weights: Any, state: Any, views: View, number: Array) -> tuple[Any, Any, dict[str, Array]]:
-        key = jax.random.fold_in(jax.random.key(seed + 1), number)
+    def init() -> EncoderState:
+        weights = init_encoder(architecture, jax.random.key(seed))
+        return EncoderState(step=jnp.int32(0), weights=weights, optimizer=optimizer.init(weights))
+
+    def losses(weights: Any, views: View) -> dict[str, Float[Array, ""]]:
+        network = build_encoder(architecture, weights)
+        return task_losses(network.answer(network.encode(views.image)), views)
+
+    @functools.partial(jit, donate_argnames="state")
+    def step(state: EncoderState, views: View) -> tuple[EncoderState, Float[Array, ""]]:
+        key = jax.random.fold_in(jax.random.key(seed + 1), state.step)
         chosen = jax.random.randint(key, (batch_size,), 0, len(views.image))
         batch = jax.tree.map(lambda leaf: leaf[chosen], views)
+        loss, gradients = jax.value_and_grad(lambda weights: sum(losses(weights, batch).values(), jnp.float32(0)))(
+            state.weights
+        )
+        updates, optimizer_state = optimizer.update(gradients, state.optimizer, state.weights)
+        weights = optax.apply_updates(state.weights, updates)
+        return EncoderState(step=state.step + 1, weights=weights, optimizer=optimizer_state), loss
 
-        def loss(weights: Any) -> tuple[Array, dict[str, Array]]:
-            network = build_encoder(architecture, weights)
-            losses = task_losses(network.answer(network.encode(batch.image)), batch)
-            return sum(losses.values(), jnp.float32(0)), losses
+    def validate(state: EncoderState, step: int, loss: Losses | None) -> list[dict[str, float]]:
+        found = {name: float(loss) for name, loss in jit(losses)(state.weights, judged).items()}
+        save(TrainedEncoder(weights=state.weights, architecture=architecture), found)
+        return [{"step": step, **found}]
 
-        (_, losses), gradients = jax.value_and_grad(loss, has_aux=True)(weights)
-        updates, state = optimizer.update(gradients, state, weights)
-        return optax.apply_updates(weights, updates), state, losses
-
-    history = []
-    for number in range(steps):
-        weights, state, losses = step(weights, state, views, jnp.int32(number))
-        history.append(losses)
-        if on_step is not None:
-            on_step(number + 1)
-    tenths = np.array_split(np.arange(steps), min(10, steps)) if steps else []
-    means = [
-        {name: float(np.mean([np.asarray(history[number][name]) for number in tenth])) for name in history[0]}
-        for tenth in tenths
-    ]
-    return TrainedEncoder(weights=weights, architecture=architecture), means
+    judged = jax.tree.map(lambda leaf: leaf[:_JUDGED], views)
+    return Task(steps, init, lambda state: step(state, views), validate, name="encoder")

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.mapping.camera import level_camera
 from dc2g_jax.objectnav.classes import BED, CLASS_COLORS
 from dc2g_jax.objectnav.midlevel import (
@@ -13,16 +14,17 @@ from dc2g_jax.objectnav.midlevel import (
     EncoderArchitecture,
     TrainedEncoder,
     View,
+    encoder_task,
     load_encoder,
     save_encoder,
     task_losses,
-    train_encoder,
     view,
 )
 from dc2g_jax.objectnav.paint import painted
 from dc2g_jax.objectnav.plan_cells import world_from_plan
 from dc2g_jax.objectnav.weights import read_safetensors, write_safetensors
 from dc2g_jax.objectnav.worlds import scene
+from dc2g_jax.training.loop import Pauses, train
 from tests.support.plans import BED_BOX, plan
 from tests.support.refusals import refusal
 
@@ -80,16 +82,25 @@ def test_losses_of_the_three_tasks():
         assert float(losses[name]) == pytest.approx(value, rel=1e-5), name
 
 
+def train_encoder(views, folder) -> tuple[TrainedEncoder, list]:
+    """The encoder after 40 steps, and its losses after every 4."""
+    saved = []
+    task = encoder_task(ARCHITECTURE, views, steps=40, batch_size=4, save=lambda *found: saved.append(found))
+    checkpoints = TrainingCheckpoints(folder, ARCHITECTURE, first_state=lambda _: task.init())
+    state = train(task, folder, checkpoints, Pauses(4, np.inf))
+    return TrainedEncoder(state.weights, ARCHITECTURE), [losses for _, losses in saved]
+
+
 @pytest.fixture(scope="module")
-def trained(views) -> tuple[TrainedEncoder, list]:
-    return train_encoder(ARCHITECTURE, views, steps=40, batch_size=4)
+def trained(views, tmp_path_factory) -> tuple[TrainedEncoder, list]:
+    return train_encoder(views, tmp_path_factory.mktemp("encoder"))
 
 
-def test_the_encoder_learns_and_is_the_same_for_a_seed(views, trained):
+def test_the_encoder_learns_and_is_the_same_for_a_seed(views, trained, tmp_path):
     encoder, losses = trained
     assert len(losses) == 10
     assert sum(losses[-1].values()) < 0.5 * sum(losses[0].values())
-    again, _ = train_encoder(ARCHITECTURE, views, steps=40, batch_size=4)
+    again, _ = train_encoder(views, tmp_path)
     jax.tree.map(np.testing.assert_array_equal, again.weights, encoder.weights)
 
 
