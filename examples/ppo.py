@@ -168,7 +168,7 @@ class PPO:
         return learner._replace(states=states, observations=observations, key=key), lived
 
     def loss(self, weights: Any, lived: Lived, advantage: Array, target: Array) -> Float[Array, ""]:
-        """The clipped objective, to be minimised (Schulman et al. 2017, arXiv 1707.06347, equations 7 and 9)."""
+        """The clipped objective, to be minimized (Schulman et al. 2017, arXiv 1707.06347, equations 7 and 9)."""
         logits, value = self.network(weights, lived.view)
         ratio = jnp.exp(-cross_entropy(logits, lived.action) - lived.log_probability)
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)

@@ -53,9 +53,9 @@ class Options:
         3 up); sampled where not given.
       seed: of the sampled start.
       image_size: width and height of the simulated images, pixels.
-      cell_size: side of the map's cells, metres.
-      reach: returns from farther away are skipped, metres from the camera.
-      ground: height of the ground in the world of the sequence, metres.
+      cell_size: side of the map's cells, meters.
+      reach: returns from farther away are skipped, meters from the camera.
+      ground: height of the ground in the world of the sequence, meters.
       out: folder to write to; a new one below outputs/ where not given.
     """
 
@@ -139,9 +139,9 @@ def check_options(options: Options) -> None:
         raise InputError("give either --sequence with the folder of a sequence, or --simulate with a house")
     for option, value in (("--cell-size", options.cell_size), ("--reach", options.reach)):
         if not (math.isfinite(value) and value > 0):
-            raise InputError(f"{option} {value:g}: give metres, above 0")
+            raise InputError(f"{option} {value:g}: give meters, above 0")
     if not math.isfinite(options.ground):
-        raise InputError(f"--ground {options.ground:g}: give metres")
+        raise InputError(f"--ground {options.ground:g}: give meters")
     if min(options.image_size) < 1:
         raise InputError(f"--image-size {options.image_size[0]} {options.image_size[1]}: give pixels, at least 1")
 

@@ -33,7 +33,7 @@ class Case(NamedTuple):
 
 CASES = (Case(1, (480, 640), 50), Case(1, (480, 640), 200), Case(1, (120, 160), 50), Case(256, (48, 64), 50))
 
-#: Side of every map, metres; height of the cameras and how far ahead of them the wall is.
+#: Side of every map, meters; height of the cameras and how far ahead of them the wall is.
 _SIDE, _CAMERA_HEIGHT, _WALL = 50.0, 1.0, 7.0
 
 

@@ -54,7 +54,7 @@ class Options:
 
     Attributes:
       houses: folder of ProcTHOR houses (`train`, `val` and `test`.jsonl.gz, `asset_boxes.json`), or `procedural` for
-        the embedded floor plans.
+        the procedural floor plans.
       split: `test`, or `val` while anything is still being chosen.
       house: name of the house, such as `val-3`; the first one of the split where not given.
       target: class of the object: bed, chair, sink, plant or couch; drawn among those of the house where not given.
@@ -90,7 +90,7 @@ def house_of(options: Options) -> IndoorHouse:
         split, _, number = options.house.rpartition("-")
         if split != options.split or not number.isdecimal():
             raise InputError(
-                f"--house {options.house}: the embedded houses of the split {options.split} are called "
+                f"--house {options.house}: the procedural houses of the split {options.split} are called "
                 f"{options.split}-0, {options.split}-1 and so on; give one of these, or another --split"
             )
         count = int(number) + 1  # there is no end of them

@@ -32,7 +32,7 @@ MAPS_A_BATCH = CostMapConfig.batch_size
 
 
 class PaperLine(NamedTuple):
-    """A line of Table II of the paper: `METRICS` in percent, success, SPL and distance to success in metres."""
+    """A line of Table II of the paper: `METRICS` in percent, success, SPL and distance to success in meters."""
 
     metrics: tuple[float, float, float, float, float]
     success: float

@@ -64,13 +64,13 @@ class Options:
       collection: what to collect in the houses.
       encoder: safetensors file with an encoder of pictures, such as another training's `encoder.safetensors`, copied
         to `out`; where not given one is trained first.
-      encoder_steps: optimiser steps of that encoder.
+      encoder_steps: optimizer steps of that encoder.
       recipe: `paper` for the paper's, `better` for the one that does better in minutes.
       learning_rate: the highest one, where it is to be another than the recipe's.
       inputs: what the network is shown: semantic classes, mid-level features, or both (Table II).
       patch: side of the square of cells that the network's first layer takes as one.
       widths: channels of the network, from the first layer down to the bottleneck.
-      steps: optimiser steps.
+      steps: optimizer steps.
       batch_size: samples a step.
       seed: of weights and batches.
       validate_every: steps between validations; the last step is one too.

@@ -1,4 +1,4 @@
-"""The paper's headline figure: extra steps beyond an oracle, by planner and neighbourhood.
+"""The paper's headline figure: extra steps beyond an oracle, by planner and neighborhood.
 
 `python -m experiments.reproduce_fig7` runs the 400 published episodes, and sampled starts in every test house.
 """

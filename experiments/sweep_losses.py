@@ -60,7 +60,7 @@ class Options:
       learning_rates: peak learning rates to try.
       widths: networks to try, each as its channels at four scales: 16,32,64,128 8,16,32,64 are two.
       seeds: seeds to try.
-      steps: optimiser steps of each run.
+      steps: optimizer steps of each run.
       batch_size: pairs a step of each run.
       validate_every: steps between validations on pairs; the last step is one too. 0 for the last only.
       episodes: with `--no-episodes`, the planner is not run in validation houses with every network in the end.

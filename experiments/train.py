@@ -47,7 +47,7 @@ class Options:
       widths: channels of the network at 1/2, 1/4, 1/8 and 1/16 of the map's resolution, such as 16 32 64 128.
       quantiles: levels of the quantiles that the network answers with: the middles of equal parts of the distribution,
         as planners take the answers to be equally likely.
-      steps: optimiser steps.
+      steps: optimizer steps.
       batch_size: pairs a step; a multiple of 8 keeps up to eight cores of a CPU busy.
       learning_rate: peak learning rate.
       seed: of weights and batches.
@@ -123,7 +123,7 @@ def model_card(
       options: of the command.
       dataset: the houses.
       after: the card of the network that training began with.
-      step: optimiser steps taken.
+      step: optimizer steps taken.
       figures: of the validation.
     """
     data = options.data

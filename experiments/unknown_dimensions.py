@@ -25,7 +25,7 @@ from dc2g_jax.cli.common import (
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
-from dc2g_jax.datasets.procedural import draw_neighbourhood
+from dc2g_jax.datasets.procedural import draw_neighborhood
 from dc2g_jax.datasets.procedural.suburbs import SUBURBS
 from dc2g_jax.datasets.starts import Start, sample_starts
 from dc2g_jax.errors import InputError
@@ -43,7 +43,7 @@ from dc2g_jax.training.cost_to_go_data import drawn_houses, usable
 
 from .benchmarks.timing import measure
 
-#: Seeds of the drawn houses and neighbourhoods of a split; those of training are below.
+#: Seeds of the drawn houses and neighborhoods of a split; those of training are below.
 SEEDS = {"val": 10_000, "test": 10_001}
 
 #: Cells of unknown ground around a house whose surroundings are not known to end with its map.
@@ -112,11 +112,11 @@ def open_ended(worlds: Worlds) -> Worlds:
     return Worlds(houses, starts)
 
 
-def neighbourhoods(options: Options, doors: int) -> Worlds:
+def neighborhoods(options: Options, doors: int) -> Worlds:
     """Maps of several houses in a row, all suburban styles in turn."""
     styles, seed = list(SUBURBS), SEEDS[options.split] << 32
     houses = [
-        House(f"row{number:03d}d{doors}", options.split, draw_neighbourhood(seed + number, style, options.cells, doors))
+        House(f"row{number:03d}d{doors}", options.split, draw_neighborhood(seed + number, style, options.cells, doors))
         for number, style in ((number, styles[number % len(styles)]) for number in range(options.rows))
     ]
     return Worlds(houses, sample_starts(houses, 2, seed=options.seed))
@@ -131,7 +131,7 @@ def all_worlds(options: Options, dataset: HouseDataset) -> dict[str, Worlds]:
         "drawn": Worlds(drawn, sample_starts(drawn, 2, seed=options.seed)),
     }
     worlds |= {f"{name}_open": open_ended(one) for name, one in worlds.items()}
-    worlds |= {f"rows_{doors}_doors": neighbourhoods(options, doors) for doors in options.doors}
+    worlds |= {f"rows_{doors}_doors": neighborhoods(options, doors) for doors in options.doors}
     return {name: one for name, one in worlds.items() if one.starts}
 
 

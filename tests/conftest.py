@@ -15,7 +15,7 @@ from tests.support.places import PUBLISHED, ROOT, SHARED
 
 CACHE = ROOT / ".pytest_cache"
 
-# No test asks the network for the dataset: it is the copy beside the repository, or else the embedded houses.
+# No test asks the network for the dataset: it is the copy beside the repository, or else the procedural houses.
 os.environ["DC2G_DATA"] = str(PUBLISHED) if PUBLISHED.is_dir() else "procedural"
 os.environ["DC2G_CACHE"] = str(CACHE / "dc2g")
 
@@ -25,8 +25,8 @@ os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.0"
 jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
-# Most tests spend their time on compiling programs that run but briefly: these do without most optimisations.
-# What runs for longer takes `optimized`. (Users' programs are optimised: `.ci/run` runs the main job as they do.)
+# Most tests spend their time on compiling programs that run but briefly: these do without most optimizations.
+# What runs for longer takes `optimized`. (Users' programs are optimized: `.ci/run` runs the main job as they do.)
 os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
 jax.config.update("jax_disable_most_optimizations", True)
 
@@ -46,7 +46,7 @@ def forget_programs():
 
 @pytest.fixture(scope="module")
 def optimized():
-    """Programs optimised as users have them."""
+    """Programs optimized as users have them."""
     jax.config.update("jax_disable_most_optimizations", False)
     yield
     jax.config.update("jax_disable_most_optimizations", True)

@@ -121,7 +121,7 @@ def test_exact_cost_to_go_is_close_to_the_oracle(published_steps):
 
 
 @pytest.mark.slow
-def test_exact_cost_to_go_over_eight_neighbours(published_dataset, published_steps):
+def test_exact_cost_to_go_over_eight_neighbors(published_dataset, published_steps):
     """The paper's 8-connected cost misjudges what a robot that moves in four directions can do, but not by much."""
     settings = SETTINGS["published"]
     planner = DC2G(ExactCostToGo(moves=EIGHT_CONNECTED), settings.rules())

@@ -28,7 +28,7 @@ class MapOptions:
 
     Attributes:
       map: a class picture (.png), an array of class indices (.npy), or the YAML file of a ROS occupancy map.
-      palette: CSV file with the columns class,r,g,b: what the colours of a picture mean.
+      palette: CSV file with the columns class,r,g,b: what the colors of a picture mean.
       goals: goals besides the front doors that are drawn, x and y of one after the other.
       goal_unit: `cells` are columns and rows of the grid, `metres` lie in the map frame of a ROS map.
       cells: columns and rows of the grid that the map is sampled to; a pixel a cell where not given.

@@ -66,7 +66,7 @@ class SearchOptions:
 
     Attributes:
       houses: folder of ProcTHOR houses (`train`, `val` and `test`.jsonl.gz, `asset_boxes.json`), or `procedural` for
-        the embedded floor plans.
+        the procedural floor plans.
       split: `test`, or `val` while anything is still being chosen.
       strict: refuse a file of houses for its first line that is none, instead of skipping it.
       count: houses, the first ones of the split.
@@ -107,7 +107,7 @@ class SearchOptions:
     @property
     def described(self) -> str:
         """The houses in words."""
-        kind = "embedded floor plans" if self.houses == PROCEDURAL else f"houses of {self.houses}"
+        kind = "procedural floor plans" if self.houses == PROCEDURAL else f"houses of {self.houses}"
         return f"{self.count} {kind}, {self.split}"
 
 

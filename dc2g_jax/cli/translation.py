@@ -36,7 +36,7 @@ class TranslationOptions:
       whole_share: share of training pairs in which all of the map is observed. The paper does not say how many are;
         a network that is never shown a whole map draws one as badly as if it had learned nothing.
       augment: maps are shifted, enlarged and mirrored at random, as pix2pix does; not with `--no-augment`.
-      steps: optimiser steps in all.
+      steps: optimizer steps in all.
       batch_size: pairs a step.
       learning_rate: of Adam.
       size: rows and columns of the pictures; a power of two of at least 32.

@@ -31,7 +31,7 @@ SPLIT_FILES = dict(zip(SPLITS, ("training_houses.csv", "validation_houses.csv", 
 IMAGE_FOLDER = "full_semantic"
 PUBLISHED_NAME = "driveways_bing_iros19"
 
-#: The word that stands for the embedded houses where a location is asked for.
+#: The word that stands for the procedural houses where a location is asked for.
 PROCEDURAL = "procedural"
 
 _TEST_GROUPS = {"001": "same_neighborhood", "002": "new_neighborhood", "004": "urban"}
@@ -42,7 +42,7 @@ class House:
     """One house with its surroundings.
 
     Attributes:
-        name: `nNNNmMMMhHHH` in the published dataset (neighbourhood, map, house).
+        name: `nNNNmMMMhHHH` in the published dataset (neighborhood, map, house).
         split: 'train', 'val' or 'test'.
         terrain: class indices, read-only: uint8 [H W].
     """
@@ -126,7 +126,7 @@ def stack_worlds(houses: Iterable[House]) -> World:
 def group_of(house: House) -> str | None:
     """Return the paper's category of a house (section IV).
 
-    'train' and 'val' follow the split. Test houses are 'same_neighborhood' in neighbourhood ?001, which
+    'train' and 'val' follow the split. Test houses are 'same_neighborhood' in neighborhood ?001, which
     training saw parts of, 'new_neighborhood' in ?002, 'urban' in ?004, and 'test' anywhere else. None for
     a split of another name.
     """
@@ -171,7 +171,7 @@ def load_dataset(folder: str | os.PathLike[str], *, cells: int | None = 50) -> H
 
 
 def procedural_dataset(seed: int = 0, *, cells: int | None = 50) -> HouseDataset:
-    """Return the embedded procedural houses, sampled to `cells` a side like images from a folder
+    """Return the procedural houses, sampled to `cells` a side like images from a folder
     (`None`: as they are drawn).
 
     Raises:
@@ -258,7 +258,7 @@ def open_dataset(
     """Open the dataset that is meant, fetching the published one where nothing else is said.
 
     In this order: `location`; the environment variable `DC2G_DATA`; the copy downloaded earlier; a download
-    from the authors' repository; and, only where nothing answers there, the embedded procedural houses with
+    from the authors' repository; and, only where nothing answers there, the procedural houses with
     one line through `log`.
 
     Args:

@@ -63,7 +63,7 @@ def houses_with_door(dataset: HouseDataset, split: str) -> list[House]:
 _solve = jit(search.cost_to_go)
 
 
-def labelled_map(image: ClassImage, size: int) -> tuple[UInt8[np.ndarray, "s s"], Float[np.ndarray, "s s"]]:
+def labeled_map(image: ClassImage, size: int) -> tuple[UInt8[np.ndarray, "s s"], Float[np.ndarray, "s s"]]:
     """A house's map and its exact cost-to-go, squeezed to a square (Algorithm 1, lines 4 and 5).
 
     Distances are those of the map in its own proportions, with `size` pixels along its longer side.
@@ -82,7 +82,7 @@ def labelled_map(image: ClassImage, size: int) -> tuple[UInt8[np.ndarray, "s s"]
     return resize_nearest(reduced[:height, :width], size, size), resize_nearest(cost[:height, :width], size, size)
 
 
-def labelled_grid(image: ClassImage, cells: int) -> tuple[UInt8[np.ndarray, "s s"], Float[np.ndarray, "s s"]]:
+def labeled_grid(image: ClassImage, cells: int) -> tuple[UInt8[np.ndarray, "s s"], Float[np.ndarray, "s s"]]:
     """A house's map and its exact cost-to-go on the grid that robots move on.
 
     Args:
@@ -96,11 +96,11 @@ def labelled_grid(image: ClassImage, cells: int) -> tuple[UInt8[np.ndarray, "s s
     return terrain, np.asarray(_solve(TRAVERSABLE[terrain], terrain == FRONT_DOOR))
 
 
-def labelled_maps(
+def labeled_maps(
     images: Iterable[ClassImage], size: int
 ) -> tuple[UInt8[np.ndarray, "houses s s"], Float[np.ndarray, "houses s s"]]:
-    """`labelled_map` of several houses, stacked."""
-    terrain, cost = zip(*(labelled_map(image, size) for image in images), strict=True)
+    """`labeled_map` of several houses, stacked."""
+    terrain, cost = zip(*(labeled_map(image, size) for image in images), strict=True)
     return np.stack(terrain), np.stack(cost)
 
 
@@ -111,7 +111,7 @@ def all_pairs(houses: Sequence[House], masks: Bool[np.ndarray, "masks s s"]) -> 
       houses: houses with their whole images.
       masks: what is observed; their size is that of the pictures.
     """
-    terrain, cost = labelled_maps((house.terrain for house in houses), masks.shape[-1])
+    terrain, cost = labeled_maps((house.terrain for house in houses), masks.shape[-1])
     return ImageSet(
         terrain=jnp.asarray(terrain),
         cost_to_go=jnp.asarray(cost),

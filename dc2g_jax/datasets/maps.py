@@ -36,8 +36,8 @@ class Goal(NamedTuple):
     """Where a goal lies.
 
     Attributes:
-      x: column of the grid, or metres in the map frame.
-      y: row of the grid, growing downward, or metres in the map frame.
+      x: column of the grid, or meters in the map frame.
+      y: row of the grid, growing downward, or meters in the map frame.
       unit: `metres` can be given where the map is a ROS map.
     """
 
@@ -57,7 +57,7 @@ def read_map(
 
     Args:
       path: a class picture (`.png`), an array of class indices (`.npy`), or the YAML file of a ROS occupancy map.
-      palette: what the colours of a picture mean.
+      palette: what the colors of a picture mean.
       goals: goals besides the front doors that are drawn; they become front doors.
       cells: columns and rows of the grid that the map is sampled to, see `dc2g_jax.grid.sampling.sample_grid` and
         `OccupancyMap.terrain`; `None` for a pixel a cell.
@@ -177,8 +177,8 @@ def _with_goals(
             raise InputError(f"{where}: {name} is nowhere; give two numbers")
         if goal.unit == "metres":
             if occupancy is None:
-                raise InputError(f"{where}: {name} is in metres, which only a ROS map knows; give its column and row")
-            name += " in metres"
+                raise InputError(f"{where}: {name} is in meters, which only a ROS map knows; give its column and row")
+            name += " in meters"
             cell = occupancy.cell(goal.x, goal.y, columns, rows)
             if cell is None:
                 raise InputError(f"{where}: {name} lies far off the map; give a goal on the map")
@@ -242,7 +242,7 @@ def _maps_in(folder: Path) -> list[Path]:
 def read_map_folder(folder: Path) -> list[tuple[str, str, UInt8[np.ndarray, "h w"]]]:
     """Read a folder of maps: name, split and terrain of each, split by split in the order of their names.
 
-    Beside the maps may lie: `labels_colors.csv`, the colours of pictures (`class,r,g,b`); `goals.csv`, the goals of
+    Beside the maps may lie: `labels_colors.csv`, the colors of pictures (`class,r,g,b`); `goals.csv`, the goals of
     maps by name (`map,x,y,unit`, see `Goal`); and `cells.csv`, the size of the grid that every map is sampled to
     (`columns,rows` and one line), where a pixel is not to be a cell.
 

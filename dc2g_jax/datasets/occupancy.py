@@ -18,8 +18,8 @@ YAML_ENDINGS = (".yaml", ".yml")
 
 _REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 
-#: The grey that map savers write where nothing is known, and the threshold below which it is not read as free.
-_UNKNOWN_GREY, _USUAL_FREE_THRESHOLD = 205, 0.196
+#: The gray that map savers write where nothing is known, and the threshold below which it is not read as free.
+_UNKNOWN_GRAY, _USUAL_FREE_THRESHOLD = 205, 0.196
 
 _GAP = rb"(?:\s|#[^\r\n]*[\r\n])+"
 _PGM_HEADER = re.compile(rb"P5" + _GAP + rb"(\d{1,6})" + _GAP + rb"(\d{1,6})" + _GAP + rb"(\d{1,5})\s")
@@ -33,8 +33,8 @@ class OccupancyMap:
       path: the YAML file it was read from.
       free: pixels known to be free.
       occupied: pixels known to be occupied; where neither, nothing is known.
-      resolution: metres a pixel.
-      origin: where the lower left corner of the picture lies in the map frame: x and y in metres, and the angle in
+      resolution: meters a pixel.
+      origin: where the lower left corner of the picture lies in the map frame: x and y in meters, and the angle in
         radians by which the picture is turned counterclockwise about it.
       doubt: one line on what was read as the file says but is probably not meant so, or `None`.
     """
@@ -61,8 +61,8 @@ class OccupancyMap:
         map, `None` where no number says how far.
 
         Args:
-          x: metres.
-          y: metres.
+          x: meters.
+          y: meters.
           columns: of the grid that is laid over the map.
           rows: of the grid.
         """
@@ -97,10 +97,10 @@ def read_occupancy_map(path: Path) -> OccupancyMap:
     image = path.parent / str(facts["image"])
     resolution = _number(path, "resolution", facts["resolution"])
     if resolution <= 0:
-        raise InputError(f"{path}: resolution is {resolution}; give the metres of a pixel, such as 0.05")
+        raise InputError(f"{path}: resolution is {resolution}; give the meters of a pixel, such as 0.05")
     origin = facts["origin"]
     if not isinstance(origin, list) or len(origin) != 3:
-        raise InputError(f"{path}: origin is {origin!r}; give [x, y, yaw] in metres and radians")
+        raise InputError(f"{path}: origin is {origin!r}; give [x, y, yaw] in meters and radians")
     x, y, yaw = (_number(path, "origin", value) for value in origin)
     free_threshold, occupied_threshold = (_number(path, key, facts[key]) for key in ("free_thresh", "occupied_thresh"))
     if not 0 <= free_threshold <= occupied_threshold <= 1:
@@ -112,18 +112,18 @@ def read_occupancy_map(path: Path) -> OccupancyMap:
         raise InputError(f"{path}: negate is {facts['negate']!r}; give 0 where white is free, 1 where black is")
     if facts.get("mode", "trinary") != "trinary":
         raise InputError(f"{path}: mode is {facts['mode']!r}; save the map in the mode trinary, no other is read")
-    greys = _read_pgm(image, path)
+    grays = _read_pgm(image, path)
     shades = np.arange(256) / 255
     occupancy = shades if facts["negate"] else 1 - shades
     free = occupancy < free_threshold
     doubt = None
-    unknown_greys = int(np.sum(greys == _UNKNOWN_GREY))
-    if unknown_greys and free[_UNKNOWN_GREY] and not facts["negate"]:
+    unknown_grays = int(np.sum(grays == _UNKNOWN_GRAY))
+    if unknown_grays and free[_UNKNOWN_GRAY] and not facts["negate"]:
         doubt = (
-            f"{unknown_greys} pixels are grey {_UNKNOWN_GREY}, which map savers write where nothing is known, but "
+            f"{unknown_grays} pixels are gray {_UNKNOWN_GRAY}, which map savers write where nothing is known, but "
             f"free_thresh {free_threshold} makes them free; if that is not meant, write {_USUAL_FREE_THRESHOLD}"
         )
-    return OccupancyMap(path, free[greys], (occupancy > occupied_threshold)[greys], resolution, (x, y, yaw), doubt)
+    return OccupancyMap(path, free[grays], (occupancy > occupied_threshold)[grays], resolution, (x, y, yaw), doubt)
 
 
 def _read_facts(path: Path) -> dict[str, Any]:
@@ -161,7 +161,7 @@ def _number(path: Path, key: str, value: object) -> float:
 
 
 def _read_pgm(path: Path, named_in: Path) -> UInt8[np.ndarray, "h w"]:
-    """Grey values of a binary 8-bit PGM file, checked to the last byte."""
+    """Gray values of a binary 8-bit PGM file, checked to the last byte."""
     try:
         data = path.read_bytes()
     except OSError as error:

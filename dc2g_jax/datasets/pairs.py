@@ -111,7 +111,7 @@ _SHIFT_PER_JITTER = 40.0
 def jittered(key: Array, pair: Pair, jitter: float) -> Pair:
     """A pair as it would be were the map a little larger or smaller, a little to the side; half of them as they are.
 
-    Both axes are stretched by factors of their own and cells sampled anew, nearest neighbour; costs grow with the map.
+    Both axes are stretched by factors of their own and cells sampled anew, nearest neighbor; costs grow with the map.
     What comes in from beyond the map's edge is unobserved.
 
     Args:

@@ -21,7 +21,7 @@ class SimilarityScale(NamedTuple):
     """The training maps as bags of words.
 
     Attributes:
-      vocabulary: colour histograms that stand for the kinds of patches there are, each with sum 1.
+      vocabulary: color histograms that stand for the kinds of patches there are, each with sum 1.
       bags: how often each word occurs in each training map, with sum 1 over the words.
     """
 
@@ -30,7 +30,7 @@ class SimilarityScale(NamedTuple):
 
 
 def patch_histograms(terrain: UInt8[np.ndarray, "s s"]) -> Float[np.ndarray, "patches classes"]:
-    """The colour histogram of every patch of a map, with sum 1; a class is a colour.
+    """The color histogram of every patch of a map, with sum 1; a class is a color.
 
     Raises:
       ValueError: if the map cannot be broken into patches of equal size.
@@ -57,8 +57,8 @@ def similarity_scale(training: UInt8[np.ndarray, "maps s s"]) -> SimilarityScale
     words = min(VOCABULARY, len(np.unique(features, axis=0)))
     cv2.setRNGSeed(_SEED)
     until = (cv2.TERM_CRITERIA_MAX_ITER + cv2.TERM_CRITERIA_EPS, _ITERATIONS, 1e-5)
-    centres = cv2.kmeans(features, words, None, until, _ATTEMPTS, cv2.KMEANS_PP_CENTERS)[2]  # type: ignore[call-overload]
-    return SimilarityScale(centres, np.stack([_bag(terrain, centres) for terrain in training]))
+    centers = cv2.kmeans(features, words, None, until, _ATTEMPTS, cv2.KMEANS_PP_CENTERS)[2]  # type: ignore[call-overload]
+    return SimilarityScale(centers, np.stack([_bag(terrain, centers) for terrain in training]))
 
 
 def distance_to_training(terrain: UInt8[np.ndarray, "s s"], scale: SimilarityScale) -> float:

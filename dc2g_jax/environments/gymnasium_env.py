@@ -62,7 +62,7 @@ GYMNASIUM_ID = "dc2g_jax/FrontDoor-v0"
 #: Longer side of a rendered frame in pixels, about.
 FRAME_SIDE = 400
 
-#: Colour of the robot in a frame, RGB: none of the classes'.
+#: Color of the robot in a frame, RGB: none of the classes'.
 ROBOT_COLOR = (255, 60, 200)
 
 #: Half the robot's length in a frame in pixels, at least.
@@ -380,7 +380,7 @@ def _step_all(
 
 
 def frame(terrain: UInt8[np.ndarray, "h w"], pose: Int[np.ndarray, "3"]) -> UInt8[np.ndarray, "height width 3"]:
-    """A picture of what a robot knows: observed cells in their classes' colours, others black, the robot a triangle.
+    """A picture of what a robot knows: observed cells in their classes' colors, others black, the robot a triangle.
 
     Args:
       terrain: observed class indices.

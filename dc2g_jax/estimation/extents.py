@@ -75,7 +75,7 @@ class CroppedEstimator:
         return self.estimator.init(world)
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "outcomes h w *batch"]:
-        """The estimator's answer to the square, resampled by nearest neighbour there and back."""
+        """The estimator's answer to the square, resampled by nearest neighbor there and back."""
         height, width = terrain.shape[:2]
         top, left, size = self.square(terrain)
         sample, row, column = (_count(number, size) for number in (self.side, height, width))

@@ -1,6 +1,6 @@
-"""The paper's pictures: maps in the colours of their classes, cost-to-go in grey, and how such a picture is read back.
+"""The paper's pictures: maps in the colors of their classes, cost-to-go in gray, and how such a picture is read back.
 
-Pictures are RGB, float32 from 0 to 1 with the colours last. All functions take one; `jax.vmap` makes them take many.
+Pictures are RGB, float32 from 0 to 1 with the colors last. All functions take one; `jax.vmap` makes them take many.
 """
 
 import jax.numpy as jnp
@@ -9,15 +9,15 @@ from jaxtyping import Array, Bool, Float, UInt8
 from dc2g_jax.grid.sampling import resize_nearest
 from dc2g_jax.grid.terrain import CLASS_COLORS, TRAVERSABLE, UNKNOWN
 
-#: A pixel of a higher HSV saturation is not grey and so stands for ground that cannot be driven on (section IV-A3).
+#: A pixel of a higher HSV saturation is not gray and so stands for ground that cannot be driven on (section IV-A3).
 SATURATION_LIMIT = 0.3
 
-#: Colour of ground that cannot be driven on.
+#: Color of ground that cannot be driven on.
 RED = (1.0, 0.0, 0.0)
 
 
 def semantic_image(terrain: UInt8[Array, "h w"]) -> Float[Array, "h w 3"]:
-    """The picture of a map: the colours of its classes, black where nothing has been observed."""
+    """The picture of a map: the colors of its classes, black where nothing has been observed."""
     return jnp.asarray(CLASS_COLORS / 255.0, jnp.float32)[terrain]
 
 
@@ -31,7 +31,7 @@ def cost_to_go_image(
 ) -> Float[Array, "h w 3"]:
     """The picture of a cost-to-go: what the paper's network learns to draw (section III-A, Fig. 3).
 
-    Grey 1 - d / `largest`; then scaled so that the brightest visible pixel is 1, which the authors' scripts do and the
+    Gray 1 - d / `largest`; then scaled so that the brightest visible pixel is 1, which the authors' scripts do and the
     paper does not say. Red where the ground cannot be driven on. Black where nothing has been observed and where there
     is no way to a goal.
 
@@ -45,13 +45,13 @@ def cost_to_go_image(
     value = jnp.where(drivable & jnp.isfinite(cost_to_go), value, 0.0)
     brightest = jnp.max(value)
     value = jnp.where(brightest > 0, value / jnp.where(brightest > 0, brightest, 1.0), 0.0)
-    grey = jnp.clip(value, 0.0, 1.0)[..., None]
+    gray = jnp.clip(value, 0.0, 1.0)[..., None]
     blocked = (terrain != UNKNOWN) & ~drivable
-    return jnp.where(blocked[..., None], jnp.asarray(RED, jnp.float32), grey)
+    return jnp.where(blocked[..., None], jnp.asarray(RED, jnp.float32), gray)
 
 
 def in_eight_bits(image: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
-    """A picture as a file of 8 bits a colour holds it, rounded down as the implementation that the paper names does.
+    """A picture as a file of 8 bits a color holds it, rounded down as the implementation that the paper names does.
 
     So black that a network draws as nearly black is black; it would have a saturation of any size otherwise.
     """
@@ -59,7 +59,7 @@ def in_eight_bits(image: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
 
 
 def saturation(image: Float[Array, "h w 3"]) -> Float[Array, "h w"]:
-    """S of HSV: 0 for greys, 1 for pure colours; 0 for black."""
+    """S of HSV: 0 for grays, 1 for pure colors; 0 for black."""
     high, low = jnp.max(image, axis=-1), jnp.min(image, axis=-1)
     return jnp.where(high > 0, (high - low) / jnp.where(high > 0, high, 1.0), 0.0)
 
@@ -70,7 +70,7 @@ def brightness(image: Float[Array, "h w 3"]) -> Float[Array, "h w"]:
 
 
 def looks_traversable(image: Float[Array, "h w 3"]) -> Bool[Array, "h w"]:
-    """Pixels that are grey enough to stand for ground that can be driven on (S < 0.3)."""
+    """Pixels that are gray enough to stand for ground that can be driven on (S < 0.3)."""
     return saturation(image) < SATURATION_LIMIT
 
 
@@ -83,7 +83,7 @@ def read_cost_to_go(image: Float[Array, "h w 3"], height: int, width: int) -> Fl
       width: columns of the grid.
 
     Returns:
-      1 - brightness: 0 at the goal; 1, the worst there is, where the picture is not grey.
+      1 - brightness: 0 at the goal; 1, the worst there is, where the picture is not gray.
     """
     cost = jnp.where(looks_traversable(image), 1 - brightness(image), 1.0)
     return resize_nearest(cost, height, width)

@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from dc2g_jax.estimation.images import brightness, looks_traversable
 
-#: A pixel that is grey and brighter than this is close to a goal (section IV-A3).
+#: A pixel that is gray and brighter than this is close to a goal (section IV-A3).
 LOW_COST_BRIGHTNESS = 0.9
 
 
@@ -15,7 +15,7 @@ class ImageMetrics(NamedTuple):
     """Predicted pictures against the true ones. A share of nothing is no number.
 
     Attributes:
-      l1: mean absolute difference over pixels and colours.
+      l1: mean absolute difference over pixels and colors.
       low_precision: of the pixels predicted to have a low cost-to-go, the share that has.
       low_recall: of the pixels that have a low cost-to-go, the share predicted.
       traversable_precision: the same of the pixels that can be driven on.
@@ -51,7 +51,7 @@ class Comparison(NamedTuple):
     """What the metrics of a picture, or of several, are made of.
 
     Attributes:
-      l1: mean absolute difference over pixels and colours; added up, where pictures are.
+      l1: mean absolute difference over pixels and colors; added up, where pictures are.
       low: pixels of low cost-to-go.
       traversable: pixels that can be driven on.
     """

@@ -1,4 +1,4 @@
-"""Pictures of terrain: PNG files whose exact colours stand for classes, and the palette that says which."""
+"""Pictures of terrain: PNG files whose exact colors stand for classes, and the palette that says which."""
 
 import difflib
 import functools
@@ -24,16 +24,16 @@ ALIASES = {"_boundary_": UNKNOWN, "_background_": UNKNOWN}
 _NO_ENTRY = 255
 _FOREIGN_CLASS = 254
 
-#: Colours that a message lists before it counts the others.
+#: Colors that a message lists before it counts the others.
 _LISTED_COLORS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Palette:
-    """The colours of a dataset.
+    """The colors of a dataset.
 
-    Several classes may share a colour; the first in file order has it. A class that the package does not
-    know is refused only where a pixel uses its colour, so that a palette may list more than is drawn.
+    Several classes may share a color; the first in file order has it. A class that the package does not
+    know is refused only where a pixel uses its color, so that a palette may list more than is drawn.
 
     Attributes:
         path: the file it was read from.
@@ -47,7 +47,7 @@ class Palette:
 
     @functools.cached_property
     def class_of_color(self) -> np.ndarray:
-        """Terrain class of every RGB colour, uint8 [2**24]; above the classes: 254 foreign, 255 no entry."""
+        """Terrain class of every RGB color, uint8 [2**24]; above the classes: 254 foreign, 255 no entry."""
         table = np.full(2**24, _NO_ENTRY, np.uint8)
         known = {**ALIASES, **{name: index for index, name in enumerate(CLASS_NAMES)}}
         for name, code in zip(self.names[::-1], _color_codes(self.colors)[::-1], strict=True):
@@ -55,18 +55,18 @@ class Palette:
         return table
 
     def name_of(self, color: Sequence[int]) -> str:
-        """Return the name of the class that has this RGB colour, which must be in the palette."""
+        """Return the name of the class that has this RGB color, which must be in the palette."""
         return self.names[int(np.flatnonzero((self.colors == np.asarray(color)).all(axis=1))[0])]
 
     def nearest(self, color: Sequence[int]) -> tuple[str, tuple[int, int, int]]:
-        """Return name and RGB of the entry closest to a colour, by Euclidean distance in RGB."""
+        """Return name and RGB of the entry closest to a color, by Euclidean distance in RGB."""
         difference = self.colors.astype(int) - np.asarray(color, int)
         index = int(np.argmin((difference**2).sum(axis=1)))
         return self.names[index], _rgb(self.colors[index])
 
 
 def read_palette(csv_path: Path) -> Palette:
-    """Read a palette file: CSV with the columns `class`, `r`, `g`, `b`, colour values 0 to 255.
+    """Read a palette file: CSV with the columns `class`, `r`, `g`, `b`, color values 0 to 255.
 
     Classes are known by name, so the order of the rows is free.
 
@@ -94,10 +94,10 @@ def read_palette(csv_path: Path) -> Palette:
 def read_class_image(png_path: Path, palette: Palette) -> np.ndarray:
     """Read a palette or RGB PNG as terrain classes, uint8 [H W].
 
-    Colours are exact. An alpha channel must be opaque everywhere.
+    Colors are exact. An alpha channel must be opaque everywhere.
 
     Raises:
-        InputError: the file is no intact PNG with 8-bit colours, or a pixel has a colour that is not in the
+        InputError: the file is no intact PNG with 8-bit colors, or a pixel has a color that is not in the
             palette or belongs to a class the package does not know.
     """
     png_path = Path(png_path)
@@ -133,7 +133,7 @@ def check_classes(where: str, classes: npt.ArrayLike) -> np.ndarray:
 
 
 def write_class_image(png_path: Path, classes: np.ndarray) -> None:
-    """Write terrain classes, uint8 [H W], as an RGB PNG in the published colours.
+    """Write terrain classes, uint8 [H W], as an RGB PNG in the published colors.
 
     Raises:
         InputError: the array is not two-dimensional or holds a value that is no class.
@@ -155,7 +155,7 @@ def _explain_color(png_path: Path, palette: Palette, colors: np.ndarray, classes
         name, known = palette.name_of(color), CLASS_NAMES[1:]
         close = difflib.get_close_matches(name, known, n=1)
         return (
-            f"{png_path}: pixel x={x}, y={y} has the colour {color} of class {name!r} in {palette.path}, which is no "
+            f"{png_path}: pixel x={x}, y={y} has the color {color} of class {name!r} in {palette.path}, which is no "
             f"known class; rename it to {close[0] if close else 'one of: ' + ', '.join(known)}"
         )
     rows, columns = np.nonzero(classes == _NO_ENTRY)
@@ -168,10 +168,10 @@ def _explain_color(png_path: Path, palette: Palette, colors: np.ndarray, classes
         more = f" and {others} more" if others else ""
         listed.append(f"{color} at pixel x={x}, y={y}{more} (nearest: {name} {nearest})")
     if len(counts) > len(listed):
-        listed.append(f"and {len(counts) - len(listed)} other colours")
+        listed.append(f"and {len(counts) - len(listed)} other colors")
     return (
-        f"{png_path}: has colours outside the palette {palette.path}: {', '.join(listed)}; "
-        "add those that are classes of their own to the palette, repaint others in exact colours, without smoothing"
+        f"{png_path}: has colors outside the palette {palette.path}: {', '.join(listed)}; "
+        "add those that are classes of their own to the palette, repaint others in exact colors, without smoothing"
     )
 
 

@@ -146,8 +146,8 @@ def shift(board: Board, dx: int, dy: int) -> Board:
     return _shift_axis(_shift_columns(board, dx), dy, 1)
 
 
-def neighbours(board: Board) -> Board:
-    """Cells with a 4-neighbour in the set."""
+def neighbors(board: Board) -> Board:
+    """Cells with a 4-neighbor in the set."""
     return shift(board, 1, 0) | shift(board, -1, 0) | shift(board, 0, 1) | shift(board, 0, -1)
 
 
@@ -158,7 +158,7 @@ def flood(seed: Board, free: Board) -> Board:
     """
 
     def grow(_: Array, reached: Board) -> Board:
-        return reached | (neighbours(reached) & free)
+        return reached | (neighbors(reached) & free)
 
     def grow_some(carry: tuple[Board, Array]) -> tuple[Board, Array]:
         grown = jax.lax.fori_loop(0, _STEPS_BETWEEN_LOOKS, grow, carry[0])
@@ -172,7 +172,7 @@ def cells_that_see(targets: Board, offsets: Offsets) -> Board:
     """Cells `p` for which `p + offset` is in `targets` for at least one of the constant `offsets` `(dx, dy)`.
 
     The targets are framed by zeros once; every offset is then a plain view of the frame, and all of them together one
-    loop over it without a branch, which is faster than sharing the work of neighbouring offsets. Offsets with the same
+    loop over it without a branch, which is faster than sharing the work of neighboring offsets. Offsets with the same
     `dx` share their bit shift.
     """
     by_column: dict[int, list[int]] = collections.defaultdict(list)

@@ -1,8 +1,8 @@
 """Geodesic distance over the plane: how far it is to the goal around obstacles, in any direction and not only in eight.
 
 The distance solves the Eikonal equation |grad d| = 1 outside obstacles, with d = 0 on the goal. The fast marching
-method (Sethian 1996) solves its first-order upwind discretisation (Godunov's) one cell at a time, nearest first, with
-a queue. That discretisation has one solution, so the order in which cells are computed does not matter to the result
+method (Sethian 1996) solves its first-order upwind discretization (Godunov's) one cell at a time, nearest first, with
+a queue. That discretization has one solution, so the order in which cells are computed does not matter to the result
 and is chosen for vectors here: sweeps over the diagonals of the grid, after Zhao (2005) and Detrixhe et al. (2013).
 """
 
@@ -25,7 +25,7 @@ def geodesic_distance(
 
     It is to rounding what `skfmm.distance(phi, cell_size, order=1)` gives where phi is 0 on goal cells, 1 on others and
     masked on obstacles. No sign of phi changes between two cells then, so nothing is interpolated there: distances
-    count from the centres of the goal cells. First order it is because the values of scikit-fmm's second-order
+    count from the centers of the goal cells. First order it is because the values of scikit-fmm's second-order
     stencils depend on the order in which its queue takes cells. Like every first-order distance it is exact along rows
     and columns and too long between them, most along diagonals and near the goal: around a single goal cell in the open
     by 21 % at the next cell, up to 7 % at 10 to 20 cells, 3 % at 40 to 100 and 1.5 % beyond.
@@ -35,10 +35,10 @@ def geodesic_distance(
     Args:
       free: cells without obstacle.
       goals: cells at distance 0. They may be obstacles: the way to a bed ends at the bed.
-      cell_size: edge of a cell, metres.
+      cell_size: edge of a cell, meters.
 
     Returns:
-      float32 metres; infinity on obstacles and where no way leads to the goal, everywhere if there is no goal.
+      float32 meters; infinity on obstacles and where no way leads to the goal, everywhere if there is no goal.
     """
     cost_of_cell = jnp.where(free | goals, jnp.asarray(cell_size, jnp.float32), jnp.inf)
     return travel_cost(cost_of_cell, jnp.where(goals, jnp.float32(0), jnp.inf))
@@ -77,7 +77,7 @@ def _swept(
 ) -> Float[Array, "d r"]:
     """Total costs, by diagonals, after one sweep over all diagonals from the first to the last, or back.
 
-    No two cells of a diagonal are neighbours, so that all are computed at once, exactly as if one by one: from the
+    No two cells of a diagonal are neighbors, so that all are computed at once, exactly as if one by one: from the
     diagonal just computed and the one to come.
     """
     n_diagonals, n_rows = total.shape
@@ -99,7 +99,7 @@ def _swept(
 
 
 def _upwind(one: Float[Array, "n"], other: Float[Array, "n"], cost_of_cell: Float[Array, "n"]) -> Float[Array, "n"]:
-    """Godunov's total cost of cells from that of their cheaper neighbour in either direction.
+    """Godunov's total cost of cells from that of their cheaper neighbor in either direction.
 
     The root t of (t - one)^2 + (t - other)^2 = cost^2 that exceeds both; where there is none the cheaper one alone
     counts.
@@ -112,7 +112,7 @@ def _upwind(one: Float[Array, "n"], other: Float[Array, "n"], cost_of_cell: Floa
 def _diagonals(cells: Float[Array, "h w"], slope: int) -> Float[Array, "d r"]:
     """Cells sorted by diagonals, one entry a row of the grid.
 
-    Their neighbours to the left and right are the same entries of the diagonals before and after, those above and below
+    Their neighbors to the left and right are the same entries of the diagonals before and after, those above and below
     are one entry beside these. A border of infinity surrounds
     them: the first diagonal, the last one, and the last entry of each.
 

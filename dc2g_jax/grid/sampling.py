@@ -19,7 +19,7 @@ def nearest_pixels(pixels: int, samples: int) -> npt.NDArray[np.int64]:
 
 
 def nearest_pixel(index: Any, pixels: Any, samples: Any) -> Any:
-    """Of n pixels along an axis, the one that a sample reads: the nearest at its centre, exact ties rounded down.
+    """Of n pixels along an axis, the one that a sample reads: the nearest at its center, exact ties rounded down.
 
     Args:
         index: i, which of the samples; like the others, a whole number or an array of them, NumPy's or JAX's.
@@ -33,14 +33,14 @@ def nearest_pixel(index: Any, pixels: Any, samples: Any) -> Any:
 
 
 def resize_nearest(grid: Grid, height: int, width: int) -> Grid:
-    """Resize a grid `[h w ...]` to `[height width ...]` by nearest neighbour and nothing else, see `nearest_pixels`."""
+    """Resize a grid `[h w ...]` to `[height width ...]` by nearest neighbor and nothing else, see `nearest_pixels`."""
     return grid[nearest_pixels(grid.shape[0], height)][:, nearest_pixels(grid.shape[1], width)]
 
 
 def sample_grid(classes: ClassImage, cells: int | tuple[int, int] = 50) -> ClassImage:
     """Squeeze a class image into a grid, whatever its aspect ratio.
 
-    Nearest neighbour (see `nearest_pixels`). Then `path` cells are dilated by a 3x3 square over everything, so that a
+    Nearest neighbor (see `nearest_pixels`). Then `path` cells are dilated by a 3x3 square over everything, so that a
     thin path stays connected, and `front_door` cells are put back on top.
 
     Args:

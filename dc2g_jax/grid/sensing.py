@@ -71,7 +71,7 @@ class Kernel:
         framed = jnp.pad(bitboard.unpack(targets, width).astype(self._count), frame)
 
         def counted(offsets: tuple[tuple[int, int], ...]) -> Array:
-            # Small numbers fill a vector by the dozen: faster than sharing the work of neighbouring cells.
+            # Small numbers fill a vector by the dozen: faster than sharing the work of neighboring cells.
             views = (framed[radius + dy :, radius + dx :][:height, :width] for dx, dy in offsets)
             return functools.reduce(jnp.add, views)
 
@@ -174,15 +174,15 @@ class OccludedKernel(Kernel):
             number = {offset: index for index, offset in enumerate(ahead_and_lateral)}
             dx.append([ahead * ex - lateral * ey for ahead, lateral in ahead_and_lateral])
             dy.append([ahead * ey + lateral * ex for ahead, lateral in ahead_and_lateral])
-            parents.append([number[_towards_the_robot(*offset)] for offset in ahead_and_lateral])
+            parents.append([number[_toward_the_robot(*offset)] for offset in ahead_and_lateral])
         return tuple(np.array(table, np.int32) for table in (dx, dy, parents))
 
 
-def _towards_the_robot(ahead: int, lateral: int) -> tuple[int, int]:
+def _toward_the_robot(ahead: int, lateral: int) -> tuple[int, int]:
     """The offset one cell less ahead that is next to the straight line, the one nearer to the middle of two."""
     if ahead == 0:
         return 0, 0
-    # Rounded towards the middle, a parent lies within the wedge.
+    # Rounded toward the middle, a parent lies within the wedge.
     beside = (2 * abs(lateral) * (ahead - 1) + ahead - 1) // (2 * ahead)
     return ahead - 1, beside if lateral > 0 else -beside
 
@@ -201,7 +201,7 @@ def _turned(ahead_and_lateral: list[tuple[int, int]], radius: int) -> Kernel:
 def field_of_view(radius: int) -> Kernel:
     """The 90-degree field of view of range `radius` cells (paper, section IV-B).
 
-    A cell is seen iff its centre is within `radius` of the robot's and strictly less than 45 degrees off the
+    A cell is seen iff its center is within `radius` of the robot's and strictly less than 45 degrees off the
     heading, that is |lateral| < ahead; the robot's own cell always is.
 
     Raises:

@@ -58,5 +58,5 @@ TRAVERSABLE = np.array([name in _TRAVERSABLE_NAMES for name in CLASS_NAMES])
 
 _OPAQUE_NAMES = ("car", "house", "fence", "tree", "bush", "garage door")
 
-#: Class index -> does it hide what is behind it from a camera a metre above the ground? bool [class].
+#: Class index -> does it hide what is behind it from a camera a meter above the ground? bool [class].
 OPAQUE = np.array([name in _OPAQUE_NAMES for name in CLASS_NAMES])

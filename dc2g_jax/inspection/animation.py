@@ -16,17 +16,17 @@ from dc2g_jax.datasets.houses import House
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import CLASS_NAMES, TRAVERSABLE
 from dc2g_jax.inspection.costs import (
-    BLOCKED_COLOUR,
-    COST_COLOURS,
+    BLOCKED_COLOR,
+    COST_COLORS,
     cost_image,
     cost_shares,
     exact_cost_to_go,
     highest_cost,
 )
 from dc2g_jax.inspection.episode_figures import goal_marks, outcome
-from dc2g_jax.inspection.figures import CLASS_COLOURS, hidden_colour, map_image, planner_style, present_classes
+from dc2g_jax.inspection.figures import CLASS_COLORS, hidden_color, map_image, planner_style, present_classes
 from dc2g_jax.inspection.replay import Frames, running_extra_steps
-from dc2g_jax.inspection.video import Picture, frequent_colours, write_gif, write_mp4
+from dc2g_jax.inspection.video import Picture, frequent_colors, write_gif, write_mp4
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
 
 #: Pixels: the most that all panels may take, wide and high, and the same where cells would have fewer than three; the
@@ -40,13 +40,13 @@ _LINE, _SIGN_GAP, _ENTRY_GAP, _PATCH = 22, 6, 18, 13
 #: Pictures of an episode at most; of a longer one only every second, third ... step is shown.
 _MOST_PICTURES = 250
 
-#: Pictures from which the colours of a GIF are chosen.
+#: Pictures from which the colors of a GIF are chosen.
 _SAMPLE = 12
 
 #: Seconds that the last picture stays.
 _LAST_SECONDS = 2.5
 
-#: Colours of the predicted cost-to-go; few, so that pictures stay small.
+#: Colors of the predicted cost-to-go; few, so that pictures stay small.
 _COST_LEVELS = 40
 
 _MARK, _ROBOT, _SUBGOAL = "#ffffff", "#f0e442", "#ff6ec7"
@@ -137,13 +137,13 @@ def _font(name: str) -> ImageFont.FreeTypeFont:
     return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / f"{name}.ttf", _FONT)
 
 
-def _mark(outline: Sequence[tuple[float, float]], colour: str, side: int) -> Image.Image:
+def _mark(outline: Sequence[tuple[float, float]], color: str, side: int) -> Image.Image:
     """A mark with a black edge and soft corners, on a clear ground."""
     fine = 8 * side
     image = Image.new("RGBA", (fine, fine), (0, 0, 0, 0))
     points = [(fine * (0.5 + 0.43 * x), fine * (0.5 + 0.43 * y)) for x, y in outline]
     draw = ImageDraw.Draw(image)
-    draw.polygon(points, fill=colour)
+    draw.polygon(points, fill=color)
     draw.line([*points, *points[:2]], fill="black", width=int(np.clip(fine // 9, 8, 14)), joint="curve")
     return image.resize((side, side), Image.Resampling.LANCZOS)
 
@@ -154,16 +154,16 @@ def _enlarged(cells: np.ndarray, scale: int) -> np.ndarray:
 
 
 def _rim(pixels: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
-    """Those pixels of a set that have a neighbour outside it, on the picture."""
+    """Those pixels of a set that have a neighbor outside it, on the picture."""
     framed = np.pad(pixels, 1, mode="edge")
     inner = framed[:-2, 1:-1] & framed[2:, 1:-1] & framed[1:-1, :-2] & framed[1:-1, 2:]
     return pixels & ~inner
 
 
-def _patch(colour: Sequence[float], rim: Sequence[float]) -> Image.Image:
-    """A square of a colour, RGB from 0 to 1, within a rim."""
+def _patch(color: Sequence[float], rim: Sequence[float]) -> Image.Image:
+    """A square of a color, RGB from 0 to 1, within a rim."""
     pixels = np.broadcast_to(np.asarray(rim), (_PATCH, _PATCH, 3)).copy()
-    pixels[1:-1, 1:-1] = colour
+    pixels[1:-1, 1:-1] = color
     return _image(pixels).convert("RGBA")
 
 
@@ -218,10 +218,10 @@ class _Painter:
         """What the legend says: classes, the largest first, what is pale or framed, and marks."""
         frame, classes = to_rgb(_FRAME), present_classes(self._terrain)
         names = [CLASS_NAMES[index] for index in classes]
-        entries = {name.replace("_", " "): _patch(to_rgb(CLASS_COLOURS[name]), frame) for name in names}
-        entries["not seen yet"] = _patch(hidden_colour(classes[0]), frame)
+        entries = {name.replace("_", " "): _patch(to_rgb(CLASS_COLORS[name]), frame) for name in names}
+        entries["not seen yet"] = _patch(hidden_color(classes[0]), frame)
         if estimates:
-            entries["not traversable"] = _patch(to_rgb(BLOCKED_COLOUR), frame)
+            entries["not traversable"] = _patch(to_rgb(BLOCKED_COLOR), frame)
         if self._layout.scale > 2:
             entries["in view"] = _patch((1.0, 1.0, 1.0), _VIEW_RIM)
         marks = {"start": self._start, "robot": self._robots[0], "subgoal": self._subgoal, "goal": self._goal}
@@ -255,7 +255,7 @@ class _Painter:
         pixels = _enlarged(cells, scale)
         if scale > 2:
             pixels[_rim(_enlarged(seen, scale))] = _SEEN_RIM
-            if panel.cost:  # in grey, costs near the goal look like blocked ground
+            if panel.cost:  # in gray, costs near the goal look like blocked ground
                 pixels[_rim(_enlarged(seen & TRAVERSABLE[self._terrain], scale))] = _SEEN_RIM
             else:
                 pixels[_rim(_enlarged(frames.field_of_view[frame], scale))] = _VIEW_RIM
@@ -273,8 +273,8 @@ class _Painter:
 
         way = self._middles(corner, frames.pose.x[: frame + 1], frames.pose.y[: frame + 1])
         if len(way) > 1:
-            for colour, width in (("white", 4), ("black", 2)) if scale > 2 else (("white", 3), ("black", 1)):
-                draw.line(way, fill=colour, width=width)
+            for color, width in (("white", 4), ("black", 2)) if scale > 2 else (("white", 3), ("black", 1)):
+                draw.line(way, fill=color, width=width)
         if not panel.cost:
             robot = int(frames.pose.x[frame]), int(frames.pose.y[frame])
             places, reached = goal_marks(self._terrain, robot)
@@ -301,7 +301,7 @@ class _Painter:
             draw.text((x, upper), "predicted cost-to-go", _INK, self._font)
             self._draw_scale(draw, x, lower, in_cells=panel.frames.in_cells)
             return
-        draw.text((x, upper), style.label, style.colour, self._bold)
+        draw.text((x, upper), style.label, style.color, self._bold)
         draw.text((x, lower), f"step {frame}: {_doing(panel.frames, frame)}", _INK, self._font)
         extra = self._extra[number][frame]
         if np.isfinite(extra):
@@ -309,12 +309,12 @@ class _Painter:
             draw.text((right, lower), f"{extra:+.0f} %", _PALE_INK, self._font, anchor="ra")
 
     def _draw_scale(self, draw: ImageDraw.ImageDraw, x: int, y: int, *, in_cells: bool) -> None:
-        """The colours of costs, from 0 to the highest."""
+        """The colors of costs, from 0 to the highest."""
         draw.text((x, y), "0", _PALE_INK, self._font)
         for level in range(_COST_LEVELS):
-            colour = tuple(int(255 * value) for value in colormaps[COST_COLOURS](level / _COST_LEVELS)[:3])
+            color = tuple(int(255 * value) for value in colormaps[COST_COLORS](level / _COST_LEVELS)[:3])
             left = x + 14 + 2 * level
-            draw.rectangle((left, y + 3, left + 1, y + 12), fill=colour)
+            draw.rectangle((left, y + 3, left + 1, y + 12), fill=color)
         draw.text(
             (x + 20 + 2 * _COST_LEVELS, y),
             f"{self._high:.0f} cells or more" if in_cells else "highest",
@@ -383,7 +383,7 @@ def animate(
         if path.suffix.lower() == ".gif":
             sample = pictures(house, frames_by_planner, steps[:: max(1, len(steps) // _SAMPLE)] + steps[-1:])
             durations = [1 / frames_per_second] * (len(steps) - 1) + [_LAST_SECONDS]
-            write_gif(path, shown, frequent_colours(sample, (_MARK, _ROBOT, _SUBGOAL)), durations)
+            write_gif(path, shown, frequent_colors(sample, (_MARK, _ROBOT, _SUBGOAL)), durations)
         else:
             write_mp4(path, shown, frames_per_second, _LAST_SECONDS)
     except OSError as error:

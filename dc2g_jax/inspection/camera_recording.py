@@ -44,7 +44,7 @@ class MappedFrame(NamedTuple):
 
     Attributes:
       frame: what the camera delivered.
-      picture: its colour image as a PNG or JPEG file has it, if there is one.
+      picture: its color image as a PNG or JPEG file has it, if there is one.
       voxels: the map.
       terrain: the map as seen from above.
     """
@@ -62,7 +62,7 @@ class CameraRecording:
       file: to write.
       camera: that takes the frames.
       settings: of the map.
-      way: where the camera will be, for the first view, metres in the world.
+      way: where the camera will be, for the first view, meters in the world.
       name: what the viewer calls the recording.
 
     Raises:
@@ -101,7 +101,7 @@ class CameraRecording:
         self._stream.disconnect()
 
     def _describe(self) -> None:
-        """What stays the same: colours, frames of reference, the camera, and how things are drawn."""
+        """What stays the same: colors, frames of reference, the camera, and how things are drawn."""
         stream, camera = self._stream, self._camera
 
         def style(entity: str, look: Any) -> None:
@@ -182,7 +182,7 @@ class CameraRecording:
         send(self._stream, "world/points", steps, cloud.partition(counts))
 
     def _send_voxels(self, steps: np.ndarray, maps: list[SemanticMap]) -> None:
-        """The occupied voxels as boxes in the colours of their classes."""
+        """The occupied voxels as boxes in the colors of their classes."""
         cell, level_height = self._settings.cell_size, self._settings.level_height
         centers, classes = [], []
         for voxels in jax.tree.map(jnp.asarray, maps):

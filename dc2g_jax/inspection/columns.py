@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from dc2g_jax.errors import InputError
 
-#: Name of the timeline: actions of a robot, or steps of an optimiser.
+#: Name of the timeline: actions of a robot, or steps of an optimizer.
 TIMELINE = "step"
 
 #: Address of a viewer on this machine that was started with `rerun`.
@@ -67,7 +67,7 @@ def send(stream: rr.RecordingStream, entity: str, steps: Int[np.ndarray, "t"], c
 
 
 def image_style(stream: rr.RecordingStream, entity: str, context: rr.AnnotationContext, draw_order: float) -> None:
-    """Names and colours of class images, which are drawn cell by cell, without smoothing."""
+    """Names and colors of class images, which are drawn cell by cell, without smoothing."""
     stream.log(entity, context, rr.SegmentationImage.from_fields(opacity=1.0, draw_order=draw_order), static=True)
 
 
@@ -111,7 +111,7 @@ def send_lines(stream: rr.RecordingStream, entity: str, lines: Sequence[Float[np
 
 
 def curve_style(stream: rr.RecordingStream, entity: str, name: str, color: tuple[int, ...]) -> None:
-    """Name and colour of a curve."""
+    """Name and color of a curve."""
     stream.log(entity, rr.SeriesLines(names=name, colors=color, widths=2.0), static=True)
 
 

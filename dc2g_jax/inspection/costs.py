@@ -1,4 +1,4 @@
-"""Costs-to-go in the figure and the animation of an episode: what is exact, where the colours end, and the colours."""
+"""Costs-to-go in the figure and the animation of an episode: what is exact, where the colors end, and the colors."""
 
 from collections.abc import Mapping
 
@@ -14,11 +14,11 @@ from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.inspection.replay import Frames
 from dc2g_jax.programs import jit
 
-#: Colours of the cost-to-go, from the goal on; the ends differ in grey.
-COST_COLOURS = "viridis_r"
+#: Colors of the cost-to-go, from the goal on; the ends differ in gray.
+COST_COLORS = "viridis_r"
 
 #: Where there is no cost-to-go to show: not observed, and observed but not traversable.
-UNSEEN_COLOUR, BLOCKED_COLOUR = "#ffffff", "#ececf1"
+UNSEEN_COLOR, BLOCKED_COLOR = "#ffffff", "#ececf1"
 
 _solve = jit(world_cost_to_go)
 
@@ -29,7 +29,7 @@ def exact_cost_to_go(house: House) -> Float[np.ndarray, "h w"]:
 
 
 def highest_cost(house: House, frames_by_planner: Mapping[str, Frames], exact: Float[np.ndarray, "h w"]) -> float:
-    """The cost in cells at the end of the colours: nearly all that is shown of what robots had observed lies below.
+    """The cost in cells at the end of the colors: nearly all that is shown of what robots had observed lies below.
 
     Args:
       house: the house.
@@ -46,7 +46,7 @@ def highest_cost(house: House, frames_by_planner: Mapping[str, Frames], exact: F
 
 
 def cost_shares(frames: Frames, high: float) -> Float[np.ndarray, "t h w"]:
-    """Predicted costs in parts of the one at the end of the colours; those that are not in cells are such parts."""
+    """Predicted costs in parts of the one at the end of the colors; those that are not in cells are such parts."""
     assert frames.cost_to_go is not None
     return frames.cost_to_go / (high if frames.in_cells else 1.0)
 
@@ -54,13 +54,13 @@ def cost_shares(frames: Frames, high: float) -> Float[np.ndarray, "t h w"]:
 def cost_image(
     share: Float[np.ndarray, "h w"], shown: Bool[np.ndarray, "h w"], blocked: Bool[np.ndarray, "h w"]
 ) -> Float[np.ndarray, "h w 3"]:
-    """Colours of costs, RGB from 0 to 1.
+    """Colors of costs, RGB from 0 to 1.
 
     Args:
-      share: costs in parts of the one at the end of the colours.
+      share: costs in parts of the one at the end of the colors.
       shown: where a cost is shown.
       blocked: what is known not to be traversable; the rest has not been observed.
     """
-    colours = colormaps[COST_COLOURS](np.clip(np.where(shown, share, 0), 0, 1))[..., :3]
-    image = np.where(shown[..., None], colours, np.array(to_rgb(UNSEEN_COLOUR)))
-    return np.where(blocked[..., None], np.array(to_rgb(BLOCKED_COLOUR)), image)
+    colors = colormaps[COST_COLORS](np.clip(np.where(shown, share, 0), 0, 1))[..., :3]
+    image = np.where(shown[..., None], colors, np.array(to_rgb(UNSEEN_COLOR)))
+    return np.where(blocked[..., None], np.array(to_rgb(BLOCKED_COLOR)), image)

@@ -15,11 +15,11 @@ from matplotlib.patches import Patch
 from matplotlib.path import Path
 
 from dc2g_jax.grid.terrain import CLASS_NAMES, TRAVERSABLE, UNKNOWN
-from dc2g_jax.inspection.costs import BLOCKED_COLOUR, COST_COLOURS, UNSEEN_COLOUR, cost_image
+from dc2g_jax.inspection.costs import BLOCKED_COLOR, COST_COLORS, UNSEEN_COLOR, cost_image
 from dc2g_jax.inspection.figures import class_patch, map_image, plain_axes, present_classes, save_figure
 from dc2g_jax.vehicles.trace import Moment
 
-#: Network -> label, colour, line and marker.
+#: Network -> label, color, line and marker.
 _NETWORKS = {
     "clean": ("network trained on clean maps", "#0072b2", "-", "o"),
     "noisy": ("network trained with mapping noise", "#d55e00", "--", "s"),
@@ -45,15 +45,15 @@ def plot_noise(
     """
     figure = Figure(figsize=(7.5, 3.4), layout="constrained")
     extra_axes, success_axes = figure.subplots(1, 2)
-    for network, (label, colour, line, marker) in _NETWORKS.items():
+    for network, (label, color, line, marker) in _NETWORKS.items():
         of_levels = [results.get(f"trained {network}, noise {level:g}") for level in levels]
         rows = [row for row in of_levels if row is not None]
         if not rows:
             continue
-        style = {"color": colour, "linestyle": line, "marker": marker, "markersize": 5, "label": label}
+        style = {"color": color, "linestyle": line, "marker": marker, "markersize": 5, "label": label}
         extra_axes.plot(levels, [row["extra"] for row in rows], **style)
         low, high = ([row[f"extra_{end}"] for row in rows] for end in ("low", "high"))
-        extra_axes.fill_between(levels, low, high, color=colour, alpha=0.17, linewidth=0)
+        extra_axes.fill_between(levels, low, high, color=color, alpha=0.17, linewidth=0)
         success_axes.plot(levels, [100 * row["success"] for row in rows], **style)
     if occluded := results.get("gridworld, occluded"):
         extra_axes.axhline(occluded["extra"], color="#555555", linestyle=":", label="gridworld, with occlusion")
@@ -78,7 +78,7 @@ def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_
       path: where to write, without an ending.
       drive: its moments, in order.
       rows: how many of them are shown, evenly over the drive, the first and the last among them.
-      cell_size: side of a cell, metres.
+      cell_size: side of a cell, meters.
 
     Returns:
       The files written: PNG and SVG.
@@ -117,17 +117,17 @@ def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_
             axes.set_yticks([])
     for axes, name in zip(panels[0], ("camera", "semantic map", "predicted cost-to-go", "planned path"), strict=True):
         axes.set_title(name, fontsize=9)
-    scale = ScalarMappable(Normalize(0, high), COST_COLOURS)
+    scale = ScalarMappable(Normalize(0, high), COST_COLORS)
     figure.colorbar(
         scale, ax=panels[:, 2], location="bottom", label="cost-to-go (cells)", shrink=0.9, extend="max", aspect=30
     )
     classes = present_classes(np.stack([moment.robot.terrain for moment in chosen]))
     # The robot's own cell, before it has looked at it, is ground of no particular class.
     entries: list[Any] = [class_patch(index) for index in classes if CLASS_NAMES[index] != "traversable"]
-    for label, colour in (("nothing predicted", UNSEEN_COLOUR), ("not traversable", BLOCKED_COLOUR)):
-        entries.append(Patch(facecolor=colour, edgecolor="#777777", linewidth=0.4, label=label))
-    for label, colour in (("driven", "black"), ("planned", "#0072b2")):
-        entries.append(Line2D([], [], color=colour, linewidth=2, label=label))
+    for label, color in (("nothing predicted", UNSEEN_COLOR), ("not traversable", BLOCKED_COLOR)):
+        entries.append(Patch(facecolor=color, edgecolor="#777777", linewidth=0.4, label=label))
+    for label, color in (("driven", "black"), ("planned", "#0072b2")):
+        entries.append(Line2D([], [], color=color, linewidth=2, label=label))
     figure.legend(handles=entries, loc="outside lower center", ncols=8, fontsize=7, frameon=False)
     return save_figure(figure, path)
 

@@ -21,8 +21,8 @@ from dc2g_jax.grid.ground import pieces
 from dc2g_jax.grid.poses import Pose, make_pose, moved
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
 from dc2g_jax.inspection.costs import (
-    BLOCKED_COLOUR,
-    COST_COLOURS,
+    BLOCKED_COLOR,
+    COST_COLORS,
     cost_image,
     cost_shares,
     exact_cost_to_go,
@@ -41,10 +41,10 @@ from dc2g_jax.inspection.sheets import DPI, FONT, Sheet, cell_rim, empty_sheet
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
 from dc2g_jax.rollouts.evaluation import EpisodeResult
 
-_GREY = "#444444"
+_GRAY = "#444444"
 
-#: Colours of the way, from its start on; the ends differ in grey.
-_WAY_COLOURS = "plasma"
+#: Colors of the way, from its start on; the ends differ in gray.
+_WAY_COLORS = "plasma"
 
 # Marks lie over lines and frames, and are whole at the edge of a map. The one of a goal that has been reached looks out
 # from under the robot.
@@ -92,7 +92,7 @@ _GOAL_MARK, _SUBGOAL_MARK = ("goal", _GOAL), ("subgoal", _SUBGOAL)
 def _name(axes: Axes, planner: str) -> None:
     """A planner's name beside its row."""
     style = planner_style(planner)
-    axes.set_ylabel(style.label.replace(", ", ",\n"), fontsize=FONT, color=style.colour, fontweight="bold", labelpad=3)
+    axes.set_ylabel(style.label.replace(", ", ",\n"), fontsize=FONT, color=style.color, fontweight="bold", labelpad=3)
 
 
 def _scaled(axes: Axes, cells: int, style: Mapping[str, Any]) -> dict[str, Any]:
@@ -107,7 +107,7 @@ def _draw_map(
 ) -> None:
     """Terrain, pale where not seen, and the goals; a robot that has reached one is drawn over it."""
     axes.imshow(map_image(terrain, seen), interpolation="nearest", aspect="auto")
-    axes.add_collection(LineCollection(cell_rim(seen), colors=_GREY, linewidths=0.5), autolim=False)
+    axes.add_collection(LineCollection(cell_rim(seen), colors=_GRAY, linewidths=0.5), autolim=False)
     places, reached = goal_marks(terrain, robot)
     styles = [_GOAL] * len(places)
     if reached:
@@ -135,14 +135,14 @@ def _draw_robot(axes: Axes, frames: Frames, frame: int) -> None:
 
 
 def _draw_way(axes: Axes, house: House, way: Pose) -> None:
-    """The whole map and a way on it, coloured from its start to its end."""
+    """The whole map and a way on it, colored from its start to its end."""
     _draw_map(axes, house.terrain, np.ones(house.terrain.shape, bool), _place(way, -1))
     points = np.stack([way.x, way.y], axis=-1).astype(float)
     segments = np.stack([points[:-1], points[1:]], axis=1)
     width = house.terrain.shape[1]
     for color, thickness in (("white", 3.0), ("black", 2.2)):
         axes.plot(*points.T, color=color, **_scaled(axes, width, {"linewidth": thickness, **_LINE_STYLE}))
-    colors = colormaps[_WAY_COLOURS](np.linspace(0, 1, len(segments)))
+    colors = colormaps[_WAY_COLORS](np.linspace(0, 1, len(segments)))
     style = _scaled(axes, width, {"linewidth": 1.3, "capstyle": "round"})
     axes.add_collection(LineCollection(list(segments), colors=colors, **style), autolim=False)
     axes.plot(way.x[:1], way.y[:1], **_scaled(axes, width, _START))
@@ -151,16 +151,16 @@ def _draw_way(axes: Axes, house: House, way: Pose) -> None:
 
 
 def _way_bar(sheet: Sheet, place: float) -> None:
-    colours = ScalarMappable(Normalize(0, 1), _WAY_COLOURS)
-    sheet.bar(place, colours, "the way", ticks=[0, 1], format=lambda value, _: ("start", "end")[int(value)])
+    colors = ScalarMappable(Normalize(0, 1), _WAY_COLORS)
+    sheet.bar(place, colors, "the way", ticks=[0, 1], format=lambda value, _: ("start", "end")[int(value)])
 
 
 def _draw_cost(axes: Axes, share: Float[np.ndarray, "h w"], shown: np.ndarray, blocked: np.ndarray) -> None:
-    """Costs-to-go, in parts of the one at the end of the colours; blocked ground and the rest in greys."""
+    """Costs-to-go, in parts of the one at the end of the colors; blocked ground and the rest in grays."""
     axes.imshow(cost_image(share, shown, blocked), interpolation="nearest", aspect="auto")
-    # In grey, costs near the goal look like blocked ground: a line parts them.
+    # In gray, costs near the goal look like blocked ground: a line parts them.
     rims = cell_rim(shown + 2 * blocked)
-    axes.add_collection(LineCollection(rims, colors=_GREY, linewidths=0.5), autolim=False)
+    axes.add_collection(LineCollection(rims, colors=_GRAY, linewidths=0.5), autolim=False)
 
 
 def outcome(frames: Frames) -> str:
@@ -218,14 +218,14 @@ def plot_episode(
     entries = _entries(house.terrain, _START_MARK, _ROBOT_MARK, _SUBGOAL_MARK, _GOAL_MARK)
     entries.append(hidden_patch(present_classes(house.terrain)[0]))
     if estimates:
-        entries.append(Patch(facecolor=BLOCKED_COLOUR, edgecolor="#777777", linewidth=0.4, label="not traversable"))
+        entries.append(Patch(facecolor=BLOCKED_COLOR, edgecolor="#777777", linewidth=0.4, label="not traversable"))
     titles = {planner: _titles(frames, moments(frames, count)) for planner, frames in frames_by_planner.items()}
     rows = len(frames_by_planner) + estimates
     sheet = empty_sheet((height, width), rows, count + 1, entries, [title for row in titles.values() for title in row])
     if estimates:
         exact = exact_cost_to_go(house)
         high = highest_cost(house, frames_by_planner, exact)
-        sheet.bar(0, ScalarMappable(Normalize(0, high), COST_COLOURS), "cost-to-go (cells)", extend="max")
+        sheet.bar(0, ScalarMappable(Normalize(0, high), COST_COLORS), "cost-to-go (cells)", extend="max")
     _way_bar(sheet, 1 if estimates else 0.5)
     row = 0
     for planner, frames in frames_by_planner.items():
@@ -272,7 +272,7 @@ def poses_along(result: EpisodeResult, house: House) -> Pose:
 def plot_trajectories(
     path: str | Path, house: House, result_by_planner: Mapping[str, EpisodeResult], columns: int = 3
 ) -> list[Path]:
-    """Draw the ways of planners on the whole map, coloured from start to end, side by side.
+    """Draw the ways of planners on the whole map, colored from start to end, side by side.
 
     Args:
       path: where to write, without an ending.
@@ -292,7 +292,7 @@ def plot_trajectories(
     entries = _entries(house.terrain, _START_MARK, _ROBOT_MARK, _GOAL_MARK)
     sheet = empty_sheet(house.terrain.shape, rows, columns, entries, list(titles.values()))
     for number, (planner, result) in enumerate(result_by_planner.items()):
-        axes = sheet.panel(*divmod(number, columns), titles[planner], planner_style(planner).colour)
+        axes = sheet.panel(*divmod(number, columns), titles[planner], planner_style(planner).color)
         _draw_way(axes, house, poses_along(result, house))
     _way_bar(sheet, 0.5)
     return save_figure(sheet.figure, path, dpi=DPI)

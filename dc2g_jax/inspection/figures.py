@@ -1,4 +1,4 @@
-"""Figures to put in a paper: drawn off screen, readable in grey and by the colour-blind, as PNG and SVG."""
+"""Figures to put in a paper: drawn off screen, readable in gray and by the color-blind, as PNG and SVG."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -30,13 +30,13 @@ class PlannerStyle(NamedTuple):
 
     Attributes:
       label: what to call it.
-      colour: of Okabe and Ito.
+      color: of Okabe and Ito.
       hatch: of its bars.
       marker: of its points.
     """
 
     label: str
-    colour: str
+    color: str
     hatch: str = ""
     marker: str = "o"
 
@@ -52,15 +52,15 @@ PLANNER_STYLES = {
     "true_cost_to_go": PlannerStyle("DC2G, exact cost-to-go", "#009e73", hatch="xxx", marker="^"),
 }
 
-#: Colours, hatches and markers of planners of other names, each in turn: 20 pass before a bar comes again, and 28
+#: Colors, hatches and markers of planners of other names, each in turn: 20 pass before a bar comes again, and 28
 #: before a line does.
-_OTHER_COLOURS = ("#777777", "#aaaaaa", "#4d4d4d", "#909090")
+_OTHER_COLORS = ("#777777", "#aaaaaa", "#4d4d4d", "#909090")
 _OTHER_HATCHES = ("", "\\\\\\", "...", "+++", "ooo")
 _OTHER_MARKERS = ("P", "X", "v", "h", "<", "p", ">")
 
-#: Class -> colour on maps. Ground is pale and the rest is dark, so that they differ in grey as well; unknown lies
+#: Class -> color on maps. Ground is pale and the rest is dark, so that they differ in gray as well; unknown lies
 #: between.
-CLASS_COLOURS = {
+CLASS_COLORS = {
     "__ignore__": "#a79bb5",
     "front_door": "#d55e00",
     "grass": "#4f9d69",
@@ -79,7 +79,7 @@ CLASS_COLOURS = {
     "traversable": "#fffdf5",
 }
 
-#: Ground that has not been observed is drawn in the class colours mixed with this much white.
+#: Ground that has not been observed is drawn in the class colors mixed with this much white.
 _HIDDEN_WHITE = 0.85
 
 _GROUP_LABELS = {
@@ -107,8 +107,8 @@ def _compared_styles(planners: Iterable[str]) -> dict[str, PlannerStyle]:
 
 def _other_style(name: str, n: int) -> PlannerStyle:
     """How a planner of another name looks, the n-th of these in a figure: a class without its module."""
-    colour, hatch, marker = (styles[n % len(styles)] for styles in (_OTHER_COLOURS, _OTHER_HATCHES, _OTHER_MARKERS))
-    return PlannerStyle(name.rpartition(":")[2], colour, hatch, marker)
+    color, hatch, marker = (styles[n % len(styles)] for styles in (_OTHER_COLORS, _OTHER_HATCHES, _OTHER_MARKERS))
+    return PlannerStyle(name.rpartition(":")[2], color, hatch, marker)
 
 
 def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, PlannerStyle]) -> None:
@@ -116,11 +116,11 @@ def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, 
     planners = [planner for planner in styles if planner in table]
     width = 0.92 / len(planners)
     for place, planner in enumerate(planners):
-        _, colour, hatch, _ = styles[planner]
+        _, color, hatch, _ = styles[planner]
         x = np.arange(len(groups)) + (place - (len(planners) - 1) / 2) * width
         mean = [table[planner][group].mean_extra for group in groups]
         median = [table[planner][group].median_extra for group in groups]
-        axes.bar(x, mean, width * 0.92, color=colour, hatch=hatch, edgecolor="#333333", linewidth=0.5)
+        axes.bar(x, mean, width * 0.92, color=color, hatch=hatch, edgecolor="#333333", linewidth=0.5)
         axes.hlines(median, x - width * 0.46, x + width * 0.46, color="black", linewidth=1.4)
         for position, value, tick in zip(x, mean, median, strict=True):
             axes.annotate(
@@ -183,7 +183,7 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], caption: str
     figure.supylabel("extra steps beyond the oracle (%)", fontsize=8)
     figure.legend(
         [
-            Patch(facecolor=style.colour, hatch=style.hatch, edgecolor="#333333", linewidth=0.5)
+            Patch(facecolor=style.color, hatch=style.hatch, edgecolor="#333333", linewidth=0.5)
             for style in styles.values()
         ],
         [style.label for style in styles.values()],
@@ -270,9 +270,9 @@ def present_classes(terrain: UInt8[np.ndarray, "*cells"]) -> list[int]:
 
 
 def map_image(terrain: UInt8[np.ndarray, "h w"], seen: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 3"]:
-    """Class colours where observed, a pale version of them elsewhere; RGB from 0 to 1."""
-    colours = np.array([to_rgb(colour) for colour in CLASS_COLOURS.values()])[terrain]
-    return np.where(seen[..., None], colours, colours * (1 - _HIDDEN_WHITE) + _HIDDEN_WHITE)
+    """Class colors where observed, a pale version of them elsewhere; RGB from 0 to 1."""
+    colors = np.array([to_rgb(color) for color in CLASS_COLORS.values()])[terrain]
+    return np.where(seen[..., None], colors, colors * (1 - _HIDDEN_WHITE) + _HIDDEN_WHITE)
 
 
 def whole_pixels(inches: float, dpi: int) -> float:
@@ -283,18 +283,18 @@ def whole_pixels(inches: float, dpi: int) -> float:
 def class_patch(index: int) -> Patch:
     """What a legend says of a class."""
     label = CLASS_NAMES[index].replace("_", " ") if index else "unknown"
-    return Patch(facecolor=CLASS_COLOURS[CLASS_NAMES[index]], edgecolor="#777777", linewidth=0.4, label=label)
+    return Patch(facecolor=CLASS_COLORS[CLASS_NAMES[index]], edgecolor="#777777", linewidth=0.4, label=label)
 
 
-def hidden_colour(index: int) -> tuple[float, float, float]:
+def hidden_color(index: int) -> tuple[float, float, float]:
     """Of a class where it has not been observed."""
     red, green, blue = map_image(np.full((1, 1), index, np.uint8), np.zeros((1, 1), bool))[0, 0].tolist()
     return red, green, blue
 
 
 def hidden_patch(index: int) -> Patch:
-    """What a legend says of ground that has not been observed, in the colour of a class."""
-    return Patch(facecolor=hidden_colour(index), edgecolor="#777777", linewidth=0.4, label="not seen yet")
+    """What a legend says of ground that has not been observed, in the color of a class."""
+    return Patch(facecolor=hidden_color(index), edgecolor="#777777", linewidth=0.4, label="not seen yet")
 
 
 def plain_axes(axes: Axes) -> None:
@@ -365,7 +365,7 @@ def plot_house_strips(
     lines = [f"extra steps beyond the oracle (%), {_SCALE_NOTE}", "bars: means"]
     figure.supxlabel(("\n" if len(pages) == 1 else "; ").join(lines), fontsize=8.5)
     handles = [
-        Line2D([], [], linestyle="none", marker=style.marker, color=style.colour, markersize=5, label=style.label)
+        Line2D([], [], linestyle="none", marker=style.marker, color=style.color, markersize=5, label=style.label)
         for style in styles.values()
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=entries_a_row, frameon=False, fontsize=8.5)
@@ -433,13 +433,13 @@ def _draw_strips(
                 values = extra[house].get(planner, [])
                 middle = y + _BETWEEN / 2 + _LANE * (lane + 0.5)
                 axes.plot(
-                    values, [middle] * len(values), style.marker, color=style.colour, markersize=3, alpha=0.55,
+                    values, [middle] * len(values), style.marker, color=style.color, markersize=3, alpha=0.55,
                     markeredgewidth=0, clip_on=False,
                 )  # fmt: skip
                 if values:
                     ends = (middle - 0.55 * _LANE, middle + 0.55 * _LANE)
                     axes.vlines(float(np.mean(values)), *ends, color="black", linewidth=2.0)
-                    axes.vlines(float(np.mean(values)), *ends, color=style.colour, linewidth=1.0)
+                    axes.vlines(float(np.mean(values)), *ends, color=style.color, linewidth=1.0)
             y += lanes + _BETWEEN
     axes.set_yticks([place for place, _ in names], [name for _, name in names], fontsize=7)
     axes.tick_params(axis="y", length=0)

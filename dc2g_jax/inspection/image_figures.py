@@ -14,9 +14,9 @@ from matplotlib.patches import Patch
 from dc2g_jax.inspection.figures import PAGE_WIDTH, bare_axes, plain_axes, save_figure
 from dc2g_jax.inspection.training_figures import draw_band
 
-#: Colours (Okabe and Ito; the first three as in the paper: L1, GAN, both), markers and line styles of networks and
+#: Colors (Okabe and Ito; the first three as in the paper: L1, GAN, both), markers and line styles of networks and
 #: losses, in the order they are given.
-_COLOURS = ("#009e73", "#cc79a7", "#0072b2", "#d55e00", "#e69f00", "#56b4e9")
+_COLORS = ("#009e73", "#cc79a7", "#0072b2", "#d55e00", "#e69f00", "#56b4e9")
 _MARKERS = ("o", "^", "s", "D", "v", "P")
 _LINES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
 
@@ -100,7 +100,7 @@ def plot_translations(
         "black": "farthest, not observed, or cut off",
         "red": "not traversable",
     }
-    patches = [Patch(facecolor=colour, edgecolor="#333333", label=label) for colour, label in legend.items()]
+    patches = [Patch(facecolor=color, edgecolor="#333333", label=label) for color, label in legend.items()]
     options = {"ncols": len(patches), "frameon": False, "fontsize": 7.5, "title_fontsize": 7.5}
     figure.legend(handles=patches, title=caption, loc="outside lower center", **options)
     return save_figure(figure, path, dpi=300)
@@ -144,10 +144,10 @@ def plot_training(
     figure = Figure(figsize=(PAGE_WIDTH, 2.7), layout="constrained")
     panels = figure.subplots(1, len(metrics))
     for axes, metric in zip(panels, metrics, strict=True):
-        for (loss, logs), colour, line in zip(runs.items(), _COLOURS, _LINES, strict=False):
+        for (loss, logs), color, line in zip(runs.items(), _COLORS, _LINES, strict=False):
             steps = np.array(sorted(logs[0]))
             curves = [_moving_average(np.array([log[step][metric] for step in steps], float), window) for log in logs]
-            draw_band(axes, steps, np.ma.masked_invalid(np.stack(curves)), color=colour, linestyle=line, label=loss)
+            draw_band(axes, steps, np.ma.masked_invalid(np.stack(curves)), color=color, linestyle=line, label=loss)
         axes.set_xlabel("training steps", fontsize=8)
         axes.set_title(METRIC_LABELS[metric].replace("\n", " "), fontsize=8.5)
         _plain(axes, metric)
@@ -172,15 +172,15 @@ def plot_by_similarity(path: str | Path, networks: Mapping[str, Points], caption
     panels = figure.subplots(len(METRIC_LABELS), 1, sharex=True)
     for axes, (metric, label) in zip(panels, METRIC_LABELS.items(), strict=True):
         for number, (name, points) in enumerate(networks.items()):
-            colour, marker, line = (kinds[number % len(kinds)] for kinds in (_COLOURS, _MARKERS, _LINES))
+            color, marker, line = (kinds[number % len(kinds)] for kinds in (_COLORS, _MARKERS, _LINES))
             axes.scatter(
-                points.distance, points.metrics[metric], s=22, marker=marker, color=colour, alpha=0.75, linewidths=0,
+                points.distance, points.metrics[metric], s=22, marker=marker, color=color, alpha=0.75, linewidths=0,
                 label=name,
             )  # fmt: skip
             if metric in points.fits:
                 slope, intercept = points.fits[metric]
                 ends = np.array([min(points.distance), max(points.distance)])
-                axes.plot(ends, slope * ends + intercept, color=colour, linestyle=line, linewidth=1.5)
+                axes.plot(ends, slope * ends + intercept, color=color, linestyle=line, linewidth=1.5)
         axes.set_ylabel(label, fontsize=9)
         _plain(axes, metric)
     panels[-1].set_xlabel(

@@ -1,4 +1,4 @@
-"""Colours of the viewer, and the words that go with them."""
+"""Colors of the viewer, and the words that go with them."""
 
 from typing import NamedTuple
 
@@ -9,9 +9,9 @@ from matplotlib import colormaps
 from matplotlib.colors import to_rgb
 
 from dc2g_jax.grid.terrain import CLASS_NAMES
-from dc2g_jax.inspection.figures import CLASS_COLOURS
+from dc2g_jax.inspection.figures import CLASS_COLORS
 
-#: Layers over the observed map -> name and colour, RGBA. The legend names them.
+#: Layers over the observed map -> name and color, RGBA. The legend names them.
 REACHABLE = ("reachable", (0, 190, 230, 60))
 FIELD_OF_VIEW = ("field of view", (255, 255, 255, 110))
 FRONTIER = ("frontier", (255, 205, 0, 255))
@@ -23,12 +23,12 @@ ROBOT_COLOR = (235, 30, 30)
 GOAL_COLOR = (235, 30, 30)
 FRAME_COLOR = (120, 120, 128)
 
-#: Colours of curves, in turn.
+#: Colors of curves, in turn.
 CURVE_COLORS = ((255, 150, 0), (0, 200, 255), (120, 220, 90), (220, 120, 255), (255, 235, 59), (255, 90, 90))
 
-#: Class index -> its colour in words.
+#: Class index -> its color in words.
 _COLOR_WORDS = (
-    "mauve", "orange-red", "green", "grey", "light blue", "crimson", "sand", "navy", "cream", "violet", "dark green",
+    "mauve", "orange-red", "green", "gray", "light blue", "crimson", "sand", "navy", "cream", "violet", "dark green",
     "ochre", "yellow-green", "brown", "black", "white",
 )  # fmt: skip
 
@@ -36,7 +36,7 @@ _COLOR_WORDS = (
 NOT_SHOWN, NO_WAY, FIRST_COST, LAST_COST = 0, 1, 2, 255
 _NOT_SHOWN_COLOR, _NO_WAY_COLOR = (32, 33, 38), (82, 83, 90)
 
-#: The part of the colours of costs that is used: the dark end hides what is drawn over it.
+#: The part of the colors of costs that is used: the dark end hides what is drawn over it.
 _BRIGHT = 0.88
 
 #: Differences are drawn in classes too: this one says that there is none, those below and above it come from
@@ -58,7 +58,7 @@ _EPISODE_LEGEND = """\
 **Costs-to-go**
 
 - yellow at the goal to blue, {farthest} cells away
-- grey: no way; dark: not observed
+- gray: no way; dark: not observed
 - dots: candidates, white for the lowest score, which wins, over red to black
 - red dots: goal
 
@@ -71,14 +71,14 @@ Point at a cell or a dot for its class, cost or score.
 
 
 def terrain_context() -> rr.AnnotationContext:
-    """Names and colours of the terrain classes."""
-    colors = [tuple(round(255 * part) for part in to_rgb(color)) for color in CLASS_COLOURS.values()]
+    """Names and colors of the terrain classes."""
+    colors = [tuple(round(255 * part) for part in to_rgb(color)) for color in CLASS_COLORS.values()]
     names = ("not observed", *CLASS_NAMES[1:])
     return rr.AnnotationContext(list(zip(range(len(names)), names, colors, strict=True)))
 
 
 def layer_context(name: str, color: tuple[int, ...]) -> rr.AnnotationContext:
-    """Class 1 in a see-through colour, class 0 not drawn at all."""
+    """Class 1 in a see-through color, class 0 not drawn at all."""
     return rr.AnnotationContext([(0, "", (0, 0, 0, 0)), (1, name, color)])
 
 
@@ -86,7 +86,7 @@ class CostScale(NamedTuple):
     """How costs-to-go become classes of an image.
 
     Attributes:
-      farthest: largest exact cost to be shown; where the colours end.
+      farthest: largest exact cost to be shown; where the colors end.
       step: cost of one class.
       words: what to say of a cost.
     """
@@ -110,7 +110,7 @@ class CostScale(NamedTuple):
         return np.where(shown, level, NOT_SHOWN).astype(np.uint8)
 
     def context(self) -> rr.AnnotationContext:
-        """Names and colours of the classes."""
+        """Names and colors of the classes."""
         costs = self.step * np.arange(LAST_COST - FIRST_COST + 1)
         colors = _colors("viridis_r", _BRIGHT * np.minimum(costs / self.farthest, 1))
         known = [
@@ -134,7 +134,7 @@ def difference_classes(
 
 
 def difference_context() -> rr.AnnotationContext:
-    """Names and colours of the classes of differences: blue where the estimate is too low, red where too high."""
+    """Names and colors of the classes of differences: blue where the estimate is too low, red where too high."""
     off = np.arange(-FARTHEST_OFF, FARTHEST_OFF + 1)
     colors = _colors("RdBu_r", (off + FARTHEST_OFF) / (2 * FARTHEST_OFF))
     known = [
@@ -145,17 +145,17 @@ def difference_context() -> rr.AnnotationContext:
 
 
 def score_colors(rank: Float[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
-    """Colours of candidates, from white for the lowest score of a step, 0, over red to black for the highest, 1."""
+    """Colors of candidates, from white for the lowest score of a step, 0, over red to black for the highest, 1."""
     return _colors("hot_r", rank)
 
 
 def _colors(colormap: str, values: Float[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
-    """RGB colours of values from 0 to 1."""
+    """RGB colors of values from 0 to 1."""
     return (255 * colormaps[colormap](np.clip(values, 0, 1))[:, :3]).astype(np.uint8)
 
 
 def episode_legend(terrain: UInt8[np.ndarray, "h w"], scale: CostScale) -> str:
-    """The words that go with the colours, for the classes that occur in a house."""
+    """The words that go with the colors, for the classes that occur in a house."""
     present = [index for index in np.unique(terrain).tolist() if index]
     classes = ", ".join(f"{_COLOR_WORDS[index]}: {CLASS_NAMES[index].replace('_', ' ')}" for index in present)
     return _EPISODE_LEGEND.format(farthest=round(scale.farthest), classes=classes)

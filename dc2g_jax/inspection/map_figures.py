@@ -15,7 +15,7 @@ from matplotlib.patheffects import withStroke
 
 from dc2g_jax.grid.ground import connected_to_goal, goals_without_ground, pieces
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
-from dc2g_jax.inspection.figures import CLASS_COLOURS, class_patch, present_classes, save_figure
+from dc2g_jax.inspection.figures import CLASS_COLORS, class_patch, present_classes, save_figure
 from dc2g_jax.inspection.sheets import cell_rim
 
 _LEADING, _ISLAND, _BLOCKED = "#bfe0f2", "#e69f00", "#5b606b"
@@ -24,7 +24,7 @@ _GOAL: dict[str, Any] = {"marker": "*", "color": "#f0e442", "markersize": 12, **
 _LOST_GOAL: dict[str, Any] = {"marker": "X", "color": "white", "markersize": 9, **_MARKER}
 
 #: Islands whose sizes are written on them, the largest first.
-_LABELLED_ISLANDS = 6
+_LABELED_ISLANDS = 6
 
 #: How much wider than high a map is whose panels lie below each other.
 _WIDE = 2.0
@@ -87,8 +87,8 @@ def _panels(title: str, terrain: UInt8[np.ndarray, "h w"]) -> list[Axes]:
     return panels
 
 
-def _show(axes: Axes, colours: list[str], numbers: Int[np.ndarray, "h w"] | UInt8[np.ndarray, "h w"]) -> None:
-    axes.imshow(np.array([to_rgb(colour) for colour in colours])[numbers], interpolation="nearest")
+def _show(axes: Axes, colors: list[str], numbers: Int[np.ndarray, "h w"] | UInt8[np.ndarray, "h w"]) -> None:
+    axes.imshow(np.array([to_rgb(color) for color in colors])[numbers], interpolation="nearest")
 
 
 def _legend(axes: Axes, handles: list[Any]) -> None:
@@ -99,7 +99,7 @@ def _legend(axes: Axes, handles: list[Any]) -> None:
 
 
 def _draw_classes(axes: Axes, terrain: UInt8[np.ndarray, "h w"]) -> None:
-    _show(axes, list(CLASS_COLOURS.values()), terrain)
+    _show(axes, list(CLASS_COLORS.values()), terrain)
     _legend(axes, [class_patch(index) for index in present_classes(terrain)])
     _draw_goals(axes, terrain)
     axes.set_title("what is where", fontsize=10)
@@ -109,7 +109,7 @@ def _draw_ground(axes: Axes, terrain: UInt8[np.ndarray, "h w"]) -> None:
     leading = connected_to_goal(terrain)
     islands = TRAVERSABLE[terrain] & ~leading
     _show(axes, [_BLOCKED, _LEADING, _ISLAND], leading + 2 * islands)
-    for island in pieces(islands)[:_LABELLED_ISLANDS]:
+    for island in pieces(islands)[:_LABELED_ISLANDS]:
         axes.text(
             island.x, island.y, f"{island.cells:,}", ha="center", va="center", fontsize=8,
             path_effects=[withStroke(linewidth=2, foreground="white")],
@@ -119,7 +119,7 @@ def _draw_ground(axes: Axes, terrain: UInt8[np.ndarray, "h w"]) -> None:
         ("leads to none (cells)", _ISLAND, islands),
         ("not traversable", _BLOCKED, ~TRAVERSABLE[terrain]),
     )
-    handles: list[Any] = [Patch(facecolor=colour, label=label) for label, colour, cells in keys if np.any(cells)]
+    handles: list[Any] = [Patch(facecolor=color, label=label) for label, color, cells in keys if np.any(cells)]
     _legend(axes, handles + _draw_goals(axes, terrain))
     axes.set_title("where a robot can go", fontsize=10)
 
@@ -140,7 +140,7 @@ def _draw_distance(axes: Axes, terrain: UInt8[np.ndarray, "h w"], cost_to_go: Fl
     axes.set_facecolor("#e6e6e6")
     axes.set_title("exact cost-to-go", fontsize=10)
     image = axes.imshow(np.where(leading, cost_to_go, np.nan), cmap="viridis_r", vmin=0, interpolation="nearest")
-    # In grey, ground near a goal looks like what cannot be reached: a line parts them.
+    # In gray, ground near a goal looks like what cannot be reached: a line parts them.
     axes.add_collection(LineCollection(cell_rim(leading), colors="#444444", linewidths=0.5), autolim=False)
     _draw_goals(axes, terrain)
     if not np.any(leading):

@@ -70,7 +70,7 @@ def _send_maps(stream: rr.RecordingStream, entity: str, frames: Frames, scale: C
 
 
 def _send_candidates(stream: rr.RecordingStream, entity: str, score: Float[np.ndarray, "t h w"]) -> None:
-    """Cells that the planner chooses from, with their scores, coloured from the lowest of a step to the highest."""
+    """Cells that the planner chooses from, with their scores, colored from the lowest of a step to the highest."""
     frame, row, column = np.nonzero(~np.isnan(score))
     finite = np.where(np.isfinite(score), score, np.nan)
     lowest, highest = (of_all.reduce(finite, axis=(1, 2)) for of_all in (np.fmin, np.fmax))

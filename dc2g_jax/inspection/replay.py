@@ -47,7 +47,7 @@ class Frames:
       to_goal: actions an oracle needs from here to the nearest goal, -1 where there is no way.
       cost_to_go: the planner's estimate of the cost-to-go, as its selection rule takes it: most often the mean of its
         outcomes. Where it does not explore and asks for none, what it would be told. `None` if it makes none.
-      frontier: frontier cells, whatever the rules count: reachable, with an unobserved 4-neighbour (paper, section
+      frontier: frontier cells, whatever the rules count: reachable, with an unobserved 4-neighbor (paper, section
         III-D).
       score: while exploring, what the planner compares on the cells it chooses from, the lowest wins: cost-to-go plus
         weighted distance and what `DC2G.surcharge` adds, or the distance alone for one that has no score. NaN on all

@@ -24,12 +24,12 @@ from dc2g_jax.objectnav.classes import CLASS_COLORS, CLASS_NAMES, NOTHING, SEMAN
 from dc2g_jax.objectnav.mapping import EXPLORED, OBSTACLE
 from dc2g_jax.objectnav.worlds import IndoorWorld
 
-#: Low costs are green and high ones red, as in the paper; they get darker all the way and so differ in grey as well.
+#: Low costs are green and high ones red, as in the paper; they get darker all the way and so differ in gray as well.
 _COSTS = LinearSegmentedColormap.from_list("costs", ["#a8e6a1", "#f5e663", "#f4a13a", "#d3411e", "#7d0d12"])
 
 _FLOOR, _WALL, _PATH, _ROBOT, _TARGET, _PLANS = "#d9d9d9", "#4d4d57", "#0000ff", "#e8000b", "#d400a8", "#0026c8"
 
-#: Inches beside the panels, and above and below them; metres around the house.
+#: Inches beside the panels, and above and below them; meters around the house.
 _BESIDE, _AROUND, _MARGIN = 0.55, 1.35, 0.3
 
 _ROWS = ("true map", "robot's map", "cost map")
@@ -43,9 +43,9 @@ class SearchMoment(NamedTuple):
       doing: what it is doing, in words.
       cells: its map, see `dc2g_jax.objectnav.mapping.IndoorMap`.
       origin: row and column of the map's first cell in the world's grid.
-      costs: around the robot, metres; infinite where it must not be.
+      costs: around the robot, meters; infinite where it must not be.
       corner: row and column of the first of these in the world's grid.
-      plans: x and y of the vehicle along each plan that the controller weighs, metres; none where it does not plan.
+      plans: x and y of the vehicle along each plan that the controller weighs, meters; none where it does not plan.
     """
 
     step: int
@@ -122,14 +122,14 @@ def plot_search(
 
 
 def _extent(house: Bool[np.ndarray, "h w"], size: float) -> tuple[float, float, float, float]:
-    """Least and greatest x, then y, of a house with a margin around it, metres."""
+    """Least and greatest x, then y, of a house with a margin around it, meters."""
     rows, columns = np.nonzero(house)
     x, y = (columns.min(), columns.max() + 1), (-rows.max() - 1, -rows.min())
     return x[0] * size - _MARGIN, x[1] * size + _MARGIN, y[0] * size - _MARGIN, y[1] * size + _MARGIN
 
 
 def _highest(moments: Sequence[SearchMoment], extent: tuple[float, float, float, float], size: float) -> float:
-    """The cost at the end of the colours, metres: nearly all that the panels show lies below."""
+    """The cost at the end of the colors, meters: nearly all that the panels show lies below."""
     left, right, bottom, top = extent
     shown = []
     for moment in moments:
@@ -144,7 +144,7 @@ def _highest(moments: Sequence[SearchMoment], extent: tuple[float, float, float,
 
 
 def _robots_map(cells: UInt32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
-    """Colours of a robot's map. Of the classes of a cell the first one is shown, so goals before all others."""
+    """Colors of a robot's map. Of the classes of a cell the first one is shown, so goals before all others."""
     bits = (cells[..., None] >> np.arange(EXPLORED + 1, dtype=np.uint32)) & 1 == 1
     own = bits[..., :SEMANTIC_CLASSES]
     classes = np.where(own.any(axis=-1), own.argmax(axis=-1) + 1, NOTHING)
@@ -155,11 +155,9 @@ def _map_image(
     classes: Int[np.ndarray, "h w"] | UInt8[np.ndarray, "h w"], floor: Bool[np.ndarray, "h w"],
     walls: Bool[np.ndarray, "h w"],
 ) -> UInt8[np.ndarray, "h w 3"]:  # fmt: skip
-    """Colours of a map: what has a class in that one's, else walls dark, floor grey, and the rest white."""
-    floor_colour, wall_colour = (
-        np.round(255 * np.array(to_rgb(colour))).astype(np.uint8) for colour in (_FLOOR, _WALL)
-    )
-    bare = np.where(walls[..., None], wall_colour, np.where(floor[..., None], floor_colour, CLASS_COLORS[NOTHING]))
+    """Colors of a map: what has a class in that one's, else walls dark, floor gray, and the rest white."""
+    floor_color, wall_color = (np.round(255 * np.array(to_rgb(color))).astype(np.uint8) for color in (_FLOOR, _WALL))
+    bare = np.where(walls[..., None], wall_color, np.where(floor[..., None], floor_color, CLASS_COLORS[NOTHING]))
     return np.where((classes != NOTHING)[..., None], CLASS_COLORS[classes], bare)
 
 
@@ -171,7 +169,7 @@ def _show(axes: Axes, image: np.ndarray, first: Sequence[int] | Int[np.ndarray, 
 
 
 def _legend(classes: UInt8[np.ndarray, "h w"], target: int) -> list[Any]:
-    """What colours and marks mean: the classes that are in the house, and the rest."""
+    """What colors and marks mean: the classes that are in the house, and the rest."""
     found = [int(index) for index in np.unique(classes) if index not in (NOTHING, target)]
     patches = [
         (f"target: {CLASS_NAMES[target]}", CLASS_COLORS[target] / 255, _TARGET, 1.4),
@@ -183,7 +181,7 @@ def _legend(classes: UInt8[np.ndarray, "h w"], target: int) -> list[Any]:
     lines = (("way so far", _PATH, 1.5), ("sampled plans", _PLANS, 0.5))
     return [
         *(Patch(facecolor=face, edgecolor=edge, linewidth=width, label=name) for name, face, edge, width in patches),
-        *(Line2D([], [], color=colour, linewidth=width, label=name) for name, colour, width in lines),
+        *(Line2D([], [], color=color, linewidth=width, label=name) for name, color, width in lines),
         Line2D([], [], color=_ROBOT, marker=MarkerStyle(ROBOT_ARROW), markeredgecolor="white", markeredgewidth=0.4,
                markersize=6.5, linestyle="", label="robot"),
     ]  # fmt: skip

@@ -13,7 +13,7 @@ from matplotlib.textpath import TextPath
 from dc2g_jax.inspection.figures import PAGE_WIDTH, whole_pixels
 
 #: Inches: the largest height of a panel; the space left of the panels, between them and between their titles, above
-#: them for a title and for its second line, for the colour bars and a line of the legend. And pixels by the inch.
+#: them for a title and for its second line, for the color bars and a line of the legend. And pixels by the inch.
 _TALLEST = 2.2
 _LEFT, _GAP, _TITLE_GAP, _TITLE, _TITLE_LINE, _BARS, _LINE = 0.3, 0.06, 0.14, 0.17, 0.12, 0.48, 0.15
 DPI = 300
@@ -53,25 +53,25 @@ class Sheet(NamedTuple):
         """Inches that titles take."""
         return _TITLE + (self.lines - 1) * _TITLE_LINE
 
-    def panel(self, row: int, column: int, title: str = "", colour: str = "black") -> Axes:
+    def panel(self, row: int, column: int, title: str = "", color: str = "black") -> Axes:
         """The panel in a row and a column."""
         x = _LEFT + column * self.column + (self.column - _GAP - self.width) / 2
         axes = self._axes(x, self._title + row * self._row, self.width, self.height)
         axes.set_xticks([])
         axes.set_yticks([])
-        axes.set_title("\n".join(_title_lines(title, self.lines)), fontsize=FONT, pad=2, color=colour)
+        axes.set_title("\n".join(_title_lines(title, self.lines)), fontsize=FONT, pad=2, color=color)
         for spine in axes.spines.values():
             spine.set_color("#888888")
             spine.set_linewidth(0.5)
         return axes
 
-    def bar(self, place: float, colours: ScalarMappable, title: str, **options: Any) -> None:
-        """A colour bar below the panels, in the left half of the page (`place` 0) or in the right one (1)."""
+    def bar(self, place: float, colors: ScalarMappable, title: str, **options: Any) -> None:
+        """A color bar below the panels, in the left half of the page (`place` 0) or in the right one (1)."""
         width = float(self.figure.get_figwidth())
         length = min(2.2, 0.38 * width)
         x = (0.25 + 0.5 * place) * width - length / 2
         axes = self._axes(x, self.rows * self._row + 0.09, length, 0.08)
-        bar = self.figure.colorbar(colours, cax=axes, orientation="horizontal", **options)
+        bar = self.figure.colorbar(colors, cax=axes, orientation="horizontal", **options)
         bar.outline.set_linewidth(0.5)  # type: ignore[operator]
         axes.tick_params(labelsize=_SMALL, length=2, width=0.5, pad=1.5)
         axes.set_xlabel(title, fontsize=_SMALL, labelpad=1)
@@ -84,7 +84,7 @@ class Sheet(NamedTuple):
         return self.figure.add_axes(rectangle)
 
     def legend(self, entries: Sequence[Any], columns: int) -> None:
-        """What colours and marks mean, at the foot of the page."""
+        """What colors and marks mean, at the foot of the page."""
         self.figure.legend(
             handles=list(entries), loc="lower center", bbox_to_anchor=(0.5, 0), borderaxespad=0.1, ncols=columns,
             frameon=False, fontsize=_SMALL, handlelength=1.1, handletextpad=0.5, columnspacing=1.2, labelspacing=0.35,
@@ -104,7 +104,7 @@ def _inches(text: str) -> float:
 def empty_sheet(
     shape: tuple[int, ...], rows: int, columns: int, entries: Sequence[Any], titles: Sequence[str]
 ) -> Sheet:
-    """An empty sheet with its legend. Titles of neighbours do not touch: those that would are broken after the colon.
+    """An empty sheet with its legend. Titles of neighbors do not touch: those that would are broken after the colon.
 
     Args:
       shape: rows and columns of the map that all panels show.

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from dc2g_jax.inspection.figures import PAGE_WIDTH, plain_axes, save_figure
 
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 _MARKERS = ("o", "^", "s", "D", "v", "P", "X")
 _LINES = ("-", "--", "-.", ":")
 
@@ -53,14 +53,14 @@ def plot_sweep(
     figure = Figure(figsize=(PAGE_WIDTH, 3.4 + 0.17 * len(runs)), layout="constrained")
     errors, *planner = figure.subplots(1, 1 + bool(extra), squeeze=False, width_ratios=(1.5, 1)[: 1 + bool(extra)])[0]
     for number, (kind, logs) in enumerate(runs.items()):
-        colour, marker = _COLOURS[number % len(_COLOURS)], _MARKERS[number % len(_MARKERS)]
+        color, marker = _COLORS[number % len(_COLORS)], _MARKERS[number % len(_MARKERS)]
         steps = np.array(sorted(logs[0]))
         curves = np.array([[log[step] for step in steps] for log in logs])
-        style = {"color": colour, "marker": marker, "linestyle": _LINES[number % len(_LINES)]}
+        style = {"color": color, "marker": marker, "linestyle": _LINES[number % len(_LINES)]}
         draw_band(errors, steps, curves, markersize=4, label=kind, **style)
         for axes in planner if kind in extra else []:
-            axes.plot(extra[kind], [number] * len(extra[kind]), marker, color=colour, markersize=5, alpha=0.7)
-            axes.vlines(float(np.mean(extra[kind])), number - 0.35, number + 0.35, color=colour, linewidth=2)
+            axes.plot(extra[kind], [number] * len(extra[kind]), marker, color=color, markersize=5, alpha=0.7)
+            axes.vlines(float(np.mean(extra[kind])), number - 0.35, number + 0.35, color=color, linewidth=2)
     errors.set_xlim(0, None)
     errors.set_xlabel("training steps", fontsize=9)
     errors.set_ylabel("validation error (cells)", fontsize=9)

@@ -112,7 +112,7 @@ def _layout(shape: tuple[int, int], steps: int) -> rrb.Blueprint:
 
     Args:
       shape: rows and columns of maps side by side.
-      steps: optimiser steps in all.
+      steps: optimizer steps in all.
     """
     bounds = rrb.VisualBounds2D(x_range=[-0.5, shape[1] + 0.5], y_range=[-0.5, shape[0] + 0.5])
     maps = [rrb.Spatial2DView(origin=f"/maps/{row}", name=name, visual_bounds=bounds) for row, name in _ROWS.items()]
@@ -184,7 +184,7 @@ class TrainingRecording:
         """Add to the curves, and now and then what the network makes of the maps.
 
         Args:
-          step: optimiser steps taken.
+          step: optimizer steps taken.
           loss: mean of the last of them.
           network: as it is now.
         """
@@ -196,7 +196,7 @@ class TrainingRecording:
         """Add the figures of a validation, and what the network makes of the maps.
 
         Args:
-          step: optimiser steps taken.
+          step: optimizer steps taken.
           figures: name -> value.
           network: as it is now.
         """
@@ -209,7 +209,7 @@ class TrainingRecording:
         """Show what the network makes of the maps.
 
         Args:
-          step: optimiser steps taken.
+          step: optimizer steps taken.
           network: as it is now.
         """
         self._predicted = step

@@ -1,4 +1,4 @@
-"""Pictures in a row as files: GIF, with one table of colours, and MP4."""
+"""Pictures in a row as files: GIF, with one table of colors, and MP4."""
 
 import collections
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,12 +16,12 @@ Picture = UInt8[np.ndarray, "height width 3"]
 #: Codecs of an MP4 file, the first that OpenCV has is taken: VP9 is sharper and smaller, MPEG-4 is everywhere.
 _CODECS = ("vp09", "mp4v")
 
-#: Colours in the table of a GIF; the last place stays free, for what does not change from one picture to the next.
-_MOST_COLOURS = 255
+#: Colors in the table of a GIF; the last place stays free, for what does not change from one picture to the next.
+_MOST_COLORS = 255
 
 
 def _codes(picture: Picture) -> Int[np.ndarray, "height width"]:
-    """A number a colour."""
+    """A number a color."""
     return picture.astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
 
 
@@ -29,46 +29,46 @@ def _rgb(codes: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n 3"]:
     return codes[:, None] >> np.array([16, 8, 0]) & 255
 
 
-def frequent_colours(shown: Iterable[Picture], always: Sequence[str]) -> Int[np.ndarray, "n"]:
-    """The most frequent colours of pictures, at most as many as a GIF has.
+def frequent_colors(shown: Iterable[Picture], always: Sequence[str]) -> Int[np.ndarray, "n"]:
+    """The most frequent colors of pictures, at most as many as a GIF has.
 
     Args:
       shown: the pictures.
-      always: colours, as `#rrggbb`, that are taken however rare they are.
+      always: colors, as `#rrggbb`, that are taken however rare they are.
 
     Returns:
-      A number a colour, sorted.
+      A number a color, sorted.
     """
     counts: collections.Counter[int] = collections.Counter()
-    marks = [int(colour[1:], 16) for colour in always]
+    marks = [int(color[1:], 16) for color in always]
     for picture in shown:
         found, often = np.unique(_codes(picture), return_counts=True)
         counts.update(dict(zip(found.tolist(), often.tolist(), strict=True)))
     frequent = [code for code, _ in counts.most_common() if code not in marks]
-    return np.array(sorted(marks + frequent[: _MOST_COLOURS - len(marks)]), np.int32)
+    return np.array(sorted(marks + frequent[: _MOST_COLORS - len(marks)]), np.int32)
 
 
-def write_gif(path: Path, shown: Iterator[Picture], colours: Int[np.ndarray, "n"], durations: Sequence[float]) -> None:
-    """Write a GIF that repeats. One table of colours serves all pictures, and only what changes is stored.
+def write_gif(path: Path, shown: Iterator[Picture], colors: Int[np.ndarray, "n"], durations: Sequence[float]) -> None:
+    """Write a GIF that repeats. One table of colors serves all pictures, and only what changes is stored.
 
     Args:
       path: file to write.
       shown: the pictures.
-      colours: the table, from `frequent_colours`; others are shown as the nearest of them.
+      colors: the table, from `frequent_colors`; others are shown as the nearest of them.
       durations: seconds of each picture.
     """
-    table = _rgb(np.pad(colours, (0, _MOST_COLOURS + 1 - len(colours)))).astype(np.uint8).tobytes()
+    table = _rgb(np.pad(colors, (0, _MOST_COLORS + 1 - len(colors)))).astype(np.uint8).tobytes()
 
     def indexed(picture: Picture) -> Image.Image:
         codes = _codes(picture)
-        index = np.minimum(np.searchsorted(colours, codes), len(colours) - 1)
-        others = colours[index] != codes
+        index = np.minimum(np.searchsorted(colors, codes), len(colors) - 1)
+        others = colors[index] != codes
         found, inverse = np.unique(codes[others], return_inverse=True)
-        off = np.abs(_rgb(found)[:, None] - _rgb(colours)).sum(axis=-1)
+        off = np.abs(_rgb(found)[:, None] - _rgb(colors)).sum(axis=-1)
         index[others] = np.argmin(off, axis=1)[inverse]
         image = Image.fromarray(index.astype(np.uint8))
         image.putpalette(table)
-        image.info["transparency"] = _MOST_COLOURS
+        image.info["transparency"] = _MOST_COLORS
         return image
 
     images = map(indexed, shown)

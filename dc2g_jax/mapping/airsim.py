@@ -5,7 +5,7 @@ request is the array [0, number, method, parameters] and its answer [1, number, 
 over TCP. `pip install "dc2g_jax[airsim]"` gets `msgpack`, which is all it takes. Layouts of messages are those of
 AirLib's `RpcLibAdaptorsBase.hpp`, version 1 of the protocol; Cosys-AirSim has version 4 and other image requests.
 
-AirSim's frame is x north, y east, z down, in metres from where the vehicle starts; its bodies look along x, with y to
+AirSim's frame is x north, y east, z down, in meters from where the vehicle starts; its bodies look along x, with y to
 the right and z down. The world here has x east, y north, z up, and its origin lies where `Camera.origin` says.
 
 Set in AirSim's `settings.json` one size and field of view for the images of types 0 (scene), 1 (planar depth) and 5
@@ -41,7 +41,7 @@ _REQUEST, _RESPONSE = 0, 1
 #: Bytes taken from the socket at once.
 _CHUNK = 1 << 16
 
-#: What is farther than this is sky, metres: AirSim's depth has no other word for it.
+#: What is farther than this is sky, meters: AirSim's depth has no other word for it.
 _SKY = 1000.0
 
 #: World from AirSim's frame, and AirSim's body from the camera's axes right, down and forward.
@@ -172,10 +172,10 @@ class Camera:
     """A camera of AirSim, and how what it delivers is understood.
 
     Attributes:
-      palette: what the colours of segmentation images stand for; a colour that is not in it is not labelled.
+      palette: what the colors of segmentation images stand for; a color that is not in it is not labeled.
       name: of the camera, as in AirSim's settings.
       vehicle: that carries it; AirSim's first where empty.
-      origin: where the vehicle started, in the world: x and y in metres, and AirSim's zero height over the ground.
+      origin: where the vehicle started, in the world: x and y in meters, and AirSim's zero height over the ground.
     """
 
     palette: Palette
@@ -215,17 +215,17 @@ def capture(airsim: AirSim, camera: Camera) -> Capture:
             f"AirSim's simGetImages: sent no {len(requests)} images for camera {camera.name!r}; see its log"
         )
     scene, depth, segmentation = answers
-    picture, colors, metres = _pixels(scene), _pixels(segmentation), _metres(depth)
+    picture, colors, meters = _pixels(scene), _pixels(segmentation), _meters(depth)
     for name, image in (("scene", picture), ("segmentation", colors)):
-        if image.shape[:2] != metres.shape:
+        if image.shape[:2] != meters.shape:
             raise InputError(
                 f"AirSim's camera {camera.name!r}: {name} is {image.shape[1]} x {image.shape[0]} pixels, depth "
-                f"{metres.shape[1]} x {metres.shape[0]}; give all CaptureSettings in settings.json one size"
+                f"{meters.shape[1]} x {meters.shape[0]}; give all CaptureSettings in settings.json one size"
             )
     shades = colors.astype(np.int64)
     classes = camera.palette.class_of_color[shades[..., 0] << 16 | shades[..., 1] << 8 | shades[..., 2]]
     labels: Any = np.where(classes < len(CLASS_NAMES), classes, UNKNOWN).astype(np.uint8)
-    returned: Any = np.where(metres < _SKY, metres, 0).astype(np.float32)
+    returned: Any = np.where(meters < _SKY, meters, 0).astype(np.float32)
     pose = _world_pose(depth["camera_position"], depth["camera_orientation"], camera.origin)
     return Capture(Frame(depth=returned, classes=labels, pose=pose), picture, depth["time_stamp"] * 1e-9)
 
@@ -287,7 +287,7 @@ def drive(airsim: AirSim, camera: Camera, throttle: float, steering: float, brak
 
 
 def label_objects(airsim: AirSim, object_ids: Mapping[str, int]) -> None:
-    """Give objects of AirSim's scene the numbers that decide their colour in segmentation images.
+    """Give objects of AirSim's scene the numbers that decide their color in segmentation images.
 
     Args:
       airsim: the connection.
@@ -313,7 +313,7 @@ def _call_of_camera(airsim: AirSim, method: str, *parameters: Any) -> Any:
         return airsim.call(method, *parameters)
 
 
-def _metres(answer: Mapping[str, Any]) -> Float[np.ndarray, "h w"]:
+def _meters(answer: Mapping[str, Any]) -> Float[np.ndarray, "h w"]:
     """The image of an answer with a number a pixel."""
     return _shaped(answer, np.asarray(answer["image_data_float"], np.float32), 1)[..., 0]
 

@@ -1,9 +1,9 @@
 """Pinhole cameras: what a pixel of a depth image says about the world.
 
-World frame, right-handed, metres: x along the map's columns, y against its rows, z up; the ground is z = 0. The centre
+World frame, right-handed, meters: x along the map's columns, y against its rows, z up; the ground is z = 0. The center
 of the cell in column c and row r is x = (c + 0.5) cell_size, y = -(r + 0.5) cell_size.
 
-Camera frame, as in OpenCV and ROS: x right, y down, z forward. Pixel (u, v) is column and row, its centre lies at whole
+Camera frame, as in OpenCV and ROS: x right, y down, z forward. Pixel (u, v) is column and row, its center lies at whole
 numbers, and its ray is ((u - center_x) / focal_x, (v - center_y) / focal_y, 1). Depth is measured along the optical
 axis.
 
@@ -44,7 +44,7 @@ class CameraPose:
     """Where a camera is and how it is turned.
 
     Attributes:
-      position: of the camera in the world, metres.
+      position: of the camera in the world, meters.
       rotation: from the camera's frame to the world's; its columns are the camera's axes right, down and forward.
     """
 
@@ -57,8 +57,8 @@ class Frame:
     """What a camera delivers at one moment.
 
     Attributes:
-      depth: along the optical axis, metres; 0 where nothing came back.
-      classes: class index of each pixel, see `dc2g_jax.grid.terrain`; 0 where it is not labelled.
+      depth: along the optical axis, meters; 0 where nothing came back.
+      classes: class index of each pixel, see `dc2g_jax.grid.terrain`; 0 where it is not labeled.
       pose: where the camera was.
     """
 
@@ -90,9 +90,9 @@ def level_camera(x: ArrayLike, y: ArrayLike, z: ArrayLike, yaw: ArrayLike, pitch
     """A camera that is not tilted sideways.
 
     Args:
-      x: of the camera in the world, metres.
-      y: metres.
-      z: height above the ground, metres.
+      x: of the camera in the world, meters.
+      y: meters.
+      z: height above the ground, meters.
       yaw: where it looks, counter-clockwise from +x, radians.
       pitch: how far it looks down, radians.
     """
@@ -111,7 +111,7 @@ def level_camera(x: ArrayLike, y: ArrayLike, z: ArrayLike, yaw: ArrayLike, pitch
 
 
 def rays(intrinsics: Intrinsics, pose: CameraPose) -> Float[Array, "h w 3"]:
-    """The direction in which each pixel looks, in the world, not normalised: depth times ray + position = point."""
+    """The direction in which each pixel looks, in the world, not normalized: depth times ray + position = point."""
     right = (jnp.arange(intrinsics.width) - intrinsics.center_x) / intrinsics.focal_x
     down = (jnp.arange(intrinsics.height) - intrinsics.center_y) / intrinsics.focal_y
     # Written out: a matrix product is rounded to fewer bits on GPUs.
@@ -120,10 +120,10 @@ def rays(intrinsics: Intrinsics, pose: CameraPose) -> Float[Array, "h w 3"]:
 
 
 def points(frame_depth: Float[Array, "h w"], intrinsics: Intrinsics, pose: CameraPose) -> Float[Array, "h w 3"]:
-    """The point in the world that each pixel shows, metres.
+    """The point in the world that each pixel shows, meters.
 
     Args:
-      frame_depth: along the optical axis, metres. The point of a pixel without return (0) is the camera's own.
+      frame_depth: along the optical axis, meters. The point of a pixel without return (0) is the camera's own.
       intrinsics: of the camera that took it.
       pose: of that camera.
     """

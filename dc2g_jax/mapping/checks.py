@@ -28,8 +28,8 @@ def check_frame(frame: Frame, intrinsics: Intrinsics, settings: MapSettings) -> 
     check_shapes(frame, intrinsics)
     depth, classes = np.asarray(frame.depth), np.asarray(frame.classes)
     if not np.issubdtype(depth.dtype, np.floating):
-        raise InputError(f"depth has dtype {depth.dtype}; give metres as floating-point numbers")
-    _refuse_pixels("depth", depth, ~np.isfinite(depth) | (depth < 0), "give metres, and 0 where nothing came back")
+        raise InputError(f"depth has dtype {depth.dtype}; give meters as floating-point numbers")
+    _refuse_pixels("depth", depth, ~np.isfinite(depth) | (depth < 0), "give meters, and 0 where nothing came back")
     if classes.dtype != np.uint8:
         raise InputError(f"classes has dtype {classes.dtype}; give class indices as uint8, 0 where there is no label")
     _refuse_pixels(
@@ -63,15 +63,15 @@ def check_pose(pose: CameraPose, settings: MapSettings) -> None:
     Raises:
       InputError: the position is not above the map, or the rotation is none.
     """
-    x, y, z = _finite("position", pose.position, (3,), "give x, y and z in metres")
+    x, y, z = _finite("position", pose.position, (3,), "give x, y and z in meters")
     east, south = settings.columns * settings.cell_size, settings.rows * settings.cell_size
     if not (0 <= x <= east and -south <= y <= 0):
         raise InputError(
-            f"the camera is at x {x:g}, y {y:g}, off the map of x 0 to {east:g} and y {-south:g} to 0; give metres "
+            f"the camera is at x {x:g}, y {y:g}, off the map of x 0 to {east:g} and y {-south:g} to 0; give meters "
             "in the map's frame, whose y is 0 above the first row and falls from row to row"
         )
     if z <= 0:
-        raise InputError(f"the camera is at z {z:g}, not above the ground; give its height over z = 0 in metres")
+        raise InputError(f"the camera is at z {z:g}, not above the ground; give its height over z = 0 in meters")
     rotation = _finite("rotation", pose.rotation, (3, 3), "give the rotation from camera to world")
     error = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if error > _ROTATION_TOLERANCE:

@@ -27,19 +27,19 @@ class NoiseLevels:
     """How much is wrong; nothing where all are 0, and then frames and poses are what they were, bit for bit.
 
     Attributes:
-      depth: standard deviation of a depth of 1 m, metres; it grows with the square of the depth, as it does for stereo
+      depth: standard deviation of a depth of 1 m, meters; it grows with the square of the depth, as it does for stereo
         and for structured light.
-      mislabelled: share of the labelled pixels that bear a wrong class, each for itself.
+      mislabeled: share of the labeled pixels that bear a wrong class, each for itself.
       blobs: regions in a frame that bear a wrong class as a whole: how many there are on average, at most 8. Those
-        that fall where nothing is labelled are not seen.
+        that fall where nothing is labeled are not seen.
       blob_radius: mean radius of those regions as a share of the image's width.
       dropped: share of the pixels without depth and label.
-      position_drift: standard deviation of what a step adds to the error in x, and in y, metres.
+      position_drift: standard deviation of what a step adds to the error in x, and in y, meters.
       yaw_drift: standard deviation of what a step adds to the error in yaw, radians.
     """
 
     depth: ArrayLike = 0.0
-    mislabelled: ArrayLike = 0.0
+    mislabeled: ArrayLike = 0.0
     blobs: ArrayLike = 0.0
     blob_radius: ArrayLike = 0.08
     dropped: ArrayLike = 0.0
@@ -50,11 +50,11 @@ class NoiseLevels:
 #: A robot like the paper's may be. The paper gives no figures, only that its maps are "much noisier" than the perfect
 #: ones (section IV-D). Depth is the Kinect's: 4 cm at 5 m (Khoshelham and Elberink 2012). The rest is set by hand: one
 #: confused surface in a frame, and a pose that drifts by a hundredth of the way.
-PAPER_LIKE = NoiseLevels(depth=0.0016, mislabelled=0.02, blobs=1.0, dropped=0.05, position_drift=0.01, yaw_drift=0.0035)
+PAPER_LIKE = NoiseLevels(depth=0.0016, mislabeled=0.02, blobs=1.0, dropped=0.05, position_drift=0.01, yaw_drift=0.0035)
 
 #: What that leaves in a map from many frames, about: one cell in a hundred has a wrong class and a few next to each
 #: other do, and one in a hundred has never been made out.
-IN_MAPS = NoiseLevels(mislabelled=0.01, blobs=1.0, blob_radius=0.03, dropped=0.01)
+IN_MAPS = NoiseLevels(mislabeled=0.01, blobs=1.0, blob_radius=0.03, dropped=0.01)
 
 
 def scaled(levels: NoiseLevels, level: ArrayLike) -> NoiseLevels:
@@ -71,7 +71,7 @@ def noisy_frame(key: Key[Array, ""], frame: Frame, levels: NoiseLevels) -> Frame
     spread = levels.depth * frame.depth**2
     depth = frame.depth + spread * jax.random.normal(depth_key, frame.depth.shape)
     kept = (depth > 0) & ~_chance(drop_key, levels.dropped, frame.depth.shape)
-    classes = _mislabelled(label_key, frame.classes, levels)
+    classes = _mislabeled(label_key, frame.classes, levels)
     return dataclasses.replace(
         frame,
         depth=jnp.where(kept, depth, 0),
@@ -89,7 +89,7 @@ def noisy_map(key: Key[Array, ""], terrain: UInt8[Array, "h w"], levels: NoiseLe
     """
     label_key, drop_key = jax.random.split(key)
     missing = _chance(drop_key, levels.dropped, terrain.shape)
-    return jnp.where(missing, jnp.uint8(0), _mislabelled(label_key, terrain, levels))
+    return jnp.where(missing, jnp.uint8(0), _mislabeled(label_key, terrain, levels))
 
 
 def _chance(key: Key[Array, ""], share: ArrayLike, shape: tuple[int, ...]) -> Bool[Array, "..."]:
@@ -105,7 +105,7 @@ def _wrong(key: Key[Array, ""], classes: UInt8[Array, "*shape"]) -> UInt8[Array,
     return wrong.astype(jnp.uint8)
 
 
-def _mislabelled(key: Key[Array, ""], classes: UInt8[Array, "h w"], levels: NoiseLevels) -> UInt8[Array, "h w"]:
+def _mislabeled(key: Key[Array, ""], classes: UInt8[Array, "h w"], levels: NoiseLevels) -> UInt8[Array, "h w"]:
     """The classes with blobs and single pixels of wrong ones; pixels without label stay so."""
     blob_key, place_key, wrong_key = jax.random.split(key, 3)
 
@@ -114,7 +114,7 @@ def _mislabelled(key: Key[Array, ""], classes: UInt8[Array, "h w"], levels: Nois
         return jnp.where(region, wrong, labels), None
 
     labels, _ = jax.lax.scan(add_blob, classes, jax.random.split(blob_key, _MOST_BLOBS))
-    alone = _chance(place_key, levels.mislabelled, classes.shape)
+    alone = _chance(place_key, levels.mislabeled, classes.shape)
     return jnp.where(alone, _wrong(wrong_key, classes), labels) * (classes > 0)
 
 
@@ -140,8 +140,8 @@ class PoseDrift:
     """How wrong a robot is about where it is.
 
     Attributes:
-      x: metres.
-      y: metres.
+      x: meters.
+      y: meters.
       yaw: counter-clockwise, radians.
     """
 

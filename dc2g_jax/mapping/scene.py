@@ -26,24 +26,24 @@ from jaxtyping import Array, Bool, Float, Int, UInt8
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR
 
-#: Side of a cell, metres. The paper gives none. In the published training and validation pictures a parked car is 43
+#: Side of a cell, meters. The paper gives none. In the published training and validation pictures a parked car is 43
 #: pixels long (median of 13), so a pixel is 0.11 m, and a cell of the 50 x 50 grid 0.5 to 2 m, 0.9 m in the median.
 CELL_SIZE = 1.0
 
 #: Tiles along a side of a cell. Odd, so that a robot in the middle of a cell looks along no border of tiles.
 TILES = 5
 
-#: Height of a door leaf, metres.
+#: Height of a door leaf, meters.
 LEAF_HEIGHT = 2.1
 
 
 class Shape(NamedTuple):
-    """How high an obstacle is, from its outline inwards. The outermost ring of its tiles is flat.
+    """How high an obstacle is, from its outline inward. The outermost ring of its tiles is flat.
 
     Attributes:
-      rings: heights of the second ring, of the next one, and so on, metres.
-      slope: what it rises further inwards, metres a metre.
-      top: where that ends, metres.
+      rings: heights of the second ring, of the next one, and so on, meters.
+      slope: what it rises further inward, meters a meter.
+      top: where that ends, meters.
     """
 
     rings: tuple[float, ...]
@@ -70,11 +70,11 @@ class Scene:
     """A height field over square tiles. Scenes of one size can be stacked.
 
     Attributes:
-      field: height of each tile above the ground where positive, metres. Elsewhere the tile is ground, and this is
+      field: height of each tile above the ground where positive, meters. Elsewhere the tile is ground, and this is
         minus its clearance: how many rings of tiles around it are ground as well.
       classes: class index of each tile, see `dc2g_jax.grid.terrain`.
-      ceiling: height of the highest tile, metres.
-      tile_size: side of a tile, metres.
+      ceiling: height of the highest tile, meters.
+      tile_size: side of a tile, meters.
     """
 
     field: Float[Array, "h w"]
@@ -88,7 +88,7 @@ def scene_from_terrain(terrain: UInt8[np.ndarray, "h w"], cell_size: float = CEL
 
     Args:
       terrain: class index of every cell.
-      cell_size: side of a cell, metres.
+      cell_size: side of a cell, meters.
 
     Raises:
       InputError: the map is empty or holds numbers that are no class, or cells have no size.
@@ -97,7 +97,7 @@ def scene_from_terrain(terrain: UInt8[np.ndarray, "h w"], cell_size: float = CEL
         found = f"the number {terrain.max()}" if terrain.size else "no cells"
         raise InputError(f"terrain has {found}; give a grid of class indices from 0 to {len(CLASS_NAMES) - 1}")
     if not (math.isfinite(cell_size) and cell_size > 0):
-        raise InputError(f"cell size {cell_size}: give the metres of a cell, such as {CELL_SIZE}")
+        raise InputError(f"cell size {cell_size}: give the meters of a cell, such as {CELL_SIZE}")
     classes = terrain.repeat(TILES, axis=0).repeat(TILES, axis=1)
     heights = np.zeros(classes.shape)
     for shape in set(SHAPES.values()):
@@ -110,9 +110,9 @@ def scene_from_heights(heights: Float[np.ndarray, "h w"], classes: UInt8[np.ndar
     """The scene in which each tile is as high as it is said to be.
 
     Args:
-      heights: of the tiles above the ground, metres, none negative.
+      heights: of the tiles above the ground, meters, none negative.
       classes: class index of every tile.
-      tile_size: side of a tile, metres.
+      tile_size: side of a tile, meters.
     """
     clearance = _distance(heights == 0) - 1
     return Scene(
@@ -150,7 +150,7 @@ def _distance(tiles: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
 
 
 def _heights(shape: Shape, ring: Int[np.ndarray, "h w"], tile_size: float) -> Float[np.ndarray, "h w"]:
-    """The height of tiles on these rings of an obstacle, 1 being the outermost, and 0 what is no part of it; metres."""
+    """The height of tiles on these rings of an obstacle, 1 being the outermost, and 0 what is no part of it; meters."""
     rings = np.array([0.0, 0.0, *shape.rings])
     rise = np.maximum(ring - (len(rings) - 1), 0) * tile_size * shape.slope
     return np.minimum(rings[np.minimum(ring, len(rings) - 1)] + rise, shape.top)

@@ -6,7 +6,7 @@ for 50 x 50 cells and 16 levels, 1.3 MB for 200 x 200. A frame touches only the 
 of the camera, so what it costs depends on the reach and the size of the image, not on the size of the map; while it is
 taken in, it needs 64 bytes for each voxel of the window and some for each pixel.
 
-World frame, camera frame and units are those of `dc2g_jax.mapping.camera`. The lowest level is centred on the ground,
+World frame, camera frame and units are those of `dc2g_jax.mapping.camera`. The lowest level is centered on the ground,
 z = 0. All functions are for one map; `jax.vmap` makes them take many.
 """
 
@@ -41,7 +41,7 @@ MOST_CONFIDENT = 15
 MOST_VOXELS = 2 ** (31 - CLASS_BITS) - 1
 
 #: The class of something that stands there but has no label.
-_UNLABELLED_OBSTACLE = CLASS_NAMES.index("nothing")
+_UNLABELED_OBSTACLE = CLASS_NAMES.index("nothing")
 
 _CONFIDENCE_BITS = MOST_CONFIDENT.bit_length()
 
@@ -56,13 +56,13 @@ class MapSettings:
     Attributes:
       rows: of the map.
       columns: of the map.
-      cell_size: side of a cell, metres.
+      cell_size: side of a cell, meters.
       levels: voxels above each cell.
-      level_height: height of a voxel, metres; the lowest reaches from half of it below the ground to half above.
-      reach: returns from farther away than this (metres from the camera) are skipped.
-      inset: a return counts for the voxel so many metres behind it, for what sends it back lies behind the surface.
+      level_height: height of a voxel, meters; the lowest reaches from half of it below the ground to half above.
+      reach: returns from farther away than this (meters from the camera) are skipped.
+      inset: a return counts for the voxel so many meters behind it, for what sends it back lies behind the surface.
         Walls along the border of two cells would else be booked to either side.
-      clearance: what begins higher than this above the ground (metres) is no obstacle.
+      clearance: what begins higher than this above the ground (meters) is no obstacle.
     """
 
     rows: int = struct.field(pytree_node=False)
@@ -180,9 +180,9 @@ def terrain_map(semantic_map: SemanticMap, settings: MapSettings) -> UInt8[Array
     counts = jnp.stack(
         [jnp.sum(jnp.where(standing & (classes == index), weight, 0), axis=0) for index in range(len(CLASS_NAMES))]
     )
-    obstacle, labelled = _winner(counts)
+    obstacle, labeled = _winner(counts)
     ground = jnp.where(semantic_map.occupied[0], semantic_map.classes[0], jnp.uint8(UNKNOWN))
-    obstacle = jnp.where(labelled, obstacle, jnp.uint8(_UNLABELLED_OBSTACLE))
+    obstacle = jnp.where(labeled, obstacle, jnp.uint8(_UNLABELED_OBSTACLE))
     return jnp.where(jnp.any(standing, axis=0), obstacle, ground)
 
 
@@ -204,7 +204,7 @@ def _usable(frame: Frame, intrinsics: Intrinsics, settings: MapSettings) -> Bool
 
 
 def _ray_lengths(frame: Frame, intrinsics: Intrinsics) -> Float[Array, "h w"]:
-    """Metres from the camera for each metre of depth."""
+    """Meters from the camera for each meter of depth."""
     return jnp.sqrt(jnp.sum(jnp.square(rays(intrinsics, frame.pose)), axis=-1))
 
 
@@ -241,7 +241,7 @@ def _looked_through(
 ) -> Bool[Array, "levels h w"]:
     """Voxels of the window above the ground that the camera has seen to be free.
 
-    The whole voxel must lie in front of what the pixel at its centre shows, and in front of what the eight pixels
+    The whole voxel must lie in front of what the pixel at its center shows, and in front of what the eight pixels
     around that one show: between two pixels that graze a surface, depth may change by more than a voxel.
     """
     levels, rows, columns = (jnp.arange(size) for size in window.shape)
@@ -260,7 +260,7 @@ def _looked_through(
 
 
 def _nearest_around(depth: Float[Array, "h w"]) -> Float[Array, "h w"]:
-    """The least of each pixel and its eight neighbours."""
+    """The least of each pixel and its eight neighbors."""
     height, width = depth.shape
     padded = jnp.pad(depth, 1, constant_values=jnp.inf)
     in_row = functools.reduce(jnp.minimum, [padded[:, column : column + width] for column in range(3)])
@@ -276,12 +276,12 @@ def _updated(
     changed = jnp.clip(known + jnp.where(hit, HIT, -MISS), LOWEST, HIGHEST).astype(jnp.int8)
     log_odds = jnp.where(hit | missed, changed, before.log_odds)
 
-    winner, labelled = _winner(counts)
+    winner, labeled = _winner(counts)
     undecided = before.confidence == 0
     gained = jnp.minimum(before.confidence, MOST_CONFIDENT - 1) + 1
     confidence = jnp.where(undecided | (winner == before.classes), gained, before.confidence - 1)
     voted = jnp.where(undecided, winner, before.classes).astype(_VOTES) << _CONFIDENCE_BITS | confidence
-    votes = jnp.where(labelled, voted, before.votes)
+    votes = jnp.where(labeled, voted, before.votes)
     return SemanticMap(log_odds=log_odds, votes=jnp.where(log_odds > 0, votes, 0))
 
 
@@ -305,8 +305,8 @@ def _check_settings(settings: MapSettings) -> None:
     for name in ("cell_size", "level_height", "reach"):
         value = getattr(settings, name)
         if not (math.isfinite(value) and value > 0):
-            raise InputError(f"{name} is {value!r}; give metres, above 0")
+            raise InputError(f"{name} is {value!r}; give meters, above 0")
     for name in ("inset", "clearance"):
         value = getattr(settings, name)
         if not (math.isfinite(value) and value >= 0):
-            raise InputError(f"{name} is {value!r}; give metres, 0 or more")
+            raise InputError(f"{name} is {value!r}; give meters, 0 or more")

@@ -3,18 +3,18 @@
 What holds as there (Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM Systems, IROS 2012):
 
 - `depth.txt` and `rgb.txt` have a line an image: its time in seconds, and its file as seen from the folder. `#` begins
-  a comment. Colour images are optional here, and only looked at.
-- A depth image is a greyscale PNG of 16 bits, 5000 a metre, along the optical axis, 0 where nothing came back.
-  So depth ends at 13.107 m. Depth and colour images show the same in the same pixel.
-- `groundtruth.txt` has a line a pose: time, tx ty tz in metres, qx qy qz qw. It takes points of the camera (x right,
+  a comment. Color images are optional here, and only looked at.
+- A depth image is a grayscale PNG of 16 bits, 5000 a meter, along the optical axis, 0 where nothing came back.
+  So depth ends at 13.107 m. Depth and color images show the same in the same pixel.
+- `groundtruth.txt` has a line a pose: time, tx ty tz in meters, qx qy qz qw. It takes points of the camera (x right,
   y down, z forward) to the world.
 - Each list has times of its own; what is nearest in time belongs together, if it is at most 0.02 s away.
 
 What is added:
 
-- `classes.txt` lists class images as `depth.txt` lists depth images. They show the same pixels: a greyscale PNG of
+- `classes.txt` lists class images as `depth.txt` lists depth images. They show the same pixels: a grayscale PNG of
   8 bits with the class indices of `dc2g_jax.grid.terrain`, 0 without label. Where the folder has a palette,
-  `labels_colors.csv`, they are pictures in its colours instead.
+  `labels_colors.csv`, they are pictures in its colors instead.
 - `camera.txt` has one line, the intrinsics: focal_x focal_y center_x center_y width height. Images have no distortion.
 - The world has z up and its ground at z = 0, as in `dc2g_jax.mapping.camera`; `moved` takes another one there.
 """
@@ -37,7 +37,7 @@ from dc2g_jax.mapping.checks import check_intrinsics
 from dc2g_jax.mapping.quaternions import quaternion_from_rotation, rotation_from_quaternion
 from dc2g_jax.mapping.semantic_map import MapSettings
 
-#: Steps of a depth image in a metre.
+#: Steps of a depth image in a meter.
 DEPTH_UNITS = 5000.0
 
 #: Seconds that images and poses of one moment may be apart, as in the benchmark's own tools.
@@ -62,7 +62,7 @@ class Moment(NamedTuple):
       time: of the depth image, seconds.
       depth: file of the depth image.
       classes: file of the class image.
-      picture: file of the colour image, if there is one.
+      picture: file of the color image, if there is one.
       pose: of the camera.
     """
 
@@ -81,7 +81,7 @@ class ImageSequence:
       intrinsics: of its camera.
       moments: in the order of time.
       skipped: depth images that have no class image or no pose near them in time.
-      palette: what the colours of class images stand for; `None` where they hold class indices.
+      palette: what the colors of class images stand for; `None` where they hold class indices.
     """
 
     intrinsics: Intrinsics
@@ -91,7 +91,7 @@ class ImageSequence:
 
 
 class Shot(NamedTuple):
-    """A frame to write, and the colour image that goes with it, if any."""
+    """A frame to write, and the color image that goes with it, if any."""
 
     frame: Frame
     picture: UInt8[np.ndarray, "h w 3"] | None = None
@@ -109,7 +109,7 @@ def read_sequence(folder: str | Path, tolerance: float = TOLERANCE) -> ImageSequ
 
     Args:
       folder: of the recording.
-      tolerance: seconds that a class image, colour image or pose may be away from its depth image.
+      tolerance: seconds that a class image, color image or pose may be away from its depth image.
 
     Raises:
       InputError: a list or `camera.txt` is missing or says something impossible, or no depth image has both a class
@@ -153,7 +153,7 @@ def read_frame(sequence: ImageSequence, moment: Moment) -> Frame:
     Raises:
       InputError: an image is missing, damaged, of another size or kind.
     """
-    steps = _read_gray(moment.depth, 16, "depth in 5000 steps a metre")
+    steps = _read_gray(moment.depth, 16, "depth in 5000 steps a meter")
     if sequence.palette is None:
         classes = _read_gray(moment.classes, 8, f"class indices, or lay a palette {PALETTE_FILE} beside them")
     else:
@@ -171,7 +171,7 @@ def read_frame(sequence: ImageSequence, moment: Moment) -> Frame:
 
 
 def read_picture(moment: Moment) -> bytes | None:
-    """The colour image of a moment as it lies in its file, encoded; `None` where there is none.
+    """The color image of a moment as it lies in its file, encoded; `None` where there is none.
 
     Raises:
       InputError: the file cannot be read.
@@ -184,7 +184,7 @@ def moved(sequence: ImageSequence, offset: Float[np.ndarray, "3"]) -> ImageSeque
 
     Args:
       sequence: the recording.
-      offset: what is added to the camera's positions, x, y and z in metres.
+      offset: what is added to the camera's positions, x, y and z in meters.
     """
     shift = offset.astype(np.float32)
     moments = tuple(
@@ -199,8 +199,8 @@ def covered(sequence: ImageSequence, cell_size: float, reach: float) -> tuple[Im
 
     Args:
       sequence: a recording in any place; its ground is at z = 0 already.
-      cell_size: side of a cell, metres.
-      reach: how far its camera is trusted, metres.
+      cell_size: side of a cell, meters.
+      reach: how far its camera is trusted, meters.
 
     Returns:
       The recording, moved by whole cells, and the settings.
@@ -253,7 +253,7 @@ def write_sequence(folder: str | Path, intrinsics: Intrinsics, shots: Iterable[S
 
 
 def depth_steps(depth: Float[np.ndarray, "h w"]) -> UInt16[np.ndarray, "h w"]:
-    """Metres as a depth image has them; 0 where it has no number for them, and where they are none."""
+    """Meters as a depth image has them; 0 where it has no number for them, and where they are none."""
     steps = np.rint(depth.astype(np.float64) * DEPTH_UNITS)
     return np.where((steps > 0) & (steps <= np.iinfo(np.uint16).max), steps, 0).astype(np.uint16)
 

@@ -32,13 +32,13 @@ from dc2g_jax.grid.terrain import CAR, CLASS_NAMES, HOUSE
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, level_camera, rays
 from dc2g_jax.mapping.scene import CELL_SIZE, SHAPES, Scene
 
-#: The usual camera: degrees from side to side, rows and columns of the image, height in metres, pitch in radians.
+#: The usual camera: degrees from side to side, rows and columns of the image, height in meters, pitch in radians.
 FIELD_OF_VIEW = 90.0
 IMAGE_SIZE = (120, 160)
 CAMERA_HEIGHT = 1.0
 CAMERA_PITCH = math.radians(15)
 
-#: How far the usual camera sees, metres: to the far side of a cell 8 cells away.
+#: How far the usual camera sees, meters: to the far side of a cell 8 cells away.
 CAMERA_RANGE = 8.5
 
 #: Faces that a ray may meet: those across x, across y, and tops.
@@ -65,7 +65,7 @@ _PAINT: dict[str, tuple[int, int, int]] = {
 }
 _COLORS = np.array([_PAINT[name] for name in CLASS_NAMES])
 
-#: Class index -> from which height on it is painted otherwise, metres, and how: roofs, and the windows of cars.
+#: Class index -> from which height on it is painted otherwise, meters, and how: roofs, and the windows of cars.
 _UPPER = {HOUSE: (SHAPES["house"].rings[0], (142, 92, 76)), CAR: (SHAPES["car"].rings[0], (52, 62, 74))}
 
 #: Which classes are obstacles, by index; how the flat ground they stand on is painted.
@@ -79,7 +79,7 @@ _SHADE = 0.6
 #: How much the brightness of tiles differs, so that the eye finds hold on flat ground.
 _GRAIN = 0.05
 
-#: How far computed heights may be off, metres.
+#: How far computed heights may be off, meters.
 _ROUNDING = 1e-3
 
 
@@ -140,9 +140,9 @@ def cast(scene: Scene, origin: Float[Array, "3"], direction: Float[Array, "3"], 
 
     Args:
       scene: what there is to meet.
-      origin: where the ray begins, in the world, metres.
-      direction: where it goes; need not be normalised.
-      max_range: how far it goes, metres from the origin.
+      origin: where the ray begins, in the world, meters.
+      direction: where it goes; need not be normalized.
+      max_range: how far it goes, meters from the origin.
     """
     rows, columns = scene.field.shape
     across = _Axis.of(origin[0] / scene.tile_size, direction[0] / scene.tile_size)
@@ -213,7 +213,7 @@ def render(scene: Scene, intrinsics: Intrinsics, pose: CameraPose, max_range: Ar
       scene: what stands around it.
       intrinsics: of the camera.
       pose: of the camera; it is the frame's pose too.
-      max_range: how far the camera sees, metres from it.
+      max_range: how far the camera sees, meters from it.
     """
     hits = _cast_all(scene, pose, rays(intrinsics, pose), max_range)
     return Frame(depth=hits.distance, classes=_classes(scene, hits), pose=pose)
@@ -224,7 +224,7 @@ def robot_camera(pose: Pose, cell_size: ArrayLike = CELL_SIZE) -> CameraPose:
 
     Args:
       pose: column, row and heading of one robot.
-      cell_size: side of a cell, metres.
+      cell_size: side of a cell, meters.
     """
     return level_camera(
         x=(pose.x + 0.5) * cell_size,
@@ -238,13 +238,13 @@ def robot_camera(pose: Pose, cell_size: ArrayLike = CELL_SIZE) -> CameraPose:
 def picture(
     scene: Scene, intrinsics: Intrinsics, pose: CameraPose, max_range: ArrayLike = math.inf
 ) -> UInt8[Array, "h w 3"]:
-    """A colour picture to look at: what the camera sees by daylight, without shadows.
+    """A color picture to look at: what the camera sees by daylight, without shadows.
 
     Args:
       scene: what stands around it.
       intrinsics: of the camera.
       pose: of the camera.
-      max_range: where the sky begins, metres from the camera.
+      max_range: where the sky begins, meters from the camera.
     """
     directions = rays(intrinsics, pose)
     hits = _cast_all(scene, pose, directions, max_range)
@@ -271,7 +271,7 @@ def _brightness(directions: Float[Array, "h w 3"], hits: Hit) -> Float[Array, "h
 
 
 def _sky(directions: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
-    """The colour where a ray meets nothing: sky, and haze below the horizon."""
+    """The color where a ray meets nothing: sky, and haze below the horizon."""
     rise = (directions[..., 2] / jnp.linalg.norm(directions, axis=-1))[..., None]
     sky = jnp.asarray(_HORIZON) + jnp.sqrt(jnp.maximum(rise, 0)) * (jnp.asarray(_ZENITH) - jnp.asarray(_HORIZON))
     return jnp.where(rise > 0, sky, jnp.asarray(_HAZE, jnp.float32))

@@ -2,7 +2,7 @@
 
 Ten times a second the controller plans anew and the vehicle takes the first command of its plan. Every few of these
 periods the robot looks, takes what it sees into its map, and asks its guide (`dc2g_jax.objectnav.guides`) what it costs
-to be where. It has come to its end when the guide leads to an object itself and no more than `STOP` metres are left.
+to be where. It has come to its end when the guide leads to an object itself and no more than `STOP` meters are left.
 
 A vehicle does not drive into obstacles: one that would stays where it is, and its speed is gone.
 
@@ -36,13 +36,13 @@ from dc2g_jax.vehicles.footprint import Ground, clearance, surroundings
 from dc2g_jax.vehicles.mppi import CostOfPose, MPPISettings
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive, wrapped
 
-#: The camera: metres above the floor, how far it looks down (radians), degrees from side to side, rows and columns. It
+#: The camera: meters above the floor, how far it looks down (radians), degrees from side to side, rows and columns. It
 #: is as high as those of the usual research robots. Level, it would see no floor nearer than 1.2 m and leave a hole in
 #: the map around the start; looking down like this the floor begins at 0.6 m, and walls are in view up to 1.5 m from
 #: 2.0 m on.
 CAMERA_HEIGHT, CAMERA_PITCH, FIELD_OF_VIEW, IMAGE_SIZE = 0.9, math.radians(20), 90.0, (120, 160)
 
-#: Floor this near counts as explored, metres: the camera never sees it, and robots went back to look for it.
+#: Floor this near counts as explored, meters: the camera never sees it, and robots went back to look for it.
 FOOTROOM = 0.6
 
 #: What an indoor robot can do: as fast as one walks about a room.
@@ -54,8 +54,8 @@ LIMITS = VehicleLimits(
 CONTROLLER = MPPISettings(limits=LIMITS, samples=128)
 
 #: What it costs the controller to be where the guide says that the robot must not be; how much of that is felt already
-#: on the way there from the next cell; what each metre further in costs; and what it costs to leave the local map.
-#: Metres. A short cut through a wall saves the rest of the horizon as much as the way around is longer: 50 steps, 20 m.
+#: on the way there from the next cell; what each meter further in costs; and what it costs to leave the local map.
+#: Meters. A short cut through a wall saves the rest of the horizon as much as the way around is longer: 50 steps, 20 m.
 _COLLISION, _MARGIN, _SLOPE, _OUTSIDE = 2000.0, 1.0, 3.0, 2000.0
 
 #: Seconds in which a vehicle that follows falling costs would turn to where they fall, at the rate it begins with.
@@ -74,9 +74,9 @@ class Site:
 
     Attributes:
       scene: what its camera sees.
-      paint: colour of what is highest in a cell, see `dc2g_jax.objectnav.paint.painted`.
+      paint: color of what is highest in a cell, see `dc2g_jax.objectnav.paint.painted`.
       free: floor on which nothing stands.
-      distances: what the robot's middle has to drive until an object of each of `GOALS` is at arm's length, metres;
+      distances: what the robot's middle has to drive until an object of each of `GOALS` is at arm's length, meters;
         infinite where it does not fit or finds no way. Only a privileged guide looks at it.
     """
 
@@ -91,7 +91,7 @@ class Guidance:
     """What a guide says about the cells of the local map.
 
     Attributes:
-      distance: what it costs to be there, in metres of way as a rule; infinite where the robot must not be.
+      distance: what it costs to be there, in meters of way as a rule; infinite where the robot must not be.
       to_goal: is that the way to an object of the wanted class, to which the robot declares to have come at its end?
     """
 
@@ -258,7 +258,7 @@ def site_of(world: IndoorWorld, name: str, radius: float = ROBOT_RADIUS) -> Site
     Args:
       world: one house.
       name: of the house; it is painted by chance, but always alike.
-      radius: of the robots, metres.
+      radius: of the robots, meters.
     """
     return Site(
         scene=scene(world),
@@ -283,7 +283,7 @@ def reset(key: Key[Array, ""], start: Float[Array, "3"], target: Int[Array, ""],
 
     Args:
       key: of all its random numbers.
-      start: x and y, metres, and yaw, radians.
+      start: x and y, meters, and yaw, radians.
       target: what it looks for, an index into `GOALS`.
       agent: what it is made of.
       limit: control periods after which its time is up.
@@ -342,8 +342,8 @@ def filled_costs(distance: Float[Array, "n n"], cell_size: float) -> Float[Array
     must not shine through.
 
     Args:
-      distance: what the guide says, metres; infinite where the robot must not be.
-      cell_size: metres.
+      distance: what the guide says, meters; infinite where the robot must not be.
+      cell_size: meters.
     """
     known = jnp.isfinite(distance)
     around = jax.lax.reduce_window(jnp.where(known, distance, -jnp.inf), -jnp.inf, jax.lax.max, (3, 3), (1, 1), "SAME")
@@ -429,7 +429,7 @@ def stopped_by_obstacles(
       before: the vehicle.
       after: where it would be a period later.
       ground: the floor it may be on.
-      radius: of the body, metres.
+      radius: of the body, meters.
 
     Returns:
       The vehicle, and whether it was stopped.

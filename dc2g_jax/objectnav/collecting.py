@@ -20,7 +20,7 @@ from dc2g_jax.objectnav.data import (
     JourneySet,
     cell_codes,
     drive_to_goals,
-    in_millimetres,
+    in_millimeters,
 )
 from dc2g_jax.objectnav.exploring import NEVER, Journey, explore
 from dc2g_jax.objectnav.houses import IndoorHouse
@@ -124,7 +124,7 @@ def _distances(
         return distance_for_vehicle(~free, goal, ROBOT_RADIUS, cell_size)
 
     def label(distance: Float[Array, "h w"]) -> UInt16[Array, "h w"]:
-        return in_millimetres(with_tight_cells(distance, free, fits, cell_size))
+        return in_millimeters(with_tight_cells(distance, free, fits, cell_size))
 
     fits = ~inflated(~free, ROBOT_RADIUS, cell_size)
     to_goals = drive_to_goals(free, classes, cell_size)

@@ -1,7 +1,7 @@
-"""Cost maps a controller drives by: what it costs the centre of a round vehicle to be anywhere on a grid.
+"""Cost maps a controller drives by: what it costs the center of a round vehicle to be anywhere on a grid.
 
 Made from distances and obstacles, exact or predicted. Cells lie in the world as in `dc2g_jax.vehicles.vehicle`: x along
-columns, y against rows, metres.
+columns, y against rows, meters.
 """
 
 import functools
@@ -19,12 +19,12 @@ from dc2g_jax.vehicles.mppi import CostOfPose
 
 
 def inflated(cells: Bool[Array, "h w"], radius: float, cell_size: float) -> Bool[Array, "h w"]:
-    """Cells where the centre of a round vehicle may not be: at any nearer than `radius` the disc covers a part of one.
+    """Cells where the center of a round vehicle may not be: at any nearer than `radius` the disc covers a part of one.
 
     Args:
       cells: the obstacles, squares.
-      radius: of the vehicle, metres.
-      cell_size: edge of a cell, metres.
+      radius: of the vehicle, meters.
+      cell_size: edge of a cell, meters.
     """
     reach = math.ceil(radius / cell_size + 0.5)
     gap = np.maximum(np.abs(np.arange(-reach, reach + 1)) - 0.5, 0)
@@ -46,16 +46,16 @@ def straight_distance(
     Args:
       goals: cells of the object.
       walls: cells that nothing reaches through.
-      cell_size: metres.
-      most: the longest distance that counts, metres.
+      cell_size: meters.
+      most: the longest distance that counts, meters.
 
     Returns:
-      float32 metres between the middles of cells; infinity farther away and behind walls.
+      float32 meters between the middles of cells; infinity farther away and behind walls.
     """
     steps = round(most / cell_size)
     reached = goals
     for number in range(steps):
-        # By turns to four neighbours and to eight, an octagon that holds the circle.
+        # By turns to four neighbors and to eight, an octagon that holds the circle.
         across = reached | shifted(reached, 0, 1, False) | shifted(reached, 0, -1, False)
         last = across if number % 2 else reached
         reached = (across | shifted(last, 1, 0, False) | shifted(last, -1, 0, False)) & ~walls
@@ -70,18 +70,18 @@ def straight_distance(
 def distance_for_vehicle(
     obstacles: Bool[Array, "h w"], goals: Bool[Array, "h w"], radius: float, cell_size: float
 ) -> Float[Array, "h w"]:
-    """Distance that the centre of a round vehicle has to drive until it touches the goal (fast marching method).
+    """Distance that the center of a round vehicle has to drive until it touches the goal (fast marching method).
 
     It does not touch the goal through an obstacle.
 
     Args:
       obstacles: cells it may not touch, but on the goal.
       goals: cells of the goal, obstacles or free.
-      radius: of the vehicle, metres.
-      cell_size: edge of a cell, metres.
+      radius: of the vehicle, meters.
+      cell_size: edge of a cell, meters.
 
     Returns:
-      float32 metres; infinity where it does not fit and where no way leads to the goal.
+      float32 meters; infinity where it does not fit and where no way leads to the goal.
     """
     near = jnp.isfinite(straight_distance(goals, obstacles & ~goals, cell_size, radius + cell_size))
     touching = goals | (inflated(goals, radius, cell_size) & near & ~obstacles)
@@ -94,10 +94,10 @@ def with_tight_cells(
     """Distances on free floor alone: from where a robot does not fit, they count from where it could be.
 
     Args:
-      distance: metres, infinite where the robot does not fit and where no way leads to the goal; the latter stay so.
+      distance: meters, infinite where the robot does not fit and where no way leads to the goal; the latter stay so.
       free: floor on which nothing stands.
       fits: where the robot fits.
-      cell_size: metres.
+      cell_size: meters.
     """
     known = jnp.where(free, distance, jnp.inf)
     tight = free & ~fits & ~jnp.isfinite(known)
@@ -110,10 +110,10 @@ def dense_costs(
     """A finite cost everywhere: the distance where there is one, and a wall that leads back to it elsewhere.
 
     Args:
-      distance: to the goal, metres; infinity where the vehicle must not be or finds no way.
-      cell_size: edge of a cell, metres.
+      distance: to the goal, meters; infinity where the vehicle must not be or finds no way.
+      cell_size: edge of a cell, meters.
       collision: cost of being where there is no distance, on top of the rest.
-      slope: of the cost there, away from cells with a distance, per metre.
+      slope: of the cost there, away from cells with a distance, per meter.
     """
     known = jnp.isfinite(distance)
     cost_of_cell = jnp.where(known, jnp.inf, jnp.asarray(slope * cell_size, jnp.float32))
@@ -122,11 +122,11 @@ def dense_costs(
 
 
 def cost_lookup(costs: Float[Array, "h w"], cell_size: ArrayLike, outside: ArrayLike) -> CostOfPose:
-    """What a pose costs by a cost map, between the centres of cells bilinear, for every yaw alike.
+    """What a pose costs by a cost map, between the centers of cells bilinear, for every yaw alike.
 
     Args:
       costs: of cells, finite.
-      cell_size: edge of a cell, metres.
+      cell_size: edge of a cell, meters.
       outside: cost off the map.
     """
 

@@ -29,7 +29,7 @@ POOL = GLOBAL // LOCAL
 #: What is known of a cell, as one number: not explored, free floor, an obstacle without class; from then on, with one.
 UNEXPLORED, FREE, OBSTACLE = 0, 1, 2
 
-#: Distances are kept in whole millimetres; this one means that there is no way.
+#: Distances are kept in whole millimeters; this one means that there is no way.
 _NO_WAY = np.iinfo(np.uint16).max
 
 #: How a map may be turned or mirrored: is it transposed, is then the order of its rows reversed, and that of its
@@ -41,31 +41,31 @@ UPRIGHT = (1.0,) + (0.0,) * 7
 PAPER_ROTATIONS = (0.85, 0.05, 0.05, 0.05) + (0.0,) * 4
 ALL_SYMMETRIES = (0.125,) * 8
 
-#: `(metres to the goal, navigable cells) -> cost`; both [h w]. Metres are of no meaning where a cell is not navigable.
-Normalise = Callable[[Array, Array], Array]
+#: `(meters to the goal, navigable cells) -> cost`; both [h w]. Meters are of no meaning where a cell is not navigable.
+Normalize = Callable[[Array, Array], Array]
 
 
-def _metric(metres: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Float[Array, "h w"]:
-    """Tens of metres to the goal."""
+def _metric(meters: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Float[Array, "h w"]:
+    """Tens of meters to the goal."""
     del navigable
-    return metres / 10
+    return meters / 10
 
 
-def _share(metres: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Float[Array, "h w"]:
+def _share(meters: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Float[Array, "h w"]:
     """Parts of the longest way from a cell of the local map."""
-    return metres / jnp.maximum(jnp.max(jnp.where(navigable, metres, 0)), 1e-3)
+    return meters / jnp.maximum(jnp.max(jnp.where(navigable, meters, 0)), 1e-3)
 
 
-def _relative(metres: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Float[Array, "h w"]:
-    """Tens of metres by which the way is longer than that from the local map's best cell."""
-    least = jnp.min(jnp.where(navigable, metres, jnp.inf))
-    return (metres - jnp.where(jnp.isfinite(least), least, 0)) / 10
+def _relative(meters: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Float[Array, "h w"]:
+    """Tens of meters by which the way is longer than that from the local map's best cell."""
+    least = jnp.min(jnp.where(navigable, meters, jnp.inf))
+    return (meters - jnp.where(jnp.isfinite(least), least, 0)) / 10
 
 
 #: How distances become costs, by name. The paper says "normalized" and no more; `share` is what comes closest, as its
-#: figures show costs from green to red in each map. It hides how long a metre is from map to map, which the other two
+#: figures show costs from green to red in each map. It hides how long a meter is from map to map, which the other two
 #: do not; `relative` does not ask for the one number about far places that a partial map says least about.
-NORMALISATIONS: Mapping[str, Normalise] = MappingProxyType({"share": _share, "metric": _metric, "relative": _relative})
+NORMALIZATIONS: Mapping[str, Normalize] = MappingProxyType({"share": _share, "metric": _metric, "relative": _relative})
 
 
 @struct.dataclass
@@ -74,7 +74,7 @@ class JourneySet:
 
     Attributes:
       cells: what is in each cell, see `cell_codes`.
-      distance: from each free cell to the nearest goal of each kind, millimetres.
+      distance: from each free cell to the nearest goal of each kind, millimeters.
       house: of each journey.
       first_seen: by which view of a journey a cell had been seen, see `exploring.Journey`.
       places: row and column of the robot at each view.
@@ -125,13 +125,13 @@ def cell_codes(world: IndoorWorld) -> UInt8[Array, "*b h w"]:
 def drive_to_goals(
     free: Bool[Array, "h w"], classes: UInt8[Array, "h w"], cell_size: float, radius: float = ROBOT_RADIUS
 ) -> Float[Array, "goal h w"]:
-    """Metres that the middle of a round robot has to drive to the nearest goal of each kind (fast marching method).
+    """Meters that the middle of a round robot has to drive to the nearest goal of each kind (fast marching method).
 
     Args:
       free: floor of the house on which nothing stands.
       classes: of what stands in its cells.
-      cell_size: metres.
-      radius: of the robot, metres.
+      cell_size: meters.
+      radius: of the robot, meters.
 
     Returns:
       float32; infinite where the robot does not fit and where no way leads to the goal.
@@ -142,7 +142,7 @@ def drive_to_goals(
     )
 
 
-def in_millimetres(distance: Float[Array, "*n"]) -> UInt16[Array, "*n"]:
+def in_millimeters(distance: Float[Array, "*n"]) -> UInt16[Array, "*n"]:
     """Distances as they are kept; those of 65 m and more are no way."""
     return jnp.where(distance < _NO_WAY / 1000, jnp.round(distance * 1000), _NO_WAY).astype(jnp.uint16)
 
@@ -188,7 +188,7 @@ def make_sample(
     view: Int[Array, ""],
     target: Int[Array, ""],
     symmetry: Int[Array, "3"],
-    normalise: Normalise,
+    normalize: Normalize,
 ) -> Samples:
     """What a robot knew at a view of its journey, and how far it was from there to a goal.
 
@@ -198,7 +198,7 @@ def make_sample(
       view: index.
       target: index into `GOALS`.
       symmetry: one of `SYMMETRIES`.
-      normalise: distances to costs, see `NORMALISATIONS`.
+      normalize: distances to costs, see `NORMALIZATIONS`.
     """
     house, cell = data.house[journey], data.places[journey, view].astype(jnp.int32)
     known = jnp.where(data.first_seen[journey] <= view, data.cells[house], jnp.uint8(UNEXPLORED))
@@ -217,7 +217,7 @@ def make_sample(
         heading=turned_heading(data.headings[journey, view], symmetry),
         features=data.features[journey, view, mirrored].astype(jnp.float32),
         occupied=truth != FREE,
-        cost=jnp.where(navigable, normalise(way.astype(jnp.float32) / 1000, navigable), jnp.inf),
+        cost=jnp.where(navigable, normalize(way.astype(jnp.float32) / 1000, navigable), jnp.inf),
     )
 
 
@@ -227,7 +227,7 @@ def draw_samples(
     *,
     batch_size: int,
     symmetries: tuple[float, ...],
-    normalise: Normalise,
+    normalize: Normalize,
 ) -> Samples:
     """A random batch: any view of any journey, on the way to any goal that can be reached from there.
 
@@ -236,7 +236,7 @@ def draw_samples(
       data: to draw from.
       batch_size: number of samples.
       symmetries: chance of each of `SYMMETRIES`.
-      normalise: distances to costs, see `NORMALISATIONS`.
+      normalize: distances to costs, see `NORMALIZATIONS`.
     """
     journey_key, view_key, goal_key, turn_key = jax.random.split(key, 4)
     journeys, views = data.headings.shape
@@ -247,5 +247,5 @@ def draw_samples(
     target = jax.random.categorical(goal_key, jnp.where(distance != _NO_WAY, 0.0, -1e9))
     turn = jax.random.categorical(turn_key, jnp.log(jnp.asarray(symmetries) + 1e-30), shape=(batch_size,))
     symmetry = jnp.asarray(SYMMETRIES, jnp.int32)[turn]
-    make = functools.partial(make_sample, normalise=normalise)
+    make = functools.partial(make_sample, normalize=normalize)
     return jax.vmap(make, in_axes=(None, 0, 0, 0, 0))(data, journey, view, target, symmetry)

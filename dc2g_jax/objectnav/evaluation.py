@@ -37,21 +37,21 @@ class EpisodeResult(NamedTuple):
     Attributes:
       house: name of the house.
       target: name of the wanted class.
-      x: of the start, metres.
-      y: of the start, metres.
+      x: of the start, meters.
+      y: of the start, meters.
       yaw: where the robot faced there, radians.
       agent: name of the agent.
       declared: did it say that it was there?
       success: was it?
       spl: success weighted by path length, 0 to 1.
-      shortest: the shortest way to a success, metres.
-      driven: the way it drove, metres.
-      distance: to success where it stopped (DTS), metres.
+      shortest: the shortest way to a success, meters.
+      driven: the way it drove, meters.
+      distance: to success where it stopped (DTS), meters.
       steps: control periods.
       bumps: of these, those in which it ran into something.
-      acceleration: metres per second squared.
+      acceleration: meters per second squared.
       turn_acceleration: radians per second squared.
-      jerk: metres per second cubed.
+      jerk: meters per second cubed.
       turn_jerk: radians per second cubed.
     """
 
@@ -79,7 +79,7 @@ class WayThere(NamedTuple):
     """How far it is in a house to where an object of one class is within reach.
 
     Attributes:
-      distance: from every cell, metres; infinite where no way leads there.
+      distance: from every cell, meters; infinite where no way leads there.
       there: cells that count as a success.
     """
 
@@ -110,7 +110,7 @@ def _near(goals: Array, closed: Array, cell_size: float) -> Bool[Array, "h w"]:
 
 @functools.partial(jit, static_argnames=("cell_size",))
 def _distance_there(free: Array, fits: Array, region: Array, cell_size: float) -> Float[Array, "h w"]:
-    """Metres to a region; where a robot does not fit, over free floor to where it does."""
+    """Meters to a region; where a robot does not fit, over free floor to where it does."""
     return with_tight_cells(geodesic_distance(fits, fits & region, cell_size), free, fits, cell_size)
 
 
@@ -174,10 +174,10 @@ class Summary(NamedTuple):
       success_interval: its interval.
       spl: success weighted by path length.
       spl_interval: its interval.
-      distance: to success (DTS), metres.
+      distance: to success (DTS), meters.
       steps: control periods (Time).
-      acceleration: metres per second squared, and radians per second squared.
-      jerk: metres per second cubed, and radians per second cubed.
+      acceleration: meters per second squared, and radians per second squared.
+      jerk: meters per second cubed, and radians per second cubed.
       declared: share of episodes in which the robot declared to be there.
       bumps: periods in which it ran into something.
     """

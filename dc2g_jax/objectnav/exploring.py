@@ -17,27 +17,27 @@ from dc2g_jax.objectnav.agent import CAMERA_HEIGHT, CAMERA_PITCH, FIELD_OF_VIEW,
 from dc2g_jax.objectnav.mapping import MapSettings
 from dc2g_jax.vehicles.vehicle import wrapped
 
-#: How far the robot's camera sees, metres, and how far below the horizon its image ends, radians.
+#: How far the robot's camera sees, meters, and how far below the horizon its image ends, radians.
 CAMERA_RANGE = MapSettings().reach
 _LOWEST_VIEW = CAMERA_PITCH + math.atan(math.tan(math.radians(FIELD_OF_VIEW) / 2) * IMAGE_SIZE[0] / IMAGE_SIZE[1])
 
 #: The number of the view that shows a cell first, where none does.
 NEVER = 255
 
-#: Metres that a robot drives between two views, and radians that it turns at most: four steps of 0.1 s at 0.6 m/s and
+#: Meters that a robot drives between two views, and radians that it turns at most: four steps of 0.1 s at 0.6 m/s and
 #: 1.5 rad/s.
 _DRIVE_A_VIEW, _TURN_A_VIEW = 0.24, 0.6
 
 #: It turns on the spot until its way is within so many radians of where it looks.
 _AHEAD = 1.0
 
-#: A place has been reached within this distance, metres.
+#: A place has been reached within this distance, meters.
 _REACHED = 0.3
 
 #: Spread of a glance to the side, radians; a robot glances in every fourth view.
 _GLANCE = 0.6
 
-_NEIGHBOURS = ((0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1), (1, 0), (1, 1))
+_NEIGHBORS = ((0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1), (1, 0), (1, 1))
 
 
 class Journey(NamedTuple):
@@ -71,8 +71,8 @@ def visible(
     that none of the cells in view is missed.
 
     Args:
-      heights: of what stands in a cell, metres.
-      cell_size: metres.
+      heights: of what stands in a cell, meters.
+      cell_size: meters.
       cell: the camera stands in the middle of it.
       heading: of the camera.
     """
@@ -102,9 +102,9 @@ def explore(
     """Drive from place to place, and look.
 
     Args:
-      heights: of what stands in a cell, metres.
-      cell_size: metres.
-      distances: what is left of the way to each place, metres; infinite where the robot must not be.
+      heights: of what stands in a cell, meters.
+      cell_size: meters.
+      distances: what is left of the way to each place, meters; infinite where the robot must not be.
       start: row and column where it begins; it looks anywhere.
       places: where it goes, one after the other; a place that no way leads to is passed over.
       key: where chance comes from.
@@ -142,7 +142,7 @@ def _driven(robot: _Robot, distances: Float[Array, "place h w"], places: Int[Arr
     stage = robot.stage + ((here < _REACHED) | ~jnp.isfinite(here))
 
     def step(cell: Int[Array, "2"], _: None) -> tuple[Int[Array, "2"], None]:
-        around = cell + jnp.array([(0, 0), *_NEIGHBOURS])
+        around = cell + jnp.array([(0, 0), *_NEIGHBORS])
         return around[jnp.argmin(left(stage, around))], None
 
     ahead, _ = jax.lax.scan(step, robot.cell, length=cells)

@@ -7,10 +7,10 @@ from jaxtyping import Array, Bool, Float
 from dc2g_jax.grid.fast_marching import travel_cost
 from dc2g_jax.objectnav.cost_maps import inflated, straight_distance
 
-#: The way to an object ends this far from it, metres between the middles of cells.
+#: The way to an object ends this far from it, meters between the middles of cells.
 ARM = 0.8
 
-#: The robot stops where the cost is no more than this, metres: the paper's threshold, whose unit it does not give. As a
+#: The robot stops where the cost is no more than this, meters: the paper's threshold, whose unit it does not give. As a
 #: rule it is then within the success distance of 1 m; not quite where the rest of its way bends.
 STOP = 0.2
 
@@ -46,11 +46,11 @@ def distance_to_object(
       obstacles: cells that the robot may not touch.
       walls: those of them that no arm reaches through.
       goals: cells of the object.
-      radius: of the robot, metres.
-      cell_size: metres.
+      radius: of the robot, meters.
+      cell_size: meters.
 
     Returns:
-      float32 metres; infinity where the robot does not fit and where no way leads to the object.
+      float32 meters; infinity where the robot does not fit and where no way leads to the object.
     """
     passable = ~inflated(obstacles, radius, cell_size)
     lacking = jnp.maximum(straight_distance(goals, walls, cell_size, ARM + STOP) - ARM, 0)

@@ -39,7 +39,7 @@ class TrueCost:
 
 
 def true_distance(robot: Robot, site: Site, agent: Agent) -> Float[Array, "n n"]:
-    """What is left of the way to the nearest object from each cell of the local map, metres."""
+    """What is left of the way to the nearest object from each cell of the local map, meters."""
     side = agent.mapping.local
     return square(site.distances[robot.target], robot.local_middle - side // 2, side, jnp.inf)
 
@@ -106,7 +106,7 @@ class PromisingFrontier:
 
     Attributes:
       costs: predicted.
-      weight: of a metre of predicted cost, in metres of way over seen floor.
+      weight: of a meter of predicted cost, in meters of way over seen floor.
     """
 
     costs: PredictedCosts

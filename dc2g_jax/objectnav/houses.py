@@ -45,12 +45,12 @@ def indoor_houses(
     """The first houses of a split.
 
     Args:
-        location: 'procedural' for the embedded houses, of which there is no end, or a folder with the files `train`,
+        location: 'procedural' for the procedural houses, of which there is no end, or a folder with the files `train`,
             `val` and `test`, ending in `.jsonl.gz` or `.jsonl`, and `asset_boxes.json`.
         split: 'train', 'val' or 'test'.
         count: how many, all if `None`; 20 embedded ones, as many as a split of the sample of ProcTHOR.
-        cell_size: side of a cell, metres.
-        seed: of the embedded houses.
+        cell_size: side of a cell, meters.
+        seed: of the procedural houses.
         strict: refuse a file for the first line that is no house, see `read_procthor`.
         log: takes a line for each house that is skipped.
 

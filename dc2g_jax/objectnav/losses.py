@@ -50,7 +50,7 @@ def cost_loss(
 def gradient(costs: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Float[Array, "2 h w"]:
     """Gradient of a cost map on navigable cells, from navigable cells only: down the rows, and along them, by the cell.
 
-    Half the difference of the two neighbours where both are navigable, the difference to the one that is, 0 where
+    Half the difference of the two neighbors where both are navigable, the difference to the one that is, 0 where
     neither is and on all other cells.
 
     Args:

@@ -41,12 +41,12 @@ class MapSettings:
     Attributes:
       cells: along each side of the map. The paper has 420.
       local: along each side of the part of it around the robot, a divisor of `cells`. The paper has 140.
-      cell_size: metres. The paper's maps, of cells of 5 cm, are 21 m wide; ProcTHOR's largest houses are 28 m long, so
+      cell_size: meters. The paper's maps, of cells of 5 cm, are 21 m wide; ProcTHOR's largest houses are 28 m long, so
         that cells of 10 cm are the default here and the map is 42 m wide.
-      reach: returns from farther away than this (metres from the camera) are skipped.
-      lowest: what is lower than this above the floor (metres) is no obstacle.
-      highest: what is higher than this (metres) is none either: the robot's height.
-      inset: a return that is nearer than this to the cell behind it counts for that one, metres.
+      reach: returns from farther away than this (meters from the camera) are skipped.
+      lowest: what is lower than this above the floor (meters) is no obstacle.
+      highest: what is higher than this (meters) is none either: the robot's height.
+      inset: a return that is nearer than this to the cell behind it counts for that one, meters.
 
     Raises:
       InputError: a value out of its range.
@@ -66,10 +66,10 @@ class MapSettings:
         for name, sound, remedy in (
             ("local", whole[0] and self.local >= 1, "give a whole number above 0"),
             ("cells", whole[1] and multiple, f"give a multiple of {self.local}"),
-            ("cell_size", 0 < self.cell_size < math.inf, "give metres above 0"),
-            ("reach", 0 < self.reach < math.inf, "give metres above 0"),
-            ("inset", 0 <= self.inset < math.inf, "give metres, 0 or more"),
-            ("highest", self.highest > self.lowest, f"give metres above {self.lowest}"),
+            ("cell_size", 0 < self.cell_size < math.inf, "give meters above 0"),
+            ("reach", 0 < self.reach < math.inf, "give meters above 0"),
+            ("inset", 0 <= self.inset < math.inf, "give meters, 0 or more"),
+            ("highest", self.highest > self.lowest, f"give meters above {self.lowest}"),
         ):
             if not sound:
                 raise InputError(f"{name} of the indoor map is {getattr(self, name)}; {remedy}")
@@ -94,13 +94,13 @@ class IndoorMap:
 
 
 def empty_map(position: Float[Array, "2"], settings: MapSettings) -> IndoorMap:
-    """A map of which nothing has been seen, around the place where a robot starts (x and y, metres)."""
+    """A map of which nothing has been seen, around the place where a robot starts (x and y, meters)."""
     origin = grid_cell(position, settings.cell_size) - settings.cells // 2
     return IndoorMap(cells=jnp.zeros((settings.cells, settings.cells), jnp.uint32), origin=origin)
 
 
 def grid_cell(position: Float[Array, "2"], cell_size: float) -> Int[Array, "2"]:
-    """Row and column of the cell that a place (x and y, metres) lies in."""
+    """Row and column of the cell that a place (x and y, meters) lies in."""
     return cell_at(position, cell_size)[::-1]
 
 
@@ -174,8 +174,8 @@ def _booked(
     is nearest to it is moved over: along its ray, one at the edge of a wall would get past the wall's end.
 
     Args:
-      shown: the points, metres.
-      origin: of the rays they were seen along, metres.
+      shown: the points, meters.
+      origin: of the rays they were seen along, meters.
       settings: of the map.
     """
     scale = jnp.array([-1, 1], jnp.float32) / settings.cell_size
@@ -215,8 +215,8 @@ def stood_on(indoor_map: IndoorMap, position: Float[Array, "2"], radius: float, 
 
     Args:
       indoor_map: so far.
-      position: x and y of the robot, metres.
-      radius: of what counts, metres.
+      position: x and y of the robot, meters.
+      radius: of what counts, meters.
       settings: those the map was made with.
     """
     rings = math.ceil(radius / settings.cell_size)
@@ -269,7 +269,7 @@ def channels(cells: UInt32[Array, "h w"]) -> Float[Array, "18 h w"]:
 def local_crop(
     indoor_map: IndoorMap, position: Float[Array, "2"], settings: MapSettings
 ) -> Float[Array, "18 local local"]:
-    """The channels of the map around a robot (x and y, metres), not turned: the paper's local map."""
+    """The channels of the map around a robot (x and y, meters), not turned: the paper's local map."""
     return channels(window(indoor_map, grid_cell(position, settings.cell_size), settings.local))
 
 
@@ -278,7 +278,7 @@ def global_pooled(
 ) -> Float[Array, "18 local local"]:
     """The channels of the whole map, averaged to the size of the local one: the paper's global map.
 
-    It has the robot (x and y, metres) in the middle like the local map, so that both show the same place there.
+    It has the robot (x and y, meters) in the middle like the local map, so that both show the same place there.
     """
     local, pool = settings.local, settings.cells // settings.local
     cells = window(indoor_map, grid_cell(position, settings.cell_size), settings.cells)

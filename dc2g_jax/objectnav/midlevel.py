@@ -36,7 +36,7 @@ IMAGE_SIZE = (48, 64)
 _BLOCK = 4
 _ASKED = (IMAGE_SIZE[0] // _BLOCK, IMAGE_SIZE[1] // _BLOCK)
 
-#: Pixels that an object's class must have to be in a picture, and the farthest depth that is told apart, metres.
+#: Pixels that an object's class must have to be in a picture, and the farthest depth that is told apart, meters.
 _PRESENT, _FAR = 12, 10.0
 
 #: Pictures on which the encoder is validated, at most.
@@ -51,8 +51,8 @@ class View:
     """What a camera sees.
 
     Attributes:
-      image: colours.
-      depth: along the optical axis, metres; 0 where there is nothing.
+      image: colors.
+      depth: along the optical axis, meters; 0 where there is nothing.
       classes: of objects; 0 for floor and walls.
     """
 
@@ -79,16 +79,16 @@ def view(scene: Scene, paint: UInt8[Array, "h w 3"], pose: CameraPose) -> View:
 
     Args:
       scene: the house.
-      paint: colour of each cell, see `dc2g_jax.objectnav.paint.painted`.
+      paint: color of each cell, see `dc2g_jax.objectnav.paint.painted`.
       pose: of the camera.
     """
     to_hit = jax.vmap(jax.vmap(lambda ray: cast(scene, pose.position, ray, jnp.float32(math.inf))))
     hits = to_hit(rays(intrinsics(FIELD_OF_VIEW, *IMAGE_SIZE), pose))
     met = hits.distance > 0
     light = jnp.asarray(_LIGHT, jnp.float32)[jnp.where(hits.face == FACE_TOP, 2, jnp.where(hits.face == FACE_X, 0, 1))]
-    colours = paint.at[hits.row, hits.column].get(mode="clip") * light[..., None]
+    colors = paint.at[hits.row, hits.column].get(mode="clip") * light[..., None]
     return View(
-        image=jnp.where(met[..., None], colours, jnp.asarray(NO_COLOR, jnp.float32)).astype(jnp.uint8),
+        image=jnp.where(met[..., None], colors, jnp.asarray(NO_COLOR, jnp.float32)).astype(jnp.uint8),
         depth=hits.distance,
         classes=jnp.where(met, scene.classes.at[hits.row, hits.column].get(mode="clip"), 0).astype(jnp.uint8),
     )
@@ -113,7 +113,7 @@ class Answers(struct.PyTreeNode):
     Attributes:
       classes: log-odds of the class of each block.
       presence: log-odds that a class of objects is anywhere in the picture.
-      depth: of each block, tens of metres.
+      depth: of each block, tens of meters.
     """
 
     classes: Float[Array, "b 12 16 17"]
@@ -268,7 +268,7 @@ def load_encoder(path: str | Path) -> TrainedEncoder | ConvolutionEncoder:
 
 
 def task_losses(answers: Answers, views: View) -> dict[str, Float[Array, ""]]:
-    """Mean losses of the three tasks over a batch: cross entropies in nats, error of the depth in tens of metres."""
+    """Mean losses of the three tasks over a batch: cross entropies in nats, error of the depth in tens of meters."""
     classes = views.classes[:, _BLOCK // 2 :: _BLOCK, _BLOCK // 2 :: _BLOCK]
     depth = views.depth[:, _BLOCK // 2 :: _BLOCK, _BLOCK // 2 :: _BLOCK]
     present = jnp.sum(jax.nn.one_hot(views.classes, len(CLASS_NAMES)), axis=(1, 2)) >= _PRESENT

@@ -1,6 +1,6 @@
 """How the inside of a simulated house looks.
 
-It has no more looks than its classes have colours, so each house is painted: its objects in the colours of their
+It has no more looks than its classes have colors, so each house is painted: its objects in the colors of their
 classes, each a little different, and its floors by the type of room, since kitchens and bathrooms have other floors
 than bedrooms have. Walls tell nothing.
 """
@@ -17,11 +17,11 @@ _WALL, NO_COLOR = (226, 224, 218), (245, 245, 242)
 
 
 def painted(world: IndoorWorld, rng: np.random.Generator) -> UInt8[np.ndarray, "h w 3"]:
-    """The colour of what is highest in each cell of a house.
+    """The color of what is highest in each cell of a house.
 
     Args:
       world: one house.
-      rng: where chance comes from: no two chairs have the same colour.
+      rng: where chance comes from: no two chairs have the same color.
     """
     objects = np.append(CLASS_COLORS[np.asarray(world.objects.classes)], [_WALL], axis=0)
     objects = objects + rng.normal(0, 14, objects.shape)

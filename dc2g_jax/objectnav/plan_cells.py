@@ -1,4 +1,4 @@
-"""From a plan in metres to a world of cells.
+"""From a plan in meters to a world of cells.
 
 What a grid of heights can hold is the highest object in each cell, solid from the floor up. So a plant on a table takes
 the cells below its own box, as high as it reaches, and the table keeps the rest; what is pushed under a table top and
@@ -16,21 +16,21 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.plans import Furniture, HousePlan, Room, Segment
 from dc2g_jax.objectnav.worlds import IndoorWorld, Objects
 
-#: Side of a cell, metres: the paper's map of 420 cells is then 21 m wide.
+#: Side of a cell, meters: the paper's map of 420 cells is then 21 m wide.
 CELL_SIZE = 0.05
 
-#: Height of walls, and how thick they are where cells are not larger; metres.
+#: Height of walls, and how thick they are where cells are not larger; meters.
 WALL_HEIGHT = 2.5
 WALL_THICKNESS = 0.1
 
-#: How much of the outside a grid shows around a house, metres. With cells of 5 or 10 cm, walls on whole decimetres
+#: How much of the outside a grid shows around a house, meters. With cells of 5 or 10 cm, walls on whole decimeters
 #: then fill whole cells.
 MARGIN = 0.25
 
 #: The most cells along a side of a grid.
 MOST_CELLS = 4096
 
-#: What a cell's middle may lie outside a box and still be inside: rounding must not open walls. Metres.
+#: What a cell's middle may lie outside a box and still be inside: rounding must not open walls. Meters.
 _ROUNDING = 1e-6
 
 
@@ -59,7 +59,7 @@ class _Grid(NamedTuple):
         height, width = float(top - bottom), float(right - left)
         if not max(height, width) <= MOST_CELLS * cell_size:
             size = f"{width:.4g} x {height:.4g} m"
-            raise InputError(f"a house of {size} has more than {MOST_CELLS} cells a side; give metres, or larger cells")
+            raise InputError(f"a house of {size} has more than {MOST_CELLS} cells a side; give meters, or larger cells")
         rows, columns = (math.ceil(side / cell_size - _ROUNDING) for side in (height, width))
         return cls(float(left), float(top), rows, columns, cell_size)
 
@@ -74,7 +74,7 @@ class _Grid(NamedTuple):
 
 
 def _span(start: float, end: float, cell_size: float, cells: int) -> slice:
-    """The cells along one side that hold anything of an interval, metres."""
+    """The cells along one side that hold anything of an interval, meters."""
     first = min(max(math.floor(start / cell_size), 0), cells)
     return slice(first, min(max(math.ceil(end / cell_size), first), cells))
 
@@ -86,13 +86,13 @@ def world_from_plan(plan: HousePlan, cell_size: float = CELL_SIZE) -> IndoorWorl
 
     Args:
       plan: the house.
-      cell_size: side of a cell, metres.
+      cell_size: side of a cell, meters.
 
     Raises:
       InputError: cells have no size, or the house would have more than `MOST_CELLS` a side.
     """
     if not (math.isfinite(cell_size) and cell_size > 0):
-        raise InputError(f"cell size {cell_size}: give the metres of a cell, such as {CELL_SIZE}")
+        raise InputError(f"cell size {cell_size}: give the meters of a cell, such as {CELL_SIZE}")
     grid = _Grid.over(plan, cell_size)
     floor = _floor(grid, plan.rooms)
     walls = _walls(grid, plan)

@@ -1,4 +1,4 @@
-"""A furnished house in metres, before it is cut into cells.
+"""A furnished house in meters, before it is cut into cells.
 
 Plan frame: x to the right and y up, as one draws it, angles counter-clockwise from x.
 """
@@ -36,10 +36,10 @@ class Furniture(NamedTuple):
       kind: class index, see `dc2g_jax.objectnav.classes`.
       x: of its middle.
       y: of its middle.
-      width: along its own x axis, metres.
-      depth: along its own y axis, metres.
+      width: along its own x axis, meters.
+      depth: along its own y axis, meters.
       angle: of that x axis, radians.
-      top: how high it reaches above the floor, metres.
+      top: how high it reaches above the floor, meters.
     """
 
     kind: int

@@ -1,4 +1,4 @@
-"""Costs that a network predicts for a robot under way: what it is shown, and what its answer means in metres."""
+"""Costs that a network predicts for a robot under way: what it is shown, and what its answer means in meters."""
 
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
@@ -51,18 +51,18 @@ class PredictedCosts(Generic[_Estimator]):
     Attributes:
       estimator: predicts costs.
       encoder: makes mid-level features of what the camera sees.
-      metres: of way, for a cost of 1. A network trained on shares of the longest way (`--recipe paper`) has no such
+      meters: of way, for a cost of 1. A network trained on shares of the longest way (`--recipe paper`) has no such
         scale, and is driven as if it had.
       threshold: a cell that is occupied with more than this probability is none to be in (the paper's theta_occ).
     """
 
     estimator: _Estimator
     encoder: ImageEncoder
-    metres: float = 10.0
+    meters: float = 10.0
     threshold: float = 0.5
 
     def of(self, robot: Robot, site: Site, agent: Agent) -> Float[Array, "n n"]:
-        """What it costs to be in a cell of the local map, metres more than in the best one.
+        """What it costs to be in a cell of the local map, meters more than in the best one.
 
         Infinite where a cell is predicted to be occupied.
         """
@@ -72,7 +72,7 @@ class PredictedCosts(Generic[_Estimator]):
         features = self.encoder.encode(seen[None])[0]
         occupied, cost = self.estimator.estimate(maps, robot.target, features, vehicle.yaw)
         fused = fused_cost(occupied, cost, self.threshold)
-        return jnp.where(jnp.isinf(fused), fused, self.metres * (fused - jnp.min(fused)))
+        return jnp.where(jnp.isinf(fused), fused, self.meters * (fused - jnp.min(fused)))
 
 
 def load_costs(folder: Path) -> PredictedCosts[CostMapEstimator]:

@@ -25,10 +25,10 @@ from dc2g_jax.objectnav.plans import Furniture, HousePlan, Room, Segment
 #: The table of boxes, where no other is named: it lies beside the houses.
 BOXES_FILE = "asset_boxes.json"
 
-#: What begins higher above the floor than this and stands on nothing hangs on a wall, metres.
+#: What begins higher above the floor than this and stands on nothing hangs on a wall, meters.
 _HANGING = 0.3
 
-#: No house reaches farther than this from the origin, metres, nor turns an object by more degrees than that.
+#: No house reaches farther than this from the origin, meters, nor turns an object by more degrees than that.
 _FARTHEST, _FULLY_TURNED = 100.0, 3600.0
 
 #: What a house may have at most.
@@ -40,9 +40,9 @@ class AssetBox(NamedTuple):
 
     Attributes:
       kind: what it is, such as `DiningTable`.
-      width: along its x axis, metres.
-      height: metres.
-      depth: along its z axis, metres.
+      width: along its x axis, meters.
+      height: meters.
+      depth: along its z axis, meters.
     """
 
     kind: str
@@ -52,13 +52,13 @@ class AssetBox(NamedTuple):
 
 
 def read_asset_boxes(path: str | Path) -> dict[str, AssetBox]:
-    """Read the table of boxes: a JSON object `assetId -> {"type": ..., "box": [x, y, z]}`, sizes in metres.
+    """Read the table of boxes: a JSON object `assetId -> {"type": ..., "box": [x, y, z]}`, sizes in meters.
 
     Raises:
       InputError: the file cannot be read or is no such table; names the asset.
     """
     path = Path(path)
-    remedy = "give a JSON file that says type and box [x, y, z] in metres of each asset"
+    remedy = "give a JSON file that says type and box [x, y, z] in meters of each asset"
     try:
         table = json.loads(path.read_bytes())
     except OSError as error:

@@ -35,8 +35,8 @@ class Episode(NamedTuple):
     Attributes:
       house: name of the house.
       target: name of the wanted class.
-      x: of the start, metres.
-      y: of the start, metres.
+      x: of the start, meters.
+      y: of the start, meters.
       yaw: where the robot faces there, radians.
     """
 

@@ -9,10 +9,10 @@ from jaxtyping import Bool, Float
 from dc2g_jax.grid.ground import component_numbers
 from dc2g_jax.objectnav.worlds import IndoorWorld
 
-#: Radius of the robot, metres.
+#: Radius of the robot, meters.
 ROBOT_RADIUS = 0.2
 
-#: How near the robot comes to an object that it has reached, metres: the paper's success distance (section III-C).
+#: How near the robot comes to an object that it has reached, meters: the paper's success distance (section III-C).
 REACH = 1.0
 
 
@@ -23,8 +23,8 @@ def passable(free: Bool[np.ndarray, "h w"], cell_size: float, radius: float = RO
 
     Args:
       free: cells without obstacles. What lies beyond the grid does not count.
-      cell_size: side of a cell, metres.
-      radius: of the robot, metres.
+      cell_size: side of a cell, meters.
+      radius: of the robot, meters.
     """
     distance = cv2.distanceTransform(free.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     return np.asarray(distance * cell_size >= radius + cell_size / 2 - 1e-6)
@@ -38,8 +38,8 @@ def approaches(
     Args:
       world: one house.
       goal: class index.
-      radius: of the robot, metres.
-      reach: from the cell to the nearest cell of the object, metres.
+      radius: of the robot, meters.
+      reach: from the cell to the nearest cell of the object, meters.
     """
     cell_size, rooms = float(world.cell_size), np.asarray(world.rooms)
     goals, near = np.asarray(world.goals(goal)), np.zeros(rooms.shape, bool)
@@ -58,8 +58,8 @@ def start_cells(
     Args:
       world: one house.
       goal: class index.
-      distance: to the nearest object of the class as the crow flies, metres at least.
-      radius: of the robot, metres.
+      distance: to the nearest object of the class as the crow flies, meters at least.
+      radius: of the robot, meters.
       reach: see `approaches`.
     """
     piece = component_numbers(passable(np.asarray(world.free), float(world.cell_size), radius))
@@ -72,7 +72,7 @@ def start_cells(
 def sample_starts(
     world: IndoorWorld, goal: int, count: int, *, rng: np.random.Generator, distance: float = 2.0
 ) -> Float[np.ndarray, "start 3"]:
-    """Random starts on `start_cells` of the usual robot: x and y in the world, metres, and yaw, radians.
+    """Random starts on `start_cells` of the usual robot: x and y in the world, meters, and yaw, radians.
 
     Each is in the middle of a cell and headed anywhere. There are none, [0 3], where no such object can be reached from
     far enough away.
@@ -82,7 +82,7 @@ def sample_starts(
       goal: class index.
       count: how many.
       rng: where chance comes from.
-      distance: to the nearest object of the class as the crow flies, metres at least.
+      distance: to the nearest object of the class as the crow flies, meters at least.
     """
     rows, columns = np.nonzero(start_cells(world, goal, distance=distance))
     if not rows.size:

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from dc2g_jax.objectnav import networks
 from dc2g_jax.objectnav.data import (
     ALL_SYMMETRIES,
-    NORMALISATIONS,
+    NORMALIZATIONS,
     PAPER_ROTATIONS,
     UPRIGHT,
     JourneySet,
@@ -30,16 +30,16 @@ from dc2g_jax.training.cost_to_go import TrainingState, check_numbers, loss_or_n
 
 @dataclasses.dataclass(frozen=True)
 class Recipe:
-    """How a network is optimised.
+    """How a network is optimized.
 
     Attributes:
       optimizer: a name of `OPTIMIZERS`.
       peak: learning rate after the warm-up.
       last: learning rate in the end, after a cosine decay.
       warmup: share of the steps over which the rate rises to its peak.
-      weight_decay: of the weights, see the optimisers.
+      weight_decay: of the weights, see the optimizers.
       symmetries: chance of each of `dc2g_jax.objectnav.data.SYMMETRIES`.
-      normalisation: a name of `NORMALISATIONS`.
+      normalisation: a name of `NORMALIZATIONS`.
       average_decay: decay of the running average of the weights, which is what is kept; 0 keeps the weights themselves.
     """
 
@@ -63,13 +63,13 @@ def _adamw(rate: optax.Schedule, weight_decay: float) -> optax.GradientTransform
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate, weight_decay=weight_decay))
 
 
-#: Optimisers by name: `(learning rate by step, weight decay) -> optimiser`.
+#: Optimizers by name: `(learning rate by step, weight decay) -> optimizer`.
 OPTIMIZERS: dict[str, Callable[[optax.Schedule, float], optax.GradientTransformation]] = {"sgd": _sgd, "adamw": _adamw}
 
 #: Section III-D; 25 of 200 epochs are warm-up.
 PAPER_RECIPE = Recipe("sgd", 15e-5, 1e-5, 0.125, 0.01, PAPER_ROTATIONS, "share", 0.0)
 
-#: The one that does better within minutes: costs in metres, all symmetries.
+#: The one that does better within minutes: costs in meters, all symmetries.
 BETTER_RECIPE = Recipe("adamw", 1.5e-3, 1e-5, 0.05, 0.01, ALL_SYMMETRIES, "relative", 0.998)
 
 RECIPES = {"better": BETTER_RECIPE, "paper": PAPER_RECIPE}
@@ -81,9 +81,9 @@ class CostMapConfig:
 
     Attributes:
       architecture: the network.
-      recipe: how it is optimised.
+      recipe: how it is optimized.
       loss_weights: of the three losses.
-      steps: optimiser steps in all.
+      steps: optimizer steps in all.
       batch_size: samples a step.
       seed: of weights and batches.
 
@@ -103,7 +103,7 @@ class CostMapConfig:
 
 
 def optimizer(config: CostMapConfig) -> optax.GradientTransformation:
-    """The recipe's optimiser with its learning rate over the steps."""
+    """The recipe's optimizer with its learning rate over the steps."""
     recipe = config.recipe
     warmup = round(recipe.warmup * config.steps)
     rate = optax.warmup_cosine_decay_schedule(0.0, recipe.peak, warmup, max(config.steps, warmup + 1), recipe.last)
@@ -141,7 +141,7 @@ def mean_loss(config: CostMapConfig, weights: Any, samples: Samples) -> tuple[Fl
 def train_step(
     state: TrainingState, data: JourneySet, *, config: CostMapConfig
 ) -> tuple[TrainingState, Float[Array, ""]]:
-    """Take one optimiser step; the old state is used up.
+    """Take one optimizer step; the old state is used up.
 
     The batch depends on the seed and the number of the step alone, so training that was interrupted and resumed gives
     the same weights as training that was not.
@@ -156,7 +156,7 @@ def train_step(
         data,
         batch_size=config.batch_size,
         symmetries=recipe.symmetries,
-        normalise=NORMALISATIONS[recipe.normalisation],
+        normalize=NORMALIZATIONS[recipe.normalisation],
     )
     (loss, _), gradient = jax.value_and_grad(lambda weights: mean_loss(config, weights, samples), has_aux=True)(
         state.weights
@@ -197,7 +197,7 @@ def validation_samples(data: JourneySet, config: CostMapConfig, count: int) -> l
             draw_samples,
             batch_size=config.batch_size,
             symmetries=UPRIGHT,
-            normalise=NORMALISATIONS[config.recipe.normalisation],
+            normalize=NORMALIZATIONS[config.recipe.normalisation],
         )
     )
     keys = jax.random.split(jax.random.key(0), max(count // config.batch_size, 1))

@@ -26,7 +26,7 @@ class Objects:
     Attributes:
       classes: class index of each.
       rooms: the room it stands in, an index into `IndoorWorld.room_kinds`.
-      positions: x and y of its middle in the world, metres.
+      positions: x and y of its middle in the world, meters.
     """
 
     classes: UInt8[Leaf, " object"]
@@ -40,13 +40,13 @@ class IndoorWorld:
 
     Attributes:
       free: floor on which nothing stands, also in open doors.
-      heights: of what stands in a cell, metres above the floor; 0 on free floor and outside.
+      heights: of what stands in a cell, meters above the floor; 0 on free floor and outside.
       classes: of the highest object in a cell, see `dc2g_jax.objectnav.classes`; 0 where there is none, so in walls.
       instances: its number in `objects`, -1 where there is none.
       rooms: room of each cell, also below objects; 0 in walls and outside.
       room_kinds: room -> index into `dc2g_jax.objectnav.classes.ROOM_NAMES`; room 0 is the outside.
       objects: what stands in the house, also what is hidden by something higher.
-      cell_size: side of a cell, metres.
+      cell_size: side of a cell, meters.
     """
 
     free: Bool[Leaf, "h w"]
@@ -129,7 +129,7 @@ def stack_worlds(worlds: Sequence[IndoorWorld], *, rows: int = 0, columns: int =
     """
     sizes = sorted({float(world.cell_size) for world in worlds})
     if len(sizes) != 1:
-        raise InputError(f"houses with cells of {sizes or 'no'} metres cannot be stacked; give houses with cells alike")
+        raise InputError(f"houses with cells of {sizes or 'no'} meters cannot be stacked; give houses with cells alike")
     shape = (
         max(rows, *(world.free.shape[0] for world in worlds)),
         max(columns, *(world.free.shape[1] for world in worlds)),

@@ -31,12 +31,12 @@ def _reachable_but_here(pose_set: PoseSet, belief: Belief, reachable: Board) -> 
 
 
 def frontier_cells(belief: Belief, reachable: Board) -> Board:
-    """Reachable cells with an unobserved in-bounds 4-neighbour (paper, section III-D)."""
-    return reachable & bitboard.neighbours(_unseen(belief))
+    """Reachable cells with an unobserved in-bounds 4-neighbor (paper, section III-D)."""
+    return reachable & bitboard.neighbors(_unseen(belief))
 
 
 def complete(belief: Belief, reachable: Board, sensing: Kernel) -> PoseSet:
-    """Reachable poses, not the current one, that see an unobserved 4-neighbour of a frontier cell.
+    """Reachable poses, not the current one, that see an unobserved 4-neighbor of a frontier cell.
 
     Every such pose reveals something when it is reached, so exploration ends; when the set is empty the goal cannot
     be reached.
@@ -46,21 +46,21 @@ def complete(belief: Belief, reachable: Board, sensing: Kernel) -> PoseSet:
       reachable: observed traversable cells connected to the robot.
       sensing: the robot's field of view.
     """
-    targets = _unseen(belief) & bitboard.neighbours(frontier_cells(belief, reachable))
+    targets = _unseen(belief) & bitboard.neighbors(frontier_cells(belief, reachable))
     return _reachable_but_here(sensing.poses_that_see(targets, belief.opaque), belief, reachable)
 
 
 def reference(belief: Belief, reachable: Board, expanding: Kernel) -> PoseSet:
     """Reachable poses, not the current one, whose `expanding` kernel covers a frontier cell (the authors' code).
 
-    A frontier cell here is any observed cell, traversable or not, with an unobserved in-bounds 4-neighbour.
+    A frontier cell here is any observed cell, traversable or not, with an unobserved in-bounds 4-neighbor.
 
     Args:
       belief: what the robot knows.
       reachable: observed traversable cells connected to the robot.
       expanding: see `dc2g_jax.grid.sensing.expanding_kernel`.
     """
-    frontier = belief.seen & bitboard.neighbours(_unseen(belief))
+    frontier = belief.seen & bitboard.neighbors(_unseen(belief))
     return _reachable_but_here(poses_that_see(frontier, expanding), belief, reachable)
 
 
@@ -78,7 +78,7 @@ def opening(belief: Belief, candidates: PoseSet, sensing: Kernel, rim_width: int
     """
     rim = belief.seen
     for _ in range(rim_width):
-        rim = rim | bitboard.neighbours(rim)
+        rim = rim | bitboard.neighbors(rim)
     return candidates & sensing.poses_that_see(_beyond(belief, rim), belief.opaque)
 
 

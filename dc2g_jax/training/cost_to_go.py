@@ -43,7 +43,7 @@ class TrainingConfig:
 
     Attributes:
       architecture: the network.
-      steps: optimiser steps in all; the learning rate falls to zero over them.
+      steps: optimizer steps in all; the learning rate falls to zero over them.
       batch_size: pairs a step; a multiple of 8 keeps up to eight cores of a CPU busy.
       losses: names of losses, see `dc2g_jax.training.losses.LOSSES`, and the weight of each.
       learning_rate: peak, after a short linear warm-up.
@@ -110,7 +110,7 @@ class TrainingState:
     """Everything that training needs to go on; saved and restored as a whole.
 
     Attributes:
-      step: optimiser steps taken.
+      step: optimizer steps taken.
       weights: the network's weights.
       average: running average of the weights.
       optimizer: optax state.
@@ -309,7 +309,7 @@ def train_step(
     recipe: TrainingConfig,
     draw_batch: DrawBatch,
 ) -> tuple[TrainingState, Float[Array, ""]]:
-    """Take one optimiser step, the way that is fast on the device.
+    """Take one optimizer step, the way that is fast on the device.
 
     The batch of a step depends on the seed and the number of the step alone, so training that was interrupted and
     resumed gives the same weights as training that was not. No step is part of a longer program: inside a `scan`,

@@ -9,7 +9,7 @@ import numpy as np
 
 from dc2g_jax.datasets.drawn_masks import drawn_masks
 from dc2g_jax.datasets.houses import House, HouseDataset, stack_worlds
-from dc2g_jax.datasets.image_pairs import ImageSet, all_pairs, houses_with_door, labelled_maps
+from dc2g_jax.datasets.image_pairs import ImageSet, all_pairs, houses_with_door, labeled_maps
 from dc2g_jax.datasets.starts import sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.sampling import sample_grid
@@ -78,7 +78,7 @@ def image_set(dataset: HouseDataset, split: str, *, size: int, masks: MaskKind, 
     if all(why_no_episode(house) for house in grids):
         raise InputError(f"{dataset.name}: no episode can be run in any {split} house; use --masks paper")
     collected = rollout_masks(grids, per_house, seed=MASK_SEEDS[split])
-    terrain, cost = labelled_maps((house.terrain for house in houses), size)
+    terrain, cost = labeled_maps((house.terrain for house in houses), size)
     return ImageSet(
         terrain=jnp.asarray(terrain),
         cost_to_go=jnp.asarray(cost),

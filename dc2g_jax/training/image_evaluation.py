@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt8
 
-from dc2g_jax.datasets.image_pairs import ImageSet, MaskedMap, labelled_grid, labelled_map, masked_map
+from dc2g_jax.datasets.image_pairs import ImageSet, MaskedMap, labeled_grid, labeled_map, masked_map
 from dc2g_jax.estimation.estimators import Estimator, TranslatorCostToGo
 from dc2g_jax.estimation.images import cost_to_go_image, largest_cost
 from dc2g_jax.estimation.metrics import Comparison, ImageMetrics, compare_images
@@ -26,8 +26,8 @@ def map_for(estimator: Estimator, image: ClassImage) -> tuple[UInt8[np.ndarray, 
     The translator reads pictures of its own size; any other estimator the grid that robots move on.
     """
     if isinstance(estimator, TranslatorCostToGo):
-        return labelled_map(image, estimator.architecture.size)
-    return labelled_grid(image, GRID_CELLS)
+        return labeled_map(image, estimator.architecture.size)
+    return labeled_grid(image, GRID_CELLS)
 
 
 def _costs_to_drive(estimator: Estimator, terrain: UInt8[Array, "s s"]) -> Float[Array, "s s"]:

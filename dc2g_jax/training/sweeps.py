@@ -191,7 +191,7 @@ def train_steps(
     recipe: TrainingConfig,
     draw_batch: DrawBatch,
 ) -> tuple[TrainingState, Float[Array, "runs"]]:
-    """Take one optimiser step of several runs, each on batches of its own, the way that is fast on the device.
+    """Take one optimizer step of several runs, each on batches of its own, the way that is fast on the device.
 
     A run whose loss or weights would not be finite keeps those that it had, and its loss is NaN; the others go on.
 

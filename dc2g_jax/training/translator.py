@@ -19,7 +19,7 @@ from dc2g_jax.training.cost_to_go import check_numbers, loss_or_nan
 
 
 class GeneratorLoss(NamedTuple):
-    """What the generator minimises: a weighted sum.
+    """What the generator minimizes: a weighted sum.
 
     Attributes:
       l1: weight of the mean absolute difference from the true picture.
@@ -73,7 +73,7 @@ class TranslatorState:
     """Everything that training needs to go on; saved and restored as a whole.
 
     Attributes:
-      step: optimiser steps taken.
+      step: optimizer steps taken.
       key: of the run, as data: decides the order of the pairs and what is dropped, step by step. Part of the state, so
         that runs of several seeds share a compiled step.
       generator: the generator's weights.
@@ -145,7 +145,7 @@ def discriminator_loss(
 def generator_loss(
     config: TranslatorConfig, discriminator: Any, batch: ImageBatch, generated: Float[Array, "b s s 3"]
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """What the generator minimises, and the mean absolute difference from the true pictures.
+    """What the generator minimizes, and the mean absolute difference from the true pictures.
 
     The sum, weighted as in `TRANSLATOR_LOSSES`, of the mean absolute difference of pictures from -1 to 1 and of the
     cross-entropy of being taken for true, patch by patch.

@@ -31,9 +31,9 @@ class People:
     """Who is around, as far as the vehicle knows.
 
     Attributes:
-      positions: of their middles, metres; far away those that only fill up the array.
-      velocities: metres per second.
-      radius: of the circle that each of them takes up, metres.
+      positions: of their middles, meters; far away those that only fill up the array.
+      velocities: meters per second.
+      radius: of the circle that each of them takes up, meters.
     """
 
     positions: Float[Array, "people 2"]
@@ -48,8 +48,8 @@ class Avoidance:
     Attributes:
       speeds: how many speeds are tried, evenly over those that can be reached.
       turn_rates: how many turn rates.
-      margin: clearance from people, metres.
-      growth: how fast a person may turn aside of what is predicted, metres per second.
+      margin: clearance from people, meters.
+      growth: how fast a person may turn aside of what is predicted, meters per second.
       directions: how many directions a detour may take, evenly over both sides.
       widest: furthest of them aside of the wished one, radians.
       horizon: how far ahead it matters whom a direction meets, seconds.
@@ -74,7 +74,7 @@ def navigate(
     state: VehicleState, path: Path, ground: Ground, people: People, limits: VehicleLimits,
     following: Following | None = None, avoidance: Avoidance | None = None,
 ) -> Float[Array, "2"]:  # fmt: skip
-    """The command that follows a path past people: speed (metres per second) and turn rate (radians per second).
+    """The command that follows a path past people: speed (meters per second) and turn rate (radians per second).
 
     Args:
       state: of the vehicle.
@@ -100,7 +100,7 @@ def detour(
 
     Args:
       state: of the vehicle.
-      target: where it would go, metres.
+      target: where it would go, meters.
       ground: where its footprint may be.
       people: who is around, taken to walk on as they do.
       limits: of the vehicle.
@@ -118,7 +118,7 @@ def detour(
     pace = (state.speed + limits.max_speed) / 2
 
     def gap(direction: Float[Array, "2"]) -> Float[Array, ""]:
-        """How near it comes to anybody, metres."""
+        """How near it comes to anybody, meters."""
         time = avoidance.horizon * (1 + jnp.arange(avoidance.looks)) / avoidance.looks
         driven = jnp.minimum(pace * time, jnp.linalg.norm(offset))
         apart = (state.position + driven[:, None] * direction)[:, None] - people.positions
@@ -151,7 +151,7 @@ def avoid(
 
     Args:
       state: of the vehicle.
-      wished: speed (metres per second) and turn rate (radians per second).
+      wished: speed (meters per second) and turn rate (radians per second).
       ground: where the footprint may be. A vehicle that touches other cells already may drive where it touches them
         no more deeply.
       people: who is around.
@@ -186,15 +186,15 @@ class _Ways:
     """One period under each command, and then braking to a stand.
 
     Attributes:
-      start: where all begin, metres.
-      ends: where each period ends, metres.
-      travelled: length of its arc, metres.
+      start: where all begin, meters.
+      ends: where each period ends, meters.
+      traveled: length of its arc, meters.
       turned: its turn, radians.
     """
 
     start: Float[Array, "2"]
     ends: Float[Array, "periods commands 2"]
-    travelled: Float[Array, "periods commands"]
+    traveled: Float[Array, "periods commands"]
     turned: Float[Array, "periods commands"]
 
 
@@ -217,7 +217,7 @@ def _ways_to_a_stand(state: VehicleState, commands: Float[Array, "commands 2"], 
     return _Ways(
         start=state.position,
         ends=states.position,
-        travelled=states.speed * CONTROL_PERIOD,
+        traveled=states.speed * CONTROL_PERIOD,
         turned=states.turn_rate * CONTROL_PERIOD,
     )
 
@@ -227,7 +227,7 @@ def _stays_on_ground(ways: _Ways, ground: Ground, limits: VehicleLimits) -> Bool
     longest = limits.max_speed * CONTROL_PERIOD * (_periods(limits) + 1) / 2
     around = surroundings(ground, ways.start, longest + limits.radius)
     now = clearance(ways.start, around)
-    needed = needed_clearance(limits.radius, ways.travelled, ways.turned, now)
+    needed = needed_clearance(limits.radius, ways.traveled, ways.turned, now)
     # A period begins where one ends that is at least as long and as bent, and needs as much clearance.
     return jnp.all(clearance(ways.ends, around) >= needed, axis=0) & (now >= needed[0])
 
@@ -242,7 +242,7 @@ def _touches_nobody(
     starts = jnp.broadcast_to(ways.start, (1, *ways.ends.shape[1:]))
     places = jnp.concatenate([starts, ways.ends])
     x, y = places[..., 0], places[..., 1]
-    travelled, turned = (jnp.concatenate([values[:1], values]) for values in (ways.travelled, ways.turned))
+    traveled, turned = (jnp.concatenate([values[:1], values]) for values in (ways.traveled, ways.turned))
     # Where a period ends, the next one begins: everybody may have come as far as they do until that is over.
     time = CONTROL_PERIOD * (1 + jnp.arange(len(places), dtype=jnp.float32))[:, None]
 
@@ -254,8 +254,8 @@ def _touches_nobody(
         speed_squared = jnp.maximum(jnp.sum(velocity**2), 1e-6)
         since = jnp.clip((off_x * velocity[0] + off_y * velocity[1]) / speed_squared, 0, time)
         squared = (off_x - since * velocity[0]) ** 2 + (off_y - since * velocity[1]) ** 2
-        needed = needed_clearance(limits.radius, travelled, turned, now) + apart + avoidance.growth * time
-        return clear & ((squared >= needed**2) | (travelled == 0)), None
+        needed = needed_clearance(limits.radius, traveled, turned, now) + apart + avoidance.growth * time
+        return clear & ((squared >= needed**2) | (traveled == 0)), None
 
     clear, _ = jax.lax.scan(clear_of, jnp.ones(x.shape, bool), (people.positions, people.velocities))
     return jnp.all(clear, axis=0)

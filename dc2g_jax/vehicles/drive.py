@@ -104,7 +104,7 @@ class Robot:
       key: of its random numbers.
       vehicle: where it is.
       drift: how wrong it is about that.
-      moved: how far it has come since the last frame: metres, and quarter turns.
+      moved: how far it has come since the last frame: meters, and quarter turns.
       prior: what it knew of the map beforehand, 0 where nothing.
       map: what its camera has seen.
       missed: cells that it should have seen and has not.

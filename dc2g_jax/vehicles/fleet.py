@@ -50,7 +50,7 @@ def sites_of(terrains: Sequence[UInt8[np.ndarray, "h w"]], cell_size: float = CE
 
     Args:
       terrains: class index of every cell, house after house.
-      cell_size: side of a cell, metres.
+      cell_size: side of a cell, meters.
 
     Raises:
       InputError: there is no house, or two differ in size.

@@ -23,7 +23,7 @@ class Path:
     """Where to drive.
 
     Attributes:
-      points: to pass, metres; those after the last repeat it.
+      points: to pass, meters; those after the last repeat it.
       yaw: how to stand in the end, counter-clockwise from +x, radians.
     """
 
@@ -36,10 +36,10 @@ class Following:
     """How a path is followed.
 
     Attributes:
-      look_ahead: how far along the path the point to steer for may be, metres.
+      look_ahead: how far along the path the point to steer for may be, meters.
       candidates: points of the path that are tried, evenly up to there, beside the one next to the vehicle.
       largest_turn: aside of this angle the vehicle turns on the spot, radians.
-      arrival: nearer than this to its end, metres, the path has been driven, and the vehicle takes on its yaw.
+      arrival: nearer than this to its end, meters, the path has been driven, and the vehicle takes on its yaw.
     """
 
     look_ahead: float = struct.field(pytree_node=False, default=1.5)
@@ -49,14 +49,14 @@ class Following:
 
 
 def path_through(cells: Int[Array, "n 2"], length: ArrayLike, heading: ArrayLike, cell_size: float) -> Path:
-    """The path through the centres of cells.
+    """The path through the centers of cells.
 
     Args:
       cells: column and row, one after the other, two at least; a cell may follow itself, where the plan turns
         on the spot.
       length: how many of them count, at least 1.
       heading: of the plan's last pose, as in `dc2g_jax.grid.poses`: 0 = +x, 1 = +row, 2 = -x, 3 = -row.
-      cell_size: side of a cell, metres.
+      cell_size: side of a cell, meters.
     """
     index = jnp.minimum(jnp.arange(len(cells)), jnp.asarray(length) - 1)
     # Headings count clockwise in the world, whose y grows against the rows.
@@ -80,7 +80,7 @@ def _points_ahead(position: Float[Array, "2"], path: Path, following: Following)
 def aim(
     state: VehicleState, path: Path, ground: Ground, limits: VehicleLimits, following: Following
 ) -> Float[Array, "2"]:
-    """The furthest of the path's points ahead that the footprint can drive to straight, metres.
+    """The furthest of the path's points ahead that the footprint can drive to straight, meters.
 
     If it can to none of them, the point next to the vehicle: from anywhere in a cell of the path, the way there is
     free. A vehicle that was led off its path further than that needs a new one.
@@ -110,13 +110,13 @@ def _stopping(distance: Float[Array, ""], deceleration: float) -> Float[Array, "
 def steer(
     state: VehicleState, target: Float[Array, "2"], path: Path, limits: VehicleLimits, following: Following
 ) -> Float[Array, "2"]:
-    """The command that leads to a point: speed (metres per second) and turn rate (radians per second).
+    """The command that leads to a point: speed (meters per second) and turn rate (radians per second).
 
     Where the path ends, it turns the vehicle to the path's yaw.
 
     Args:
       state: of the vehicle.
-      target: the point, metres.
+      target: the point, meters.
       path: where the vehicle drives in the end.
       limits: of the vehicle.
       following: how to drive.

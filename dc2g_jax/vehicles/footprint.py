@@ -1,4 +1,4 @@
-"""Does a circular footprint stay on the cells where it may be? Exact distances to whole cells, not to their centres."""
+"""Does a circular footprint stay on the cells where it may be? Exact distances to whole cells, not to their centers."""
 
 import itertools
 import math
@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
-#: Clearance kept beyond the footprint, metres: more than single precision loses on the largest of maps.
+#: Clearance kept beyond the footprint, meters: more than single precision loses on the largest of maps.
 ROUNDING = 1e-3
 
 
@@ -17,7 +17,7 @@ class Ground:
 
     Attributes:
       cells: may it be on this cell? Unknown cells are not among them.
-      cell_size: side of a cell, metres.
+      cell_size: side of a cell, meters.
     """
 
     cells: Bool[Array, "h w"]
@@ -30,9 +30,9 @@ class Surroundings:
 
     Attributes:
       blocked: which of the columns and rows around it, by column and row.
-      x: centres of those columns, metres.
-      y: centres of those rows, metres.
-      half: half the side of a cell, metres.
+      x: centers of those columns, meters.
+      y: centers of those rows, meters.
+      half: half the side of a cell, meters.
     """
 
     blocked: Bool[Array, "n n"]
@@ -45,18 +45,18 @@ def cell_at(position: Float[Array, "*n 2"], cell_size: float) -> Int[Array, "*n 
     """Column and row of the cells that these places lie in.
 
     Args:
-      position: x and y, metres.
-      cell_size: side of a cell, metres.
+      position: x and y, meters.
+      cell_size: side of a cell, meters.
     """
     return jnp.floor(position * jnp.array([1, -1], jnp.float32) / cell_size).astype(jnp.int32)
 
 
 def cell_centers(cells: Int[Array, "*n 2"], cell_size: float) -> Float[Array, "*n 2"]:
-    """Centres of cells in the world, metres.
+    """Centers of cells in the world, meters.
 
     Args:
       cells: column and row.
-      cell_size: side of a cell, metres.
+      cell_size: side of a cell, meters.
     """
     return (cells.astype(jnp.float32) + 0.5) * jnp.array([cell_size, -cell_size], jnp.float32)
 
@@ -70,12 +70,12 @@ def contains(ground: Ground, cells: Int[Array, "*n 2"]) -> Bool[Array, "*n"]:
 
 
 def surroundings(ground: Ground, position: Float[Array, "2"], reach: float) -> Surroundings:
-    """What is blocked within `reach` metres of a place, and somewhat further.
+    """What is blocked within `reach` meters of a place, and somewhat further.
 
     Args:
       ground: where a footprint may be.
-      position: the place, metres.
-      reach: how far from the place matters, metres.
+      position: the place, meters.
+      reach: how far from the place matters, meters.
     """
     rings = math.ceil(reach / ground.cell_size)
     offsets = jnp.arange(-rings, rings + 1)
@@ -88,10 +88,10 @@ def surroundings(ground: Ground, position: Float[Array, "2"], reach: float) -> S
 
 
 def clearance(points: Float[Array, "*n 2"], around: Surroundings) -> Float[Array, "*n"]:
-    """Distance of each point to the nearest blocked cell, metres: 0 inside one, infinite where there is none.
+    """Distance of each point to the nearest blocked cell, meters: 0 inside one, infinite where there is none.
 
     Args:
-      points: x and y, metres.
+      points: x and y, meters.
       around: what is blocked near them.
     """
     off_x = [jnp.maximum(jnp.abs(points[..., 0] - x) - around.half, 0) ** 2 for x in around.x]
@@ -110,10 +110,10 @@ def free_straight(
     """Does a footprint stay clear of blocked cells, straight from a place to others?
 
     Args:
-      position: the place, metres.
-      offsets: to the others, metres.
+      position: the place, meters.
+      offsets: to the others, meters.
       around: what is blocked, at least that far away.
-      radius: of the footprint, metres.
+      radius: of the footprint, meters.
       probes: places where the clearance of each line is taken.
     """
     shares = (jnp.arange(probes + 1) / probes)[:, None, None]
@@ -123,28 +123,28 @@ def free_straight(
 
 
 def needed_clearance(
-    radius: float, travelled: Float[Array, "*n"], turned: Float[Array, "*n"] | float, now: Float[Array, "..."]
+    radius: float, traveled: Float[Array, "*n"], turned: Float[Array, "*n"] | float, now: Float[Array, "..."]
 ) -> Float[Array, "*n"]:
-    """Clearance at both ends of an arc that keeps a footprint clear all along it, metres.
+    """Clearance at both ends of an arc that keeps a footprint clear all along it, meters.
 
     The arc is nowhere further from its chord than an eighth of its length times its turn, and a point of the chord
     nowhere further from one of its ends than half its length.
 
     Args:
-      radius: of the footprint, metres.
-      travelled: length of the arc, metres.
+      radius: of the footprint, meters.
+      traveled: length of the arc, meters.
       turned: its turn, radians.
       now: clearance where the vehicle is. Where the footprint touches blocked ground already, for that has just been
         found to be blocked, it must touch it nowhere more deeply: so it can get away.
     """
-    bulge = travelled * jnp.abs(turned) / 8
-    needed = jnp.sqrt((radius + ROUNDING + bulge) ** 2 + (travelled / 2) ** 2)
+    bulge = traveled * jnp.abs(turned) / 8
+    needed = jnp.sqrt((radius + ROUNDING + bulge) ** 2 + (traveled / 2) ** 2)
     return jnp.where(now < radius, jnp.minimum(needed, now), needed)
 
 
 def distance_to_segment(
     point: Float[Array, "2"], begin: Float[Array, "2"], offset: Float[Array, "2"]
 ) -> Float[Array, ""]:
-    """Distance of a point to the segment that begins here and leads so far, metres."""
+    """Distance of a point to the segment that begins here and leads so far, meters."""
     along = jnp.dot(point - begin, offset) / jnp.maximum(jnp.dot(offset, offset), 1e-12)
     return jnp.linalg.norm(point - begin - jnp.clip(along, 0, 1) * offset)

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Key
 from dc2g_jax.errors import InputError
 from dc2g_jax.vehicles.vehicle import VehicleLimits, VehicleState, drive
 
-#: What it costs to be at a position (x and y, metres) facing a yaw (radians): a finite number.
+#: What it costs to be at a position (x and y, meters) facing a yaw (radians): a finite number.
 CostOfPose = Callable[[Float[Array, "2"], Float[Array, ""]], Float[Array, ""]]
 
 
@@ -34,7 +34,7 @@ class MPPISettings:
       limits: of the vehicle.
       horizon: commands in a plan, H.
       samples: noisy copies of the plan a call drives, K.
-      noise: standard deviation of the noise on speed (metres per second) and turn rate (radians per second), sigma.
+      noise: standard deviation of the noise on speed (meters per second) and turn rate (radians per second), sigma.
       correlation: of the noise of a command with that of the next, at least 0 and below 1. The paper's noise is
         independent, 0: then sampled headings hardly leave the plan's, as turns to the left and right cancel.
       temperature: difference in cost that makes a copy e times less likely, lambda, in units of the summed cost.

@@ -23,13 +23,13 @@ from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleState
 #: Class index -> do people walk there? bool [class].
 WALKABLE = np.isin(CLASS_NAMES, ["sidewalk", "path"])
 
-#: Places as near as this are the same one, metres.
+#: Places as near as this are the same one, meters.
 _SAME_PLACE = 1e-3
 
 #: Log-odds of what is never drawn while there is anything else.
 _LAST_RESORT = -1e9
 
-#: Where people are who are nowhere on the map, metres.
+#: Where people are who are nowhere on the map, meters.
 NOWHERE = 1e5
 
 
@@ -38,11 +38,11 @@ class Pedestrians:
     """People on their way.
 
     Attributes:
-      position: of their middles, metres.
-      velocity: metres per second.
+      position: of their middles, meters.
+      velocity: meters per second.
       came_from: column and row of the last cell whose middle they passed.
       heads_for: column and row of the cell they walk to.
-      side: how far from the middle of cells they walk, metres.
+      side: how far from the middle of cells they walk, meters.
       waited: how long they have been standing in front of the vehicle, seconds.
       turned_back: how often they have gone back because of it.
     """
@@ -61,9 +61,9 @@ class Walking:
     """How people walk.
 
     Attributes:
-      speed: metres per second.
-      radius: of the circle that each of them takes up, metres.
-      space: what they leave between themselves and a vehicle in front of them, metres.
+      speed: meters per second.
+      radius: of the circle that each of them takes up, meters.
+      space: what they leave between themselves and a vehicle in front of them, meters.
       foresight: for how long they expect the vehicle to drive on as it does, seconds.
       patience: for how long they wait for it before they go back, seconds.
       returns: how often they go back before they leave.
@@ -85,13 +85,13 @@ def walkable_cells(terrain: UInt8[Array, "h w"] | UInt8[np.ndarray, "h w"]) -> B
 def place(
     key: Array, sidewalks: Ground, count: int, away_from: Float[Array, "2"], walking: Walking | None = None
 ) -> Pedestrians:
-    """People at random places on the sidewalks, standing, in cells whose middle is over three metres from a place.
+    """People at random places on the sidewalks, standing, in cells whose middle is over three meters from a place.
 
     Args:
       key: of the random numbers.
       sidewalks: cells where people walk. Where there are none far enough from the place, people are `NOWHERE`.
       count: how many people.
-      away_from: the place, where the vehicle starts, metres.
+      away_from: the place, where the vehicle starts, meters.
       walking: how they walk; None for the usual way.
     """
     walking = Walking() if walking is None else walking
@@ -127,7 +127,7 @@ def walk(
       people: as they are now.
       sidewalks: cells where they walk.
       vehicle: as it is now.
-      vehicle_radius: of its footprint, metres.
+      vehicle_radius: of its footprint, meters.
       walking: how they walk; None for the usual way.
     """
     walking = Walking() if walking is None else walking

@@ -19,7 +19,7 @@ class Moment(NamedTuple):
 
     Attributes:
       seconds: since the robot set out.
-      picture: what the camera sees, in colour.
+      picture: what the camera sees, in color.
       frame: what it delivers.
       robot: after it.
       believed: where it then takes itself to be.

@@ -1,6 +1,6 @@
 """The vehicle: a unicycle with a circular footprint and limits on how fast it drives, turns and changes either.
 
-It drives in the ground plane of the world of `dc2g_jax.mapping.camera`: metres, x along the map's columns, y against
+It drives in the ground plane of the world of `dc2g_jax.mapping.camera`: meters, x along the map's columns, y against
 its rows, yaw counter-clockwise from +x. It never drives backwards, where its camera does not look; turning on the spot,
 a circular footprint covers no new ground, so it can always face about.
 
@@ -25,9 +25,9 @@ class VehicleState:
     """Where a vehicle is and how it moves.
 
     Attributes:
-      position: of the footprint's centre, metres.
+      position: of the footprint's center, meters.
       yaw: where it faces, counter-clockwise from +x, radians, -pi to pi.
-      speed: ahead, metres per second.
+      speed: ahead, meters per second.
       turn_rate: counter-clockwise, radians per second.
     """
 
@@ -42,11 +42,11 @@ class VehicleLimits:
     """What a vehicle can do: by default about what a sidewalk delivery robot can. Known when programs are compiled.
 
     Attributes:
-      max_speed: ahead, metres per second.
+      max_speed: ahead, meters per second.
       max_turn_rate: either way, radians per second.
-      max_acceleration: speeding up and braking, metres per second squared.
+      max_acceleration: speeding up and braking, meters per second squared.
       max_turn_acceleration: of the turn rate, either way, radians per second squared.
-      radius: of the footprint, metres.
+      radius: of the footprint, meters.
 
     Raises:
       InputError: a limit is not above 0.
@@ -68,7 +68,7 @@ def at_rest(position: ArrayLike, yaw: ArrayLike) -> VehicleState:
     """A vehicle that stands.
 
     Args:
-      position: x and y, metres.
+      position: x and y, meters.
       yaw: where it faces, radians.
     """
     still = jnp.float32(0)
@@ -101,7 +101,7 @@ def reachable_command(
 
 
 def along_arc(
-    position: Float[Array, "*n 2"], yaw: Float[Array, "*n"], travelled: Float[Array, "*n"], turned: Float[Array, "*n"]
+    position: Float[Array, "*n 2"], yaw: Float[Array, "*n"], traveled: Float[Array, "*n"], turned: Float[Array, "*n"]
 ) -> Float[Array, "*n 2"]:
     """Where the arc of a circle ends.
 
@@ -109,13 +109,13 @@ def along_arc(
     That is exact for every turn, none included.
 
     Args:
-      position: where it begins, metres.
+      position: where it begins, meters.
       yaw: its direction there, radians.
-      travelled: its length, metres.
+      traveled: its length, meters.
       turned: by how much its direction turns, radians.
     """
     # jnp.sinc(x) is sin(pi x) / (pi x), and 1 at 0.
-    chord = travelled * jnp.sinc(turned / (2 * jnp.pi))
+    chord = traveled * jnp.sinc(turned / (2 * jnp.pi))
     direction = yaw + turned / 2
     return position + chord[..., None] * jnp.stack([jnp.cos(direction), jnp.sin(direction)], axis=-1)
 
@@ -129,7 +129,7 @@ def drive(
 
     Args:
       state: of the vehicle.
-      command: wished speed (metres per second) and turn rate (radians per second).
+      command: wished speed (meters per second) and turn rate (radians per second).
       limits: of the vehicle.
       seconds: for how long.
     """

@@ -103,8 +103,8 @@ static void find_reachable(Robot *robot, Pose pose)
     }
 }
 
-/* Does a cell have a 4-neighbour whose mark is this one? */
-static int has_neighbour(const Robot *robot, const uint8_t *marks, int mark, int x, int y)
+/* Does a cell have a 4-neighbor whose mark is this one? */
+static int has_neighbor(const Robot *robot, const uint8_t *marks, int mark, int x, int y)
 {
     for (int k = 0; k < 4; k++) {
         int column = x + FORWARD_X[k], row = y + FORWARD_Y[k];
@@ -116,15 +116,15 @@ static int has_neighbour(const Robot *robot, const uint8_t *marks, int mark, int
 
 /* Must a frontier-expanding pose cover this cell?
  *
- * By the rules `reference` seen cells with an unseen neighbour, by the rules `complete` unseen cells with a reachable
- * neighbour.
+ * By the rules `reference` seen cells with an unseen neighbor, by the rules `complete` unseen cells with a reachable
+ * neighbor.
  */
 static int wanted(const Robot *robot, int x, int y)
 {
     int seen = robot->seen[y * robot->width + x];
     if (robot->complete)
-        return !seen && has_neighbour(robot, robot->reachable, 1, x, y);
-    return seen && has_neighbour(robot, robot->seen, 0, x, y);
+        return !seen && has_neighbor(robot, robot->reachable, 1, x, y);
+    return seen && has_neighbor(robot, robot->seen, 0, x, y);
 }
 
 /* Target the frontier-expanding poses: reachable, not the current one, covering a wanted cell. */

@@ -12,7 +12,7 @@ Grid = npt.NDArray[np.float64]
 
 
 def reachable_scipy(free: Cells, x: int, y: int) -> Cells:
-    """Free cells 4-connected to (x, y), by labelling all components: the answer of `bitboard.flood`.
+    """Free cells 4-connected to (x, y), by labeling all components: the answer of `bitboard.flood`.
 
     Args:
       free: cells a robot may use, bool [h w].

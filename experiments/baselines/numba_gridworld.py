@@ -76,8 +76,8 @@ def _find_reachable(reachable: _Cells, free: _Cells, queue: _Queue, x: int, y: i
 
 
 @_compiled
-def _has_neighbour(marks: _Cells, mark: int, x: int, y: int) -> bool:
-    """Does a cell have a 4-neighbour whose mark is this one?"""
+def _has_neighbor(marks: _Cells, mark: int, x: int, y: int) -> bool:
+    """Does a cell have a 4-neighbor whose mark is this one?"""
     height, width = marks.shape
     for heading in range(4):
         column, row = x + _FORWARD_X[heading], y + _FORWARD_Y[heading]
@@ -90,8 +90,8 @@ def _has_neighbour(marks: _Cells, mark: int, x: int, y: int) -> bool:
 def _wanted(seen: _Cells, reachable: _Cells, complete: bool, x: int, y: int) -> bool:
     """Must a frontier-expanding pose cover this cell? See `gridworld.c`."""
     if complete:
-        return not seen[y, x] and _has_neighbour(reachable, 1, x, y)
-    return seen[y, x] and _has_neighbour(seen, 0, x, y)
+        return not seen[y, x] and _has_neighbor(reachable, 1, x, y)
+    return seen[y, x] and _has_neighbor(seen, 0, x, y)
 
 
 @_compiled

@@ -54,7 +54,7 @@ def _rollout(bench: Bench, planner: str, slots: int) -> Callable[[], Program]:
 
 
 def _train_step(bench: Bench) -> Callable[[], Program]:
-    """One optimiser step. Shapes are enough to compile it."""
+    """One optimizer step. Shapes are enough to compile it."""
     config = TrainingConfig(batch_size=_training_batch(bench))
     worlds = bench.workload.worlds
     board, map_size, n_worlds = worlds.goals.shape[:-1], (worlds.height, worlds.width), worlds.goals.shape[-1]

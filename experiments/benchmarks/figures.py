@@ -12,8 +12,8 @@ from matplotlib.ticker import EngFormatter, LogLocator, NullLocator
 
 from .rows import Row
 
-#: Colours of Okabe and Ito.
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#666666", "#000000")
+#: Colors of Okabe and Ito.
+_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#666666", "#000000")
 _MARKERS = "osD^vPX*"
 
 
@@ -46,7 +46,7 @@ def _bars(axes: Axes, rows: Sequence[Row], title: str, label: str, name: Callabl
     for place, row in enumerate(rows):
         assert row.rate is not None
         own = row.by == "dc2g_jax"
-        axes.barh(place, row.rate, color=_COLOURS[0] if own else "#bbbbbb", edgecolor="#333333", linewidth=0.5)
+        axes.barh(place, row.rate, color=_COLORS[0] if own else "#bbbbbb", edgecolor="#333333", linewidth=0.5)
         axes.annotate(
             f"{row.rate:,.0f}", (row.rate, place), xytext=(3, 0), textcoords="offset points", va="center", fontsize=7.5
         )
@@ -74,7 +74,7 @@ def _lines(
             rates,
             yerr=[below, [0.0] * len(known)],
             label=name,
-            color=_COLOURS[place % len(_COLOURS)],
+            color=_COLORS[place % len(_COLORS)],
             marker=_MARKERS[place % len(_MARKERS)],
             markersize=4.5,
             linewidth=1.4,
@@ -116,7 +116,7 @@ def _shares(axes: Axes, rows: Sequence[Row]) -> None:
             [100 * share for _, share in shown],
             height,
             label=resource,
-            color=_COLOURS[offset],
+            color=_COLORS[offset],
             edgecolor="#333333",
             linewidth=0.5,
         )

@@ -24,7 +24,7 @@ from dc2g_jax.training.sweeps import (
 from .bench import Bench, own
 from .rows import Row
 
-#: Optimiser steps of a run, for the runs an hour: those of `python -m experiments.sweep_losses`.
+#: Optimizer steps of a run, for the runs an hour: those of `python -m experiments.sweep_losses`.
 _STEPS_A_RUN = 2000
 
 

@@ -100,12 +100,12 @@ def make_workload(dataset: HouseDataset, *, per_house: int, most_houses: int | N
 
 
 def resized(workload: Workload, cells: int, *, count: int) -> Workload:
-    """Neighbourhoods of another size: houses side by side, cut to a square of so many cells.
+    """Neighborhoods of another size: houses side by side, cut to a square of so many cells.
 
     Args:
       workload: where the houses come from.
       cells: side of the square, in cells.
-      count: how many neighbourhoods, with one start in each.
+      count: how many neighborhoods, with one start in each.
     """
     tiles = -(-cells // workload.cells)
     rng = np.random.default_rng(cells)

@@ -139,7 +139,7 @@ def test_classes_are_mapped_by_name_whatever_the_order_of_rows(folder):
 
 
 @pytest.mark.parametrize("alias", ["_boundary_", "_background_"])
-def test_aliases_mean_unknown_and_the_first_class_with_a_colour_has_it(tmp_path, alias):
+def test_aliases_mean_unknown_and_the_first_class_with_a_color_has_it(tmp_path, alias):
     (tmp_path / "palette.csv").write_text(f"class,r,g,b\n{alias},9,9,9\nroad,5,5,5\ngrass,5,5,5\ntree,9,9,9\n")
     (tmp_path / "image.png").write_bytes(png(np.array([[[9, 9, 9], [5, 5, 5]]], np.uint8), 2))
     classes = read_class_image(tmp_path / "image.png", read_palette(tmp_path / "palette.csv"))
@@ -297,7 +297,7 @@ def test_an_index_outside_the_files_own_palette(tmp_path, palette):
     refusal(lambda: read_class_image(path, palette), path, "index 3", "palette of 3 colors")
 
 
-def test_a_colour_outside_the_palette(folder):
+def test_a_color_outside_the_palette(folder):
     path = first_image(folder)
     picture = cv2.imread(str(path))
     picture[7, 5] = (3, 120, 2)

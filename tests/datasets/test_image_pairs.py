@@ -16,8 +16,8 @@ from dc2g_jax.datasets.image_pairs import (
     all_pairs,
     draw_image_pairs,
     houses_with_door,
-    labelled_grid,
-    labelled_map,
+    labeled_grid,
+    labeled_map,
     masked_map,
 )
 from dc2g_jax.errors import InputError
@@ -52,10 +52,10 @@ def dijkstra_oracle(terrain: np.ndarray) -> np.ndarray:
 
 def test_labels_are_exact():
     terrain = maps.random_terrain(5, (32, 32), 0.7, doors=2)
-    same, cost = labelled_map(terrain, 32)
+    same, cost = labeled_map(terrain, 32)
     np.testing.assert_array_equal(same, terrain)
     np.testing.assert_allclose(cost, dijkstra_oracle(terrain), rtol=1e-5)
-    grid, cost = labelled_grid(terrain, 20)
+    grid, cost = labeled_grid(terrain, 20)
     np.testing.assert_array_equal(grid, sample_grid(terrain, 20))
     np.testing.assert_allclose(cost, dijkstra_oracle(grid), rtol=1e-5)
 
@@ -63,7 +63,7 @@ def test_labels_are_exact():
 def test_distances_are_those_of_the_map_in_its_own_proportions():
     image = np.full((16, 64), ROAD, np.uint8)
     image[:, 0] = FRONT_DOOR
-    terrain, cost = labelled_map(image, 32)
+    terrain, cost = labeled_map(image, 32)
     assert terrain.shape == cost.shape == (32, 32)
     # 32 pixels along the longer side: half the image's; rows are stretched and no farther apart for it.
     np.testing.assert_array_equal(cost, np.tile(np.arange(32.0), (32, 1)))
@@ -75,7 +75,7 @@ def test_labels_agree_with_the_authors_images(shared):
     for house in houses:
         path = PUBLISHED / "full_c2g" / house.split / f"world{house.name}-front_door.png"
         theirs = resize_nearest(cv2.imread(str(path))[..., ::-1], 256, 256) / 255.0
-        terrain, cost = labelled_map(house.terrain, 256)
+        terrain, cost = labeled_map(house.terrain, 256)
         ours = np.asarray(cost_to_go_image(jnp.asarray(cost), jnp.asarray(terrain), largest_cost(jnp.asarray(cost))))
         red, our_red = (image[..., 0] > image[..., 1] + 0.5 for image in (theirs, ours))
         assert np.mean(red == our_red) > 0.98
@@ -101,7 +101,7 @@ def test_a_mask_only_hides():
         np.testing.assert_array_equal(pairs.image[index], expected)
         red = np.asarray(pairs.target[index])[..., 0] != np.asarray(pairs.target[index])[..., 1]
         np.testing.assert_array_equal(red, seen & ~TRAVERSABLE[np.asarray(data.terrain[house])])
-        # Greys are those of the whole map, brightened alike.
+        # Grays are those of the whole map, brightened alike.
         ours, full = np.asarray(pairs.target[index])[..., 2], np.asarray(whole.target[house])[..., 2] * seen
         np.testing.assert_allclose(ours * full.max(), full, atol=1e-5)
 
@@ -145,12 +145,12 @@ def test_augmented_maps_are_larger_pieces_of_the_old_ones():
         ]
         ((top, left, mirrored),) = places
         found.add(places[0])
-        grey = enlarged[1][top : top + 64, left : left + 64][:, :: -1 if mirrored else 1]
-        red = grey[..., 0] != grey[..., 1]
+        gray = enlarged[1][top : top + 64, left : left + 64][:, :: -1 if mirrored else 1]
+        red = gray[..., 0] != gray[..., 1]
         np.testing.assert_array_equal(target[..., 0] != target[..., 1], red)
-        # The nearest cell that is left is white, and greys are brightened alike.
-        brightest = np.where(red, 0, grey[..., 2]).max()
-        np.testing.assert_allclose(target[..., 2] * brightest, grey[..., 2], atol=1e-5)
+        # The nearest cell that is left is white, and grays are brightened alike.
+        brightest = np.where(red, 0, gray[..., 2]).max()
+        np.testing.assert_allclose(target[..., 2] * brightest, gray[..., 2], atol=1e-5)
     assert len(found) > 40
     assert {mirrored for _, _, mirrored in found} == {False, True}
 

@@ -15,20 +15,20 @@ from tests.support.maps import drawn
 from tests.support.occupancy import save
 from tests.support.refusals import refusal
 
-COLOURS = {"front_door": (250, 0, 0), "grass": (10, 200, 10), "house": (1, 2, 3), "road": (90, 90, 90)}
+COLORS = {"front_door": (250, 0, 0), "grass": (10, 200, 10), "house": (1, 2, 3), "road": (90, 90, 90)}
 
 
 def paint(path: Path, terrain: np.ndarray) -> Path:
-    """Write a picture in `COLOURS`."""
+    """Write a picture in `COLORS`."""
     table = np.zeros((len(CLASS_NAMES), 3), np.uint8)
-    for name, colour in COLOURS.items():
-        table[CLASS_NAMES.index(name)] = colour
+    for name, color in COLORS.items():
+        table[CLASS_NAMES.index(name)] = color
     assert cv2.imwrite(str(path), table[terrain][..., ::-1])
     return path
 
 
 def write_palette(path: Path) -> Path:
-    path.write_text("class,r,g,b\n" + "".join(f"{name},{r},{g},{b}\n" for name, (r, g, b) in COLOURS.items()))
+    path.write_text("class,r,g,b\n" + "".join(f"{name},{r},{g},{b}\n" for name, (r, g, b) in COLORS.items()))
     return path
 
 
@@ -133,7 +133,7 @@ def test_the_published_layout_is_never_taken_for_a_folder_of_maps(tmp_path, yard
 # --- what is refused ------------------------------------------------------------------------------------
 
 
-def test_colours_outside_the_palette_are_all_listed(tmp_path, palette, yard):
+def test_colors_outside_the_palette_are_all_listed(tmp_path, palette, yard):
     path = paint(tmp_path / "yard.png", yard)
     picture = cv2.imread(str(path))
     picture[6] = (11, 201, 11)
@@ -149,7 +149,7 @@ def test_colours_outside_the_palette_are_all_listed(tmp_path, palette, yard):
     )
     picture[1:5] = np.arange(60).reshape(4, 5, 3) + 100
     cv2.imwrite(str(path), picture)
-    refusal(lambda: read_map(path, palette=palette), "(11, 201, 11)", "and 19 other colours")
+    refusal(lambda: read_map(path, palette=palette), "(11, 201, 11)", "and 19 other colors")
 
 
 def test_a_picture_without_palette(tmp_path, yard):
@@ -220,7 +220,7 @@ def test_doors_that_a_coarse_grid_would_lose(yard):
         (Goal(float("nan"), 1), ["goal (nan, 1) is nowhere"]),
         (Goal(1, float("inf"), "metres"), ["goal (1, inf) is nowhere"]),
         (Goal(1.5, 1), ["goal (1.5, 1) is between cells", "whole numbers"]),
-        (Goal(1, 1, "metres"), ["goal (1, 1) is in metres", "only a ROS map"]),
+        (Goal(1, 1, "metres"), ["goal (1, 1) is in meters", "only a ROS map"]),
         (Goal(0, 6), ["goal (0, 6) lies at column 0, row 6 on 'house'", "not traversable", "column 0, row 3"]),
     ],
 )

@@ -12,36 +12,36 @@ from tests.support.occupancy import save
 from tests.support.refusals import refusal
 
 
-def random_greys(seed: int, height: int = 17, width: int = 23) -> np.ndarray:
+def random_grays(seed: int, height: int = 17, width: int = 23) -> np.ndarray:
     return np.random.default_rng(seed).choice([0, 89, 90, 205, 206, 254, 255], (height, width)).astype(np.uint8)
 
 
 @pytest.mark.parametrize("negate", [0, 1])
 @pytest.mark.parametrize("thresholds", [(0.196, 0.65), (0.25, 0.65), (0.0, 1.0), (0.5, 0.5)])
 def test_thresholds_are_map_servers(tmp_path, negate, thresholds):
-    greys = np.arange(256, dtype=np.uint8).reshape(8, 32)
-    path = save(tmp_path, greys, negate=negate, free_thresh=thresholds[0], occupied_thresh=thresholds[1])
+    grays = np.arange(256, dtype=np.uint8).reshape(8, 32)
+    path = save(tmp_path, grays, negate=negate, free_thresh=thresholds[0], occupied_thresh=thresholds[1])
     terrain = draw_map(path)
-    for grey, found in zip(greys.ravel(), terrain.ravel(), strict=True):
-        occupancy = int(grey) / 255 if negate else (255 - int(grey)) / 255
+    for gray, found in zip(grays.ravel(), terrain.ravel(), strict=True):
+        occupancy = int(gray) / 255 if negate else (255 - int(gray)) / 255
         wanted = HOUSE if occupancy > thresholds[1] else ROAD if occupancy < thresholds[0] else UNKNOWN
         assert found == wanted
 
 
-def test_the_grey_of_the_unknown_that_counts_as_free_is_doubted(tmp_path):
-    greys = np.array([[0, 205, 254]], np.uint8)
-    assert read_occupancy_map(save(tmp_path, greys)).doubt is None
-    doubt = read_occupancy_map(save(tmp_path, greys, free_thresh=0.25)).doubt
+def test_the_gray_of_the_unknown_that_counts_as_free_is_doubted(tmp_path):
+    grays = np.array([[0, 205, 254]], np.uint8)
+    assert read_occupancy_map(save(tmp_path, grays)).doubt is None
+    doubt = read_occupancy_map(save(tmp_path, grays, free_thresh=0.25)).doubt
     assert doubt is not None
-    assert doubt.startswith("1 pixels are grey 205")
+    assert doubt.startswith("1 pixels are gray 205")
     assert "0.25" in doubt
     assert "write 0.196" in doubt
 
 
 @pytest.mark.parametrize("yaw", [0.0, math.pi / 2, -0.3, 2.5])
-def test_a_pixels_centre_in_the_map_frame_lies_in_its_cell(tmp_path, yaw):
+def test_a_pixels_center_in_the_map_frame_lies_in_its_cell(tmp_path, yaw):
     height, width, resolution, x0, y0 = 17, 23, 0.05, -3.2, 7.0
-    found = read_occupancy_map(save(tmp_path, random_greys(0), resolution=resolution, origin=[x0, y0, yaw]))
+    found = read_occupancy_map(save(tmp_path, random_grays(0), resolution=resolution, origin=[x0, y0, yaw]))
     for row in range(height):
         for column in range(width):
             right, up = (column + 0.5) * resolution, (height - row - 0.5) * resolution
@@ -55,9 +55,9 @@ def test_a_pixels_centre_in_the_map_frame_lies_in_its_cell(tmp_path, yaw):
 @pytest.mark.parametrize("grid", [(23, 17), (7, 5), (22, 16), (1, 1), (23, 2)])
 def test_a_coarser_cell_is_free_only_if_all_it_touches_is(tmp_path, grid):
     columns, rows = grid
-    greys = random_greys(1)
-    greys[4:13, 5:20] = 254
-    path = save(tmp_path, greys)
+    grays = random_grays(1)
+    grays[4:13, 5:20] = 254
+    path = save(tmp_path, grays)
     fine, coarse = draw_map(path), draw_map(path, cells=grid)
     height, width = fine.shape
     assert coarse.shape == (rows, columns)
@@ -71,25 +71,25 @@ def test_a_coarser_cell_is_free_only_if_all_it_touches_is(tmp_path, grid):
             assert coarse[row, column] == wanted
 
 
-def test_goals_in_metres_and_in_cells(tmp_path):
-    greys = np.full((40, 60), 254, np.uint8)
-    path = save(tmp_path, greys, origin=[-1.0, -0.5, 0.0])
+def test_goals_in_meters_and_in_cells(tmp_path):
+    grays = np.full((40, 60), 254, np.uint8)
+    path = save(tmp_path, grays, origin=[-1.0, -0.5, 0.0])
     terrain = read_map(path, goals=[Goal(-0.99, -0.49, "metres"), Goal(3, 2)])
     assert np.argwhere(terrain == FRONT_DOOR).tolist() == [[2, 3], [39, 0]]
     coarse = read_map(path, goals=[Goal(1.99, 1.49, "metres")], cells=(6, 4))
     assert np.argwhere(coarse == FRONT_DOOR).tolist() == [[0, 5]]
     refusal(
         lambda: read_map(path, goals=[Goal(1e308, -1e308, "metres")]),
-        "in metres lies far off the map",
+        "in meters lies far off the map",
     )
     refusal(
         lambda: read_map(path, goals=[Goal(-1.01, 0, "metres")]),
-        path, "goal (-1.01, 0) in metres lies at column -1", "off the map of 60 x 40 cells",
+        path, "goal (-1.01, 0) in meters lies at column -1", "off the map of 60 x 40 cells",
     )  # fmt: skip
 
 
 def test_spellings_that_other_tools_write(tmp_path):
-    path = save(tmp_path, random_greys(2), mode="trinary", resolution="5e-2", negate="false")
+    path = save(tmp_path, random_grays(2), mode="trinary", resolution="5e-2", negate="false")
     assert read_occupancy_map(path).resolution == 0.05
     path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n"))
     assert read_occupancy_map(path).free.shape == (17, 23)
@@ -103,7 +103,7 @@ def test_spellings_that_other_tools_write(tmp_path):
     [
         ({"resolution": None}, ["lacks resolution", "a ROS map needs image, resolution"]),
         ({"image": None, "negate": None}, ["lacks image, negate"]),
-        ({"resolution": 0}, ["resolution is 0.0", "metres of a pixel"]),
+        ({"resolution": 0}, ["resolution is 0.0", "meters of a pixel"]),
         ({"resolution": "fine"}, ["resolution has 'fine'", "no number"]),
         ({"resolution": ".inf"}, ["resolution has inf", "no number"]),
         ({"resolution": True}, ["resolution has True", "no number"]),
@@ -117,7 +117,7 @@ def test_spellings_that_other_tools_write(tmp_path):
     ],
 )
 def test_bad_facts(tmp_path, facts, mentions):
-    path = save(tmp_path, random_greys(3), **facts)
+    path = save(tmp_path, random_grays(3), **facts)
     refusal(lambda: read_map(path), tmp_path, *mentions)
 
 
@@ -155,6 +155,6 @@ def test_a_missing_file(tmp_path):
     ],
 )
 def test_bad_pictures(tmp_path, data, mentions):
-    path = save(tmp_path, random_greys(4))
+    path = save(tmp_path, random_grays(4))
     (tmp_path / "lab.pgm").write_bytes(data)
     refusal(lambda: read_map(path), tmp_path / "lab.pgm", *mentions)

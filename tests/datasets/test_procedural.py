@@ -170,7 +170,7 @@ def test_houses_vary(drawn):
             assert (grids == terrain).any(axis=0).mean() > 0.5, style
 
 
-def test_styles_differ_as_the_neighbourhoods_do(drawn):
+def test_styles_differ_as_the_neighborhoods_do(drawn):
     def share(style: str, terrain: int) -> float:
         return float(np.mean([(sample_grid(house) == terrain).mean() for house in drawn[style]]))
 
@@ -194,7 +194,7 @@ def test_bad_requests_are_refused(monkeypatch):
         draw_house(0, STYLES[0])
 
 
-def test_sampling_reads_pixel_centres_and_rounds_ties_down():
+def test_sampling_reads_pixel_centers_and_rounds_ties_down():
     columns = np.broadcast_to(np.arange(100, dtype=np.uint8) % 2 * (HOUSE - GRASS) + GRASS, (100, 100))
     assert (sample_grid(columns, 50) == GRASS).all()  # 100 -> 50: the tie 2 i + 0.5 reads pixel 2 i
     identity = np.random.default_rng(0).choice(np.array([GRASS, ROAD, HOUSE], np.uint8), (50, 50))

@@ -183,7 +183,7 @@ def test_pictures_show_what_is_observed_and_the_robot():
             assert np.all(cells[y, :, x] == CLASS_COLORS[observation["terrain"][y, x]])
     middle = cells[4, scale // 2, 5, scale // 2]
     assert tuple(middle) == ROBOT_COLOR
-    # The robot looks up: its colour reaches further up in the middle column than at the sides, below only there.
+    # The robot looks up: its color reaches further up in the middle column than at the sides, below only there.
     colored = np.all(cells[4, :, 5] == ROBOT_COLOR, axis=-1)
     assert colored[: scale // 4].sum() < colored[-scale // 2 :].sum()
     silent = make()
@@ -201,7 +201,7 @@ def test_refused_starts():
     def refused(*mentions, **options):
         refusal(lambda: env.reset(options={**TO_THE_DOOR, **options}), *mentions)
 
-    refused("'colour'", "unknown", colour=3)
+    refused("'color'", "unknown", color=3)
     refused("yrad", "did you mean yard", house="yrad")
     refused("lane", "'val'", "split='val'", house="lane")
     refused("walled", "no front door can be reached", house="walled")

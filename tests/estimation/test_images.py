@@ -1,4 +1,4 @@
-"""Pictures of maps and of cost-to-go: what they show can be read back, and colours are judged as OpenCV does."""
+"""Pictures of maps and of cost-to-go: what they show can be read back, and colors are judged as OpenCV does."""
 
 import cv2
 import jax
@@ -37,13 +37,13 @@ def random_house(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def oracle_image(cost: np.ndarray, observed: np.ndarray) -> np.ndarray:
     """Pixel by pixel, as the paper words it."""
     largest = max((value for value in cost.ravel() if np.isfinite(value)), default=0.0) or 1.0
-    grey = np.zeros(SHAPE)
+    gray = np.zeros(SHAPE)
     for place in np.ndindex(SHAPE):
         if TRAVERSABLE[observed[place]] and np.isfinite(cost[place]):
-            grey[place] = 1 - cost[place] / largest
-    if grey.max() > 0:
-        grey /= grey.max()
-    image = np.repeat(grey[..., None], 3, axis=2)
+            gray[place] = 1 - cost[place] / largest
+    if gray.max() > 0:
+        gray /= gray.max()
+    image = np.repeat(gray[..., None], 3, axis=2)
     image[(observed != 0) & ~TRAVERSABLE[observed]] = (1, 0, 0)
     return image
 
@@ -59,12 +59,12 @@ def test_what_an_image_shows_is_read_back(seed):
     _, cost, observed = random_house(seed)
     image = to_image(cost, observed)
     read = read_back(image, *SHAPE)
-    grey = oracle_image(cost, observed)[..., 2]
-    np.testing.assert_allclose(read, 1 - grey, atol=1e-6)
+    gray = oracle_image(cost, observed)[..., 2]
+    np.testing.assert_allclose(read, 1 - gray, atol=1e-6)
     # Where something near and something far are both visible, the order of costs is that of the map.
     shown = np.isfinite(cost) & TRAVERSABLE[observed]
     if shown.any():
-        assert np.asarray(read)[shown].min() == pytest.approx(0.0 if grey.max() else 1.0, abs=1e-6)
+        assert np.asarray(read)[shown].min() == pytest.approx(0.0 if gray.max() else 1.0, abs=1e-6)
         assert cost[shown][np.argmin(np.asarray(read)[shown])] == pytest.approx(cost[shown].min(), abs=1e-4)
 
 
@@ -104,12 +104,12 @@ def test_nearly_black_is_black():
     assert images.looks_traversable(picture).all()
 
 
-def test_a_colour_that_is_not_grey_has_the_worst_cost():
+def test_a_color_that_is_not_gray_has_the_worst_cost():
     image = np.array([[(1, 1, 1), (0.5, 0.5, 0.5), (1, 0, 0), (0.8, 0.2, 0.2), (0.8, 0.7, 0.7)]], np.float32)
     np.testing.assert_allclose(read_back(image, 1, 5), [[0, 0.5, 1, 1, 0.2]], atol=1e-6)
 
 
-def test_a_semantic_image_has_the_colours_of_the_published_palette(shared, tmp_path):
+def test_a_semantic_image_has_the_colors_of_the_published_palette(shared, tmp_path):
     terrain = maps.random_terrain(0, SHAPE, 0.5)
     picture = np.asarray(images.semantic_image(jnp.asarray(terrain)))
     write_class_image(tmp_path / "map.png", terrain)

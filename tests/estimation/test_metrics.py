@@ -11,11 +11,11 @@ from tests.support import maps
 
 SHAPE = (8, 9)
 measure = jax.jit(lambda predicted, true: compare_images(predicted, true).metrics())
-RED, WHITE, GREY, BLACK = (1.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.5, 0.5, 0.5), (0.0, 0.0, 0.0)
+RED, WHITE, GRAY, BLACK = (1.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.5, 0.5, 0.5), (0.0, 0.0, 0.0)
 
 
-def picture(*colours: tuple[float, float, float]) -> np.ndarray:
-    return np.array([colours], np.float32)
+def picture(*colors: tuple[float, float, float]) -> np.ndarray:
+    return np.array([colors], np.float32)
 
 
 def share(part: np.ndarray, whole: np.ndarray) -> float:
@@ -25,9 +25,9 @@ def share(part: np.ndarray, whole: np.ndarray) -> float:
 @given(maps.seeds)
 def test_metrics_are_those_of_plain_counting(seed):
     rng = np.random.default_rng(seed)
-    grey = rng.choice([0.0, 0.5, 0.89, 0.91, 1.0], (2, *SHAPE))[..., None]
+    gray = rng.choice([0.0, 0.5, 0.89, 0.91, 1.0], (2, *SHAPE))[..., None]
     tint = rng.choice([0.0, 0.1, 0.6], (2, *SHAPE))[..., None] * np.array([0.0, 1.0, 1.0])
-    predicted, true = (grey * (1 - tint)).astype(np.float32)
+    predicted, true = (gray * (1 - tint)).astype(np.float32)
     found = measure(predicted, true)
     sets = []
     for image in (predicted, true):
@@ -45,18 +45,18 @@ def test_metrics_are_those_of_plain_counting(seed):
 
 
 def test_a_perfect_prediction():
-    true = picture(RED, WHITE, GREY, BLACK)
+    true = picture(RED, WHITE, GRAY, BLACK)
     assert tuple(map(float, measure(true, true))) == (0.0, 1.0, 1.0, 1.0, 1.0)
 
 
 @pytest.mark.parametrize(
     ("predicted", "true", "precision", "recall"),
     [
-        ((GREY, GREY), (GREY, GREY), np.nan, np.nan),  # nothing to find, nothing found
-        ((GREY, GREY), (WHITE, GREY), np.nan, 0.0),  # missed
-        ((WHITE, GREY), (GREY, GREY), 0.0, np.nan),  # found where there is nothing
+        ((GRAY, GRAY), (GRAY, GRAY), np.nan, np.nan),  # nothing to find, nothing found
+        ((GRAY, GRAY), (WHITE, GRAY), np.nan, 0.0),  # missed
+        ((WHITE, GRAY), (GRAY, GRAY), 0.0, np.nan),  # found where there is nothing
         ((RED, RED), (RED, RED), np.nan, np.nan),
-        ((WHITE, WHITE), (WHITE, GREY), 0.5, 1.0),
+        ((WHITE, WHITE), (WHITE, GRAY), 0.5, 1.0),
     ],
 )
 def test_a_share_of_nothing_is_no_number(predicted, true, precision, recall):
@@ -64,5 +64,5 @@ def test_a_share_of_nothing_is_no_number(predicted, true, precision, recall):
     np.testing.assert_equal((float(found.low_precision), float(found.low_recall)), (precision, recall))
 
 
-def test_the_l1_error_is_the_mean_over_pixels_and_colours():
+def test_the_l1_error_is_the_mean_over_pixels_and_colors():
     assert float(measure(picture(RED, WHITE), picture(BLACK, WHITE)).l1) == pytest.approx(1 / 6)

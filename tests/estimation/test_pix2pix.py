@@ -64,7 +64,7 @@ def test_pictures_become_pictures(weights, pictures):
     answers = translate(weights, pictures)
     assert (answers.shape, answers.dtype) == ((2, 32, 32, 3), jnp.float32)
     assert 0 <= float(answers.min()) < float(answers.max()) <= 1
-    # Each picture is normalised by itself, so it does not matter which others are asked about.
+    # Each picture is normalized by itself, so it does not matter which others are asked about.
     np.testing.assert_allclose(answers[:1], translate(weights, pictures[:1]), atol=1e-5)
 
 
@@ -89,7 +89,7 @@ def test_doubling_is_a_transposed_convolution():
     np.testing.assert_allclose(layer(features), expected + np.arange(3.0), atol=1e-5)
 
 
-def test_normalisation_is_by_channel_and_picture():
+def test_normalization_is_by_channel_and_picture():
     layer = pix2pix._InstanceNorm(3)
     layer.scale[...] = jnp.array([1.0, 2.0, -1.0])
     features = np.random.default_rng(0).normal(5, 3, (2, 8, 8, 3)).astype(np.float32)

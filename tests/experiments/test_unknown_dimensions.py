@@ -19,7 +19,7 @@ from experiments.unknown_dimensions import (
     Worlds,
     estimators_by_planner,
     main,
-    neighbourhoods,
+    neighborhoods,
     open_ended,
 )
 
@@ -59,10 +59,10 @@ def test_around_an_open_ended_house_nothing_comes_to_light(street):
     assert house.terrain.shape == tuple(side + 2 * unknown_dimensions.OPEN_MARGIN for side in street.shape)
 
 
-def test_neighbourhoods_of_the_two_splits_differ():
+def test_neighborhoods_of_the_two_splits_differ():
     maps = {}
     for split in ("val", "test"):
-        houses, starts = neighbourhoods(Options(split=split, rows=1, cells=64), doors=1)
+        houses, starts = neighborhoods(Options(split=split, rows=1, cells=64), doors=1)
         maps[split] = houses[0].terrain
         assert maps[split].shape == (64, 64)
         assert len(starts) == 2

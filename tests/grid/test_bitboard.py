@@ -60,7 +60,7 @@ def everything(shape: tuple[int, int]):
             "first": (x, y),
             "complement": bitboard.unpack(bitboard.complement(a, width), width),
             "contains": contains(columns, rows),
-            "neighbours": bits(bitboard.neighbours(a)),
+            "neighbors": bits(bitboard.neighbors(a)),
             "flood": bits(bitboard.flood(a, b)),
             "shifted": [bits(bitboard.shift(a, dx, dy)) for dx in SHIFTS for dy in (0, 2, -1)],
             "rows_down": [bits(bitboard.shift(a, 0, dy)) for dy in (height - 1, -height, height + 3)],
@@ -85,7 +85,7 @@ def test_every_operation_equals_its_cell_by_cell_meaning(shape, seed, density, f
     assert result["intersects"] == (cells & others).any()
     np.testing.assert_array_equal(result["contains"], cells)
     np.testing.assert_array_equal(result["complement"], ~cells)
-    np.testing.assert_array_equal(result["neighbours"], oracle._neighbour_of(cells))
+    np.testing.assert_array_equal(result["neighbors"], oracle._neighbor_of(cells))
 
     row, column = np.unravel_index(np.argmax(cells), shape)
     assert result["first"] == (column, row)
@@ -135,7 +135,7 @@ def test_further_axes_are_a_batch():
     free = bitboard.pack(jnp.asarray(np.roll(cells, 1, axis=-1) | cells))
     for operation in (
         lambda board, free, x, y: (bitboard.count(board), bitboard.is_empty(board), bitboard.first(board)),
-        lambda board, free, x, y: bitboard.neighbours(board),
+        lambda board, free, x, y: bitboard.neighbors(board),
         lambda board, free, x, y: bitboard.shift(board, 5, -1),
         lambda board, free, x, y: bitboard.cells_that_see(board, OFFSET_SETS[3]),
         lambda board, free, x, y: bitboard.complement(board, 33),
@@ -157,5 +157,5 @@ def test_a_flood_that_goes_on_from_an_earlier_answer_gives_the_same():
     y, x = np.argwhere(np.asarray(everything_free))[0]
     seed = bitboard.single(jnp.int32(x), jnp.int32(y), 3, 20)
     whole = bitboard.flood(seed, free)
-    part = seed | (bitboard.neighbours(seed) & free)
+    part = seed | (bitboard.neighbors(seed) & free)
     np.testing.assert_array_equal(bitboard.flood(part, free), whole)

@@ -160,7 +160,7 @@ def costing(moves):
 
 
 def touching(cells: np.ndarray) -> np.ndarray:
-    """The cells and their eight neighbours."""
+    """The cells and their eight neighbors."""
     padded = np.pad(cells, 1)
     return np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).any(axis=(2, 3))
 

@@ -11,7 +11,7 @@ from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.inspection import animation
 from dc2g_jax.inspection.animation import animate, pictures, steps_shown
 from dc2g_jax.inspection.costs import exact_cost_to_go, highest_cost
-from dc2g_jax.inspection.figures import CLASS_COLOURS
+from dc2g_jax.inspection.figures import CLASS_COLORS
 from tests.support import toy
 from tests.support.refusals import refusal
 
@@ -40,7 +40,7 @@ def test_pictures_have_one_even_size(shown):
     assert width <= 900
 
 
-def test_cells_have_their_class_colours_and_pale_ones_before_they_are_seen(shown):
+def test_cells_have_their_class_colors_and_pale_ones_before_they_are_seen(shown):
     layout = animation._layout(3, *toy.HOUSE.terrain.shape)
     assert layout.scale == layout.width // 10 == layout.height // 7
     # Of the frontier's map, cells away from the way, the goal and the rims of what is seen.
@@ -48,27 +48,27 @@ def test_cells_have_their_class_colours_and_pale_ones_before_they_are_seen(shown
     seen = toy.replayed()["frontier"].seen
     for x, y in ((0, 6), (9, 5)):
         place = (top + y * layout.scale + 4 * layout.scale // 5, left + x * layout.scale + 4 * layout.scale // 5)
-        colour = np.array(to_rgb(CLASS_COLOURS[CLASS_NAMES[toy.HOUSE.terrain[y, x]]]))
+        color = np.array(to_rgb(CLASS_COLORS[CLASS_NAMES[toy.HOUSE.terrain[y, x]]]))
         for step in (0, _LAST):
-            expected = colour if seen[step, y, x] else 1 - 0.15 * (1 - colour)
+            expected = color if seen[step, y, x] else 1 - 0.15 * (1 - color)
             np.testing.assert_allclose(shown[step][place], 255 * expected, atol=1)
     assert not seen[0, 6, 0]
     assert seen[_LAST, 6, 0]
 
 
-def test_the_legend_has_the_colours_of_all_classes_and_stays(shown):
+def test_the_legend_has_the_colors_of_all_classes_and_stays(shown):
     _, height = animation._layout(3, *toy.HOUSE.terrain.shape).size
     assert shown[0].shape[0] > height
     legend = shown[0][height:]
     np.testing.assert_array_equal(legend, shown[_LAST][height:])
     for index in np.unique(toy.HOUSE.terrain):
-        colour = np.rint(255 * np.array(to_rgb(CLASS_COLOURS[CLASS_NAMES[index]])))
-        assert np.all(legend == colour, axis=-1).sum() >= 100
+        color = np.rint(255 * np.array(to_rgb(CLASS_COLORS[CLASS_NAMES[index]])))
+        assert np.all(legend == color, axis=-1).sum() >= 100
     # All words end within the picture.
     assert np.all(legend[:, -4:] == 255)
 
 
-def test_costs_have_the_colours_of_the_figure(shown):
+def test_costs_have_the_colors_of_the_figure(shown):
     layout = animation._layout(3, *toy.HOUSE.terrain.shape)
     left, top = layout.corner(1)
     frames, exact = toy.replayed()["dc2g"], exact_cost_to_go(toy.HOUSE)

@@ -23,7 +23,7 @@ from dc2g_jax.inspection.episode_figures import (
     plot_trajectories,
     poses_along,
 )
-from dc2g_jax.inspection.figures import CLASS_COLOURS, map_image
+from dc2g_jax.inspection.figures import CLASS_COLORS, map_image
 from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.inspection.sheets import DPI, empty_sheet
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
@@ -43,15 +43,15 @@ def _image(axes) -> np.ndarray:
     return np.asarray(axes.images[0].get_array())
 
 
-def test_every_class_has_a_colour_in_the_order_of_classes():
-    assert tuple(CLASS_COLOURS) == CLASS_NAMES
+def test_every_class_has_a_color_in_the_order_of_classes():
+    assert tuple(CLASS_COLORS) == CLASS_NAMES
 
 
 def test_ground_that_was_not_seen_is_pale():
     seen, unseen = map_image(np.full((1, 2), HOUSE, np.uint8), np.array([[True, False]]))[0]
-    colour = np.array(to_rgb(CLASS_COLOURS["house"]))
-    np.testing.assert_allclose(seen, colour)
-    np.testing.assert_allclose(unseen, 1 - 0.15 * (1 - colour))
+    color = np.array(to_rgb(CLASS_COLORS["house"]))
+    np.testing.assert_allclose(seen, color)
+    np.testing.assert_allclose(unseen, 1 - 0.15 * (1 - color))
 
 
 def test_a_way_is_that_of_the_replay():
@@ -101,7 +101,7 @@ def test_panels_show_what_was_known_at_each_moment(drawn_figure, tmp_path):
     for axes, extra in zip(ends, (0, 71), strict=True):
         assert axes.get_title() == f"extra steps: {extra} %"
         np.testing.assert_allclose(_image(axes), everything)
-    # The toy estimator knows the truth: all that was observed in the end is shown in the colours of the exact panel.
+    # The toy estimator knows the truth: all that was observed in the end is shown in the colors of the exact panel.
     seen = episodes["dc2g"].seen[-1]
     np.testing.assert_allclose(_image(panels[6])[seen], _image(panels[7])[seen])
     assert np.all(_image(panels[6])[~seen] == 1)
@@ -129,7 +129,7 @@ def test_marks_of_goals_are_one_a_door_and_move_to_a_robot_on_it():
     assert goal_marks(np.full((2, 2), ROAD, np.uint8), (0, 0)) == ([], False)
 
 
-def test_colours_of_costs_end_where_nearly_all_lies_below():
+def test_colors_of_costs_end_where_nearly_all_lies_below():
     exact = exact_cost_to_go(toy.HOUSE)
     frames = toy.replayed()["dc2g"]
     seen = exact[frames.seen[-1] & np.isfinite(exact)]
@@ -160,7 +160,7 @@ def test_a_replay_says_whether_costs_are_in_cells():
     assert not replay_result(toy.RESULTS["dc2g"], toy.HOUSE, rules, Brightness()).in_cells
 
 
-def test_costs_are_coloured_where_shown_and_grey_where_blocked():
+def test_costs_are_colored_where_shown_and_gray_where_blocked():
     shown, blocked = np.array([[True, True, False, False]]), np.array([[False, False, True, False]])
     image = cost_image(np.array([[0.0, 7.0, np.inf, np.nan]]), shown, blocked)[0]
     near, far = (np.array(colormaps["viridis"](end)[:3]) for end in (1.0, 0.0))
@@ -171,7 +171,7 @@ _TITLES = ["step 1432: at the goal", "extra steps: 1573 %", "step 0", ""]
 
 
 @pytest.mark.parametrize(("shape", "columns"), [((50, 50), 5), ((40, 120), 3), ((120, 30), 5), ((9, 6), 3)])
-def test_titles_of_neighbours_do_not_touch(shape, columns):
+def test_titles_of_neighbors_do_not_touch(shape, columns):
     sheet = empty_sheet(shape, 2, columns, episode_figures._entries(toy.HOUSE.terrain), _TITLES)
     panels = [sheet.panel(row, column, _TITLES[0]) for row in range(2) for column in range(columns)]
     FigureCanvasAgg(sheet.figure)

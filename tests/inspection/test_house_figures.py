@@ -42,8 +42,8 @@ def test_planners_of_ones_own_come_last_and_do_not_look_alike():
     assert len(set(looks)) == 4
     assert styles["dc2g"] == PLANNER_STYLES["dc2g"]
     many = figures._compared_styles([*PLANNER_STYLES, *(f"planner {n}" for n in range(20))]).values()
-    assert len({(style.colour, style.hatch) for style in many}) == len(many)
-    assert len({(style.colour, style.marker) for style in many}) == len(many)
+    assert len({(style.color, style.hatch) for style in many}) == len(many)
+    assert len({(style.color, style.marker) for style in many}) == len(many)
 
 
 def test_an_oracle_alone_has_nothing_to_be_compared_with(tmp_path):
@@ -103,7 +103,7 @@ def test_a_page_says_in_which_houses_no_episode_can_be_run(monkeypatch, tmp_path
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (9, 6), (50, 50), (200, 300), (10, 400)])
-def test_houses_of_any_size_are_drawn_in_their_colours(shape, tmp_path):
+def test_houses_of_any_size_are_drawn_in_their_colors(shape, tmp_path):
     (page,) = contact_pages(_houses(2, shape=shape))
     png, svg = plot_contact_page(tmp_path / "page", "title", "page 1 of 1", page)
     assert svg.stat().st_size > 1000
@@ -132,7 +132,7 @@ def test_figures_are_a_page_wide_and_their_text_has_7_points_or_more(monkeypatch
         written = [text for text in figure.findobj(Text) if text.get_text()]
         assert len(written) > 10
         assert min(text.get_fontsize() for text in written) >= 7
-    # Bars are told apart without their colours, too.
+    # Bars are told apart without their colors, too.
     fills = [(patch.get_hatch(), patch.get_facecolor()) for patch in drawn[0].legends[0].get_patches()]
     assert len(set(fills)) == len(planners) - 1
     assert [hatch for hatch, _ in fills].count("") == 3

@@ -55,7 +55,7 @@ def response(kind, *, uint8=b"\0", floats=(0.0,), **changes):
 
 
 def images(**changes):
-    """What AirSim answers to `simGetImages`: scene, depth and segmentation; colours go blue, green, red."""
+    """What AirSim answers to `simGetImages`: scene, depth and segmentation; colors go blue, green, red."""
     bgr = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     bgr[0], bgr[1] = (30, 20, 10), (50, 100, 200)
     scene = np.arange(HEIGHT * WIDTH * 3, dtype=np.uint8)

@@ -170,8 +170,8 @@ def test_images_of_another_size_are_refused(name):
 
 def test_images_of_another_type_are_refused():
     frame = sound_frame()
-    millimetres = frame.replace(depth=np.full((18, 28), 2000, np.uint16))
-    refusal(lambda: check_frame(millimetres, CAMERA, SETTINGS), "depth", "uint16", "metres")
+    millimeters = frame.replace(depth=np.full((18, 28), 2000, np.uint16))
+    refusal(lambda: check_frame(millimeters, CAMERA, SETTINGS), "depth", "uint16", "meters")
     signed = frame.replace(classes=np.full((18, 28), 3, np.int32))
     refusal(lambda: check_frame(signed, CAMERA, SETTINGS), "classes", "int32", "uint8")
 

@@ -70,7 +70,7 @@ def test_pixels_without_return_get_none(frame):
     assert np.all(np.asarray(out.classes)[:20] == 0)
 
 
-def test_unlabelled_ground_keeps_its_depth():
+def test_unlabeled_ground_keeps_its_depth():
     out = noisy(jax.random.key(3), frame_of(np.full((50, 50), 2.0), np.zeros((50, 50))), PAPER_LIKE)
     assert np.all(np.asarray(out.classes) == 0)
     assert (np.asarray(out.depth) > 0).mean() == pytest.approx(0.95, abs=0.03)
@@ -85,10 +85,10 @@ def test_the_share_of_dropped_pixels(frame):
 
 
 @pytest.mark.parametrize("shown", ["house", "front_door", "fence", "traversable"])
-def test_mislabelled_pixels_bear_one_of_the_other_classes_all_alike(shown):
+def test_mislabeled_pixels_bear_one_of_the_other_classes_all_alike(shown):
     right = CLASS_NAMES.index(shown)
     out = noisy(
-        jax.random.key(5), frame_of(np.ones((300, 300)), np.full((300, 300), right)), NoiseLevels(mislabelled=0.2)
+        jax.random.key(5), frame_of(np.ones((300, 300)), np.full((300, 300), right)), NoiseLevels(mislabeled=0.2)
     )
     labels = np.asarray(out.classes).ravel()
     assert (labels != right).mean() == pytest.approx(0.2, abs=0.01)
@@ -101,7 +101,7 @@ def test_mislabelled_pixels_bear_one_of_the_other_classes_all_alike(shown):
 
 
 def test_every_label_changed_at_the_full_share_is_wrong(frame):
-    out = noisy(jax.random.key(6), frame, NoiseLevels(mislabelled=1.0, blobs=8.0))
+    out = noisy(jax.random.key(6), frame, NoiseLevels(mislabeled=1.0, blobs=8.0))
     labels, true = np.asarray(out.classes)[20:], np.asarray(frame.classes)[20:]
     assert np.all(labels != true)
     assert set(np.unique(labels)) == set(range(1, 9))
@@ -148,7 +148,7 @@ def test_the_number_of_blobs_grows_with_their_level():
 def test_scaling_leaves_the_size_of_blobs():
     double = scaled(PAPER_LIKE, 2)
     assert double.blob_radius == PAPER_LIKE.blob_radius
-    for name in ("depth", "mislabelled", "blobs", "dropped", "position_drift", "yaw_drift"):
+    for name in ("depth", "mislabeled", "blobs", "dropped", "position_drift", "yaw_drift"):
         assert getattr(double, name) == 2 * getattr(PAPER_LIKE, name) > 0
 
 

@@ -118,7 +118,7 @@ def test_scenes_can_be_stacked():
 
 @pytest.mark.parametrize("cell_size", [0.0, -1.0, float("nan"), float("inf")])
 def test_cells_without_size_are_refused(cell_size):
-    refusal(lambda: scene_from_terrain(drawn("R"), cell_size), cell_size, "metres")
+    refusal(lambda: scene_from_terrain(drawn("R"), cell_size), cell_size, "meters")
 
 
 def test_what_is_no_map_is_refused():

@@ -251,8 +251,8 @@ def test_garbage_leaves_the_map_sound(depth, classes, seed):
     assert (np.asarray(after.votes)[evidence <= 0] == 0).all()
 
     level, row, column_index = np.indices(SETTINGS.shape)
-    centres = np.stack([(column_index + 0.5) * 0.5, -(row + 0.5) * 0.5, level * 0.4], axis=-1)
-    offset = centres - np.asarray(pose.position)
+    centers = np.stack([(column_index + 0.5) * 0.5, -(row + 0.5) * 0.5, level * 0.4], axis=-1)
+    offset = centers - np.asarray(pose.position)
     ahead, radius = offset @ np.asarray(pose.rotation)[:, 2], np.hypot(0.5 * np.sqrt(0.5), 0.2) + 0.05
     unseen = (ahead < -radius) | (np.linalg.norm(offset, axis=-1) > SETTINGS.reach + radius)
     assert unseen.any()
@@ -344,7 +344,7 @@ def test_occupancy_is_that_of_octomap():
     settings = MapSettings(rows=32, columns=32, cell_size=0.25, levels=12, level_height=0.25, reach=20.0, inset=0.0)
     camera, tree, semantic_map = intrinsics(70.0, 72, 96), octomap.OcTree(0.25), empty_map(settings)
     level, row, column_index = np.indices(settings.shape)
-    centres = np.stack([(column_index + 0.5) * 0.25, -(row + 0.5) * 0.25, (level + 0.5) * 0.25], axis=-1)
+    centers = np.stack([(column_index + 0.5) * 0.25, -(row + 0.5) * 0.25, (level + 0.5) * 0.25], axis=-1)
     for step in range(6):
         pose = level_camera(1.1 + 0.3 * step, -4.1, 0.93, 0.3 - 0.1 * step, 0.25)
         directions = np.asarray(rays(camera, pose))
@@ -353,11 +353,11 @@ def test_occupancy_is_that_of_octomap():
         depth = jnp.asarray(np.minimum(to_ground, to_wall), jnp.float32)
         frame = Frame(depth, jnp.full(depth.shape, DRIVEWAY, jnp.uint8), pose)
         semantic_map = jax.jit(integrate)(semantic_map, frame, camera, settings)
-        # Our lowest level is centred on the ground; OctoMap's voxels begin there.
+        # Our lowest level is centered on the ground; OctoMap's voxels begin there.
         lift = np.array([0, 0, 0.125])
         cloud = np.asarray(points(depth, camera, pose), np.float64).reshape(-1, 3) + lift
         tree.insertPointCloud(cloud, np.asarray(pose.position, np.float64) + lift)
-        known = tree.getLabels(centres.reshape(-1, 3)).reshape(settings.shape)
+        known = tree.getLabels(centers.reshape(-1, 3)).reshape(settings.shape)
         occupied = np.asarray(semantic_map.occupied)
         np.testing.assert_array_equal(occupied[1:], known[1:] == 1)
         assert occupied[0][known[0] == 1].all()

@@ -71,7 +71,7 @@ def test_what_is_nearest_in_time_belongs_together(recording):
     assert (sequence.intrinsics.width, sequence.intrinsics.height) == (28, 18)
 
 
-def test_depth_has_5000_steps_a_metre(recording):
+def test_depth_has_5000_steps_a_meter(recording):
     for number, frame in enumerate(frames(read_sequence(recording))):
         assert isinstance(frame.depth, np.ndarray)
         assert frame.depth.dtype == np.float32
@@ -131,7 +131,7 @@ def test_images_of_another_camera_are_not_written(tmp_path):
     assert len(read_sequence(tmp_path / "out").moments) == 1
 
 
-def test_colours_are_classes_by_the_palette(recording):
+def test_colors_are_classes_by_the_palette(recording):
     rows = [f"{name},{','.join(map(str, color))}" for name, color in zip(CLASS_NAMES, CLASS_COLORS, strict=True)]
     (recording / "labels_colors.csv").write_text("\n".join(["class,r,g,b", *rows]))
     classes = np.where(np.arange(CAMERA.width) < 9, HOUSE, ROAD) * np.ones(SHAPE, int)

@@ -215,7 +215,7 @@ class Flat:
 
 
 class Eastward(Flat):
-    """Predicts that costs fall by a metre a metre to the east."""
+    """Predicts that costs fall by a meter a meter to the east."""
 
     def estimate(self, maps, target, features, heading):
         occupied, cost = super().estimate(maps, target, features, heading)
@@ -223,7 +223,7 @@ class Eastward(Flat):
 
 
 class Mean:
-    """The mean of each colour."""
+    """The mean of each color."""
 
     size = 3
 

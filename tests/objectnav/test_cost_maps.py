@@ -90,7 +90,7 @@ def test_costs_are_even_where_there_is_no_distance_at_all():
     np.testing.assert_array_equal(costs, np.full((9, 12), 7, np.float32))
 
 
-def test_costs_are_looked_up_between_the_centres_of_cells():
+def test_costs_are_looked_up_between_the_centers_of_cells():
     costs = np.arange(12.0, dtype=np.float32).reshape(3, 4) ** 2
     cost_of_pose = jax.jit(cost_maps.cost_lookup(jnp.asarray(costs), 0.5, outside=-1.0))
     # x along columns, y against rows.

@@ -18,7 +18,7 @@ from dc2g_jax.objectnav.data import (
     FREE,
     GLOBAL,
     LOCAL,
-    NORMALISATIONS,
+    NORMALIZATIONS,
     OBSTACLE,
     SYMMETRIES,
     UNEXPLORED,
@@ -52,7 +52,7 @@ def world():
 
 @pytest.fixture(scope="module")
 def samples(world) -> JourneySet:
-    """Journeys in one house; features are the mean colours of pictures' quarters."""
+    """Journeys in one house; features are the mean colors of pictures' quarters."""
     kernel = jnp.ones((1, 3, 1, 1))
     encoder = ConvolutionEncoder(kernels=(kernel,), biases=(jnp.full(1, 3.0),), stride=24)
     made = collect([IndoorHouse("train-0", "train", world)], encoder, CONFIG)
@@ -123,12 +123,12 @@ def test_labels_are_distances_to_the_nearest_goal(samples, world):
     assert (found >= crow - 450)[found != none].all()
 
 
-def test_normalised_costs():
-    metres, navigable = jnp.asarray([[2.0, 6.0, 60.0]]), jnp.asarray([[True, True, False]])
+def test_normalized_costs():
+    meters, navigable = jnp.asarray([[2.0, 6.0, 60.0]]), jnp.asarray([[True, True, False]])
     expected = {"metric": [0.2, 0.6], "share": [1 / 3, 1.0], "relative": [0.0, 0.4]}
-    for name, normalise in NORMALISATIONS.items():
-        np.testing.assert_allclose(normalise(metres, navigable)[0, :2], expected.pop(name), rtol=1e-6)
-        assert np.isfinite(normalise(metres, ~navigable & navigable)[0, :2]).all()
+    for name, normalize in NORMALIZATIONS.items():
+        np.testing.assert_allclose(normalize(meters, navigable)[0, :2], expected.pop(name), rtol=1e-6)
+        assert np.isfinite(normalize(meters, ~navigable & navigable)[0, :2]).all()
     assert not expected
 
 
@@ -167,7 +167,7 @@ def test_headings_turn_with_their_maps():
 def test_a_sample_is_what_was_known_then(samples, world):
     make = jax.jit(
         lambda journey, view, target, symmetry: make_sample(
-            samples, journey, view, target, symmetry, NORMALISATIONS["metric"]
+            samples, journey, view, target, symmetry, NORMALIZATIONS["metric"]
         )
     )
     target, view = GOALS.index(PLANT), 7
@@ -196,9 +196,9 @@ def test_a_sample_is_what_was_known_then(samples, world):
 
 
 def test_a_batch_is_drawn_for_goals_that_are_there(samples):
-    normalise = NORMALISATIONS["relative"]
+    normalize = NORMALIZATIONS["relative"]
     draw = jax.jit(
-        lambda key: draw_samples(key, samples, batch_size=32, symmetries=ALL_SYMMETRIES, normalise=normalise)
+        lambda key: draw_samples(key, samples, batch_size=32, symmetries=ALL_SYMMETRIES, normalize=normalize)
     )
     batch = draw(jax.random.key(0))
     assert set(np.asarray(batch.target).tolist()) == {GOALS.index(BED), GOALS.index(PLANT)}

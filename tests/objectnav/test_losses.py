@@ -12,7 +12,7 @@ SHAPE = (7, 9)
 
 
 def slope(costs, navigable, row, column, step):
-    """Rise of the cost by the cell in one direction, from navigable neighbours."""
+    """Rise of the cost by the cell in one direction, from navigable neighbors."""
     rises = []
     for sign in (1, -1):
         other = row + sign * step[0], column + sign * step[1]

@@ -105,7 +105,7 @@ def test_a_robot_knows_the_floor_it_stands_on():
     assert [tuple(cell) for cell in known.tolist()] == expected
 
 
-def test_crops_are_centred_on_the_robot_and_empty_off_the_map():
+def test_crops_are_centered_on_the_robot_and_empty_off_the_map():
     rng = np.random.default_rng(0)
     cells = rng.integers(0, 1 << 18, (90, 90), dtype=np.uint32)
     indoor_map = mapping.IndoorMap(jnp.asarray(cells), jnp.array([-20, 7]))

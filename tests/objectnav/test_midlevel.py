@@ -37,7 +37,7 @@ def views() -> View:
     world = world_from_plan(plan(BED_BOX), 0.1)
     house, paint = scene(world), jnp.asarray(painted(world, np.random.default_rng(0)))
     headings = jnp.asarray([np.pi / 2, -np.pi / 2], jnp.float32)
-    # The plan's corner is the margin of a quarter of a metre away from the world's.
+    # The plan's corner is the margin of a quarter of a meter away from the world's.
     return jax.jit(
         lambda headings: jax.lax.map(lambda yaw: view(house, paint, level_camera(1.25, -2.75, 0.9, yaw, 0.3)), headings)
     )(headings)
@@ -48,9 +48,9 @@ def test_a_picture_shows_what_stands_there(views):
     bed = np.asarray(views.classes[0] == BED)
     assert bed.mean() > 0.1
     assert not np.asarray(views.classes[1]).any()
-    colour = np.asarray(views.image)[0][bed].mean(axis=0)
-    assert np.abs(colour - CLASS_COLORS[BED]).max() < 60
-    # The camera is half a metre away from the wall behind it, and the bed's near side 0.7 m ahead.
+    color = np.asarray(views.image)[0][bed].mean(axis=0)
+    assert np.abs(color - CLASS_COLORS[BED]).max() < 60
+    # The camera is half a meter away from the wall behind it, and the bed's near side 0.7 m ahead.
     assert 0.65 < float(views.depth[0][bed].min()) < 0.75
     assert float(views.depth[1, IMAGE_SIZE[0] // 2, IMAGE_SIZE[1] // 2]) < 1.0
 

@@ -22,7 +22,7 @@ def world() -> IndoorWorld:
 
 
 def cells_of(cells: np.ndarray) -> set[tuple[int, int]]:
-    """Cells as (decimetres right of x = 0, decimetres above z = 0) of their middles."""
+    """Cells as (decimeters right of x = 0, decimeters above z = 0) of their middles."""
     rows, columns = np.nonzero(cells)
     first = round(MARGIN * 10 - 0.5)
     top = 30 + first
@@ -57,7 +57,7 @@ def test_turns_are_clockwise_from_above():
     plain["objects"][0]["rotation"]["y"] = 30
     plain["objects"][0]["position"] = {"x": 1.5, "y": 0.3, "z": 1.5}
     rows, columns = np.nonzero(world_from_plan(house_plan(plain, BOXES), 0.1).classes == BED)
-    # Unity turns to the right: the far end of a bed along z moves to larger x, and up is towards smaller rows.
+    # Unity turns to the right: the far end of a bed along z moves to larger x, and up is toward smaller rows.
     assert np.corrcoef(columns, -rows)[0, 1] > 0.3
 
 

@@ -35,11 +35,11 @@ def data() -> JourneySet:
     """Two empty rooms with a goal of one kind in the corner, and robots that have seen half of it."""
     rows, columns = np.indices((40, 40))
     free = (rows > 0) & (columns > 0) & (rows < 39) & (columns < 39)
-    metres = np.where(free, np.hypot(rows, columns) * 100, 65535).astype(np.uint16)
-    none = np.full_like(metres, 65535)
+    meters = np.where(free, np.hypot(rows, columns) * 100, 65535).astype(np.uint16)
+    none = np.full_like(meters, 65535)
     return JourneySet(
         cells=jnp.asarray(np.stack([np.where(free, 1, 2)] * 2).astype(np.uint8)),
-        distance=jnp.asarray(np.stack([[metres] + [none] * 4, [none] * 4 + [metres]])),
+        distance=jnp.asarray(np.stack([[meters] + [none] * 4, [none] * 4 + [meters]])),
         house=jnp.asarray([0, 1], jnp.int32),
         first_seen=jnp.asarray(np.stack([np.where(rows < 20, 0, 255)] * 2).astype(np.uint8)),
         places=jnp.asarray(np.full((2, 3, 2), 20), jnp.int16),

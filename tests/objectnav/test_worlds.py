@@ -14,7 +14,7 @@ from dc2g_jax.objectnav.worlds import pad_world, scene, stack_worlds
 from tests.support.plans import BED_BOX, PLANT_BOX, plan
 
 
-def test_classes_are_named_and_coloured_once():
+def test_classes_are_named_and_colored_once():
     assert len(CLASS_NAMES) == 17 == len(set(CLASS_NAMES)) == len({tuple(color) for color in CLASS_COLORS.tolist()})
     assert [CLASS_NAMES[goal] for goal in GOALS] == ["bed", "chair", "sink", "plant", "couch"]
 
@@ -54,7 +54,7 @@ def test_the_higher_object_is_seen_and_a_hidden_one_has_no_cells():
     assert set(np.unique(world.instances)) == {-1, 1, 2}
     inner = world.instances == 2
     assert np.unique(world.heights[inner]) == pytest.approx(0.9)
-    # Middles of cells lie on whole decimetres: x from 1.3 to 1.7, y from 0.7 to 1.2.
+    # Middles of cells lie on whole decimeters: x from 1.3 to 1.7, y from 0.7 to 1.2.
     assert inner.sum() == 5 * 6
 
 

@@ -129,8 +129,8 @@ def _sources(cells: Array, offsets: Sequence[Offset]) -> Array:
 # ---- frontiers ----
 
 
-def _neighbour_of(cells: Array) -> Array:
-    """Cells that have a 4-neighbour among `cells`: bool [h w]."""
+def _neighbor_of(cells: Array) -> Array:
+    """Cells that have a 4-neighbor among `cells`: bool [h w]."""
     return _sources(cells, list(STEPS))
 
 
@@ -156,13 +156,13 @@ def reachable(free: Array, x: int, y: int) -> Array:
 
 
 def frontier_reference(seen: Array) -> Array:
-    """Seen cells, traversable or not, with an unseen in-bounds 4-neighbour: bool [h w]."""
-    return seen & _neighbour_of(~seen)
+    """Seen cells, traversable or not, with an unseen in-bounds 4-neighbor: bool [h w]."""
+    return seen & _neighbor_of(~seen)
 
 
 def frontier_complete(seen: Array, reachable: Array) -> Array:
-    """Reachable cells with an unseen in-bounds 4-neighbour: bool [h w]."""
-    return reachable & _neighbour_of(~seen)
+    """Reachable cells with an unseen in-bounds 4-neighbor: bool [h w]."""
+    return reachable & _neighbor_of(~seen)
 
 
 def frontier_expanding_reference(seen: Array, reachable: Array, pose: Pose, radius: int) -> Array:
@@ -172,8 +172,8 @@ def frontier_expanding_reference(seen: Array, reachable: Array, pose: Pose, radi
 
 
 def frontier_expanding_complete(seen: Array, reachable: Array, pose: Pose, radius: int) -> Array:
-    """Reachable poses that see an unseen neighbour of a frontier cell, less the current one: bool [4 h w]."""
-    wanted = ~seen & _neighbour_of(frontier_complete(seen, reachable))
+    """Reachable poses that see an unseen neighbor of a frontier cell, less the current one: bool [4 h w]."""
+    wanted = ~seen & _neighbor_of(frontier_complete(seen, reachable))
     return _expanding(wanted, reachable, pose, [sensing_offsets(radius, heading) for heading in range(4)])
 
 
@@ -333,7 +333,7 @@ def opening_poses(poses: Array, seen: Array, rim_width: int, sensing_radius: int
     """Those of `poses` (bool [4 h w]) that see a cell farther than `rim_width` moves from all that has been seen."""
     near = seen
     for _ in range(rim_width):
-        near = near | _neighbour_of(near)
+        near = near | _neighbor_of(near)
     return poses & np.stack([_sources(~near, sensing_offsets(sensing_radius, heading)) for heading in range(4)])
 
 

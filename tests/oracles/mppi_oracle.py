@@ -29,7 +29,7 @@ def improved(controls, noise, state, cost, *, limits, period, temperature, effor
             low = max(-largest_turn, turn - turn_acceleration * period)
             high = min(largest_turn, turn + turn_acceleration * period)
             turn = min(max(wished_turn, low), high)
-            # Along a circle of radius speed / turn around a fixed centre.
+            # Along a circle of radius speed / turn around a fixed center.
             if abs(turn) < 1e-9:
                 x, y = x + speed * period * math.cos(yaw), y + speed * period * math.sin(yaw)
             else:
@@ -41,8 +41,8 @@ def improved(controls, noise, state, cost, *, limits, period, temperature, effor
             driven[k, t] = control
         sums.append(total)
     beta = min(sums)
-    unnormalised = [math.exp(-(total - beta) / temperature) for total in sums]
-    weights = np.array(unnormalised) / sum(unnormalised)
+    unnormalized = [math.exp(-(total - beta) / temperature) for total in sums]
+    weights = np.array(unnormalized) / sum(unnormalized)
     new = np.array(controls, float)
     for weight, commands in zip(weights, driven, strict=True):
         new += weight * (commands - controls)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-FLOOR = -1.0  # the boxes reach a metre into the ground, so that flat tiles are boxes too
+FLOOR = -1.0  # the boxes reach a meter into the ground, so that flat tiles are boxes too
 
 Array = np.ndarray
 

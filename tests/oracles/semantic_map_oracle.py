@@ -97,20 +97,20 @@ class OracleMap:
         """Pixel (row, column) -> depth and ray in the camera's frame, for pixels that are in reach."""
         found = {}
         for row, column in np.ndindex(depth.shape):
-            metres = float(depth[row, column])
-            if not math.isfinite(metres) or metres <= 0:
+            meters = float(depth[row, column])
+            if not math.isfinite(meters) or meters <= 0:
                 continue
             ray = np.linalg.solve(camera_matrix, np.array([column, row, 1.0]))
-            away = metres * math.hypot(*ray)
+            away = meters * math.hypot(*ray)
             self._decide(away, self.reach)
             if away <= self.reach:
-                found[row, column] = metres, ray
+                found[row, column] = meters, ray
         return found
 
     def _labels_by_voxel(self, returns, classes, position, rotation):
         labels = defaultdict(Counter)
-        for pixel, (metres, ray) in returns.items():
-            point = position + rotation @ (ray * metres + ray / math.hypot(*ray) * self.inset)
+        for pixel, (meters, ray) in returns.items():
+            point = position + rotation @ (ray * meters + ray / math.hypot(*ray) * self.inset)
             place = (
                 self._floor(point[2] / self.level_height + 0.5),
                 self._floor(-point[1] / self.cell_size),
@@ -122,23 +122,23 @@ class OracleMap:
         return labels
 
     def _missed(self, returns, image_shape, camera_matrix, position, rotation):
-        """Voxels above the ground that lie wholly in front of what is seen at their centre and around it."""
+        """Voxels above the ground that lie wholly in front of what is seen at their center and around it."""
         projection = camera_matrix @ np.hstack([rotation.T, -rotation.T @ position[:, None]])
         radius = 0.5 * math.sqrt(2 * self.cell_size**2 + self.level_height**2)
         missed = set()
         for level in range(1, self.levels):
             for row in range(self.rows):
                 for column in range(self.columns):
-                    centre = np.array(
+                    center = np.array(
                         [(column + 0.5) * self.cell_size, -(row + 0.5) * self.cell_size, level * self.level_height]
                     )
-                    away = float(np.linalg.norm(centre - position))
-                    u, v, metres = projection @ [*centre, 1.0]
+                    away = float(np.linalg.norm(center - position))
+                    u, v, meters = projection @ [*center, 1.0]
                     self._decide(away, self.reach)
-                    self._decide(metres, 0.0)
-                    if metres <= 0 or away > self.reach:
+                    self._decide(meters, 0.0)
+                    if meters <= 0 or away > self.reach:
                         continue
-                    pixel = self._floor(v / metres + 0.5), self._floor(u / metres + 0.5)
+                    pixel = self._floor(v / meters + 0.5), self._floor(u / meters + 0.5)
                     if pixel not in returns:
                         continue
                     around = [
@@ -147,8 +147,8 @@ class OracleMap:
                         for beside in (-1, 0, 1)
                         if (pixel[0] + below, pixel[1] + beside) in returns
                     ]
-                    self._decide(metres + radius, min(around))
-                    if metres + radius < min(around):
+                    self._decide(meters + radius, min(around))
+                    if meters + radius < min(around):
                         missed.add((level, row, column))
         assert all(0 <= row < image_shape[0] and 0 <= column < image_shape[1] for row, column in returns)
         return missed
@@ -156,10 +156,10 @@ class OracleMap:
     @staticmethod
     def _vote(voxel, seen):
         """One vote of the frame, by the class most returns in the voxel have."""
-        labelled = {index: count for index, count in seen.items() if index}
-        if not labelled:
+        labeled = {index: count for index, count in seen.items() if index}
+        if not labeled:
             return
-        choice = min(labelled, key=lambda index: (-labelled[index], index))
+        choice = min(labeled, key=lambda index: (-labeled[index], index))
         if voxel.confidence == 0:
             voxel.class_index, voxel.confidence = choice, 1
         elif voxel.class_index == choice:

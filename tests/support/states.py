@@ -16,7 +16,7 @@ def assert_same_bits(one: Any, other: Any) -> None:
 
 
 def infinite(optimizer_state: Any) -> Any:
-    """An optimiser's state after which the next step, whatever its loss, leaves weights that are not finite."""
+    """An optimizer's state after which the next step, whatever its loss, leaves weights that are not finite."""
     return jax.tree.map(
         lambda leaf: jnp.full_like(leaf, jnp.inf) if jnp.issubdtype(leaf.dtype, jnp.inexact) else leaf, optimizer_state
     )

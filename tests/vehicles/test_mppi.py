@@ -163,7 +163,7 @@ def test_settings_out_of_range_are_refused(name, value):
         MPPISettings(**{name: value})
 
 
-#: Edge of a cell, metres.
+#: Edge of a cell, meters.
 CELL = 0.05
 
 

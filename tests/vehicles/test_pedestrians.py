@@ -64,7 +64,7 @@ def test_people_walk_on_sidewalks_and_paths():
 def test_people_begin_on_sidewalks_away_from_the_vehicle(people, sidewalks):
     position = np.asarray(people.position)
     assert clearance(position, np.asarray(sidewalks.cells), 1.0).min() >= WALKING.radius
-    # Three metres to the cell's middle, and a quarter aside of it.
+    # Three meters to the cell's middle, and a quarter aside of it.
     assert np.linalg.norm(position - [0.5, -1.5], axis=-1).min() > 3 - np.hypot(0.25, 0.25)
     assert len(np.unique(people.heads_for, axis=0)) > 5
 

@@ -12,14 +12,14 @@ from dc2g_jax.grid.ground import connected_to_goal
 from dc2g_jax.grid.sampling import ClassImage, sample_grid
 from dc2g_jax.grid.terrain import ROAD
 
-#: The four neighbourhoods' styles; "urban" is the one no training house has.
+#: The four neighborhoods' styles; "urban" is the one no training house has.
 STYLES: tuple[str, ...] = (*SUBURBS, "urban")
 
 #: Road cells of the 50x50 grid from which a front door can be reached, at least.
 MIN_ROAD_CELLS = 20
 
 _ATTEMPTS = 100
-# Houses per neighbourhood and split, as in the published dataset.
+# Houses per neighborhood and split, as in the published dataset.
 _COUNTS = (
     ("p000", "train", STYLES[0], 21),
     ("p001", "train", STYLES[1], 10),
@@ -32,11 +32,11 @@ _COUNTS = (
 
 def _split() -> tuple[tuple[str, str, str], ...]:
     houses, numbers = [], dict.fromkeys(("p000", "p001", "p002", "p004"), 0)
-    for neighbourhood, split, style, count in _COUNTS:
+    for neighborhood, split, style, count in _COUNTS:
         for _ in range(count):
-            number = numbers[neighbourhood]
-            houses.append((f"{neighbourhood}m{number // 10:03d}h{number % 10:03d}", split, style))
-            numbers[neighbourhood] += 1
+            number = numbers[neighborhood]
+            houses.append((f"{neighborhood}m{number // 10:03d}h{number % 10:03d}", split, style))
+            numbers[neighborhood] += 1
     return tuple(houses)
 
 
@@ -100,7 +100,7 @@ def draw_house(seed: int, style: str) -> ClassImage:
     raise RuntimeError(f"no usable {style} house within {_ATTEMPTS} drawings of seed {seed}")
 
 
-def draw_neighbourhood(seed: int, style: str, cells: int, doors: int) -> ClassImage:
+def draw_neighborhood(seed: int, style: str, cells: int, doors: int) -> ClassImage:
     """Houses in rows along streets, the same for a seed everywhere.
 
     Args:
@@ -127,7 +127,7 @@ def draw_neighbourhood(seed: int, style: str, cells: int, doors: int) -> ClassIm
         classes = draw_row(rng, SUBURBS[style], cells, doors)
         if is_usable(classes, cells=cells):
             return sample_grid(classes, cells)
-    raise RuntimeError(f"no usable {style} neighbourhood within {_ATTEMPTS} drawings of seed {seed}")
+    raise RuntimeError(f"no usable {style} neighborhood within {_ATTEMPTS} drawings of seed {seed}")
 
 
 def procedural_houses(seed: int = 0) -> list[tuple[str, str, ClassImage]]:

@@ -1,4 +1,4 @@
-"""The urban neighbourhood: apartment blocks along streets with wide sidewalks, seen from above."""
+"""The urban neighborhood: apartment blocks along streets with wide sidewalks, seen from above."""
 
 from collections.abc import Callable
 
@@ -16,15 +16,15 @@ from dc2g_jax.datasets.procedural.drawing import (
     resample,
     smooth,
     stroke,
-    travelled,
+    traveled,
     uniform,
     view_around,
 )
 from dc2g_jax.datasets.procedural.lots import car
-from dc2g_jax.datasets.procedural.streets import Kerb, Sidewalks, Streets, lay_streets
+from dc2g_jax.datasets.procedural.streets import Curb, Sidewalks, Streets, lay_streets
 from dc2g_jax.grid.sampling import ClassImage
 
-#: Layer -> shape in a building's frame: the sidewalk's inner edge is y = 0, the street towards negative y.
+#: Layer -> shape in a building's frame: the sidewalk's inner edge is y = 0, the street toward negative y.
 Building = dict[str, Shape]
 
 _STREETS = {"straight": 0.3, "curved": 0.08, "tee": 0.15, "corner": 0.25, "crossing": 0.22}
@@ -44,17 +44,17 @@ def draw_city(rng: np.random.Generator) -> ClassImage | None:
     sketch = Sketch(_look(rng, streets, margin))
     streets.draw(sketch, sidewalks, rng)
     if sidewalks.verge > 0:
-        sketch.add("path", _kerb_crossings(rng, streets, sidewalks.verge))
+        sketch.add("path", _curb_crossings(rng, streets, sidewalks.verge))
     usual = {kind: weight * rng.gamma(0.7) for kind, weight in _WEIGHTS.items()}
     depth = uniform(rng, (22, 34))
     alleys = _add_alleys(rng, sketch, streets, margin + depth) if rng.random() < 0.35 else []
-    for edge in streets.kerbs:
+    for edge in streets.curbs:
         _line_with_buildings(rng, sketch, edge, margin, usual)
     for alley in alleys:
         _line_with_buildings(rng, sketch, alley, uniform(rng, (0.3, 3.0)), _BEHIND)
     behind = margin + uniform(rng, (13, 24))
     for _ in range(int(rng.integers(0, 4))):  # further rows, deeper in the block
-        for edge in streets.kerbs:
+        for edge in streets.curbs:
             _line_with_buildings(rng, sketch, edge, behind, {"annex": 1.0})
         behind += uniform(rng, (9, 18))
     if rng.random() < 0.75:
@@ -67,17 +67,17 @@ def draw_city(rng: np.random.Generator) -> ClassImage | None:
 def _look(rng: np.random.Generator, streets: Streets, margin: float) -> View:
     """A picture of a stretch of the first street, with more or less of the block beside and behind."""
     road = 2 * float(streets.roads[0][1].mean())
-    window = streets.kerbs[0].at(0.0).place(rectangle(-8, -road * uniform(rng, (0.4, 1.0)), 8, margin + 12))
+    window = streets.curbs[0].at(0.0).place(rectangle(-8, -road * uniform(rng, (0.4, 1.0)), 8, margin + 12))
     return view_around(rng, [window], _turn(rng), (4, uniform(rng, (16, 38))), (7, 12))
 
 
-def _kerb_crossings(rng: np.random.Generator, streets: Streets, verge: float) -> Shape:
-    """Short walkways over the grass between sidewalk and kerb."""
+def _curb_crossings(rng: np.random.Generator, streets: Streets, verge: float) -> Shape:
+    """Short walkways over the grass between sidewalk and curb."""
     shape: Shape = []
     spacing, width = uniform(rng, (12, 30)), uniform(rng, (1.2, 2.0))
-    for kerb in streets.kerbs:
+    for curb in streets.curbs:
         for along in np.arange(-60, 60, spacing):
-            frame = kerb.at(float(along) + rng.normal(0, 1.5))
+            frame = curb.at(float(along) + rng.normal(0, 1.5))
             shape += stroke(frame.place([(0.0, -1.0), (0.0, verge + 1.0)]), width)
     return shape
 
@@ -88,24 +88,24 @@ def _turn(rng: np.random.Generator) -> float:
     return uniform(rng, (0, 2 * np.pi))
 
 
-def _add_alleys(rng: np.random.Generator, sketch: Sketch, streets: Streets, depth: float) -> list[Kerb]:
+def _add_alleys(rng: np.random.Generator, sketch: Sketch, streets: Streets, depth: float) -> list[Curb]:
     """An alley behind the first row of buildings, with one or two passages to the street; its two edges."""
-    kerb, width = streets.kerbs[0], uniform(rng, (3.5, 5.5))
-    alley = np.array([kerb.at(offset).place((0, depth)) for offset in np.arange(-70, 71, 7.0)])
+    curb, width = streets.curbs[0], uniform(rng, (3.5, 5.5))
+    alley = np.array([curb.at(offset).place((0, depth)) for offset in np.arange(-70, 71, 7.0)])
     shape = stroke(alley, width)
     first = uniform(rng, (6, 24)) * float(rng.choice((-1, 1)))
     for offset in (first, -first * uniform(rng, (0.7, 2)))[: int(rng.integers(1, 3))]:
-        frame = kerb.at(offset)
+        frame = curb.at(offset)
         shape += stroke(np.array([frame.place((0, -1.0)), frame.place((rng.normal(0, 1), depth + 1))]), width)
     sketch.add("driveway", shape)
     edges = [alley + sign * left_normals(alley) * width / 2 for sign in (1, -1)]
-    return [Kerb(line, float(travelled(line)[-1]) / 2) for line in (edges[0], edges[1][::-1])]
+    return [Curb(line, float(traveled(line)[-1]) / 2) for line in (edges[0], edges[1][::-1])]
 
 
 def _line_with_buildings(
-    rng: np.random.Generator, sketch: Sketch, edge: Kerb, margin: float, weights: dict[str, float]
+    rng: np.random.Generator, sketch: Sketch, edge: Curb, margin: float, weights: dict[str, float]
 ) -> None:
-    """Buildings along a kerb, one beside the other, as many as fit between what is drawn already."""
+    """Buildings along a curb, one beside the other, as many as fit between what is drawn already."""
     setback = float(rng.choice((0.3, uniform(rng, (0.5, 3)), uniform(rng, (3, 8)))))
     along = -75.0
     while along < 75.0:
@@ -317,19 +317,19 @@ _WEIGHTS = {
 
 
 def _parked_cars(rng: np.random.Generator, streets: Streets, density: float) -> Shape:
-    """Cars along the kerbs, bumper to bumper or with gaps, none where a street meets another."""
+    """Cars along the curbs, bumper to bumper or with gaps, none where a street meets another."""
     cars = []
-    for kerb in streets.kerbs:
+    for curb in streets.curbs:
         for along in np.arange(-60, 60, 6.2):
-            frame = kerb.at(float(along) + rng.normal(0, 0.4))
+            frame = curb.at(float(along) + rng.normal(0, 0.4))
             center = frame.place((0.0, -uniform(rng, (1.1, 1.5))))
-            if rng.random() < density and not _on_other_road(streets, kerb, frame.origin):
+            if rng.random() < density and not _on_other_road(streets, curb, frame.origin):
                 cars.append(car(rng, center, frame.angle + rng.normal(0, 0.03)))
     return cars
 
 
-def _on_other_road(streets: Streets, kerb: Kerb, point: np.ndarray) -> bool:
-    own = streets.kerbs.index(kerb) // 2
+def _on_other_road(streets: Streets, curb: Curb, point: np.ndarray) -> bool:
+    own = streets.curbs.index(curb) // 2
     for index, (line, half_widths) in enumerate(streets.roads):
         nearest = float(np.hypot(*(line - point).T).min())
         if index != own and nearest < float(half_widths.mean()) + 5:
@@ -341,7 +341,7 @@ def _crossing(rng: np.random.Generator, streets: Streets) -> Shape:
     """A pedestrian crossing over the side street, just off the main one."""
     line, half_widths = streets.roads[1]
     off = float(streets.roads[0][1].mean()) + uniform(rng, (1.5, 4))
-    index = int(np.searchsorted(travelled(line), off))
+    index = int(np.searchsorted(traveled(line), off))
     half = float(half_widths[index]) + 0.5
     ahead = line[index + 1] - line[index]
     return [Frame(line[index], float(np.arctan2(ahead[1], ahead[0]))).place(rectangle(-1.2, -half, 1.2, half))]

@@ -1,6 +1,6 @@
-"""Geometry in metres and a layered sketch in pixels: what the procedural neighbourhoods are drawn with.
+"""Geometry in meters and a layered sketch in pixels: what the procedural neighborhoods are drawn with.
 
-Shapes live in a plane measured in metres. A shape is a list of polygons, each float [k 2] (x, y). A `View`
+Shapes live in a plane measured in meters. A shape is a list of polygons, each float [k 2] (x, y). A `View`
 says which turned rectangle of that plane becomes the picture, and a `Sketch` fills polygons into masks, one
 for each layer.
 """
@@ -100,15 +100,15 @@ def smooth(points: npt.ArrayLike, rounds: int) -> Points:
     return line
 
 
-def travelled(line: Points) -> Points:
+def traveled(line: Points) -> Points:
     """Distance from the start of a polyline [n 2] at each of its points, [n]."""
     steps = np.hypot(*np.diff(line, axis=0).T)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def resample(line: Points, spacing: float) -> Points:
-    """A polyline with a point about every `spacing` metres, ends kept."""
-    distance = travelled(line)
+    """A polyline with a point about every `spacing` meters, ends kept."""
+    distance = traveled(line)
     at = np.linspace(0, distance[-1], max(2, round(distance[-1] / spacing) + 1))
     return np.stack([np.interp(at, distance, line[:, 0]), np.interp(at, distance, line[:, 1])], axis=-1)
 
@@ -121,7 +121,7 @@ def left_normals(line: Points) -> Points:
 
 
 def ribbon(line: Points, left: npt.ArrayLike, right: npt.ArrayLike) -> Shape:
-    """The strip from `left` to `right` metres beside a polyline [n 2], as quadrilaterals that share edges.
+    """The strip from `left` to `right` meters beside a polyline [n 2], as quadrilaterals that share edges.
 
     Offsets count leftward (negative is to the right); each is one number or [n].
     """
@@ -153,15 +153,15 @@ class View:
     width: int
 
     def to_pixels(self, points: Points) -> npt.NDArray[np.int32]:
-        """Points in metres [k 2] as pixels (column, row), int32 [k 2]."""
+        """Points in meters [k 2] as pixels (column, row), int32 [k 2]."""
         turned = Frame(-self.corner, self.angle).place(points)
         return np.clip(np.rint(turned * self.scale), -30000, 30000).astype(np.int32)
 
 
 def view_around(
-    rng: np.random.Generator, shape: Sequence[Points], angle: float, margins: Range, pixels_per_metre: Range
+    rng: np.random.Generator, shape: Sequence[Points], angle: float, margins: Range, pixels_per_meter: Range
 ) -> View:
-    """The picture that holds a shape, with a random margin in metres at each side.
+    """The picture that holds a shape, with a random margin in meters at each side.
 
     Sides come out between 200 and 930 pixels, and no side more than `longest` times the other,
     a ratio that is drawn anew for each picture from 1.25 to 2.4.
@@ -173,7 +173,7 @@ def view_around(
     longest = 1.25 + 1.15 * uniform(rng, (0, 1)) ** 1.5
     missing = np.maximum(extent.max() / longest - extent, 0)
     corner, extent = low - missing * rng.uniform(0, 1, 2), extent + missing
-    scale = uniform(rng, pixels_per_metre)
+    scale = uniform(rng, pixels_per_meter)
     scale = min(max(scale, 205 / extent.min()), 925 / extent.max())
     width, height = (round(float(side) * scale) for side in extent)
     return View(angle, corner, scale, height, width)

@@ -1,6 +1,6 @@
-"""One lot of a suburb: house, driveway, walkways, doors and cars, drawn in metres.
+"""One lot of a suburb: house, driveway, walkways, doors and cars, drawn in meters.
 
-A house has its own frame: its front runs along x near y = 0, the street lies towards negative y, the garage
+A house has its own frame: its front runs along x near y = 0, the street lies toward negative y, the garage
 is at the left (negative x); the frame may be mirrored.
 """
 
@@ -19,15 +19,15 @@ from dc2g_jax.datasets.procedural.drawing import (
     resample,
     smooth,
     stroke,
-    travelled,
+    traveled,
     uniform,
 )
-from dc2g_jax.datasets.procedural.streets import Kerb
+from dc2g_jax.datasets.procedural.streets import Curb
 
 
 @dataclass(frozen=True)
 class LotStyle:
-    """What a neighbourhood's lots are like: ranges in metres, `turn` in radians, weights and shares."""
+    """What a neighborhood's lots are like: ranges in meters, `turn` in radians, weights and shares."""
 
     width: Range
     setback: Range
@@ -60,7 +60,7 @@ class Lot:
 
 
 def front_at(blocks: list[Points], x: float) -> float:
-    """The foremost (least) y of the blocks that reach over x, metres."""
+    """The foremost (least) y of the blocks that reach over x, meters."""
     return min(float(b[:, 1].min()) for b in blocks if b[:, 0].min() <= x <= b[:, 0].max())
 
 
@@ -104,19 +104,19 @@ def _cut_corner(rng: np.random.Generator, block: Points) -> Points:
     return np.concatenate([block[:corner], cut, block[corner + 1 :]])
 
 
-def build_lot(rng: np.random.Generator, style: LotStyle, kerb: Kerb, has_sidewalk: bool) -> Lot:
-    """House, driveway, walkways, doors and cars on the lot that lies along a kerb."""
+def build_lot(rng: np.random.Generator, style: LotStyle, curb: Curb, has_sidewalk: bool) -> Lot:
+    """House, driveway, walkways, doors and cars on the lot that lies along a curb."""
     house = build_house(rng, style)
-    at_kerb = kerb.at(0.0)
+    at_curb = curb.at(0.0)
     setback = uniform(rng, style.setback) + max(-house.garage[1], 0.0)
     turn = rng.normal(0, style.turn)
     sideways = uniform(rng, (-0.12, 0.12)) * style.width[0]
-    stand = Frame(at_kerb.place((sideways, setback)), at_kerb.angle + turn, bool(rng.random() < 0.5))
+    stand = Frame(at_curb.place((sideways, setback)), at_curb.angle + turn, bool(rng.random() < 0.5))
     lot = Lot({"house": stand.place_all(house.blocks)}, stand.place_all(house.blocks))
-    drive = _DRIVEWAYS[choose(rng, style.driveways)](rng, style, house, stand, kerb)
+    drive = _DRIVEWAYS[choose(rng, style.driveways)](rng, style, house, stand, curb)
     lot.shapes["driveway"] = drive.shape
     lot.essentials += [drive.line]
-    starts = _walkway_starts(rng, house, stand, at_kerb, drive, has_sidewalk)
+    starts = _walkway_starts(rng, house, stand, at_curb, drive, has_sidewalk)
     width = uniform(rng, (1.2, 2.0)) if style.setback[1] > 20 else uniform(rng, (0.9, 1.6))
     lot.shapes["path"] = [piece for start in starts for piece in _walkway(rng, house, stand, start, width)]
     lot.shapes["door"] = [stand.place(_door(rng, house.door, style))]
@@ -129,7 +129,7 @@ def build_lot(rng: np.random.Generator, style: LotStyle, kerb: Kerb, has_sidewal
 
 @dataclass(frozen=True)
 class Driveway:
-    """A driveway: shape, centre line from road to house [n 2], width, where walkways may begin [m 2]."""
+    """A driveway: shape, center line from road to house [n 2], width, where walkways may begin [m 2]."""
 
     shape: Shape
     line: Points
@@ -138,21 +138,21 @@ class Driveway:
 
 
 def _tapered(rng: np.random.Generator, line: Points, at_road: float, at_house: float, flare: float) -> Shape:
-    """A driveway's strip: its width runs from road to house, and widens over its first metres."""
-    distance = travelled(line)
+    """A driveway's strip: its width runs from road to house, and widens over its first meters."""
+    distance = traveled(line)
     width = np.interp(distance, (0, distance[-1]), (at_road, at_house))
     mouth = uniform(rng, (2.0, 3.5))
     return stroke(line, width + (flare - 1) * at_road * np.clip(1 - (distance - 1.0) / mouth, 0, 1))
 
 
-def _front_driveway(rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, kerb: Kerb) -> Driveway:
+def _front_driveway(rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, curb: Curb) -> Driveway:
     """A short driveway from the road straight, bent or skewed to a garage door that faces the street."""
     x, y, garage_width = house.garage
     at_house = garage_width * uniform(rng, (0.7, 1.0))
     end, before = stand.place((x, y + 0.6)), stand.place((x, y - uniform(rng, (1.0, 3.0))))
-    at_kerb = kerb.at(0.0)
-    away = float((end - at_kerb.origin) @ np.array([np.cos(at_kerb.angle), np.sin(at_kerb.angle)]))
-    mouth = kerb.at(away + rng.normal(0, 1.2))
+    at_curb = curb.at(0.0)
+    away = float((end - at_curb.origin) @ np.array([np.cos(at_curb.angle), np.sin(at_curb.angle)]))
+    mouth = curb.at(away + rng.normal(0, 1.2))
     line = np.array([mouth.place((0, -1.2)), mouth.place((0, uniform(rng, (0.8, 2.0)))), before, end])
     line = resample(smooth(line, int(rng.integers(0, 3))), 0.8)
     shape = _tapered(rng, line, at_house * uniform(rng, (0.75, 1.1)), at_house, uniform(rng, (1.0, 1.7)))
@@ -177,13 +177,13 @@ def _court(rng: np.random.Generator, house: House, width: float) -> tuple[Shape,
     return shape, entry, np.array([house.left - reach / 2, front + back / 2])
 
 
-def _winding_driveway(rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, kerb: Kerb) -> Driveway:
+def _winding_driveway(rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, curb: Curb) -> Driveway:
     """A long driveway, straight or winding, to a paved court beside the house."""
     width = uniform(rng, style.driveway_width)
     court, entry, middle = _court(rng, house, width)
-    setback = float(np.hypot(*(stand.origin - kerb.at(0.0).origin)))
+    setback = float(np.hypot(*(stand.origin - curb.at(0.0).origin)))
     sign = -1.0 if stand.mirrored else 1.0
-    mouth = kerb.at(sign * (entry[0] + rng.normal(0, 0.35) * setback))
+    mouth = curb.at(sign * (entry[0] + rng.normal(0, 0.35) * setback))
     bend = rng.normal(0, 0.12, 2) * setback
     start, turn_in = mouth.place((0, 0)), stand.place(entry - (0, uniform(rng, (0.1, 0.3)) * setback))
     lean = mouth.place((rng.normal(0, 1.5), uniform(rng, (2, 6))))
@@ -198,7 +198,7 @@ def _winding_driveway(rng: np.random.Generator, style: LotStyle, house: House, s
     return Driveway([*shape, *stand.place_all(court)], line, width, walk)
 
 
-def _horseshoe_driveway(rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, kerb: Kerb) -> Driveway:
+def _horseshoe_driveway(rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, curb: Curb) -> Driveway:
     """A driveway with two mouths that passes before the front door, with a spur to the garage."""
     width = uniform(rng, style.driveway_width) * 0.9
     court, entry, middle = _court(rng, house, width)
@@ -208,7 +208,7 @@ def _horseshoe_driveway(rng: np.random.Generator, style: LotStyle, house: House,
     sign = -1.0 if stand.mirrored else 1.0
     left, right = (sign * (door_x + side * uniform(rng, (9, 20))) for side in (-1, 1))
     apex = [stand.place((door_x - spread, near)), stand.place((door_x + spread, near + rng.normal(0, 1.0)))]
-    mouths = [kerb.at(left), kerb.at(right)]
+    mouths = [curb.at(left), curb.at(right)]
     corners = np.array(
         [
             mouths[0].place((0, -1.5)),
@@ -219,7 +219,7 @@ def _horseshoe_driveway(rng: np.random.Generator, style: LotStyle, house: House,
         ]
     )
     line = resample(smooth(corners, int(rng.integers(1, 4))), 1.2)
-    distance = travelled(line)
+    distance = traveled(line)
     ends = np.minimum(distance, distance[-1] - distance)
     shape = stroke(line, width * (1 + 0.8 * np.clip(1 - (ends - 1) / 3, 0, 1)))
     leave = line[int(np.clip(len(line) * uniform(rng, (0.15, 0.4)), 1, len(line) - 2))]
@@ -235,14 +235,14 @@ def _horseshoe_driveway(rng: np.random.Generator, style: LotStyle, house: House,
     return Driveway([*shape, *stand.place_all(court)], np.concatenate([line, spur]), width, closest[None])
 
 
-def _side_driveway(rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, kerb: Kerb) -> Driveway:
+def _side_driveway(rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, curb: Curb) -> Driveway:
     """A narrow driveway along the house's side to its back, perhaps to a garage of its own."""
     width = uniform(rng, style.driveway_width) * 0.85
     x = house.left - width * uniform(rng, (0.5, 0.9))
     back = uniform(rng, (4.0, 12.0))
     end, before = stand.place((x, back)), stand.place((x, min(house.garage[1], 0) - 1.5))
     sign = -1.0 if stand.mirrored else 1.0
-    mouth = kerb.at(sign * x + rng.normal(0, 1.0))
+    mouth = curb.at(sign * x + rng.normal(0, 1.0))
     line = np.array([mouth.place((0, -1.2)), mouth.place((0, 1.5)), before, end])
     line = resample(smooth(line, int(rng.integers(0, 3))), 0.8)
     shape = _tapered(rng, line, width, width * uniform(rng, (0.9, 1.4)), uniform(rng, (1.0, 1.8)))
@@ -251,14 +251,14 @@ def _side_driveway(rng: np.random.Generator, style: LotStyle, house: House, stan
 
 
 def _walkway_starts(
-    rng: np.random.Generator, house: House, stand: Frame, at_kerb: Frame, drive: Driveway, has_sidewalk: bool
+    rng: np.random.Generator, house: House, stand: Frame, at_curb: Frame, drive: Driveway, has_sidewalk: bool
 ) -> Shape:
     """Where walkways to the front door begin: one or two points [2] on the driveway or at the street."""
     from_drive = drive.walk_from[int(rng.integers(len(drive.walk_from)))]
     door = stand.place((house.door[0], house.door[1]))
-    along = np.array([np.cos(at_kerb.angle), np.sin(at_kerb.angle)])
-    offset = float((door - at_kerb.origin) @ along) + rng.normal(0, 0.8)
-    from_street = at_kerb.place((offset, -0.8))
+    along = np.array([np.cos(at_curb.angle), np.sin(at_curb.angle)])
+    offset = float((door - at_curb.origin) @ along) + rng.normal(0, 0.8)
+    from_street = at_curb.place((offset, -0.8))
     near = float(np.hypot(*(door - from_street))) < 22
     street, both = (0.22, 0.08) if has_sidewalk else (0.06, 0.04)
     draw = rng.random()
@@ -325,7 +325,7 @@ def car(rng: np.random.Generator, center: Points, angle: float) -> Points:
 
 
 def _park(rng: np.random.Generator, drive: Driveway) -> Shape:
-    """One or two cars beside a driveway's centre line, so that it stays passable where it is wide."""
+    """One or two cars beside a driveway's center line, so that it stays passable where it is wide."""
     cars = []
     for _ in range(1 + int(rng.random() < 0.25)):
         index = int(np.clip(uniform(rng, (0.35, 0.95)) * len(drive.line), 1, len(drive.line) - 2))

@@ -1,4 +1,4 @@
-"""Streets of the procedural neighbourhoods: roads, turning circles, sidewalks and kerbs."""
+"""Streets of the procedural neighborhoods: roads, turning circles, sidewalks and curbs."""
 
 from dataclasses import dataclass, field
 
@@ -14,25 +14,25 @@ from dc2g_jax.datasets.procedural.drawing import (
     disc,
     left_normals,
     ribbon,
-    travelled,
+    traveled,
     uniform,
     wobble,
 )
 
-_REACH = 150.0  # metres of road drawn to either side of where a street begins
-_STEP = 3.0  # metres between the points of a road's centre line
+_REACH = 150.0  # meters of road drawn to either side of where a street begins
+_STEP = 3.0  # meters between the points of a road's center line
 
 
 @dataclass(frozen=True, eq=False)
-class Kerb:
-    """A road edge [n 2] with the lots to its left, and how far along it (metres) one lot lies."""
+class Curb:
+    """A road edge [n 2] with the lots to its left, and how far along it (meters) one lot lies."""
 
     line: Points
     position: float
 
     def at(self, offset: float) -> Frame:
-        """The frame on the kerb `offset` metres further on: x along the kerb, y away from the road."""
-        distance = travelled(self.line)
+        """The frame on the curb `offset` meters further on: x along the curb, y away from the road."""
+        distance = traveled(self.line)
         place = min(max(self.position + offset, 0.0), float(distance[-1]))
         index = min(int(np.searchsorted(distance, place, side="right")) - 1, len(self.line) - 2)
         step = self.line[index + 1] - self.line[index]
@@ -42,7 +42,7 @@ class Kerb:
 
 @dataclass(frozen=True)
 class Sidewalks:
-    """Where sidewalks run: width of the grass between kerb and sidewalk, sidewalk width (metres), sides.
+    """Where sidewalks run: width of the grass between curb and sidewalk, sidewalk width (meters), sides.
 
     A verge of 0.3 m or less is not drawn.
     """
@@ -56,25 +56,25 @@ class Sidewalks:
 
 @dataclass
 class Streets:
-    """Public roads as (centre line [n 2], half widths [n]) and turning circles as (centre [2], radius).
+    """Public roads as (center line [n 2], half widths [n]) and turning circles as (center [2], radius).
 
     `bulges` are circles that only round off a junction and have no sidewalk round them.
-    `kerbs` lists road edges; the first is the one the main lot lies along.
+    `curbs` lists road edges; the first is the one the main lot lies along.
     """
 
     roads: list[tuple[Points, Points]] = field(default_factory=list)
     circles: list[tuple[Points, float]] = field(default_factory=list)
     bulges: list[tuple[Points, float]] = field(default_factory=list)
     islands: list[Points] = field(default_factory=list)
-    kerbs: list[Kerb] = field(default_factory=list)
+    curbs: list[Curb] = field(default_factory=list)
 
     def add_road(self, line: Points, half_width: npt.ArrayLike) -> None:
-        """A road of one half width or one per point [n], and the kerbs at both its sides."""
+        """A road of one half width or one per point [n], and the curbs at both its sides."""
         half_widths = np.broadcast_to(np.asarray(half_width, dtype=float), len(line))
         self.roads.append((line, half_widths))
         normals = left_normals(line) * half_widths[:, None]
         for edge in (line + normals, (line - normals)[::-1]):
-            self.kerbs.append(Kerb(edge, float(travelled(edge)[-1]) / 2))
+            self.curbs.append(Curb(edge, float(traveled(edge)[-1]) / 2))
 
     def draw(self, sketch: Sketch, sidewalks: Sidewalks | None, rng: np.random.Generator) -> None:
         """Fill roads, islands and sidewalks into the sketch."""
@@ -152,12 +152,12 @@ def _lay_circle(rng: np.random.Generator, streets: Streets, half_width: float) -
     radius = half_width * uniform(rng, (1.7, 3.4))
     angles = np.linspace(1.5 * np.pi, -0.5 * np.pi, 61)  # clockwise, so that lots lie to the left
     edge = radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    streets.kerbs.append(Kerb(edge, float(travelled(edge)[-1]) / 2))
+    streets.curbs.append(Curb(edge, float(traveled(edge)[-1]) / 2))
     streets.circles.append((np.zeros(2), radius))
     heading = -np.pi / 2 + float(rng.choice((-1, 1))) * uniform(rng, (0.0, 2.0))
     road = wander(rng, heading, 0.9)
     mouth = radius * uniform(rng, (1.2, 2.6))
-    flare = np.interp(travelled(road), (0.7 * radius, mouth), (uniform(rng, (1.0, 1.7)), 1.0))
+    flare = np.interp(traveled(road), (0.7 * radius, mouth), (uniform(rng, (1.0, 1.7)), 1.0))
     streets.add_road(road, half_width * flare)
     if rng.random() < 0.15:
         streets.islands.append(disc(rng, (0.0, 0.0), radius * uniform(rng, (0.25, 0.5))))

@@ -1,4 +1,4 @@
-"""The three suburban neighbourhoods: lots along streets, seen from above around one of them."""
+"""The three suburban neighborhoods: lots along streets, seen from above around one of them."""
 
 from dataclasses import dataclass
 
@@ -12,12 +12,12 @@ from dc2g_jax.datasets.procedural.drawing import (
     View,
     choose,
     rectangle,
-    travelled,
+    traveled,
     uniform,
     view_around,
 )
 from dc2g_jax.datasets.procedural.lots import Lot, LotStyle, build_lot, car
-from dc2g_jax.datasets.procedural.streets import Kerb, Sidewalks, Streets, lay_streets, wander
+from dc2g_jax.datasets.procedural.streets import Curb, Sidewalks, Streets, lay_streets, wander
 from dc2g_jax.grid.sampling import ClassImage
 
 #: Cells a side of a single house's map, and pixels a side of each cell of a larger one.
@@ -29,7 +29,7 @@ _THROUGH = {"straight": 0.5, "fork": 0.5}
 
 @dataclass(frozen=True)
 class Suburb:
-    """What a suburb is like: its lots, its streets, and how much of it a picture shows (ranges in metres)."""
+    """What a suburb is like: its lots, its streets, and how much of it a picture shows (ranges in meters)."""
 
     lots: LotStyle
     streets: dict[str, float]
@@ -37,11 +37,11 @@ class Suburb:
     sidewalks: float
     verge: Range
     street_cars: float
-    neighbours: float
+    neighbors: float
     margins: Range
     beyond_road: Range
     extra_width: Range
-    pixels_per_metre: Range
+    pixels_per_meter: Range
 
 
 SUBURBS = {
@@ -62,11 +62,11 @@ SUBURBS = {
         sidewalks=0.6,
         verge=(0.6, 3.0),
         street_cars=0.2,
-        neighbours=0.9,
+        neighbors=0.9,
         margins=(0.5, 7),
         beyond_road=(-7.5, 6),
         extra_width=(0, 3),
-        pixels_per_metre=(7.5, 11),
+        pixels_per_meter=(7.5, 11),
     ),
     "large_lots": Suburb(
         lots=LotStyle(
@@ -92,11 +92,11 @@ SUBURBS = {
         sidewalks=0.0,
         verge=(0, 1),
         street_cars=0.05,
-        neighbours=0.7,
+        neighbors=0.7,
         margins=(1.5, 12),
         beyond_road=(-4, 7),
         extra_width=(0, 8),
-        pixels_per_metre=(8, 13),
+        pixels_per_meter=(8, 13),
     ),
     "compact_suburb": Suburb(
         lots=LotStyle(
@@ -123,11 +123,11 @@ SUBURBS = {
         sidewalks=0.9,
         verge=(0.0, 2.5),
         street_cars=0.5,
-        neighbours=0.95,
+        neighbors=0.95,
         margins=(1, 9),
         beyond_road=(-3, 16),
         extra_width=(0, 14),
-        pixels_per_metre=(8, 13),
+        pixels_per_meter=(8, 13),
     ),
 }
 
@@ -137,17 +137,17 @@ def draw_suburb(rng: np.random.Generator, suburb: Suburb) -> ClassImage | None:
     lot_width = uniform(rng, suburb.lots.width)
     streets = lay_streets(rng, suburb.streets, suburb.road_width, lot_width)
     sidewalks = _choose_sidewalks(rng, suburb)
-    lot = build_lot(rng, suburb.lots, streets.kerbs[0], sidewalks is not None)
+    lot = build_lot(rng, suburb.lots, streets.curbs[0], sidewalks is not None)
     sketch = Sketch(_view(rng, suburb, streets, lot))
     streets.draw(sketch, sidewalks, rng)
     if not _fits(sketch, lot.shapes):
         return None
     sketch.add_all(lot.shapes)
-    for kerb in _lots_along(rng, streets, lot_width):
-        neighbour = build_lot(rng, suburb.lots, kerb, sidewalks is not None)
-        clear = sketch.overlap(sketch.mask(neighbour.shapes["driveway"]), "driveway") < 0.05
-        if clear and rng.random() < suburb.neighbours and _fits(sketch, neighbour.shapes):
-            sketch.add_all(neighbour.shapes)
+    for curb in _lots_along(rng, streets, lot_width):
+        neighbor = build_lot(rng, suburb.lots, curb, sidewalks is not None)
+        clear = sketch.overlap(sketch.mask(neighbor.shapes["driveway"]), "driveway") < 0.05
+        if clear and rng.random() < suburb.neighbors and _fits(sketch, neighbor.shapes):
+            sketch.add_all(neighbor.shapes)
     if rng.random() < suburb.street_cars:
         sketch.add_clear("car", _street_cars(rng, streets))
     return sketch.classes()
@@ -165,17 +165,17 @@ def draw_row(rng: np.random.Generator, suburb: Suburb, cells: int, doors: int) -
     lot_width = uniform(rng, suburb.lots.width)
     streets = lay_streets(rng, _THROUGH, suburb.road_width, lot_width)
     sidewalks = _choose_sidewalks(rng, suburb)
-    lot = build_lot(rng, suburb.lots, streets.kerbs[0], sidewalks is not None)
+    lot = build_lot(rng, suburb.lots, streets.curbs[0], sidewalks is not None)
     view = _widened(_view(rng, suburb, streets, lot), cells)
     _add_side_streets(rng, streets, 2 * lot_width, view.width / view.scale)
     sketch = Sketch(view)
     streets.draw(sketch, sidewalks, rng)
     lots = []
-    for kerb in _all_along(rng, streets, lot_width):
-        lot = build_lot(rng, suburb.lots, kerb, sidewalks is not None)
+    for curb in _all_along(rng, streets, lot_width):
+        lot = build_lot(rng, suburb.lots, curb, sidewalks is not None)
         driveway, house = (sketch.mask(lot.shapes[layer]) for layer in ("driveway", "house"))
         clear = house.any() and sketch.overlap(driveway, "driveway") < 0.05
-        if clear and rng.random() < suburb.neighbours and _fits(sketch, lot.shapes):
+        if clear and rng.random() < suburb.neighbors and _fits(sketch, lot.shapes):
             sketch.add_all({layer: shape for layer, shape in lot.shapes.items() if layer != "door"})
             lots.append(lot)
     for number in rng.permutation(len(lots))[:doors]:
@@ -194,9 +194,9 @@ def _widened(view: View, cells: int) -> View:
 
 
 def _add_side_streets(rng: np.random.Generator, streets: Streets, apart: float, reach: float) -> None:
-    """Streets that leave the first one to either side, so many metres apart at least, as far as `reach` along it."""
+    """Streets that leave the first one to either side, so many meters apart at least, as far as `reach` along it."""
     main, half_widths = streets.roads[0]
-    along = travelled(main) - travelled(main)[len(main) // 2]
+    along = traveled(main) - traveled(main)[len(main) // 2]
     for side in (-1, 1):
         place = -reach / 2 + uniform(rng, (0, 2 * apart))
         while place < reach / 2:
@@ -209,13 +209,13 @@ def _add_side_streets(rng: np.random.Generator, streets: Streets, apart: float, 
             place += apart * uniform(rng, (1.0, 2.5))
 
 
-def _all_along(rng: np.random.Generator, streets: Streets, lot_width: float) -> list[Kerb]:
-    """Places for houses along all kerbs, from one end to the other."""
+def _all_along(rng: np.random.Generator, streets: Streets, lot_width: float) -> list[Curb]:
+    """Places for houses along all curbs, from one end to the other."""
     places = []
-    for kerb in streets.kerbs:
-        position, end = uniform(rng, (0, lot_width)), float(travelled(kerb.line)[-1])
+    for curb in streets.curbs:
+        position, end = uniform(rng, (0, lot_width)), float(traveled(curb.line)[-1])
         while position < end:
-            places.append(Kerb(kerb.line, position))
+            places.append(Curb(curb.line, position))
             position += lot_width * uniform(rng, (0.9, 1.15))
     return places
 
@@ -243,15 +243,15 @@ def _choose_sidewalks(rng: np.random.Generator, suburb: Suburb) -> Sidewalks | N
 def _view(rng: np.random.Generator, suburb: Suburb, streets: Streets, lot: Lot) -> View:
     """The frame of a picture around one lot."""
     framing = _framing(rng, suburb, streets, lot.essentials)
-    return view_around(rng, framing, _turn(rng), suburb.margins, suburb.pixels_per_metre)
+    return view_around(rng, framing, _turn(rng), suburb.margins, suburb.pixels_per_meter)
 
 
 def _framing(rng: np.random.Generator, suburb: Suburb, streets: Streets, essentials: Shape) -> Shape:
     """What the picture has to hold: the lot, some or all of the road before it, perhaps more beside it."""
-    kerb = streets.kerbs[0].at(0.0)
+    curb = streets.curbs[0].at(0.0)
     depth = 2 * float(streets.roads[0][1].mean()) + uniform(rng, suburb.beyond_road)
     left, right = rng.uniform(*suburb.extra_width, 2)
-    return [*essentials, kerb.place(rectangle(-left, -max(depth, 3.0), right, 0.0))]
+    return [*essentials, curb.place(rectangle(-left, -max(depth, 3.0), right, 0.0))]
 
 
 def _fits(sketch: Sketch, shapes: dict[str, Shape]) -> bool:
@@ -263,26 +263,26 @@ def _fits(sketch: Sketch, shapes: dict[str, Shape]) -> bool:
     return covered < 0.18 and sketch.overlap(driveway, "house", "door") == 0
 
 
-def _lots_along(rng: np.random.Generator, streets: Streets, lot_width: float, reach: float = 75.0) -> list[Kerb]:
-    """Places for neighbours: about every lot width along all kerbs near the main lot, nearest first."""
-    main = streets.kerbs[0]
+def _lots_along(rng: np.random.Generator, streets: Streets, lot_width: float, reach: float = 75.0) -> list[Curb]:
+    """Places for neighbors: about every lot width along all curbs near the main lot, nearest first."""
+    main = streets.curbs[0]
     center = main.at(0.0).origin
     places = []
-    for kerb in streets.kerbs:
-        first = 0.0 if kerb is main else uniform(rng, (0, lot_width))
+    for curb in streets.curbs:
+        first = 0.0 if curb is main else uniform(rng, (0, lot_width))
         for count in range(-6, 7):
-            moved = Kerb(kerb.line, kerb.position + first + count * lot_width * uniform(rng, (0.9, 1.15)))
+            moved = Curb(curb.line, curb.position + first + count * lot_width * uniform(rng, (0.9, 1.15)))
             distance = float(np.hypot(*(moved.at(0.0).origin - center)))
-            if distance < reach and not (kerb is main and count == 0):
+            if distance < reach and not (curb is main and count == 0):
                 places.append((distance, moved))
-    return [kerb for _, kerb in sorted(places, key=lambda place: place[0])]
+    return [curb for _, curb in sorted(places, key=lambda place: place[0])]
 
 
 def _street_cars(rng: np.random.Generator, streets: Streets) -> Shape:
-    """Cars that stand along the kerbs, a few on each."""
+    """Cars that stand along the curbs, a few on each."""
     cars = []
-    for kerb in streets.kerbs:
+    for curb in streets.curbs:
         for _ in range(int(rng.integers(0, 4))):
-            frame: Frame = kerb.at(rng.normal(0, 18))
+            frame: Frame = curb.at(rng.normal(0, 18))
             cars.append(car(rng, frame.place((0.0, -uniform(rng, (1.2, 1.8)))), frame.angle + rng.normal(0, 0.05)))
     return cars

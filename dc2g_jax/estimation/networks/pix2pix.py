@@ -1,9 +1,9 @@
 """The paper's image-to-image translator: the networks of pix2pix (section III-B; Isola et al., CVPR 2017).
 
 The details that the paper leaves open are those of the implementation it names, Hesse's pix2pix in TensorFlow: 4x4
-convolutions, weights drawn with standard deviation 0.02, and normalisation by the statistics of the batch at hand, of
-one picture, which is instance normalisation. The innermost feature is left as it is: it is a single pixel, whose
-normalised value would be zero. And nothing is dropped when the network is asked, so that an answer depends on its
+convolutions, weights drawn with standard deviation 0.02, and normalization by the statistics of the batch at hand, of
+one picture, which is instance normalization. The innermost feature is left as it is: it is a single pixel, whose
+normalized value would be zero. And nothing is dropped when the network is asked, so that an answer depends on its
 question alone; there, features are dropped then as well.
 """
 
@@ -117,7 +117,7 @@ def _convolution(width_in: int, width_out: int, step: int, *, dtype: Any, rngs: 
 
 
 class _Layer(nnx.Module):
-    """A convolution and, perhaps, normalisation."""
+    """A convolution and, perhaps, normalization."""
 
     def __init__(self, convolution: nnx.Conv | _Doubling, width: int, *, normalize: bool):
         self.convolution = convolution

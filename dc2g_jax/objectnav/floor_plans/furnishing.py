@@ -28,18 +28,18 @@ from dc2g_jax.objectnav.classes import (
     TELEVISION,
     TOILET,
 )
-from dc2g_jax.objectnav.floor_plans import catalogue
-from dc2g_jax.objectnav.floor_plans.catalogue import Sizes
+from dc2g_jax.objectnav.floor_plans import catalog
+from dc2g_jax.objectnav.floor_plans.catalog import Sizes
 from dc2g_jax.objectnav.floor_plans.placing import RoomSketch, Wall, in_front
 from dc2g_jax.objectnav.plans import Furniture
 
 #: How many chairs a table has, and how often.
 _CHAIRS = ((0, 0.14), (1, 0.24), (2, 0.22), (3, 0.08), (4, 0.14), (6, 0.18))
 
-#: How far a chair reaches below the table, and by how much it is turned at most, metres and radians.
+#: How far a chair reaches below the table, and by how much it is turned at most, meters and radians.
 _TUCKED, _TURNED = (0.08, 0.25), 0.45
 
-#: Metres that stay free before what one stands or sits before.
+#: Meters that stay free before what one stands or sits before.
 _FRONT = 0.55
 
 
@@ -50,63 +50,63 @@ def furnish(room: RoomSketch) -> None:
 
 def _bedroom(room: RoomSketch) -> None:
     for _ in range(1 + _chance(room, 0.45)):
-        size = (catalogue.DOUBLE_BED if _chance(room, 0.55) else catalogue.SINGLE_BED).draw(room.rng)
+        size = (catalog.DOUBLE_BED if _chance(room, 0.55) else catalog.SINGLE_BED).draw(room.rng)
         bed = room.against_wall(BED, size, corner=0.55, front=0.45)
         if bed and _chance(room, 0.4):
             _nightstand(room, bed)
     if _chance(room, 0.2):
-        _at_wall(room, DESK, catalogue.DESK, seat=0.9)
+        _at_wall(room, DESK, catalog.DESK, seat=0.9)
     if _chance(room, 0.42):
         _table(room)
     for _ in range(_chance(room, 0.9) + _chance(room, 0.4)):
-        dresser = _at_wall(room, CABINET, catalogue.DRESSER, corner=0.35)
+        dresser = _at_wall(room, CABINET, catalog.DRESSER, corner=0.35)
         if dresser and _chance(room, 0.5):
             _on_top(room, dresser)
     if _chance(room, 0.46):
         _television(room, next((piece for piece in room.pieces if piece.kind == BED), None), stand=0.2)
-    _often(room, ARMCHAIR, catalogue.ARMCHAIR, 0.22)
-    _often(room, LAMP, catalogue.FLOOR_LAMP, 0.28, corner=0.4)
-    _often(room, PLANT, catalogue.FLOOR_PLANT, 0.42, corner=0.6)
-    _often(room, SHELF, catalogue.SHELF, 0.05)
+    _often(room, ARMCHAIR, catalog.ARMCHAIR, 0.22)
+    _often(room, LAMP, catalog.FLOOR_LAMP, 0.28, corner=0.4)
+    _often(room, PLANT, catalog.FLOOR_PLANT, 0.42, corner=0.6)
+    _often(room, SHELF, catalog.SHELF, 0.05)
     _clutter(room, boxes=0.6, balls=0.75, bins=0.2, pets=0.12)
 
 
 def _bathroom(room: RoomSketch) -> None:
-    _at_wall(room, TOILET, catalogue.TOILET, corner=0.75, front=_FRONT)
-    _at_wall(room, SINK, catalogue.SINK, corner=0.75, front=_FRONT)
-    _often(room, OTHER, catalogue.BATHTUB, 0.3, corner=0.9)
-    _often(room, CABINET, catalogue.DRESSER, 0.2)
-    _often(room, CABINET, catalogue.SIDE_TABLE, 0.14)
-    _often(room, OTHER, catalogue.SMALL_BIN, 0.9)
-    _often(room, OTHER, catalogue.WASTE_BIN, 0.85)
-    _often(room, OTHER, catalogue.HAMPER, 0.13)
-    _often(room, PLANT, catalogue.FLOOR_PLANT, 0.07, corner=0.6)
+    _at_wall(room, TOILET, catalog.TOILET, corner=0.75, front=_FRONT)
+    _at_wall(room, SINK, catalog.SINK, corner=0.75, front=_FRONT)
+    _often(room, OTHER, catalog.BATHTUB, 0.3, corner=0.9)
+    _often(room, CABINET, catalog.DRESSER, 0.2)
+    _often(room, CABINET, catalog.SIDE_TABLE, 0.14)
+    _often(room, OTHER, catalog.SMALL_BIN, 0.9)
+    _often(room, OTHER, catalog.WASTE_BIN, 0.85)
+    _often(room, OTHER, catalog.HAMPER, 0.13)
+    _often(room, PLANT, catalog.FLOOR_PLANT, 0.07, corner=0.6)
 
 
 def _kitchen(room: RoomSketch) -> None:
     if _chance(room, 0.95):
         # Boxes around counters that run around a corner are deep.
         is_deep = _chance(room, 0.55)
-        sizes = catalogue.DEEP_COUNTER if is_deep else catalogue.COUNTER
+        sizes = catalog.DEEP_COUNTER if is_deep else catalog.COUNTER
         counter = _at_wall(room, COUNTER, sizes, corner=0.6, front=_FRONT)
         if counter and _chance(room, 0.35):
-            room.on(counter, SINK, catalogue.KITCHEN_SINK.draw(room.rng))
+            room.on(counter, SINK, catalog.KITCHEN_SINK.draw(room.rng))
         if counter and _chance(room, 0.22):
-            room.on(counter, PLANT, catalogue.POTTED_PLANT.draw(room.rng))
+            room.on(counter, PLANT, catalog.POTTED_PLANT.draw(room.rng))
     if _chance(room, 0.95):
-        _at_wall(room, REFRIGERATOR, catalogue.FRIDGE, corner=0.45, front=_FRONT)
+        _at_wall(room, REFRIGERATOR, catalog.FRIDGE, corner=0.45, front=_FRONT)
     if _chance(room, 0.7):
         _table(room)
-    _often(room, SHELF, catalogue.SHELF, 0.58)
-    _often(room, CABINET, catalogue.SIDE_TABLE, 0.08)
+    _often(room, SHELF, catalog.SHELF, 0.58)
+    _often(room, CABINET, catalog.SIDE_TABLE, 0.08)
     if _chance(room, 0.35):
         _television(room, None, stand=0.0)
-    _often(room, PLANT, catalogue.FLOOR_PLANT, 0.2, corner=0.6)
+    _often(room, PLANT, catalog.FLOOR_PLANT, 0.2, corner=0.6)
     _clutter(room, boxes=0.0, balls=0.0, bins=0.85, pets=0.0)
 
 
 def _living_room(room: RoomSketch) -> None:
-    couch = _at_wall(room, COUCH, catalogue.COUCH, corner=0.4, front=0.7) if _chance(room, 0.95) else None
+    couch = _at_wall(room, COUCH, catalog.COUCH, corner=0.4, front=0.7) if _chance(room, 0.95) else None
     if _chance(room, 0.97):
         _television(room, couch, stand=0.4)
     if couch and _chance(room, 0.14):
@@ -114,12 +114,12 @@ def _living_room(room: RoomSketch) -> None:
     for _ in range(_chance(room, 0.98) + _chance(room, 0.3)):
         _table(room)
     for _ in range(_chance(room, 0.3) + _chance(room, 0.12)):
-        _at_wall(room, ARMCHAIR, catalogue.ARMCHAIR, front=0.3)
-    _often(room, LAMP, catalogue.FLOOR_LAMP, 0.5, corner=0.35)
-    _often(room, PLANT, catalogue.FLOOR_PLANT, 0.36, corner=0.6)
-    _often(room, CABINET, catalogue.SIDE_TABLE, 0.17)
-    _often(room, CABINET, catalogue.DRESSER, 0.06)
-    _often(room, SHELF, catalogue.SHELF, 0.06)
+        _at_wall(room, ARMCHAIR, catalog.ARMCHAIR, front=0.3)
+    _often(room, LAMP, catalog.FLOOR_LAMP, 0.5, corner=0.35)
+    _often(room, PLANT, catalog.FLOOR_PLANT, 0.36, corner=0.6)
+    _often(room, CABINET, catalog.SIDE_TABLE, 0.17)
+    _often(room, CABINET, catalog.DRESSER, 0.06)
+    _often(room, SHELF, catalog.SHELF, 0.06)
     _clutter(room, boxes=0.5, balls=0.1, bins=0.25, pets=0.18)
 
 
@@ -156,13 +156,13 @@ def _often(room: RoomSketch, kind: int, sizes: Sizes, share: float, *, corner: f
 
 def _nightstand(room: RoomSketch, bed: Furniture) -> None:
     """A nightstand beside the head of a bed, perhaps with a lamp."""
-    size = catalogue.NIGHTSTAND.draw(room.rng)
+    size = catalog.NIGHTSTAND.draw(room.rng)
     for side in room.rng.permutation([-1, 1]).tolist():
         x, y = in_front(bed, side * (bed.width + size.width + 0.12) / 2, (size.depth - bed.depth) / 2)
         stand = Furniture(CABINET, x, y, size.width, size.depth, bed.angle, size.top)
         if room.place(stand):
             if _chance(room, 0.3):
-                room.on(stand, LAMP, catalogue.DESK_LAMP.draw(room.rng))
+                room.on(stand, LAMP, catalog.DESK_LAMP.draw(room.rng))
             return
 
 
@@ -170,11 +170,11 @@ def _television(room: RoomSketch, watcher: Furniture | None, *, stand: float) ->
     """A television on the wall that someone faces, if anyone does, or before it on a stand."""
     wall = room.opposite(watcher) if watcher else None
     if _chance(room, stand):
-        below = _opposite_first(room, CABINET, catalogue.TELEVISION_STAND, wall)
+        below = _opposite_first(room, CABINET, catalog.TELEVISION_STAND, wall)
         if below:
-            room.on(below, TELEVISION, catalogue.TELEVISION_ON_STAND.draw(room.rng))
+            room.on(below, TELEVISION, catalog.TELEVISION_ON_STAND.draw(room.rng))
             return
-    _opposite_first(room, TELEVISION, catalogue.TELEVISION, wall)
+    _opposite_first(room, TELEVISION, catalog.TELEVISION, wall)
 
 
 def _opposite_first(room: RoomSketch, kind: int, sizes: Sizes, wall: Wall | None) -> Furniture | None:
@@ -186,14 +186,14 @@ def _opposite_first(room: RoomSketch, kind: int, sizes: Sizes, wall: Wall | None
 
 def _coffee_table(room: RoomSketch, couch: Furniture) -> None:
     """A low table before a couch."""
-    size = catalogue.COFFEE_TABLE.draw(room.rng)
+    size = catalog.COFFEE_TABLE.draw(room.rng)
     x, y = in_front(couch, 0, couch.depth / 2 + 0.75 + size.depth / 2)
     room.place(Furniture(TABLE, x, y, size.width, size.depth, couch.angle, size.top))
 
 
 def _table(room: RoomSketch) -> None:
     """A table, against a wall or not, with some chairs around it, and perhaps something on it."""
-    size = catalogue.TABLE.draw(room.rng)
+    size = catalog.TABLE.draw(room.rng)
     by_wall = _chance(room, 0.4)
     table = room.against_wall(TABLE, size, corner=0.25) if by_wall else room.anywhere(TABLE, size)
     if not table:
@@ -218,7 +218,7 @@ def _seats(room: RoomSketch, *, pairs: bool) -> list[tuple[float, float]]:
 
 def _seat(room: RoomSketch, table: Furniture, side: float, shift: float) -> bool:
     """Put a chair at one side of a table, 0 being its front, moved along that side; did it fit?"""
-    size = catalogue.CHAIR.draw(room.rng)
+    size = catalog.CHAIR.draw(room.rng)
     reach = table.depth if math.cos(side) ** 2 > 0.5 else table.width
     ahead = (reach + size.depth) / 2 - room.rng.uniform(*_TUCKED)
     x, y = in_front(table._replace(angle=table.angle + side), shift, ahead)
@@ -230,16 +230,16 @@ def _seat(room: RoomSketch, table: Furniture, side: float, shift: float) -> bool
 def _on_top(room: RoomSketch, piece: Furniture) -> None:
     """Sometimes a lamp or a plant on a piece."""
     if _chance(room, 0.42):
-        room.on(piece, LAMP, catalogue.DESK_LAMP.draw(room.rng))
+        room.on(piece, LAMP, catalog.DESK_LAMP.draw(room.rng))
     if _chance(room, 0.16):
-        room.on(piece, PLANT, catalogue.POTTED_PLANT.draw(room.rng))
+        room.on(piece, PLANT, catalog.POTTED_PLANT.draw(room.rng))
 
 
 def _clutter(room: RoomSketch, *, boxes: float, balls: float, bins: float, pets: float) -> None:
     """What stands about."""
     if _chance(room, boxes):
-        room.anywhere(OTHER, catalogue.BOX.draw(room.rng))
+        room.anywhere(OTHER, catalog.BOX.draw(room.rng))
     if _chance(room, balls):
-        room.anywhere(OTHER, catalogue.BALL.draw(room.rng))
-    _often(room, OTHER, catalogue.WASTE_BIN, bins, corner=0.3)
-    _often(room, OTHER, catalogue.PET_BED, pets, corner=0.3)
+        room.anywhere(OTHER, catalog.BALL.draw(room.rng))
+    _often(room, OTHER, catalog.WASTE_BIN, bins, corner=0.3)
+    _often(room, OTHER, catalog.PET_BED, pets, corner=0.3)

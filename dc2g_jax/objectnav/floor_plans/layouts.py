@@ -31,11 +31,11 @@ _PROGRAMS: dict[int, tuple[float, tuple[str, ...]]] = {
 }
 _KINDS = {"L": LIVING_ROOM, "K": KITCHEN, "B": BEDROOM, "W": BATHROOM}
 
-#: Room type -> usual floor, square metres, and how much its logarithm varies. Rooms end up as large as ProcTHOR's.
+#: Room type -> usual floor, square meters, and how much its logarithm varies. Rooms end up as large as ProcTHOR's.
 _AREAS = {BEDROOM: 26.0, BATHROOM: 12.5, KITCHEN: 27.0, LIVING_ROOM: 25.0}
 _AREA_SPREAD = 0.28
 
-#: Sides of a square, metres.
+#: Sides of a square, meters.
 _UNITS = (1.6, 2.1)
 
 #: How unlikely a door between two types of rooms is; pairs that are not named: `_STRANGE`.
@@ -57,7 +57,7 @@ _THROUGH_BATHROOM, _CRAMPED = 4.0, 3.0
 #: How often kitchen and living room are one space, and rooms without need have a door; share of wide doors.
 _OPEN_KITCHEN, _FURTHER_DOOR, _WIDE = 0.65, 0.15, 0.72
 
-#: Widths of doors, and what wall is left beside one, metres.
+#: Widths of doors, and what wall is left beside one, meters.
 _DOOR_WIDTH, _WIDE_DOOR_WIDTH, _JAMB = (1.0, 1.05), (1.9, 2.0), 0.15
 
 #: Share of its squares up to which a room grows as a rectangle.
@@ -71,10 +71,10 @@ class Layout(NamedTuple):
     """An empty house.
 
     Attributes:
-      unit: side of a square, metres.
+      unit: side of a square, meters.
       kinds: type of each room.
-      squares: of each room: column and row, counted upwards.
-      rooms: the same rooms with their outlines in metres.
+      squares: of each room: column and row, counted upward.
+      rooms: the same rooms with their outlines in meters.
       walls: between rooms, and between rooms and the outside.
       doors: of all rooms.
       open: borders between rooms that have no wall.
@@ -142,7 +142,7 @@ def _ground(rng: np.random.Generator, area: int) -> set[Square]:
 def _grow_rectangles(
     rng: np.random.Generator, rooms: list[set[Square]], left: set[Square], targets: Sequence[int]
 ) -> None:
-    """Push whole sides of rooms outwards, of the neediest first, until each has its size or is hemmed in."""
+    """Push whole sides of rooms outward, of the neediest first, until each has its size or is hemmed in."""
     growing = set(range(len(rooms)))
     while growing:
         room = min(growing, key=lambda index: len(rooms[index]) / targets[index])
@@ -166,7 +166,7 @@ def _give_away(rooms: list[set[Square]], left: set[Square], targets: Sequence[in
         claims = []
         for square in sorted(left):
             for index, room in enumerate(rooms):
-                touching = sum(neighbour in room for neighbour in _neighbours(square))
+                touching = sum(neighbor in room for neighbor in _neighbors(square))
                 if touching:
                     claims.append((touching, -len(room) / targets[index], square, index))
         if not claims:
@@ -176,7 +176,7 @@ def _give_away(rooms: list[set[Square]], left: set[Square], targets: Sequence[in
         left.discard(square)
 
 
-def _neighbours(square: Square) -> list[Square]:
+def _neighbors(square: Square) -> list[Square]:
     return [(square[0] + x, square[1] + y) for x, y in _SIDES]
 
 
@@ -198,8 +198,8 @@ def _with_doors(
         for pair in linked
         if {kinds[number] for number in pair} == {KITCHEN, LIVING_ROOM} and rng.random() < _OPEN_KITCHEN
     }
-    doors = [_door(rng, [_metres(run, unit) for run in borders[pair]]) for pair in sorted(linked - opened)]
-    runs = [(pair, _metres(run, unit)) for pair, found in borders.items() for run in found]
+    doors = [_door(rng, [_meters(run, unit) for run in borders[pair]]) for pair in sorted(linked - opened)]
+    runs = [(pair, _meters(run, unit)) for pair, found in borders.items() for run in found]
     layout = Layout(
         unit=unit,
         kinds=kinds,
@@ -219,8 +219,8 @@ def _outline(room: set[Square]) -> list[Square] | None:
     for x, y in room:
         corners = [(x, y), (x + 1, y), (x + 1, y + 1), (x, y + 1)]
         beyond = [(x, y - 1), (x + 1, y), (x, y + 1), (x - 1, y)]
-        for start, end, neighbour in zip(corners, [*corners[1:], corners[0]], beyond, strict=True):
-            if neighbour not in room:
+        for start, end, neighbor in zip(corners, [*corners[1:], corners[0]], beyond, strict=True):
+            if neighbor not in room:
                 sides[start] = end
                 count += 1
     if len(sides) != count:
@@ -265,7 +265,7 @@ def _borders(squares: Sequence[set[Square]]) -> dict[_Pair, list[_Run]]:
     return borders
 
 
-def _metres(run: _Run, unit: float) -> Segment:
+def _meters(run: _Run, unit: float) -> Segment:
     (x0, y0), (x1, y1) = run
     return Segment((x0 * unit, y0 * unit), (x1 * unit, y1 * unit))
 

@@ -17,20 +17,20 @@ from dc2g_jax.objectnav.plan_cells import MARGIN, world_from_plan
 from dc2g_jax.objectnav.plans import Furniture, HousePlan, Segment
 from dc2g_jax.objectnav.starts import passable
 
-#: Cells in which it is checked that a robot gets everywhere, metres.
+#: Cells in which it is checked that a robot gets everywhere, meters.
 CHECK_CELLS = 0.1
 
-#: From the middle of a wall to the back of what stands against it, metres.
+#: From the middle of a wall to the back of what stands against it, meters.
 _BEHIND = 0.07
 
-#: What is kept free before a door, and between two pieces, metres.
+#: What is kept free before a door, and between two pieces, meters.
 _BEFORE_DOOR, _BETWEEN = 0.9, 0.02
 
 _ATTEMPTS = 10
 
 
 class Rectangle(NamedTuple):
-    """Left, lower, right and upper border, metres."""
+    """Left, lower, right and upper border, meters."""
 
     left: float
     lower: float
@@ -54,7 +54,7 @@ class Wall(NamedTuple):
       start: one end.
       along: unit vector to the other end.
       inward: unit vector into the room.
-      length: metres.
+      length: meters.
     """
 
     start: tuple[float, float]
@@ -64,7 +64,7 @@ class Wall(NamedTuple):
 
 
 class Size(NamedTuple):
-    """Of a piece: along its back, from back to front, and its height; metres."""
+    """Of a piece: along its back, from back to front, and its height; meters."""
 
     width: float
     depth: float
@@ -143,7 +143,7 @@ class RoomSketch:
           kind: class index.
           size: of the piece.
           corner: share of the attempts that put it at an end of the wall.
-          front: metres before it that stay free.
+          front: meters before it that stay free.
           wall: which one, else any.
 
         Returns:
@@ -202,7 +202,7 @@ class RoomSketch:
 
         Args:
           piece: to be placed.
-          front: metres before it that stay free.
+          front: meters before it that stay free.
           table: what it may reach below.
         """
         area = bounds(piece)
@@ -240,7 +240,7 @@ class RoomSketch:
 
 
 def standing(kind: int, size: Size, wall: Wall, at: float) -> Furniture:
-    """A piece with its back to a wall, its middle so many metres from the wall's start."""
+    """A piece with its back to a wall, its middle so many meters from the wall's start."""
     ahead = _BEHIND + size.depth / 2
     x, y = (s + a * at + n * ahead for s, a, n in zip(wall.start, wall.along, wall.inward, strict=True))
     return Furniture(kind, x, y, size.width, size.depth, math.atan2(-wall.inward[0], wall.inward[1]), size.top)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax.datasets.houses import House
-from dc2g_jax.datasets.procedural import draw_neighbourhood
+from dc2g_jax.datasets.procedural import draw_neighborhood
 from dc2g_jax.datasets.starts import why_no_episode
 from dc2g_jax.grid.terrain import FRONT_DOOR, HOUSE
 
@@ -17,18 +17,18 @@ def blobs(cells: np.ndarray) -> int:
 
 @pytest.mark.parametrize("style", ["suburb_sidewalks", "compact_suburb", "large_lots"])
 def test_houses_stand_in_rows_and_as_many_as_asked_for_have_a_door(style):
-    one = draw_neighbourhood(5, style, 200, 1)
+    one = draw_neighborhood(5, style, 200, 1)
     assert one.shape == (200, 200)
     assert one.dtype == np.uint8
     assert why_no_episode(House("one", "val", one)) is None
     assert blobs(one == HOUSE) >= 5
     # A house may have a second door.
     assert 1 <= blobs(one == FRONT_DOOR) <= 2
-    assert blobs(draw_neighbourhood(5, style, 200, 100) == FRONT_DOOR) > 2
+    assert blobs(draw_neighborhood(5, style, 200, 100) == FRONT_DOOR) > 2
 
 
 def test_a_seed_gives_one_map():
-    maps = [draw_neighbourhood(seed, "compact_suburb", 64, 3) for seed in (1, 1, 2)]
+    maps = [draw_neighborhood(seed, "compact_suburb", 64, 3) for seed in (1, 1, 2)]
     np.testing.assert_array_equal(maps[0], maps[1])
     assert np.any(maps[0] != maps[2])
 
@@ -36,6 +36,6 @@ def test_a_seed_gives_one_map():
 def test_what_cannot_be_drawn_is_refused():
     for arguments, reason in ((("urban", 200, 1), "no style"), (("large_lots", 49, 1), "49 cells")):
         with pytest.raises(ValueError, match=reason):
-            draw_neighbourhood(0, *arguments)
+            draw_neighborhood(0, *arguments)
     with pytest.raises(ValueError, match="0 doors"):
-        draw_neighbourhood(0, "large_lots", 200, 0)
+        draw_neighborhood(0, "large_lots", 200, 0)

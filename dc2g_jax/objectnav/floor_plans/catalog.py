@@ -10,7 +10,7 @@ Limits = tuple[float, float]
 
 
 class Sizes(NamedTuple):
-    """Between which sizes a kind of furniture comes, metres.
+    """Between which sizes a kind of furniture comes, meters.
 
     Attributes:
       width: along its back.
