@@ -2,12 +2,13 @@
 
 A *board* holds one set of cells of an `h x w` grid as `uint32[n_words, h]`: bit `i` of word `j` in row `y`
 is the cell in column `32 j + i`. Set algebra on boards is `&`, `|` and `~` on whole words, so one operation
-handles 32 cells. Bits beyond column `w - 1` are padding: every set built here and intersected with a set of
-in-bounds cells keeps them zero.
+handles 32 cells. Bits beyond column `w - 1` are padding. They stay zero in every set that is intersected with a set
+of in-bounds cells.
 
-The words of one column of words lie side by side in memory, so that one vector instruction serves as many rows as it
-has lanes and a shift by rows is a shifted view. Here and in everything built on it, batch axes come last: a thousand
-boards are `uint32[n_words, h, 1000]`, and the lanes serve different robots. Functions take one board or a batch alike.
+Words of the same column of words are adjacent in memory. One vector instruction then handles as many rows as it has
+lanes, and a shift by rows is a shifted view. Functions take one board or a batch of boards. Batch axes come last, here
+and in all code built on boards: a thousand boards are `uint32[n_words, h, 1000]`. The lanes of a vector then handle
+different robots, which is faster than a batch axis in front.
 """
 
 import collections
@@ -21,7 +22,7 @@ from jaxtyping import Array, Bool, Int, UInt32
 
 WORD_BITS = 32
 
-#: Steps of a flood between two looks at whether it still grows: a look costs more than a step.
+#: Steps of a flood between two checks whether it still grows: a check costs more than a step.
 _STEPS_BETWEEN_LOOKS = 4
 
 Board = UInt32[Array, "n_words h *batch"]
@@ -82,18 +83,18 @@ def _word_at(board: Board, word: Int[Array, "*batch"], row: Int[Array, "*batch"]
 
 
 def contains(board: Board, x: Int[Array, "*batch"], y: Int[Array, "*batch"]) -> Bool[Array, "*batch"]:
-    """Is the cell in column `x`, row `y`, which must be in bounds, in the set?"""
+    """Whether the set contains the cell in column `x`, row `y`, which must be in bounds."""
     word = _word_at(board, x // WORD_BITS, y)
     return ((word >> (x % WORD_BITS).astype(jnp.uint32)) & 1) == 1
 
 
 def is_empty(board: Board) -> Bool[Array, "*batch"]:
-    """Is the set empty?"""
+    """Whether the set is empty."""
     return ~jnp.any(board != 0, axis=(0, 1))
 
 
 def intersects(a: Board, b: Board) -> Bool[Array, "*batch"]:
-    """Do two sets share a cell?"""
+    """Whether two sets share a cell."""
     return ~is_empty(a & b)
 
 
@@ -152,9 +153,9 @@ def neighbors(board: Board) -> Board:
 
 
 def flood(seed: Board, free: Board) -> Board:
-    """Cells of `free` that are 4-connected to `seed` through `free`, and `seed & free` itself.
+    """Cells of `free` that are 4-connected to `seed` through `free`, including `seed & free`.
 
-    A seed that already holds a part of the answer (the last step's, say) makes the flood shorter by as much.
+    A seed that already holds a part of the result, such as the flood of the previous step, shortens the flood.
     """
 
     def grow(_: Array, reached: Board) -> Board:
@@ -164,16 +165,16 @@ def flood(seed: Board, free: Board) -> Board:
         grown = jax.lax.fori_loop(0, _STEPS_BETWEEN_LOOKS, grow, carry[0])
         return grown, jnp.any(grown != carry[0])
 
-    # A board that is complete stays as it is while others of the batch still grow.
+    # A complete board does not change while other boards of the batch still grow.
     return jax.lax.while_loop(lambda carry: carry[1], grow_some, (seed & free, jnp.bool_(True)))[0]
 
 
 def cells_that_see(targets: Board, offsets: Offsets) -> Board:
     """Cells `p` for which `p + offset` is in `targets` for at least one of the constant `offsets` `(dx, dy)`.
 
-    The targets are framed by zeros once; every offset is then a plain view of the frame, and all of them together one
-    loop over it without a branch, which is faster than sharing the work of neighboring offsets. Offsets with the same
-    `dx` share their bit shift.
+    The targets are padded with zeros once. Every offset is then a plain view of the padded board, and all offsets form
+    one loop without a branch. This is faster than sharing work between neighboring offsets. Offsets with the same `dx`
+    share their bit shift.
     """
     by_column: dict[int, list[int]] = collections.defaultdict(list)
     for dx, dy in offsets:

@@ -1,6 +1,6 @@
-"""The gridworld: what the robot is, what it knows, and what an action does (paper, section IV-B).
+"""The gridworld: the robot, its belief and the effect of its actions (paper, section IV-B).
 
-Pure functions on one robot or on a batch of them, whose axes come last.
+Pure functions on one robot or on a batch of robots. Batch axes come last, see `dc2g_jax.grid.bitboard`.
 """
 
 import functools
@@ -29,8 +29,8 @@ class Belief:
       traversable: board of observed traversable cells.
       goals: board of observed goal cells.
       width: columns of the grid.
-      outside: board of cells that are no part of the map, where it fills only a part of the grid; they are neither
-        observed nor to be observed.
+      outside: board of the cells that are not part of the map, where the map fills only a part of the grid. They are
+        never observed and do not count as unobserved.
     """
 
     pose: Pose
@@ -61,7 +61,7 @@ class Belief:
 def _observed(
     world: World, pose: Pose, steps: Int[Array, "*batch"], seen: UInt32[Array, "n_words h *batch"], sensing: Kernel
 ) -> Belief:
-    """The belief after looking around from `pose`, having seen `seen` before."""
+    """The belief after an observation from `pose`; `seen` are the cells seen before."""
     seen = seen | sensing.visible(pose, world.opaque, world.width)
     return Belief(
         pose=pose,
@@ -75,23 +75,23 @@ def _observed(
 
 
 def reset(world: World, pose: Pose, sensing: Kernel) -> Belief:
-    """The belief at the start of an episode: what is seen from the first pose."""
+    """The belief at the start of an episode, after the observation from the first pose."""
     return _observed(world, pose, jnp.zeros_like(pose.x), jnp.zeros_like(world.goals), sensing)
 
 
 def step(world: World, belief: Belief, action: Int[Array, "*batch"], sensing: Kernel) -> Belief:
-    """Take one action, then look around. Shapes and dtypes of the belief stay what they are."""
+    """Take one action, then observe. Shapes and dtypes of the belief do not change."""
     pose = moved(belief.pose, action, belief.height, belief.width)
     return _observed(world, pose, belief.steps + 1, belief.seen, sensing)
 
 
 def at_goal(world: World, pose: Pose) -> Bool[Array, "*batch"]:
-    """Does the robot stand on a goal cell?"""
+    """Whether the robot stands on a goal cell."""
     return bitboard.contains(world.goals, pose.x, pose.y)
 
 
 def belief_from_map(observed: UInt8[Array, "h w *batch"] | UInt8[np.ndarray, "h w *batch"], pose: Pose) -> Belief:
-    """The belief of a robot that brings its own partial map.
+    """The belief of a robot that supplies its own partial map.
 
     Args:
       observed: class index of every cell, 0 where nothing has been observed; see `dc2g_jax.grid.terrain`.

@@ -1,4 +1,4 @@
-"""Which ground hangs together: what can be reached from the goals of a map, and what cannot."""
+"""Connected components of the ground, and which of it connects to a goal."""
 
 from typing import NamedTuple
 
@@ -10,12 +10,12 @@ from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
 
 
 class Piece(NamedTuple):
-    """Cells that hang together.
+    """A connected set of cells.
 
     Attributes:
-      x: column of the one nearest to their mean.
-      y: its row.
-      cells: how many there are.
+      x: column of the cell nearest to the mean of the set.
+      y: row of that cell.
+      cells: number of cells.
     """
 
     x: int
@@ -24,12 +24,12 @@ class Piece(NamedTuple):
 
 
 def component_numbers(cells: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
-    """The number of the 4-connected component that each cell belongs to, 0 where there is none."""
+    """The number of the 4-connected component of each cell, counted from 1; 0 for cells outside the set."""
     return np.asarray(cv2.connectedComponents(cells.astype(np.uint8), connectivity=4)[1])
 
 
 def pieces(cells: Bool[np.ndarray, "h w"]) -> list[Piece]:
-    """The 4-connected pieces of a set of cells, the largest first."""
+    """The 4-connected components of a set of cells, the largest first."""
     y, x = np.nonzero(cells)
     if not len(x):
         return []
@@ -48,14 +48,14 @@ def connected_to_goal(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h 
 
 
 def goals_without_ground(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Front door cells that no other traversable ground leads to, 4-connected."""
+    """Front door cells that touch no other traversable ground, 4-connected."""
     goals = terrain == FRONT_DOOR
     labels = component_numbers(TRAVERSABLE[terrain])
     return np.asarray(goals & ~np.isin(labels, labels[TRAVERSABLE[terrain] & ~goals]))
 
 
 def why_no_way(terrain: UInt8[np.ndarray, "h w"]) -> str | None:
-    """Why no ground of a map leads to a goal, or `None` where some does."""
+    """The reason why no ground of a map leads to a goal; `None` if some ground does."""
     goals = terrain == FRONT_DOOR
     if not np.any(TRAVERSABLE[terrain] & ~goals):
         return "it has no traversable ground"

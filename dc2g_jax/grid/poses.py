@@ -1,6 +1,7 @@
 """Poses (column, row, heading), the three actions, and sets of poses.
 
-A *pose set* is a stack of four boards, one a heading: `uint32[4, n_words, h]`, batch axes last.
+A *pose set* is a stack of four boards, one per heading: `uint32[4, n_words, h]`. Batch axes come last, see
+`dc2g_jax.grid.bitboard`.
 """
 
 import jax
@@ -44,7 +45,7 @@ def make_pose(x: ArrayLike, y: ArrayLike, heading: ArrayLike) -> Pose:
 
 
 def moved(pose: Pose, action: Int[Array, "*batch"], height: int, width: int) -> Pose:
-    """The pose after an action. A step forward off the map stays in place."""
+    """The pose after an action. A robot that would leave the map stays in place."""
     delta = jnp.asarray(FORWARD, jnp.int32)[pose.heading]
     forward = action == FORWARD_ACTION
     turn = jnp.where(action == LEFT_ACTION, -1, jnp.where(action == RIGHT_ACTION, 1, 0)).astype(jnp.int32)
@@ -56,35 +57,35 @@ def moved(pose: Pose, action: Int[Array, "*batch"], height: int, width: int) -> 
 
 
 def every_heading(cells: Board) -> PoseSet:
-    """All poses that stand on one of the cells."""
+    """All poses on the given cells, in all four headings."""
     return jnp.broadcast_to(cells, (HEADINGS, *cells.shape))
 
 
 def with_headings(headings: Bool[Array, "heading *batch"], cells: Board) -> PoseSet:
-    """All poses that stand on one of the cells in one of the headings."""
+    """All poses on the given cells in the given headings."""
     return jnp.where(headings[:, None, None], cells, jnp.uint32(0))
 
 
 def only(pose: Pose, n_words: int, height: int) -> PoseSet:
-    """The set that holds one pose alone."""
+    """The set that holds a single pose."""
     headings = jax.lax.broadcasted_iota(jnp.int32, (HEADINGS, *pose.heading.shape), 0) == pose.heading
     return with_headings(headings, bitboard.single(pose.x, pose.y, n_words, height))
 
 
 def contains(poses: PoseSet, pose: Pose) -> Bool[Array, "*batch"]:
-    """Is the in-bounds pose in the set?"""
+    """Whether the pose, which must be in bounds, is in the set."""
     n_words, height, *batch = poses.shape[1:]
     side_by_side = poses.reshape(HEADINGS * n_words, height, *batch)
     return bitboard.contains(side_by_side, pose.x + pose.heading * (n_words * WORD_BITS), pose.y)
 
 
 def occupied(poses: PoseSet) -> Board:
-    """The cells on which a pose of the set stands."""
+    """The cells of the poses in the set."""
     return poses[0] | poses[1] | poses[2] | poses[3]
 
 
 def is_empty(poses: PoseSet) -> Bool[Array, "*batch"]:
-    """Is the set empty?"""
+    """Whether the set is empty."""
     return bitboard.is_empty(occupied(poses))
 
 
@@ -106,6 +107,6 @@ def moved_forward(poses: PoseSet, cells: int = 1) -> PoseSet:
 
 
 def turned(poses: PoseSet) -> PoseSet:
-    """Every pose of the set turned left, and every pose turned right."""
+    """The union of the set with every pose turned left and the set with every pose turned right."""
     along_x, along_y = poses[0] | poses[2], poses[1] | poses[3]
     return jnp.stack([along_y, along_x, along_y, along_x])

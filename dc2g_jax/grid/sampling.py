@@ -1,4 +1,4 @@
-"""Sampling a semantic picture of any size onto a grid of cells."""
+"""Sampling of a semantic image of any size onto a grid of cells."""
 
 from typing import Any, TypeVar
 
@@ -14,17 +14,19 @@ Grid = TypeVar("Grid", np.ndarray, jax.Array)
 
 
 def nearest_pixels(pixels: int, samples: int) -> npt.NDArray[np.int64]:
-    """The pixel that each sample along an axis reads, see `nearest_pixel`."""
+    """The pixel that each sample along an axis reads, int64 [samples]; see `nearest_pixel`."""
     return nearest_pixel(np.arange(samples), pixels, samples)
 
 
 def nearest_pixel(index: Any, pixels: Any, samples: Any) -> Any:
-    """Of n pixels along an axis, the one that a sample reads: the nearest at its center, exact ties rounded down.
+    """The pixel along an axis that is nearest to the center of a sample. Exact ties are rounded down.
+
+    All arguments are integers or integer arrays of NumPy or JAX.
 
     Args:
-        index: i, which of the samples; like the others, a whole number or an array of them, NumPy's or JAX's.
-        pixels: n, how many there are.
-        samples: m, how many there are.
+        index: index i of the sample.
+        pixels: number n of pixels along the axis.
+        samples: number m of samples along the axis.
 
     Returns:
         (n (2 i + 1) - 1) // (2 m).
@@ -33,15 +35,15 @@ def nearest_pixel(index: Any, pixels: Any, samples: Any) -> Any:
 
 
 def resize_nearest(grid: Grid, height: int, width: int) -> Grid:
-    """Resize a grid `[h w ...]` to `[height width ...]` by nearest neighbor and nothing else, see `nearest_pixels`."""
+    """Resize a grid `[h w ...]` to `[height width ...]` by nearest neighbor, see `nearest_pixels`."""
     return grid[nearest_pixels(grid.shape[0], height)][:, nearest_pixels(grid.shape[1], width)]
 
 
 def sample_grid(classes: ClassImage, cells: int | tuple[int, int] = 50) -> ClassImage:
-    """Squeeze a class image into a grid, whatever its aspect ratio.
+    """Resample a class image of any aspect ratio to a grid.
 
-    Nearest neighbor (see `nearest_pixels`). Then `path` cells are dilated by a 3x3 square over everything, so that a
-    thin path stays connected, and `front_door` cells are put back on top.
+    Sampling is nearest neighbor, see `nearest_pixels`. `path` cells are then dilated by a 3x3 square over all other
+    classes, so that thin paths stay connected, and `front_door` cells are restored on top.
 
     Args:
         classes: class indices, uint8 [H W].

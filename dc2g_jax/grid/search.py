@@ -1,7 +1,7 @@
 """Shortest plans over poses (x, y, heading) and exact cost-to-go over cells.
 
-Wavefronts grow as whole pose sets, one action a step, so the work of a search is its length in actions times the
-number of words in the map.
+A wavefront is a pose set that grows by one action per step. The work of a search is therefore its length in actions
+times the number of words in the map. Batch axes come last, see `dc2g_jax.grid.bitboard`.
 """
 
 from collections.abc import Callable
@@ -28,17 +28,17 @@ from dc2g_jax.grid.poses import (
 )
 from dc2g_jax.grid.shifting import shifted
 
-#: Wavefront steps between two looks at whether the wavefronts still grow. Most searches end before the first.
+#: Wavefront steps between two checks whether the wavefronts still grow. Most searches end before the first check.
 _STEPS_BETWEEN_LOOKS = 32
 
 
 class _Search(NamedTuple):
-    """A wavefront under way.
+    """State of a wavefront search.
 
     Attributes:
       reached: poses reached so far.
       length: steps of the wavefront so far.
-      active: does it go on? It stands still where it has arrived, so that each search of a batch ends by itself.
+      active: whether the wavefront still grows. It stops on arrival, so each search of a batch ends by itself.
     """
 
     reached: PoseSet
@@ -53,14 +53,14 @@ def _search(
     grown: Callable[[PoseSet], PoseSet],
     arrived: Callable[[PoseSet], Bool[Array, "*batch"]],
 ) -> _Search:
-    """Let a wavefront grow over free cells until it has arrived or grows no more.
+    """Grow a wavefront over free cells until it arrives or stops growing.
 
     Args:
-      start: its first poses.
-      active: is there anything to search for?
-      free: cells it may cover.
-      grown: the poses one action further (or closer).
-      arrived: has it got where it should?
+      start: first poses of the wavefront.
+      active: whether there is anything to search for.
+      free: cells that the wavefront may cover.
+      grown: maps a pose set to the poses one action after (or before) it.
+      arrived: whether the wavefront has reached its target.
     """
 
     def grow(search: _Search) -> _Search:
@@ -85,7 +85,7 @@ def _predecessors(reached: PoseSet) -> PoseSet:
 
 
 def _successors(reached: PoseSet) -> PoseSet:
-    """Poses into which one action leads from the set."""
+    """Poses that one action reaches from the set."""
     return moved_forward(reached) | turned(reached)
 
 
@@ -95,8 +95,8 @@ class FirstAction:
 
     Attributes:
       action: 0 forward, 1 turn left, 2 turn right; forward where there is no plan.
-      length: number of actions in the plan; 0 where there is none or the pose is a target already.
-      found: does a plan exist?
+      length: number of actions in the plan; 0 where there is no plan or the pose is already a target.
+      found: whether a plan exists.
     """
 
     action: Int[Array, "*batch"]
@@ -108,12 +108,12 @@ def first_action(pose: Pose, targets: PoseSet, free: Board) -> FirstAction:
     """First action of the lexicographically smallest shortest plan from `pose` into `targets` (Algorithm 2, line 12).
 
     Actions are ordered forward, left, right. The wavefront grows backward from the targets and stops one action short
-    of the robot, so neither a distance field nor a table of parents is kept: it has then reached just those of the
-    robot's three next poses that are one action closer.
+    of the robot. Of the robot's three next poses it has then reached exactly those that are one action closer, so
+    neither a distance field nor a table of parents is needed.
 
     Args:
       pose: where the robot is.
-      targets: poses to reach; those not on free cells are ignored.
+      targets: poses to reach; targets outside the free cells are ignored.
       free: cells the robot may use; a plan never leaves them.
     """
     start = targets & free
@@ -140,7 +140,7 @@ def first_action(pose: Pose, targets: PoseSet, free: Board) -> FirstAction:
 def first_headings(
     pose: Pose, x: Int[Array, "*batch"], y: Int[Array, "*batch"], free: Board
 ) -> Bool[Array, "heading *batch"]:
-    """The headings in which a robot can first stand on the cell in column `x`, row `y`; none if it cannot get there.
+    """The headings in which a robot can first arrive on the cell in column `x`, row `y`; none if it is unreachable.
 
     Args:
       pose: where the robot is.
@@ -162,9 +162,9 @@ class _Counts(NamedTuple):
     """Bit-sliced distances of poses.
 
     Attributes:
-      start: the pose they are counted from, distance 0.
+      start: the pose at distance 0.
       reached: poses with a distance.
-      planes: distance less one in Gray code, highest bit first: a plane holds the poses whose code has that bit.
+      planes: distance minus one in Gray code, highest bit first. Each plane holds the poses whose code has that bit.
     """
 
     start: PoseSet
@@ -172,15 +172,15 @@ class _Counts(NamedTuple):
     planes: UInt32[Array, "bit heading n_words h *batch"]
 
 
-#: Wavefront steps counted in the low planes before the high planes are touched, as a power of two.
+#: Wavefront steps counted in the low planes between two changes of the high planes, as a power of two.
 _LOW_BITS = 4
 
 
 def _count(pose: Pose, free: Board) -> _Counts:
     """Distances from a pose in actions, counted while the wavefront grows.
 
-    A step adds one to the count of every pose not yet reached. In Gray code consecutive numbers differ in one bit, so
-    that adding one is an exclusive or with one plane: with one of the low ones, or once in a while with a high one.
+    A step adds one to the count of every pose not yet reached. Consecutive numbers differ in one bit of Gray code, so
+    adding one is an exclusive or with one plane: usually a low plane, now and then a high plane.
     """
     n_words, height = free.shape[:2]
     start = only(pose, n_words, height) & free
@@ -201,7 +201,7 @@ def _count(pose: Pose, free: Board) -> _Counts:
     def grow_a_round(carry: tuple[PoseSet, Array, Array, Array, Array]) -> tuple[PoseSet, Array, Array, Array, Array]:
         before, low, high, rounds, _ = carry
         reached, low = jax.lax.fori_loop(0, 2**_LOW_BITS, grow, (before, low))
-        # The last of these steps flips none of the low bits but a high one.
+        # The last of these steps flips a high bit instead of a low one.
         high = flipped(high, trailing_ones(rounds), ~reached)
         return reached, low, high, rounds + 1, jnp.any(reached != before)
 
@@ -230,23 +230,24 @@ def distances(pose: Pose, free: Board, width: int) -> Int[Array, "heading h w *b
 def nearest_headings(
     pose: Pose, candidates: PoseSet, free: Board, width: int
 ) -> tuple[PoseSet, Int[Array, "h w *batch"]]:
-    """For every cell the candidate headings that are reached soonest, and the number of actions to them.
+    """The candidate headings of every cell that are reached soonest, and the number of actions to reach them.
 
     Args:
-      pose: where the robot is; must not be a candidate.
-      candidates: poses to compare; those that cannot be reached are ignored.
+      pose: pose of the robot; must not be a candidate.
+      candidates: poses to compare; unreachable candidates are ignored.
       free: cells the robot may use.
       width: columns of the map.
 
     Returns:
-      The nearest candidates of every cell, and their distance; without meaning on cells without candidates.
+      The nearest candidates of every cell, and their distance in actions. The distance is undefined on cells without
+      candidates.
     """
     counts = _count(pose, free)
 
     def compare(carry: tuple[PoseSet, PoseSet], plane: PoseSet) -> tuple[tuple[PoseSet, PoseSet], Board]:
         nearest, binary = carry
         binary = binary ^ plane
-        # Bit by bit from the highest: where a candidate has a zero, those with a one are farther.
+        # From the highest bit to the lowest: where one candidate has a zero, candidates with a one are farther.
         without = nearest & ~binary
         some_without = poses.occupied(without)
         return (nearest & ~(binary & some_without), binary), ~some_without
@@ -293,17 +294,18 @@ def cost_to_go(
 ) -> Float[Array, "h w *batch"]:
     """Exact least travel cost from every cell to the nearest goal cell, in cells (Algorithm 1, line 5).
 
-    Over traversable cells and goal cells; a straight step costs 1 and a diagonal one sqrt 2, also past corners. Where
-    no goal cell touches traversable ground the goal is grown by 3x3 squares until it does. The least cost is kept as
-    two whole numbers, straight and diagonal steps, so that it is rounded once and equal costs compare equal.
+    Steps lead over traversable cells and goal cells. A straight step costs 1, a diagonal step sqrt 2; diagonal steps
+    past corners are allowed. Where no goal cell touches traversable ground, the goal is dilated by 3x3 squares until it
+    does. The cost is kept as two integers, the numbers of straight and diagonal steps. It is therefore rounded only
+    once, and equal costs compare equal.
 
     Args:
       traversable: cells a robot may drive on.
       goals: goal cells.
-      moves: steps between cells: `EIGHT_CONNECTED` as in the paper, or `FOUR_CONNECTED` as the robot drives.
+      moves: allowed steps between cells: `EIGHT_CONNECTED` as in the paper, or `FOUR_CONNECTED` as the robot drives.
 
     Returns:
-      float32 costs; infinity where not traversable or cut off from every goal.
+      float32 costs; infinity on cells that are not traversable or cannot reach a goal.
     """
     goals = _grown_goals(traversable, goals)
     free = traversable | goals

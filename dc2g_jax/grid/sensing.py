@@ -1,7 +1,8 @@
-"""What a robot sees from a pose: constant kernels of offsets, one for each heading, placed on the map.
+"""Which cells a robot sees from a pose: kernels of constant offsets, one set per heading.
 
-The paper's field of view has no occlusion, so it is four constant sets of offsets moved to the robot's cell. With it
-(`line_of_sight`), a cell is seen through another one next to it that is nearer to the robot, all the way: a tree.
+The paper's field of view has no occlusion: it is four constant sets of offsets, moved to the robot's cell. With
+occlusion (`line_of_sight`), the offsets form a tree: a cell is seen through an adjacent cell nearer to the robot, which
+is its parent. Batch axes come last, see `dc2g_jax.grid.bitboard`.
 """
 
 import dataclasses
@@ -17,17 +18,17 @@ from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.bitboard import WORD_BITS, Board
 from dc2g_jax.grid.poses import FORWARD, HEADINGS, Pose, PoseSet
 
-#: Farthest reach of a field of view that can be asked for, in cells: kernels grow with its square.
+#: Largest sensing range that options accept, in cells: the size of a kernel grows with its square.
 MAX_SENSING_RANGE = 64
 
 
 @dataclasses.dataclass(frozen=True)
 class Kernel:
-    """A set of offsets from the robot's cell for each heading. Hashable, so a static value under `jit`.
+    """A set of offsets from the robot's cell for each heading. Hashable, so it can be a static argument of `jit`.
 
     Attributes:
-      radius: largest absolute offset along x or y that can occur, in cells.
-      offsets: for each of the four headings, the offsets `(dx, dy)`.
+      radius: bound on the absolute offsets along x and y, in cells.
+      offsets: the offsets `(dx, dy)` of each of the four headings.
     """
 
     radius: int
@@ -46,8 +47,8 @@ class Kernel:
         """The in-bounds cells that are seen from a pose.
 
         Args:
-          pose: of the robot.
-          opaque: cells that hide what is behind them. Nothing does here.
+          pose: pose of the robot.
+          opaque: cells that hide what is behind them. This kernel ignores them.
           width: columns of the grid.
         """
         return visible(self, pose, opaque.shape[1], width)
@@ -58,7 +59,7 @@ class Kernel:
         return poses_that_see(targets, self)
 
     def count_seen(self, targets: Board, opaque: Board, width: int) -> UInt[Array, "heading h w *batch"]:
-        """How many target cells are seen from every pose, see `visible`.
+        """Number of target cells that are seen from every pose, see `visible`.
 
         Args:
           targets: cells to count.
@@ -71,7 +72,7 @@ class Kernel:
         framed = jnp.pad(bitboard.unpack(targets, width).astype(self._count), frame)
 
         def counted(offsets: tuple[tuple[int, int], ...]) -> Array:
-            # Small numbers fill a vector by the dozen: faster than sharing the work of neighboring cells.
+            # Many small integers fit into a vector: this is faster than sharing work between neighboring cells.
             views = (framed[radius + dy :, radius + dx :][:height, :width] for dx, dy in offsets)
             return functools.reduce(jnp.add, views)
 
@@ -79,7 +80,7 @@ class Kernel:
 
     @property
     def _count(self) -> type:
-        """Integers that can count the cells in view."""
+        """The integer type that can count the cells in view."""
         return jnp.uint8 if max(map(len, self.offsets)) < 256 else jnp.uint16
 
     @classmethod
@@ -95,12 +96,12 @@ class Kernel:
 
 @dataclasses.dataclass(frozen=True)
 class OccludedKernel(Kernel):
-    """A set of offsets that are seen only where nothing stands in between.
+    """A set of offsets that are seen only where nothing opaque is in between.
 
-    An offset is seen through its parent: the one a cell less ahead that is next to the straight line to the robot. It
-    is hidden where the parent is, or where something opaque stands in the parent's cell; the robot's own hides nothing.
-    What is hidden behind a cell that is seen therefore comes to light cell after cell: a robot that goes where it might
-    see something unobserved, for all it knows, observes something there.
+    An offset is seen through its parent: the offset one cell less ahead that lies next to the straight line to the
+    robot. A cell is hidden if its parent is hidden or opaque; the robot's own cell hides nothing. Hidden cells are
+    therefore revealed one after the other: a robot that drives to a pose from which, as far as it knows, it would see
+    something unobserved does observe something new there.
     """
 
     def visible(self, pose: Pose, opaque: Board, width: int) -> Board:
@@ -111,11 +112,11 @@ class OccludedKernel(Kernel):
         inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
         is_opaque = jax.vmap(functools.partial(bitboard.contains, opaque))
         hides = is_opaque(jnp.clip(x, 0, width - 1), jnp.clip(y, 0, height - 1)) & inside
-        # The robot's own cell is the first, and hides nothing.
+        # The robot's own cell comes first and hides nothing.
         through = jnp.concatenate([jnp.ones_like(hides[:1]), ~hides[1:]])
         parents = jnp.moveaxis(parents, -1, 0)
         seen = jnp.ones_like(inside)
-        # An offset is as many steps away from the robot as it lies ahead.
+        # The depth of an offset in the tree is its distance ahead.
         for _ in range(self.radius):
             seen = jnp.take_along_axis(seen & through, parents, axis=0)
         cells = bitboard.single(x, jnp.where(seen & inside, y, -1), *opaque.shape[:2])
@@ -126,7 +127,7 @@ class OccludedKernel(Kernel):
         return self._over_offsets(jnp.bitwise_or, targets, targets, opaque)
 
     def count_seen(self, targets: Board, opaque: Board, width: int) -> UInt[Array, "heading h w *batch"]:
-        """How many target cells are seen from every pose, see `Kernel.count_seen`."""
+        """Number of target cells that are seen from every pose, see `Kernel.count_seen`."""
 
         def add(count: Array, more: Board) -> Array:
             return count + bitboard.unpack(more, width)
@@ -136,11 +137,11 @@ class OccludedKernel(Kernel):
     def _over_offsets(
         self, add: Callable[[Array, Board], Array], own: Array, targets: Board, opaque: Board
     ) -> Shaped[Array, "heading ..."]:
-        """`add(result so far, cells from which a target is seen at the offset)` over the offsets of each heading.
+        """Fold `add(result so far, cells from which a target is seen at the offset)` over the offsets of each heading.
 
         Args:
-          add: what to do for each offset but the robot's own cell.
-          own: the result of that one.
+          add: called for each offset except the robot's own cell.
+          own: the result for the robot's own cell, with which the fold begins.
           targets: cells to see.
           opaque: cells that hide what is behind them.
         """
@@ -167,7 +168,7 @@ class OccludedKernel(Kernel):
         return jax.lax.map(all_offsets, tuple(jnp.asarray(table) for table in self._tree()))
 
     def _tree(self) -> tuple[Int[np.ndarray, "heading offsets"], ...]:
-        """Columns and rows of the offsets, the robot's own first, parents before children, and number of the parent."""
+        """Columns, rows and parents' indices of the offsets; the robot's own cell first, parents before children."""
         dx, dy, parents = [], [], []
         for heading, (ex, ey) in enumerate(FORWARD):
             ahead_and_lateral = sorted((dx * ex + dy * ey, dy * ex - dx * ey) for dx, dy in self.offsets[heading])
@@ -179,16 +180,16 @@ class OccludedKernel(Kernel):
 
 
 def _toward_the_robot(ahead: int, lateral: int) -> tuple[int, int]:
-    """The offset one cell less ahead that is next to the straight line, the one nearer to the middle of two."""
+    """The parent: one cell less ahead, next to the straight line to the robot; of two, the one nearer to the middle."""
     if ahead == 0:
         return 0, 0
-    # Rounded toward the middle, a parent lies within the wedge.
+    # Rounding toward the middle keeps the parent within the wedge.
     beside = (2 * abs(lateral) * (ahead - 1) + ahead - 1) // (2 * ahead)
     return ahead - 1, beside if lateral > 0 else -beside
 
 
 def _turned(ahead_and_lateral: list[tuple[int, int]], radius: int) -> Kernel:
-    """The kernel whose offsets for heading 0 are the given `(ahead, lateral)`, turned to all four headings."""
+    """The kernel whose offsets are the given `(ahead, lateral)`, rotated to each of the four headings."""
     array = np.zeros((HEADINGS, 2 * radius + 1, 2 * radius + 1), dtype=bool)
     for heading, (ex, ey) in enumerate(FORWARD):
         for ahead, lateral in ahead_and_lateral:
@@ -220,7 +221,7 @@ def field_of_view(radius: int) -> Kernel:
 
 @functools.cache
 def line_of_sight(radius: int) -> OccludedKernel:
-    """The field of view in which houses, trees and other tall things hide what is behind them.
+    """The field of view with occlusion: houses, trees and other opaque cells hide what is behind them.
 
     Raises:
       ValueError: if `radius` is less than 1.
@@ -230,7 +231,7 @@ def line_of_sight(radius: int) -> OccludedKernel:
 
 @functools.cache
 def expanding_kernel(radius: int) -> Kernel:
-    """Offsets from a robot to the frontier cells it is taken to see past, in the authors' published code.
+    """Offsets from a robot to the frontier cells that the authors' published code assumes it sees past.
 
     The open wedge of range `radius` eroded by a 3x3 square inside its window, plus the cells 0, 1 and 2 ahead.
 
@@ -254,7 +255,8 @@ def expanding_kernel(radius: int) -> Kernel:
 def _kernel_runs(kernel: Kernel) -> list[Int[np.ndarray, "bound heading dy"]]:
     """The kernel as horizontal runs: arrays of first and last `dx` for each heading and row, `dy = -radius - 1` first.
 
-    As many arrays as the fullest row has runs; a row with fewer has empty ones, as have the rows beyond the kernel.
+    There are as many arrays as the row with the most runs has. Rows with fewer runs, and the rows beyond the kernel,
+    have empty runs.
     """
     padded = np.pad(kernel.as_array(), ((0, 0), (1, 1), (1, 1)))
     change = np.diff(padded.astype(np.int8), axis=-1)
@@ -270,7 +272,7 @@ def _kernel_runs(kernel: Kernel) -> list[Int[np.ndarray, "bound heading dy"]]:
 
 
 def _bits_below(end: Int[Array, "..."]) -> UInt32[Array, "..."]:
-    """A word's lowest `end` bits: none for negative numbers, all for 32 and more."""
+    """A word with its lowest `end` bits set: none for negative `end`, all for 32 and more."""
     all_bits = jnp.uint32(0xFFFFFFFF)
     some = ~(all_bits << jnp.clip(end, 0, WORD_BITS - 1).astype(jnp.uint32))
     return jnp.where(end >= WORD_BITS, all_bits, some)

@@ -1,4 +1,4 @@
-"""Terrain classes of a semantic map: their names, colors and which of them a robot may drive on."""
+"""Terrain classes of a semantic map: names, colors, and which classes are traversable or opaque."""
 
 import numpy as np
 
@@ -28,7 +28,7 @@ CLASS_NAMES: tuple[str, ...] = tuple(_PALETTE)
 #: Class index -> RGB color, uint8 [class 3].
 CLASS_COLORS = np.array(list(_PALETTE.values()), np.uint8)
 
-#: The most classes: indices are bytes, and the two highest bytes mark what is no class while an image is read.
+#: The most classes: indices are bytes, and the two highest values mark colors without a class while an image is read.
 MOST_CLASSES = 254
 if len(CLASS_NAMES) > MOST_CLASSES:
     raise ValueError(
@@ -38,7 +38,7 @@ if len(CLASS_NAMES) > MOST_CLASSES:
 #: Bits in a class index.
 CLASS_BITS = (len(CLASS_NAMES) - 1).bit_length()
 
-#: Stands for a class index in cells beyond the edge of a map.
+#: Class index of cells beyond the edge of a map.
 OUTSIDE = len(CLASS_NAMES)
 
 UNKNOWN = 0
@@ -53,10 +53,10 @@ SIDEWALK = CLASS_NAMES.index("sidewalk")
 
 _TRAVERSABLE_NAMES = ("front_door", "road", "driveway", "path", "sidewalk", "traversable")
 
-#: Class index -> may the robot drive there? bool [class].
+#: Class index -> whether the robot may drive on it, bool [class].
 TRAVERSABLE = np.array([name in _TRAVERSABLE_NAMES for name in CLASS_NAMES])
 
 _OPAQUE_NAMES = ("car", "house", "fence", "tree", "bush", "garage door")
 
-#: Class index -> does it hide what is behind it from a camera a meter above the ground? bool [class].
+#: Class index -> whether it hides what is behind it from a camera one meter above the ground, bool [class].
 OPAQUE = np.array([name in _OPAQUE_NAMES for name in CLASS_NAMES])

@@ -1,4 +1,4 @@
-"""One house: its terrain and the cell sets derived from it."""
+"""A world: the terrain of one house and the cell sets derived from it. Batch axes come last, see `bitboard`."""
 
 import functools
 
@@ -64,7 +64,7 @@ def world_from_terrain(classes: UInt8[Array, "h w *batch"] | UInt8[np.ndarray, "
     """The world of a grid of class indices; every front door cell is a goal.
 
     Args:
-      classes: class index of every cell; further axes make a batch of worlds.
+      classes: class index of every cell; trailing axes make a batch of worlds.
     """
     classes = jnp.asarray(classes, jnp.uint8)
     return World(

@@ -1,1 +1,1 @@
-"""From depth images with class labels to the map a planner plans on (paper, section III-C), and a simulated camera."""
+"""Semantic maps from depth images with class labels (paper, section III-C), and a simulated camera."""

@@ -1,15 +1,16 @@
-"""Frames from AirSim, the simulator of the paper's Unreal experiments (sections III-C, IV-D), over its own protocol.
+"""Client for AirSim, the simulator of the paper's Unreal experiments (sections III-C, IV-D).
 
-AirSim's Python package needs a web server of 2018, and none of it is needed here: AirSim speaks MessagePack-RPC, so a
-request is the array [0, number, method, parameters] and its answer [1, number, error, result], one after the other
-over TCP. `pip install "dc2g_jax[airsim]"` gets `msgpack`, which is all it takes. Layouts of messages are those of
-AirLib's `RpcLibAdaptorsBase.hpp`, version 1 of the protocol; Cosys-AirSim has version 4 and other image requests.
+AirSim's own Python package depends on a web server from 2018 and is not used. This module speaks AirSim's protocol,
+MessagePack-RPC over TCP: a request is the array [0, number, method, parameters], an answer is [1, number, error,
+result]. Its only requirement is `msgpack` (`pip install "dc2g_jax[airsim]"`). The layouts of messages follow AirLib's
+`RpcLibAdaptorsBase.hpp`, version 1 of the protocol. Cosys-AirSim has version 4 and other image requests, and is not
+supported.
 
-AirSim's frame is x north, y east, z down, in meters from where the vehicle starts; its bodies look along x, with y to
-the right and z down. The world here has x east, y north, z up, and its origin lies where `Camera.origin` says.
+AirSim's frame is x north, y east, z down, in meters from the start of the vehicle. A body looks along x, with y to the
+right and z down. The world frame here is x east, y north, z up; `Camera.origin` gives its origin.
 
-Set in AirSim's `settings.json` one size and field of view for the images of types 0 (scene), 1 (planar depth) and 5
-(segmentation): they must show the same pixels.
+In AirSim's `settings.json`, give the images of types 0 (scene), 1 (planar depth) and 5 (segmentation) the same size
+and field of view: they must show the same pixels.
 """
 
 import dataclasses
@@ -27,7 +28,7 @@ from dc2g_jax.grid.terrain import CLASS_NAMES, UNKNOWN
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, intrinsics
 from dc2g_jax.mapping.quaternions import quaternion_from_rotation, rotation_from_quaternion
 
-#: Where AirSim listens if its settings say nothing else.
+#: AirSim's default port.
 PORT = 41451
 
 #: Types of images (`ImageCaptureBase::ImageType`).
@@ -41,10 +42,10 @@ _REQUEST, _RESPONSE = 0, 1
 #: Bytes taken from the socket at once.
 _CHUNK = 1 << 16
 
-#: What is farther than this is sky, meters: AirSim's depth has no other word for it.
+#: Depths beyond this are sky, meters: AirSim's depth images have no other mark for it.
 _SKY = 1000.0
 
-#: World from AirSim's frame, and AirSim's body from the camera's axes right, down and forward.
+#: Rotations from AirSim's frame to the world, and from the camera's axes right, down, forward to AirSim's body.
 _WORLD_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 _BODY_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
@@ -53,12 +54,12 @@ class AirSim:
     """A connection to a running AirSim. Use it in a `with` statement, or `close` it.
 
     Args:
-      host: where AirSim runs.
-      port: where it listens.
-      timeout: seconds that a request may take in all; none waits for longer.
+      host: host on which AirSim runs.
+      port: port on which it listens.
+      timeout: longest total duration of a request, seconds.
 
     Raises:
-      InputError: nothing listens there, it does not answer, it is no AirSim of this version, or `msgpack` is missing.
+      InputError: nothing listens there, it does not answer, it is not a supported AirSim, or `msgpack` is missing.
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = PORT, timeout: float = 10.0):
@@ -68,7 +69,7 @@ class AirSim:
             raise InputError('msgpack: is not installed; run: pip install "dc2g_jax[airsim]"') from None
         self._address, self._timeout, self._number = f"{host}:{port}", timeout, 0
         self._pack = msgpack.packb
-        # Old versions send images as text that is none.
+        # Old versions declare the bytes of images as text, which they are not.
         self._unpacker = msgpack.Unpacker(raw=False, unicode_errors="surrogateescape")
         try:
             self._socket = socket.create_connection((host, port), timeout)
@@ -96,14 +97,14 @@ class AirSim:
         """Send one request and wait for its answer.
 
         Args:
-          method: name of a function of AirSim.
-          parameters: its parameters, made of numbers, text, lists and dictionaries.
+          method: name of an AirSim function.
+          parameters: its parameters: numbers, text, lists and dictionaries.
 
         Returns:
-          The result, made of the same.
+          The result: numbers, text, lists and dictionaries.
 
         Raises:
-          InputError: no answer in time, the connection is gone, or AirSim says that something is wrong.
+          InputError: no answer in time, the connection is lost, or AirSim reports an error.
         """
         self._number += 1
         deadline = time.monotonic() + self._timeout
@@ -111,7 +112,7 @@ class AirSim:
             self._socket.settimeout(self._timeout)
             self._socket.sendall(self._pack([_REQUEST, self._number, method, list(parameters)]))
             answer = self._receive(deadline)
-            # What comes too late belongs to a request that was given up.
+            # A late answer belongs to an earlier request that timed out.
             while self._is_late(answer):
                 answer = self._receive(deadline)
         except TimeoutError:
@@ -131,10 +132,10 @@ class AirSim:
         return answer[3]
 
     def _is_late(self, answer: Any) -> bool:
-        """Is this the answer to an earlier request?
+        """Whether this is the answer to an earlier request.
 
         Raises:
-          ValueError: it is the answer to none.
+          ValueError: it is not the answer to any request.
         """
         if not (isinstance(answer, list) and len(answer) == 4 and answer[0] == _RESPONSE):
             raise ValueError(f"a {type(answer).__name__} instead of [1, number, error, result]")
@@ -143,7 +144,7 @@ class AirSim:
         return bool(answer[1] < self._number)
 
     def _receive(self, deadline: float) -> Any:
-        """The next message; msgpack's own errors are `ValueError`s."""
+        """The next message. The errors of msgpack are `ValueError`s."""
         while True:
             for message in self._unpacker:
                 return message
@@ -157,7 +158,7 @@ class AirSim:
             self._unpacker.feed(data)
 
     def _confirm(self) -> None:
-        """See that this is an AirSim of this version, as AirSim's own `confirmConnection` does."""
+        """Check that this is an AirSim of the supported version, as AirSim's own `confirmConnection` does."""
         if self.call("ping") is not True:
             raise InputError(f"AirSim at {self._address}: does not answer a ping with true; give AirSim's own port")
         for method in ("getServerVersion", "getMinRequiredClientVersion"):
@@ -169,13 +170,13 @@ class AirSim:
 
 @dataclasses.dataclass(frozen=True)
 class Camera:
-    """A camera of AirSim, and how what it delivers is understood.
+    """A camera of AirSim, and how to interpret its images.
 
     Attributes:
-      palette: what the colors of segmentation images stand for; a color that is not in it is not labeled.
-      name: of the camera, as in AirSim's settings.
-      vehicle: that carries it; AirSim's first where empty.
-      origin: where the vehicle started, in the world: x and y in meters, and AirSim's zero height over the ground.
+      palette: classes of the colors of segmentation images; a color that is not in the palette has no label.
+      name: name of the camera, as in AirSim's settings.
+      vehicle: vehicle that carries the camera; if empty, AirSim's first vehicle.
+      origin: start of the vehicle in the world: x, y, and the height of AirSim's zero above the ground, meters.
     """
 
     palette: Palette
@@ -185,12 +186,12 @@ class Camera:
 
 
 class Capture(NamedTuple):
-    """What AirSim's camera has delivered; NumPy arrays on the host.
+    """The images of one moment; NumPy arrays on the host.
 
     Attributes:
       frame: depth, classes and pose.
-      picture: the scene, RGB.
-      seconds: AirSim's time.
+      picture: image of the scene, RGB.
+      seconds: AirSim's time, seconds.
     """
 
     frame: Frame
@@ -199,10 +200,10 @@ class Capture(NamedTuple):
 
 
 def capture(airsim: AirSim, camera: Camera) -> Capture:
-    """Take depth, segmentation and scene of one moment.
+    """Take the depth, segmentation and scene images of one moment.
 
     Raises:
-      InputError: AirSim refuses, or sends an image of another size or kind than it says.
+      InputError: AirSim reports an error, or an image has another size or kind than AirSim states.
     """
     kinds = ((SCENE, False), (DEPTH_PLANAR, True), (SEGMENTATION, False))
     requests = [
@@ -234,7 +235,7 @@ def camera_intrinsics(airsim: AirSim, camera: Camera, height: int, width: int) -
     """The intrinsics of a camera whose images have this size.
 
     Raises:
-      InputError: AirSim refuses, or says something impossible.
+      InputError: AirSim reports an error or an impossible field of view.
     """
     degrees = _call_of_camera(airsim, "simGetCameraInfo", camera.name, camera.vehicle)["fov"]
     if not 0 < degrees < 180:
@@ -243,13 +244,13 @@ def camera_intrinsics(airsim: AirSim, camera: Camera, height: int, width: int) -
 
 
 def vehicle_pose(airsim: AirSim, camera: Camera) -> CameraPose:
-    """Where the vehicle is: the pose of a camera in its middle that looks ahead."""
+    """The vehicle's pose, as the pose of a camera in its middle that looks ahead."""
     pose = airsim.call("simGetVehiclePose", camera.vehicle)
     return _world_pose(pose["position"], pose["orientation"], camera.origin)
 
 
 def set_vehicle_pose(airsim: AirSim, camera: Camera, pose: CameraPose) -> None:
-    """Put the vehicle where a camera in its middle that looks ahead has this pose, through whatever is in the way."""
+    """Place the vehicle so that a camera in its middle that looks ahead has this pose. Collisions are ignored."""
     position = _WORLD_FROM_NED.T @ (np.asarray(pose.position, np.float64) - camera.origin)
     rotation = _WORLD_FROM_NED.T @ np.asarray(pose.rotation, np.float64) @ _BODY_FROM_CAMERA.T
     ned = {"position": _named("xyz", position), "orientation": _named("xyzw", quaternion_from_rotation(rotation))}
@@ -257,17 +258,17 @@ def set_vehicle_pose(airsim: AirSim, camera: Camera, pose: CameraPose) -> None:
 
 
 def drive(airsim: AirSim, camera: Camera, throttle: float, steering: float, brake: float = 0.0) -> None:
-    """Set the pedals and the wheel of a car, which AirSim then holds.
+    """Set the controls of a car. AirSim holds them until the next call.
 
     Args:
       airsim: the connection.
-      camera: on which vehicle.
-      throttle: -1 to 1; below 0 in reverse gear.
+      camera: a camera on the car.
+      throttle: -1 to 1; negative values drive in reverse gear.
       steering: -1 (left) to 1 (right).
       brake: 0 to 1.
 
     Raises:
-      InputError: AirSim refuses, or a number is out of its range.
+      InputError: AirSim reports an error, or a number is out of range.
     """
     for name, value, low in (("throttle", throttle, -1), ("steering", steering, -1), ("brake", brake, 0)):
         if not low <= value <= 1:
@@ -287,14 +288,14 @@ def drive(airsim: AirSim, camera: Camera, throttle: float, steering: float, brak
 
 
 def label_objects(airsim: AirSim, object_ids: Mapping[str, int]) -> None:
-    """Give objects of AirSim's scene the numbers that decide their color in segmentation images.
+    """Set the object numbers that determine colors in segmentation images.
 
     Args:
       airsim: the connection.
-      object_ids: regular expression of names of meshes -> number from 0 to 255; later ones win.
+      object_ids: regular expression for names of meshes -> number from 0 to 255; later entries take precedence.
 
     Raises:
-      InputError: AirSim refuses, or no mesh has such a name.
+      InputError: AirSim reports an error, or no mesh has such a name.
     """
     for pattern, number in object_ids.items():
         if not 0 <= number <= 255:
@@ -304,7 +305,7 @@ def label_objects(airsim: AirSim, object_ids: Mapping[str, int]) -> None:
 
 
 def _call_of_camera(airsim: AirSim, method: str, *parameters: Any) -> Any:
-    """Call a function about a camera; some versions also want to be told that it is on a vehicle, not in the scene."""
+    """Call a function of a camera. Some versions need a further argument: the camera is on a vehicle, not external."""
     try:
         return airsim.call(method, *parameters, False)
     except InputError as error:
@@ -314,12 +315,12 @@ def _call_of_camera(airsim: AirSim, method: str, *parameters: Any) -> Any:
 
 
 def _meters(answer: Mapping[str, Any]) -> Float[np.ndarray, "h w"]:
-    """The image of an answer with a number a pixel."""
+    """The depth image of an answer, one number per pixel, meters."""
     return _shaped(answer, np.asarray(answer["image_data_float"], np.float32), 1)[..., 0]
 
 
 def _pixels(answer: Mapping[str, Any]) -> UInt8[np.ndarray, "h w 3"]:
-    """The RGB image of an answer; what is sent is blue, green, red, and opacity in old versions."""
+    """The RGB image of an answer. AirSim sends blue, green, red and, in old versions, opacity."""
     data = answer["image_data_uint8"]
     values = np.frombuffer(data.encode("utf-8", "surrogateescape") if isinstance(data, str) else data, np.uint8)
     channels = 4 if values.size == 4 * answer["height"] * answer["width"] else 3
@@ -327,7 +328,7 @@ def _pixels(answer: Mapping[str, Any]) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def _shaped(answer: Mapping[str, Any], values: np.ndarray, channels: int) -> np.ndarray:
-    """The values as an image of the size that is said to be."""
+    """The values as an image of the size that the answer states."""
     height, width = answer["height"], answer["width"]
     if not values.size == height * width * channels > 0:
         raise InputError(
@@ -340,7 +341,7 @@ def _shaped(answer: Mapping[str, Any], values: np.ndarray, channels: int) -> np.
 def _world_pose(
     position: Mapping[str, float], orientation: Mapping[str, float], origin: tuple[float, ...]
 ) -> CameraPose:
-    """A pose in the world of something that AirSim says is here and turned so."""
+    """The world pose of something with this position and orientation in AirSim's frame."""
     ned = np.array([position[f"{axis}_val"] for axis in "xyz"])
     turn = rotation_from_quaternion(np.array([orientation[f"{axis}_val"] for axis in "xyzw"]))
     place: Any = (_WORLD_FROM_NED @ ned + origin).astype(np.float32)

@@ -1,13 +1,13 @@
-"""Pinhole cameras: what a pixel of a depth image says about the world.
+"""Pinhole cameras: intrinsics, poses, and the points in the world that pixels of depth images show.
 
 World frame, right-handed, meters: x along the map's columns, y against its rows, z up; the ground is z = 0. The center
 of the cell in column c and row r is x = (c + 0.5) cell_size, y = -(r + 0.5) cell_size.
 
-Camera frame, as in OpenCV and ROS: x right, y down, z forward. Pixel (u, v) is column and row, its center lies at whole
-numbers, and its ray is ((u - center_x) / focal_x, (v - center_y) / focal_y, 1). Depth is measured along the optical
-axis.
+Camera frame, as in OpenCV and ROS: x right, y down, z forward. Pixel (u, v) is column and row; centers of pixels have
+integer coordinates. The ray of a pixel is ((u - center_x) / focal_x, (v - center_y) / focal_y, 1). Depth is measured
+along the optical axis.
 
-All functions are for one camera; `jax.vmap` makes them take many.
+All functions take one camera; use `jax.vmap` for batches.
 """
 
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ from dc2g_jax.errors import InputError
 
 @struct.dataclass
 class Intrinsics:
-    """How a camera without distortion forms its image.
+    """Intrinsics of a pinhole camera without distortion.
 
     Attributes:
       focal_x: focal length along a row, pixels.
@@ -41,11 +41,11 @@ class Intrinsics:
 
 @struct.dataclass
 class CameraPose:
-    """Where a camera is and how it is turned.
+    """Position and orientation of a camera.
 
     Attributes:
-      position: of the camera in the world, meters.
-      rotation: from the camera's frame to the world's; its columns are the camera's axes right, down and forward.
+      position: position of the camera in the world, meters.
+      rotation: rotation from camera frame to world frame; its columns are the camera's axes right, down and forward.
     """
 
     position: Float[Array, "3"]
@@ -54,12 +54,12 @@ class CameraPose:
 
 @struct.dataclass
 class Frame:
-    """What a camera delivers at one moment.
+    """Depth image, class image and pose of one moment.
 
     Attributes:
-      depth: along the optical axis, meters; 0 where nothing came back.
-      classes: class index of each pixel, see `dc2g_jax.grid.terrain`; 0 where it is not labeled.
-      pose: where the camera was.
+      depth: depth along the optical axis, meters; 0 for pixels without return.
+      classes: class index of each pixel, see `dc2g_jax.grid.terrain`; 0 without label.
+      pose: pose of the camera.
     """
 
     depth: Float[Array, "h w"]
@@ -71,7 +71,7 @@ def intrinsics(field_of_view_degrees: float, height: int, width: int) -> Intrins
     """A camera with square pixels and the principal point in the middle of the image.
 
     Args:
-      field_of_view_degrees: between the outer edges of the first and of the last column, above 0 and below 180.
+      field_of_view_degrees: angle between the outer edges of the first and the last column, above 0 and below 180.
       height: rows of the image.
       width: columns of the image.
     """
@@ -87,14 +87,14 @@ def intrinsics(field_of_view_degrees: float, height: int, width: int) -> Intrins
 
 
 def level_camera(x: ArrayLike, y: ArrayLike, z: ArrayLike, yaw: ArrayLike, pitch: ArrayLike = 0.0) -> CameraPose:
-    """A camera that is not tilted sideways.
+    """The pose of a camera without roll.
 
     Args:
-      x: of the camera in the world, meters.
-      y: meters.
+      x: position in the world, meters.
+      y: position in the world, meters.
       z: height above the ground, meters.
-      yaw: where it looks, counter-clockwise from +x, radians.
-      pitch: how far it looks down, radians.
+      yaw: viewing direction, counter-clockwise from +x, radians.
+      pitch: downward tilt, radians.
     """
     yaw, pitch = jnp.asarray(yaw, jnp.float32), jnp.asarray(pitch, jnp.float32)
     along, across = jnp.cos(yaw), jnp.sin(yaw)
@@ -111,10 +111,10 @@ def level_camera(x: ArrayLike, y: ArrayLike, z: ArrayLike, yaw: ArrayLike, pitch
 
 
 def rays(intrinsics: Intrinsics, pose: CameraPose) -> Float[Array, "h w 3"]:
-    """The direction in which each pixel looks, in the world, not normalized: depth times ray + position = point."""
+    """The viewing direction of each pixel in the world, not normalized: point = position + depth * ray."""
     right = (jnp.arange(intrinsics.width) - intrinsics.center_x) / intrinsics.focal_x
     down = (jnp.arange(intrinsics.height) - intrinsics.center_y) / intrinsics.focal_y
-    # Written out: a matrix product is rounded to fewer bits on GPUs.
+    # Written out because GPUs round matrix products to fewer bits.
     x_axis, y_axis, z_axis = pose.rotation.T
     return right[None, :, None] * x_axis + down[:, None, None] * y_axis + z_axis
 
@@ -123,18 +123,18 @@ def points(frame_depth: Float[Array, "h w"], intrinsics: Intrinsics, pose: Camer
     """The point in the world that each pixel shows, meters.
 
     Args:
-      frame_depth: along the optical axis, meters. The point of a pixel without return (0) is the camera's own.
-      intrinsics: of the camera that took it.
-      pose: of that camera.
+      frame_depth: depth along the optical axis, meters. A pixel without return (0) gives the camera's position.
+      intrinsics: intrinsics of the camera.
+      pose: pose of the camera.
     """
     return frame_depth[..., None] * rays(intrinsics, pose) + pose.position
 
 
 def check_shapes(frame: Frame, intrinsics: Intrinsics) -> None:
-    """Refuse a frame whose images are not those of the camera. Shapes are known before anything is computed.
+    """Check that the images of a frame have the camera's size. Works under `jit`: it looks at shapes only.
 
     Raises:
-      InputError: depth or classes are not one value a pixel.
+      InputError: depth or classes do not have one value per pixel.
     """
     image = (intrinsics.height, intrinsics.width)
     for name, values in (("depth", frame.depth), ("classes", frame.classes)):

@@ -1,7 +1,7 @@
-"""What a robot's software should ask of its camera before a frame goes into the map.
+"""Checks of frames, intrinsics and poses that a robot should run before it integrates a frame into the map.
 
-On the host, outside compiled code, where values can be looked at. `dc2g_jax.mapping.semantic_map.integrate` itself
-skips what it cannot use and says nothing.
+They run on the host, outside compiled code, because they look at values. `dc2g_jax.mapping.semantic_map.integrate`
+itself silently skips pixels that it cannot use.
 """
 
 import numpy as np
@@ -12,16 +12,16 @@ from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, check_shapes
 from dc2g_jax.mapping.semantic_map import MapSettings
 
-#: How far the product of a rotation with its own transpose may be from the identity; single precision is well within.
+#: Largest deviation of a rotation times its transpose from the identity; errors of single precision are far smaller.
 _ROTATION_TOLERANCE = 1e-3
 
 
 def check_frame(frame: Frame, intrinsics: Intrinsics, settings: MapSettings) -> None:
-    """Refuse a frame that has something wrong with it.
+    """Check a frame.
 
     Raises:
-      InputError: the intrinsics form no image, the pose is none or off the map, the images are not the camera's, a
-        depth is negative or not finite, or a class does not exist.
+      InputError: the intrinsics or the pose are invalid, the pose is off the map, an image does not have the camera's
+        size, a depth is negative or not finite, or a class does not exist.
     """
     check_intrinsics(intrinsics)
     check_pose(frame.pose, settings)
@@ -41,10 +41,10 @@ def check_frame(frame: Frame, intrinsics: Intrinsics, settings: MapSettings) -> 
 
 
 def check_intrinsics(intrinsics: Intrinsics) -> None:
-    """Refuse intrinsics that form no image.
+    """Check the intrinsics of a camera.
 
     Raises:
-      InputError: a focal length is not positive, a number not finite, or the image has no pixels.
+      InputError: a focal length is not positive, a number is not finite, or the image has no pixels.
     """
     for name in ("focal_x", "focal_y"):
         focal = _finite(name, getattr(intrinsics, name), (), "give pixels, above 0")
@@ -58,10 +58,10 @@ def check_intrinsics(intrinsics: Intrinsics) -> None:
 
 
 def check_pose(pose: CameraPose, settings: MapSettings) -> None:
-    """Refuse a pose at which no camera over the map can be.
+    """Check that a pose is a rotation and a position above the map.
 
     Raises:
-      InputError: the position is not above the map, or the rotation is none.
+      InputError: the position is not above the map, or the rotation is not a rotation matrix.
     """
     x, y, z = _finite("position", pose.position, (3,), "give x, y and z in meters")
     east, south = settings.columns * settings.cell_size, settings.rows * settings.cell_size
@@ -87,7 +87,7 @@ def check_pose(pose: CameraPose, settings: MapSettings) -> None:
 
 
 def _finite(name: str, values: npt.ArrayLike, shape: tuple[int, ...], remedy: str) -> np.ndarray:
-    """The numbers, if they are so many and finite."""
+    """The numbers as an array, checked to have the shape and to be finite."""
     array = np.asarray(values, np.float64)
     if array.shape != shape:
         raise InputError(f"{name} has shape {array.shape}, not {shape}; {remedy}, for one camera")
@@ -97,7 +97,7 @@ def _finite(name: str, values: npt.ArrayLike, shape: tuple[int, ...], remedy: st
 
 
 def _refuse_pixels(name: str, values: np.ndarray, wrong: np.ndarray, remedy: str) -> None:
-    """Refuse an image in which something is wrong, and name the first place."""
+    """Reject an image with wrong pixels; the message names the first of them."""
     if wrong.any():
         row, column = np.argwhere(wrong)[0]
         count = f"one of {wrong.sum()} such pixels of {wrong.size}"

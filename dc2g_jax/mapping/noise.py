@@ -1,7 +1,7 @@
-"""What is wrong with a real camera and a real pose estimate: pure functions of a key and of how much of it there is.
+"""Noise of cameras and pose estimates, as pure functions of a key and noise levels.
 
-All functions are for one camera; `jax.vmap` makes them take many. Levels are values, not shapes: they can be swept
-without compiling anew.
+All functions take one camera; use `jax.vmap` for batches. Levels are traced values: they can be swept without
+recompilation.
 """
 
 import dataclasses
@@ -15,27 +15,27 @@ from jaxtyping import Array, Bool, Float, Key, UInt8
 from dc2g_jax.grid.terrain import FRONT_DOOR, SIDEWALK
 from dc2g_jax.mapping.camera import CameraPose, Frame
 
-#: What a wrong label may say: the classes from front door to sidewalk, which are those of the published houses.
+#: Classes of wrong labels: those of the published houses, from front door to sidewalk.
 _FIRST_WRONG, _WRONG_LABELS = FRONT_DOOR, SIDEWALK - FRONT_DOOR + 1
 
-#: The most blobs in a frame.
+#: Largest number of blobs in a frame.
 _MOST_BLOBS = 8
 
 
 @struct.dataclass
 class NoiseLevels:
-    """How much is wrong; nothing where all are 0, and then frames and poses are what they were, bit for bit.
+    """Noise levels. Where all are 0, frames and poses do not change by a bit.
 
     Attributes:
-      depth: standard deviation of a depth of 1 m, meters; it grows with the square of the depth, as it does for stereo
-        and for structured light.
-      mislabeled: share of the labeled pixels that bear a wrong class, each for itself.
-      blobs: regions in a frame that bear a wrong class as a whole: how many there are on average, at most 8. Those
-        that fall where nothing is labeled are not seen.
-      blob_radius: mean radius of those regions as a share of the image's width.
-      dropped: share of the pixels without depth and label.
-      position_drift: standard deviation of what a step adds to the error in x, and in y, meters.
-      yaw_drift: standard deviation of what a step adds to the error in yaw, radians.
+      depth: standard deviation at a depth of 1 m, meters. It grows with the square of the depth, as for stereo cameras
+        and structured light.
+      mislabeled: share of the labeled pixels that get a wrong class, independently of each other.
+      blobs: mean number of regions per frame that get a wrong class as a whole, at most 8. Regions in unlabeled parts
+        of the image have no effect.
+      blob_radius: mean radius of these regions, as a share of the image's width.
+      dropped: share of the pixels that lose depth and label.
+      position_drift: standard deviation of the error that each step adds to x and to y, meters.
+      yaw_drift: standard deviation of the error that each step adds to yaw, radians.
     """
 
     depth: ArrayLike = 0.0
@@ -47,25 +47,25 @@ class NoiseLevels:
     yaw_drift: ArrayLike = 0.0
 
 
-#: A robot like the paper's may be. The paper gives no figures, only that its maps are "much noisier" than the perfect
-#: ones (section IV-D). Depth is the Kinect's: 4 cm at 5 m (Khoshelham and Elberink 2012). The rest is set by hand: one
-#: confused surface in a frame, and a pose that drifts by a hundredth of the way.
+#: Levels of a plausible real robot. The paper gives no figures; it only calls its maps "much noisier" than perfect ones
+#: (section IV-D). Depth noise is the Kinect's: 4 cm at 5 m (Khoshelham and Elberink 2012). The rest is set by hand: one
+#: confused surface per frame, and a pose that drifts by a hundredth of the distance.
 PAPER_LIKE = NoiseLevels(depth=0.0016, mislabeled=0.02, blobs=1.0, dropped=0.05, position_drift=0.01, yaw_drift=0.0035)
 
-#: What that leaves in a map from many frames, about: one cell in a hundred has a wrong class and a few next to each
-#: other do, and one in a hundred has never been made out.
+#: Roughly what remains of `PAPER_LIKE` in a map of many frames: one cell in a hundred and one small region have a wrong
+#: class, and one cell in a hundred stays unknown.
 IN_MAPS = NoiseLevels(mislabeled=0.01, blobs=1.0, blob_radius=0.03, dropped=0.01)
 
 
 def scaled(levels: NoiseLevels, level: ArrayLike) -> NoiseLevels:
-    """So many times as much of everything: 0 for none, 1 for these levels. Blobs grow in number, not in size."""
+    """All levels multiplied by `level`: 0 for no noise, 1 for no change. Blobs grow in number, not in size."""
     return dataclasses.replace(jax.tree.map(lambda amount: amount * level, levels), blob_radius=levels.blob_radius)
 
 
 def noisy_frame(key: Key[Array, ""], frame: Frame, levels: NoiseLevels) -> Frame:
-    """The frame with noise on its depth, wrong labels and missing pixels. Its pose stays: see `drifted`.
+    """The frame with depth noise, wrong labels and missing pixels. Its pose does not change, see `drifted`.
 
-    Pixels without depth or label get none. A depth that noise would make negative is dropped.
+    Pixels without depth or label stay without it. A depth that noise would make negative is dropped.
     """
     depth_key, label_key, drop_key = jax.random.split(key, 3)
     spread = levels.depth * frame.depth**2
@@ -80,12 +80,12 @@ def noisy_frame(key: Key[Array, ""], frame: Frame, levels: NoiseLevels) -> Frame
 
 
 def noisy_map(key: Key[Array, ""], terrain: UInt8[Array, "h w"], levels: NoiseLevels) -> UInt8[Array, "h w"]:
-    """A map with wrong classes and missing cells; what has not been observed stays so.
+    """The map with wrong classes and missing cells. Unobserved cells stay unobserved.
 
     Args:
-      key: of the random numbers.
+      key: random key.
       terrain: class index of every cell, 0 where it has not been observed.
-      levels: of noise; of these, only what is wrong with labels and what is dropped matters.
+      levels: noise levels; only those of labels and dropped pixels matter.
     """
     label_key, drop_key = jax.random.split(key)
     missing = _chance(drop_key, levels.dropped, terrain.shape)
@@ -93,12 +93,12 @@ def noisy_map(key: Key[Array, ""], terrain: UInt8[Array, "h w"], levels: NoiseLe
 
 
 def _chance(key: Key[Array, ""], share: ArrayLike, shape: tuple[int, ...]) -> Bool[Array, "..."]:
-    """True for about this share of all; for none at all where it is 0."""
+    """True with probability `share`, for each element independently; never where the share is 0."""
     return jax.random.uniform(key, shape) < share
 
 
 def _wrong(key: Key[Array, ""], classes: UInt8[Array, "*shape"]) -> UInt8[Array, "*shape"]:
-    """For each class another one of those that things are taken for, all of these alike."""
+    """For each class a different one among the classes of wrong labels, uniformly distributed."""
     is_one = (classes >= _FIRST_WRONG) & (classes < _FIRST_WRONG + _WRONG_LABELS)
     shift = jax.random.randint(key, classes.shape, jnp.where(is_one, 1, 0), _WRONG_LABELS)
     wrong = _FIRST_WRONG + (classes.astype(jnp.int32) - _FIRST_WRONG + shift) % _WRONG_LABELS
@@ -106,7 +106,7 @@ def _wrong(key: Key[Array, ""], classes: UInt8[Array, "*shape"]) -> UInt8[Array,
 
 
 def _mislabeled(key: Key[Array, ""], classes: UInt8[Array, "h w"], levels: NoiseLevels) -> UInt8[Array, "h w"]:
-    """The classes with blobs and single pixels of wrong ones; pixels without label stay so."""
+    """The classes with wrong blobs and wrong single pixels; unlabeled pixels stay unlabeled."""
     blob_key, place_key, wrong_key = jax.random.split(key, 3)
 
     def add_blob(labels: UInt8[Array, "h w"], key: Key[Array, ""]) -> tuple[UInt8[Array, "h w"], None]:
@@ -121,9 +121,9 @@ def _mislabeled(key: Key[Array, ""], classes: UInt8[Array, "h w"], levels: Noise
 def _blob(
     key: Key[Array, ""], classes: UInt8[Array, "h w"], levels: NoiseLevels
 ) -> tuple[Bool[Array, "h w"], UInt8[Array, ""]]:
-    """A region that is taken for something else, and for what: the pixels around one that show the same class.
+    """A mislabeled region and its wrong class: the pixels around a random one that show the same class as it.
 
-    Empty in all but a share of `blobs / _MOST_BLOBS` of the cases.
+    The region is non-empty with probability `blobs / _MOST_BLOBS` only.
     """
     happens_key, place_key, size_key, wrong_key = jax.random.split(key, 4)
     height, width = classes.shape
@@ -137,7 +137,7 @@ def _blob(
 
 @struct.dataclass
 class PoseDrift:
-    """How wrong a robot is about where it is.
+    """Error of a robot's pose estimate.
 
     Attributes:
       x: meters.
@@ -151,7 +151,7 @@ class PoseDrift:
 
 
 def no_drift() -> PoseDrift:
-    """A robot that knows where it is."""
+    """The drift of a perfect pose estimate: zero."""
     return PoseDrift(x=jnp.float32(0), y=jnp.float32(0), yaw=jnp.float32(0))
 
 
@@ -166,9 +166,9 @@ def drift_on(key: Key[Array, ""], drift: PoseDrift, levels: NoiseLevels) -> Pose
 
 
 def drifted(pose: CameraPose, drift: PoseDrift) -> CameraPose:
-    """Where a robot thinks its camera is, when it is at this pose: turned on the spot about the vertical, and moved."""
+    """The estimated pose of a camera at `pose`: rotated about the vertical axis in place, then translated."""
     along, across = jnp.cos(drift.yaw), jnp.sin(drift.yaw)
-    # Written out: a matrix product is rounded to fewer bits on GPUs.
+    # Written out because GPUs round matrix products to fewer bits.
     east, north, up = pose.rotation
     return CameraPose(
         position=pose.position + jnp.stack([drift.x, drift.y, jnp.zeros_like(drift.x)]),

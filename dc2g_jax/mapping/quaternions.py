@@ -1,4 +1,4 @@
-"""Rotations as files and simulators write them: quaternions x, y, z, w with w = cos(angle / 2). On the host, NumPy."""
+"""Quaternions x, y, z, w with w = cos(angle / 2), as files and simulators write them. NumPy, on the host."""
 
 import numpy as np
 from jaxtyping import Float
@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from dc2g_jax.errors import InputError
 
-#: A quaternion shorter than this has no direction.
+#: A shorter quaternion is rejected as zero.
 _SHORTEST = 1e-6
 
 
@@ -14,7 +14,7 @@ def rotation_from_quaternion(quaternion: Float[np.ndarray, "4"]) -> Float[np.nda
     """The rotation matrix of a quaternion x, y, z, w of any length but zero.
 
     Raises:
-      InputError: the quaternion has no length or is not finite.
+      InputError: the quaternion is zero or not finite.
     """
     length = np.linalg.norm(quaternion)
     if not _SHORTEST < length < np.inf:

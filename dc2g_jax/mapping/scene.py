@@ -1,17 +1,17 @@
-"""A house map as a scene in three dimensions: ground at height 0, and obstacles that stand up from it.
+"""Three-dimensional scenes of house maps: ground at height 0, with obstacles on it.
 
-The scene is a height field over tiles, five by five to a cell of the map, so that an obstacle need not fill its cells:
-it stands one tile inside their outline, on flat ground of its own class. A camera therefore finds every surface inside
-the cell it belongs to, never on the border between two. World frame as in `dc2g_jax.mapping.camera`.
+A scene is a height field over tiles, five by five per cell of the map. An obstacle does not fill its cells: it stands
+one tile inside their outline, on flat ground of its own class. A camera therefore sees every surface inside the cell
+it belongs to, never on the border between two cells. World frame as in `dc2g_jax.mapping.camera`.
 
-What stands where (`SHAPES`):
+Obstacles (`SHAPES`):
 
-- Houses have walls and a hipped roof, and garage doors are part of them; cars have a body and a cabin. Fences and
-  mailboxes are thin. Trees are conifers with branches down to the ground: a height field has no underside.
-- A front door is ground, as on the map, where it is the cell to drive to: a mat of that class. Where its cell touches a
-  house, a door leaf of the same class stands along that side, one tile deep, within the door's own cell. So a front
-  door is seen from afar, all that is seen of it lies in its cell, and the cell's middle is free to stand on.
-- Everything else is flat. Class 0, unknown, is ground that bears no label.
+- Houses have walls and a hipped roof; garage doors are part of the house. Cars have a body and a cabin. Fences and
+  mailboxes are thin. Trees are conifers with branches down to the ground, because a height field has no underside.
+- The cell of a front door is flat ground of that class, since it is the cell to drive to. Where it touches a house, a
+  door leaf of the same class stands along that side, one tile deep, within the door's cell. A front door is therefore
+  visible from afar, all its surfaces lie in its cell, and the middle of the cell is free for the robot.
+- Everything else is flat. Class 0, unknown, is ground without label.
 """
 
 import math
@@ -26,11 +26,11 @@ from jaxtyping import Array, Bool, Float, Int, UInt8
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR
 
-#: Side of a cell, meters. The paper gives none. In the published training and validation pictures a parked car is 43
-#: pixels long (median of 13), so a pixel is 0.11 m, and a cell of the 50 x 50 grid 0.5 to 2 m, 0.9 m in the median.
+#: Side of a cell, meters. The paper does not give one. In the published training and validation images a parked car is
+#: 43 pixels long (median of 13), so a pixel is 0.11 m and a cell of the 50 x 50 grid 0.5 to 2 m, 0.9 m in the median.
 CELL_SIZE = 1.0
 
-#: Tiles along a side of a cell. Odd, so that a robot in the middle of a cell looks along no border of tiles.
+#: Tiles along a side of a cell. Odd, so that a robot in the middle of a cell never looks along a border of tiles.
 TILES = 5
 
 #: Height of a door leaf, meters.
@@ -38,12 +38,12 @@ LEAF_HEIGHT = 2.1
 
 
 class Shape(NamedTuple):
-    """How high an obstacle is, from its outline inward. The outermost ring of its tiles is flat.
+    """Height profile of an obstacle, from its outline inward. The outermost ring of its tiles is flat.
 
     Attributes:
-      rings: heights of the second ring, of the next one, and so on, meters.
-      slope: what it rises further inward, meters a meter.
-      top: where that ends, meters.
+      rings: heights of the second ring, the third ring, and so on, meters.
+      slope: rise further inward, meters per meter.
+      top: largest height, meters.
     """
 
     rings: tuple[float, ...]
@@ -53,7 +53,7 @@ class Shape(NamedTuple):
 
 _BUILDING = Shape(rings=(3.0,), slope=0.5, top=6.0)
 
-#: Class name -> shape; a class that is not among them is flat.
+#: Class name -> shape; all other classes are flat.
 SHAPES: dict[str, Shape] = {
     "house": _BUILDING,
     "garage door": _BUILDING,
@@ -67,11 +67,11 @@ SHAPES: dict[str, Shape] = {
 
 @struct.dataclass
 class Scene:
-    """A height field over square tiles. Scenes of one size can be stacked.
+    """A height field over square tiles. Scenes of equal size can be stacked.
 
     Attributes:
-      field: height of each tile above the ground where positive, meters. Elsewhere the tile is ground, and this is
-        minus its clearance: how many rings of tiles around it are ground as well.
+      field: where positive, height of the tile above the ground, meters. Otherwise the tile is ground, and the value is
+        minus its clearance: the number of rings of tiles around it that are ground as well.
       classes: class index of each tile, see `dc2g_jax.grid.terrain`.
       ceiling: height of the highest tile, meters.
       tile_size: side of a tile, meters.
@@ -84,14 +84,14 @@ class Scene:
 
 
 def scene_from_terrain(terrain: UInt8[np.ndarray, "h w"], cell_size: float = CELL_SIZE) -> Scene:
-    """The scene of a map, `TILES` times as many tiles along each side as the map has cells.
+    """The scene of a map, with `TILES` tiles along each side of a cell.
 
     Args:
       terrain: class index of every cell.
       cell_size: side of a cell, meters.
 
     Raises:
-      InputError: the map is empty or holds numbers that are no class, or cells have no size.
+      InputError: the map is empty or has invalid class indices, or the cell size is not positive.
     """
     if terrain.size == 0 or int(terrain.max()) >= len(CLASS_NAMES):
         found = f"the number {terrain.max()}" if terrain.size else "no cells"
@@ -107,10 +107,10 @@ def scene_from_terrain(terrain: UInt8[np.ndarray, "h w"], cell_size: float = CEL
 
 
 def scene_from_heights(heights: Float[np.ndarray, "h w"], classes: UInt8[np.ndarray, "h w"], tile_size: float) -> Scene:
-    """The scene in which each tile is as high as it is said to be.
+    """The scene of tiles with the given heights.
 
     Args:
-      heights: of the tiles above the ground, meters, none negative.
+      heights: heights of the tiles above the ground, meters, not negative.
       classes: class index of every tile.
       tile_size: side of a tile, meters.
     """
@@ -124,12 +124,12 @@ def scene_from_heights(heights: Float[np.ndarray, "h w"], classes: UInt8[np.ndar
 
 
 def _obstacles(classes: UInt8[np.ndarray, "h w"], shape: Shape) -> Bool[np.ndarray, "h w"]:
-    """The tiles of all classes of this shape: side by side, they stand as one."""
+    """The tiles of all classes of this shape: adjacent classes of one shape form one obstacle."""
     return np.isin(classes, [CLASS_NAMES.index(name) for name in SHAPES if SHAPES[name] == shape])
 
 
 def _door_leaves(classes: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Door tiles along a house, but those at the ends, and the house's own tiles that close the gap to its wall."""
+    """Door tiles along a house except those at the ends, and the house tiles that close the gap to its wall."""
     doors, building = classes == FRONT_DOOR, _obstacles(classes, _BUILDING)
     leaves = doors & _beside(building) & (_distance(doors | building) > 1)
     return leaves | (building & _beside(leaves))
@@ -141,16 +141,16 @@ def _beside(tiles: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 
 def _distance(tiles: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
-    """How many king's moves each tile of a set is from the nearest tile outside it; 0 outside.
+    """Chebyshev distance of each tile of a set to the nearest tile outside the set; 0 outside.
 
-    What lies beyond the map does not count as outside. In a set of all tiles the distance is the longer side.
+    Space beyond the map does not count as outside. In a set of all tiles the distance is the longer side.
     """
     moves = cv2.distanceTransform(tiles.astype(np.uint8), cv2.DIST_C, 3)
     return np.minimum(moves, max(tiles.shape)).astype(np.int64)
 
 
 def _heights(shape: Shape, ring: Int[np.ndarray, "h w"], tile_size: float) -> Float[np.ndarray, "h w"]:
-    """The height of tiles on these rings of an obstacle, 1 being the outermost, and 0 what is no part of it; meters."""
+    """Heights of tiles by their ring of the obstacle, meters; ring 1 is the outermost, 0 is outside the obstacle."""
     rings = np.array([0.0, 0.0, *shape.rings])
     rise = np.maximum(ring - (len(rings) - 1), 0) * tile_size * shape.slope
     return np.minimum(rings[np.minimum(ring, len(rings) - 1)] + rise, shape.top)

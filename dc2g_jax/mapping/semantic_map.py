@@ -1,13 +1,13 @@
-"""A voxel map with classes, built from depth images, and the 2D map that a planner reads off it (paper, section III-C).
+"""A semantic voxel map built from depth images, and its projection to the planner's 2D map (paper, section III-C).
 
-Each voxel has a log-odds of being occupied, updated and clamped as OctoMap does it (Hornung et al., Autonomous Robots
-2013), and a class that the frames vote for. Two bytes a voxel (three with more than 16 classes), in dense arrays: 80 kB
-for 50 x 50 cells and 16 levels, 1.3 MB for 200 x 200. A frame touches only the window of the map that is within reach
-of the camera, so what it costs depends on the reach and the size of the image, not on the size of the map; while it is
-taken in, it needs 64 bytes for each voxel of the window and some for each pixel.
+Each voxel has a log-odds of occupancy, updated and clamped as in OctoMap (Hornung et al., Autonomous Robots 2013), and
+a class by vote of the frames. The map is dense, two bytes per voxel (three with more than 16 classes): 80 kB for
+50 x 50 cells and 16 levels, 1.3 MB for 200 x 200 cells. A frame updates only the window of the map within the camera's
+reach, so its cost depends on the reach and the image size, not on the map size. Integration temporarily needs 64 bytes
+per voxel of the window and a few per pixel.
 
 World frame, camera frame and units are those of `dc2g_jax.mapping.camera`. The lowest level is centered on the ground,
-z = 0. All functions are for one map; `jax.vmap` makes them take many.
+z = 0. All functions take one map; use `jax.vmap` for batches.
 """
 
 import functools
@@ -24,23 +24,23 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import CLASS_BITS, CLASS_NAMES, UNKNOWN
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, check_shapes, points, rays
 
-#: Log-odds are whole numbers of this size.
+#: Log-odds are stored as integers in this unit.
 LOG_ODDS_UNIT = 0.05
 
-#: OctoMap's defaults in those units: a hit adds 0.85, a miss takes 0.40, the sum stays within -2.0 and 3.5. So a voxel
-#: with nothing against it takes one hit to be occupied, and one that is surely occupied nine misses to be free.
+#: OctoMap's defaults in these units: a hit adds 0.85, a miss subtracts 0.40, the sum stays within -2.0 and 3.5. A new
+#: voxel is occupied after one hit; a voxel at the upper limit is free after nine misses.
 HIT, MISS, LOWEST, HIGHEST = 17, 8, -40, 70
 
-#: What stands in a voxel's log-odds as long as no frame has said anything about it.
+#: Log-odds of a voxel that no frame has observed.
 UNSEEN = -128
 
-#: The most a voxel's votes for its class can outweigh those against it.
+#: Largest margin of a voxel's votes for its class over those against it.
 MOST_CONFIDENT = 15
 
-#: The most voxels that a map may have: as many as 32-bit numbers can count for each class.
+#: Largest number of voxels in a map: as many as 32-bit integers can count for each class.
 MOST_VOXELS = 2 ** (31 - CLASS_BITS) - 1
 
-#: The class of something that stands there but has no label.
+#: Class of an obstacle without label.
 _UNLABELED_OBSTACLE = CLASS_NAMES.index("nothing")
 
 _CONFIDENCE_BITS = MOST_CONFIDENT.bit_length()
@@ -51,18 +51,18 @@ _VOTES = np.min_scalar_type(2 ** (CLASS_BITS + _CONFIDENCE_BITS) - 1)
 
 @struct.dataclass
 class MapSettings:
-    """What a map covers, and how far its camera is trusted. Static: no leaf of a pytree.
+    """Extent of a map and use of its camera. Hashable and static under `jit`.
 
     Attributes:
-      rows: of the map.
-      columns: of the map.
+      rows: rows of the map.
+      columns: columns of the map.
       cell_size: side of a cell, meters.
-      levels: voxels above each cell.
-      level_height: height of a voxel, meters; the lowest reaches from half of it below the ground to half above.
-      reach: returns from farther away than this (meters from the camera) are skipped.
-      inset: a return counts for the voxel so many meters behind it, for what sends it back lies behind the surface.
-        Walls along the border of two cells would else be booked to either side.
-      clearance: what begins higher than this above the ground (meters) is no obstacle.
+      levels: number of voxels above each cell.
+      level_height: height of a voxel, meters; the lowest level is centered on the ground.
+      reach: returns farther from the camera than this are skipped, meters.
+      inset: a return counts for the voxel this far behind the surface, meters. Otherwise walls along the border of two
+        cells would be assigned to either cell.
+      clearance: voxels that begin higher above the ground than this are no obstacle, meters.
     """
 
     rows: int = struct.field(pytree_node=False)
@@ -82,12 +82,12 @@ class MapSettings:
 
 @struct.dataclass
 class SemanticMap:
-    """What is known of each voxel.
+    """A voxel map.
 
     Attributes:
-      log_odds: of being occupied, in units of `LOG_ODDS_UNIT`; `UNSEEN` where no frame has said anything.
-      votes: in the lower four bits, by how many frames the votes for the class outweigh those for others,
-        `MOST_CONFIDENT` at most; above them the class (0: none).
+      log_odds: log-odds of occupancy, in units of `LOG_ODDS_UNIT`; `UNSEEN` for unobserved voxels.
+      votes: in the lower four bits, the margin in frames of the votes for the class over those for others, at most
+        `MOST_CONFIDENT`; in the bits above, the class (0: none).
     """
 
     log_odds: Int8[Array, "levels h w"]
@@ -95,17 +95,17 @@ class SemanticMap:
 
     @property
     def occupied(self) -> Bool[Array, "levels h w"]:
-        """Is it more likely than not that something is there?"""
+        """Whether a voxel is more likely occupied than free."""
         return self.log_odds > 0
 
     @property
     def classes(self) -> UInt8[Array, "levels h w"]:
-        """Class index of what is there, 0 where nothing is or where it has no label."""
+        """Class index of each voxel, 0 where it is free or has no label."""
         return (self.votes >> _CONFIDENCE_BITS).astype(jnp.uint8)
 
     @property
     def confidence(self) -> UInt8[Array, "levels h w"]:
-        """By how many frames the votes for the class outweigh the others."""
+        """Margin, in frames, of the votes for the class over the others."""
         return (self.votes & MOST_CONFIDENT).astype(jnp.uint8)
 
 
@@ -117,10 +117,10 @@ class _Window(NamedTuple):
 
 
 def empty_map(settings: MapSettings) -> SemanticMap:
-    """A map of which nothing has been seen.
+    """A map without observations.
 
     Raises:
-      InputError: a setting makes no sense.
+      InputError: a setting is out of range.
     """
     _check_settings(settings)
     return SemanticMap(
@@ -130,24 +130,25 @@ def empty_map(settings: MapSettings) -> SemanticMap:
 
 
 def integrate(semantic_map: SemanticMap, frame: Frame, intrinsics: Intrinsics, settings: MapSettings) -> SemanticMap:
-    """The map after one more frame.
+    """Integrate one frame into the map.
 
-    A voxel in which the frame has a return is hit. One above the ground that the camera has looked through, to
-    something farther away, is missed, so that what has gone away is forgotten. The ground is where it is: it is never
-    missed. All returns in a voxel together cast one vote, for the class that most of them have (the smaller index of
-    two), and the votes of frames are counted as in Boyer and Moore's majority vote. A voxel that is free has no class.
+    A voxel that contains a return is hit. A voxel above the ground that the camera has looked through, to something
+    farther away, is missed, so objects that have moved away are forgotten. Voxels of the ground are never missed. All
+    returns in a voxel together cast one vote, for their most frequent class (ties to the smaller index). Votes of
+    frames are counted as in the majority vote of Boyer and Moore. A free voxel has no class.
 
-    Pixels without a return are skipped, as are those whose depth is negative, not finite or out of reach; points off
-    the map are dropped. A pixel without a label (0, or no class index) says that something is there, not what.
+    Pixels without return are skipped, as are pixels whose depth is negative, not finite or out of reach. Points off the
+    map are dropped. A pixel without label (0, or an invalid class index) marks a voxel as occupied without a vote for a
+    class.
 
     Args:
-      semantic_map: so far.
+      semantic_map: the map so far.
       frame: depth, classes and pose of the camera.
-      intrinsics: of the camera.
-      settings: those the map was made with.
+      intrinsics: intrinsics of the camera.
+      settings: the settings with which the map was made.
 
     Raises:
-      InputError: frame, intrinsics and settings are of different sizes.
+      InputError: the sizes of frame, intrinsics and settings do not match.
     """
     check_shapes(frame, intrinsics)
     if semantic_map.log_odds.shape != settings.shape:
@@ -167,12 +168,11 @@ def integrate(semantic_map: SemanticMap, frame: Frame, intrinsics: Intrinsics, s
 
 
 def terrain_map(semantic_map: SemanticMap, settings: MapSettings) -> UInt8[Array, "h w"]:
-    """Class index of every cell as seen from above, the map that planners take
-    (`dc2g_jax.grid.gridworld.belief_from_map`).
+    """Project the map to the ground: the class index of every cell, as planners take it.
 
-    Where something stands on the ground or hangs within the clearance above it: the class with the most votes of the
-    voxels it fills ("nothing" if it has no label). Elsewhere, where the ground has been seen: the class of the ground.
-    Unknown (0) everywhere else, and where the ground has no label.
+    See `dc2g_jax.grid.gridworld.belief_from_map`. A cell with an obstacle within the clearance above the ground has the
+    class with the most votes among the occupied voxels ("nothing" if none has a label). Any other cell has the class of
+    its ground if that has been seen and has a label, else 0 (unknown).
     """
     end = sum((level - 0.5) * settings.level_height < settings.clearance for level in range(settings.levels))
     standing = semantic_map.occupied[1:end]
@@ -187,7 +187,7 @@ def terrain_map(semantic_map: SemanticMap, settings: MapSettings) -> UInt8[Array
 
 
 def _window(pose: CameraPose, settings: MapSettings) -> _Window:
-    """The part of the map that holds all of it that is within reach of the camera."""
+    """The window of the map that contains everything within reach of the camera."""
     cells = math.ceil((settings.reach + settings.inset) / settings.cell_size)
     rows, columns = min(2 * cells + 1, settings.rows), min(2 * cells + 1, settings.columns)
     x, y = pose.position[0] / settings.cell_size, pose.position[1] / settings.cell_size
@@ -198,7 +198,7 @@ def _window(pose: CameraPose, settings: MapSettings) -> _Window:
 
 
 def _usable(frame: Frame, intrinsics: Intrinsics, settings: MapSettings) -> Bool[Array, "h w"]:
-    """Pixels whose depth says something."""
+    """Pixels with a valid depth within reach."""
     distance = frame.depth * _ray_lengths(frame, intrinsics)
     return (frame.depth > 0) & (distance <= settings.reach)
 
@@ -215,7 +215,7 @@ def _counts(
     settings: MapSettings,
     window: _Window,
 ) -> Int32[Array, "class levels h w"]:
-    """How many returns of each class lie in each voxel of the window; class 0 are those without a label."""
+    """Number of returns of each class in each voxel of the window; class 0 counts returns without label."""
     booked = frame.depth + settings.inset / _ray_lengths(frame, intrinsics)
     x, y, z = jnp.moveaxis(points(booked, intrinsics, frame.pose), -1, 0)
     heights = z / settings.level_height + 0.5
@@ -223,7 +223,7 @@ def _counts(
     labels = jnp.where(frame.classes < len(CLASS_NAMES), frame.classes, jnp.uint8(UNKNOWN))
     index, inside = labels.astype(jnp.int32), usable
     for place, first, size in zip(places, window.corner, window.shape, strict=True):
-        # Compared as floats: far numbers do not fit into integers.
+        # Compared as floats: large values do not fit into integers.
         offset = jnp.floor(place) - first
         inside &= (offset >= 0) & (offset < size)
         index = index * size + jnp.where(inside, offset, 0).astype(jnp.int32)
@@ -239,10 +239,10 @@ def _looked_through(
     settings: MapSettings,
     window: _Window,
 ) -> Bool[Array, "levels h w"]:
-    """Voxels of the window above the ground that the camera has seen to be free.
+    """Voxels of the window above the ground that the camera has looked through.
 
-    The whole voxel must lie in front of what the pixel at its center shows, and in front of what the eight pixels
-    around that one show: between two pixels that graze a surface, depth may change by more than a voxel.
+    The whole voxel must lie in front of the surface in the pixel of its center and in the eight pixels around it: where
+    rays graze a surface, depth may change by more than a voxel between two pixels.
     """
     levels, rows, columns = (jnp.arange(size) for size in window.shape)
     x = (columns + window.corner[2] + 0.5) * settings.cell_size - frame.pose.position[0]
@@ -260,7 +260,7 @@ def _looked_through(
 
 
 def _nearest_around(depth: Float[Array, "h w"]) -> Float[Array, "h w"]:
-    """The least of each pixel and its eight neighbors."""
+    """The minimum over each pixel and its eight neighbors."""
     height, width = depth.shape
     padded = jnp.pad(depth, 1, constant_values=jnp.inf)
     in_row = functools.reduce(jnp.minimum, [padded[:, column : column + width] for column in range(3)])
@@ -286,16 +286,16 @@ def _updated(
 
 
 def _winner(counts: Int32[Array, "class *shape"]) -> tuple[UInt8[Array, "*shape"], Bool[Array, "*shape"]]:
-    """The class, other than 0, with the largest count, the smaller index of two, and whether any count is not 0."""
+    """The class other than 0 with the largest count (ties to the smaller index), and whether any count is positive."""
     last = 2**CLASS_BITS - 1
     from_last = last - jnp.arange(1, len(CLASS_NAMES)).reshape(-1, *(1,) * (counts.ndim - 1))
-    # One maximum of count and class together: the position of a maximum is found far more slowly.
+    # A maximum over count and class combined: an argmax is far slower.
     best = jnp.max(counts[1:] << CLASS_BITS | from_last, axis=0)
     return (last - (best & last)).astype(jnp.uint8), best > last
 
 
 def _check_settings(settings: MapSettings) -> None:
-    """Refuse settings that make no map."""
+    """Reject invalid settings."""
     for name in ("rows", "columns", "levels"):
         value = getattr(settings, name)
         if not (isinstance(value, int | np.integer) and value > 0):

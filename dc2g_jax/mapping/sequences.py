@@ -1,22 +1,23 @@
-"""Recorded depth images with classes and poses: folders like those of the TUM RGB-D benchmark.
+"""Recordings of depth images with classes and poses, in the folder format of the TUM RGB-D benchmark.
 
-What holds as there (Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM Systems, IROS 2012):
+From the benchmark (Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM Systems, IROS 2012):
 
-- `depth.txt` and `rgb.txt` have a line an image: its time in seconds, and its file as seen from the folder. `#` begins
-  a comment. Color images are optional here, and only looked at.
-- A depth image is a grayscale PNG of 16 bits, 5000 a meter, along the optical axis, 0 where nothing came back.
-  So depth ends at 13.107 m. Depth and color images show the same in the same pixel.
-- `groundtruth.txt` has a line a pose: time, tx ty tz in meters, qx qy qz qw. It takes points of the camera (x right,
-  y down, z forward) to the world.
-- Each list has times of its own; what is nearest in time belongs together, if it is at most 0.02 s away.
+- `depth.txt` and `rgb.txt` have one line per image: its time in seconds, and its file relative to the folder. `#`
+  begins a comment. Color images are optional here; they are only displayed.
+- A depth image is a 16-bit grayscale PNG with 5000 units per meter along the optical axis, 0 for pixels without
+  return. The largest depth is 13.107 m. Depth and color images are pixel-aligned.
+- `groundtruth.txt` has one line per pose: time, tx ty tz in meters, qx qy qz qw. A pose maps points in the camera frame
+  (x right, y down, z forward) to the world.
+- Each list has its own times. Entries are matched to the nearest in time, at most 0.02 s apart.
 
-What is added:
+Additions:
 
-- `classes.txt` lists class images as `depth.txt` lists depth images. They show the same pixels: a grayscale PNG of
-  8 bits with the class indices of `dc2g_jax.grid.terrain`, 0 without label. Where the folder has a palette,
-  `labels_colors.csv`, they are pictures in its colors instead.
-- `camera.txt` has one line, the intrinsics: focal_x focal_y center_x center_y width height. Images have no distortion.
-- The world has z up and its ground at z = 0, as in `dc2g_jax.mapping.camera`; `moved` takes another one there.
+- `classes.txt` lists class images as `depth.txt` lists depth images, pixel-aligned with them. A class image is an 8-bit
+  grayscale PNG with the class indices of `dc2g_jax.grid.terrain`, 0 without label. If the folder has a palette,
+  `labels_colors.csv`, class images are color images in its colors instead.
+- `camera.txt` has one line with the intrinsics: focal_x focal_y center_x center_y width height. Images have no
+  distortion.
+- The world has z up and its ground at z = 0, as in `dc2g_jax.mapping.camera`; `moved` shifts another world there.
 """
 
 import dataclasses
@@ -37,17 +38,17 @@ from dc2g_jax.mapping.checks import check_intrinsics
 from dc2g_jax.mapping.quaternions import quaternion_from_rotation, rotation_from_quaternion
 from dc2g_jax.mapping.semantic_map import MapSettings
 
-#: Steps of a depth image in a meter.
+#: Units of a depth image per meter.
 DEPTH_UNITS = 5000.0
 
-#: Seconds that images and poses of one moment may be apart, as in the benchmark's own tools.
+#: Largest time difference between images and poses of one moment, seconds, as in the benchmark's own tools.
 TOLERANCE = 0.02
 
 #: Files of a folder.
 DEPTH_LIST, CLASS_LIST, PICTURE_LIST = "depth.txt", "classes.txt", "rgb.txt"
 POSE_LIST, CAMERA_FILE = "groundtruth.txt", "camera.txt"
 
-#: Shots a second, at most: their times are written in microseconds.
+#: Largest number of shots per second: times are written in microseconds.
 _HIGHEST_RATE = 100_000
 
 _LIST_FIELDS = ("time", "file")
@@ -56,14 +57,14 @@ _CAMERA_FIELDS = ("focal_x", "focal_y", "center_x", "center_y", "width", "height
 
 
 class Moment(NamedTuple):
-    """What belongs together.
+    """A depth image with the class image, color image and pose nearest in time.
 
     Attributes:
-      time: of the depth image, seconds.
+      time: time of the depth image, seconds.
       depth: file of the depth image.
       classes: file of the class image.
       picture: file of the color image, if there is one.
-      pose: of the camera.
+      pose: pose of the camera.
     """
 
     time: float
@@ -78,10 +79,10 @@ class ImageSequence:
     """A recording whose images have not been read yet.
 
     Attributes:
-      intrinsics: of its camera.
-      moments: in the order of time.
-      skipped: depth images that have no class image or no pose near them in time.
-      palette: what the colors of class images stand for; `None` where they hold class indices.
+      intrinsics: intrinsics of the camera.
+      moments: moments in temporal order.
+      skipped: number of depth images without a class image or pose near them in time.
+      palette: palette of the class images; `None` where they hold class indices.
     """
 
     intrinsics: Intrinsics
@@ -91,29 +92,29 @@ class ImageSequence:
 
 
 class Shot(NamedTuple):
-    """A frame to write, and the color image that goes with it, if any."""
+    """A frame to write, with an optional color image."""
 
     frame: Frame
     picture: UInt8[np.ndarray, "h w 3"] | None = None
 
 
 class _Timed(NamedTuple):
-    """Things with times, in the order of time."""
+    """Things with times, in temporal order."""
 
     times: Float[np.ndarray, "n"]
     things: list[Any]
 
 
 def read_sequence(folder: str | Path, tolerance: float = TOLERANCE) -> ImageSequence:
-    """Read the lists of a recording and put together what belongs together.
+    """Read the lists of a recording and match their entries by time.
 
     Args:
-      folder: of the recording.
-      tolerance: seconds that a class image, color image or pose may be away from its depth image.
+      folder: folder of the recording.
+      tolerance: largest time difference of a class image, color image or pose to its depth image, seconds.
 
     Raises:
-      InputError: a list or `camera.txt` is missing or says something impossible, or no depth image has both a class
-        image and a pose near it.
+      InputError: a list or `camera.txt` is missing or invalid, or no depth image has both a class image and a pose near
+        it in time.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -138,20 +139,20 @@ def read_sequence(folder: str | Path, tolerance: float = TOLERANCE) -> ImageSequ
 
 
 def frames(sequence: ImageSequence) -> Iterator[Frame]:
-    """Read one frame after the other; NumPy arrays on the host.
+    """Iterate over the frames of a recording; NumPy arrays on the host.
 
     Raises:
-      InputError: an image is missing, damaged, of another size or kind.
+      InputError: an image is missing or damaged, or has the wrong size or kind.
     """
     for moment in sequence.moments:
         yield read_frame(sequence, moment)
 
 
 def read_frame(sequence: ImageSequence, moment: Moment) -> Frame:
-    """The depth and class image of a moment; NumPy arrays on the host.
+    """Read the depth and class images of a moment; NumPy arrays on the host.
 
     Raises:
-      InputError: an image is missing, damaged, of another size or kind.
+      InputError: an image is missing or damaged, or has the wrong size or kind.
     """
     steps = _read_gray(moment.depth, 16, "depth in 5000 steps a meter")
     if sequence.palette is None:
@@ -171,7 +172,7 @@ def read_frame(sequence: ImageSequence, moment: Moment) -> Frame:
 
 
 def read_picture(moment: Moment) -> bytes | None:
-    """The color image of a moment as it lies in its file, encoded; `None` where there is none.
+    """The encoded bytes of a moment's color image; `None` if it has none.
 
     Raises:
       InputError: the file cannot be read.
@@ -180,11 +181,11 @@ def read_picture(moment: Moment) -> bytes | None:
 
 
 def moved(sequence: ImageSequence, offset: Float[np.ndarray, "3"]) -> ImageSequence:
-    """The recording in a world whose origin lies elsewhere.
+    """The recording in a world with another origin.
 
     Args:
       sequence: the recording.
-      offset: what is added to the camera's positions, x, y and z in meters.
+      offset: offset to add to the camera's positions, x, y and z in meters.
     """
     shift = offset.astype(np.float32)
     moments = tuple(
@@ -195,12 +196,12 @@ def moved(sequence: ImageSequence, offset: Float[np.ndarray, "3"]) -> ImageSeque
 
 
 def covered(sequence: ImageSequence, cell_size: float, reach: float) -> tuple[ImageSequence, MapSettings]:
-    """A map that holds all within reach of the camera's way, and the recording in the frame of that map.
+    """A map that covers everything within reach of the camera's path, and the recording in the frame of that map.
 
     Args:
-      sequence: a recording in any place; its ground is at z = 0 already.
+      sequence: a recording anywhere in the plane; its ground must be at z = 0.
       cell_size: side of a cell, meters.
-      reach: how far its camera is trusted, meters.
+      reach: reach of the camera, meters.
 
     Returns:
       The recording, moved by whole cells, and the settings.
@@ -214,22 +215,22 @@ def covered(sequence: ImageSequence, cell_size: float, reach: float) -> tuple[Im
 
 
 def write_sequence(folder: str | Path, intrinsics: Intrinsics, shots: Iterable[Shot], rate: float = 10.0) -> Path:
-    """Write a recording that `read_sequence` reads; depth comes back to within 0.1 mm.
+    """Write a recording that `read_sequence` reads. Depth is stored to within 0.1 mm.
 
-    Shots are taken one by one, and what has been written stays readable when writing stops in between.
+    Shots are consumed one by one. If writing is interrupted, the recording so far stays readable.
 
     Args:
-      folder: to write to; new or empty.
-      intrinsics: of the camera.
-      shots: in the order of time. Depth that 16 bits cannot hold (13.107 m and more, or not finite) becomes none.
-      rate: shots a second, above 0, at most 100,000.
+      folder: folder to write to; new or empty.
+      intrinsics: intrinsics of the camera.
+      shots: shots in temporal order. Depth that 16 bits cannot hold (13.107 m and more, or not finite) becomes 0.
+      rate: shots per second, above 0, at most 100,000.
 
     Returns:
       The folder.
 
     Raises:
-      InputError: the folder is in use or cannot be made, the intrinsics form no image, a shot's images are not those
-        of the camera, or the rate is out of range.
+      InputError: the folder is not empty or cannot be made, the intrinsics are invalid, a shot's images do not have the
+        camera's size, or the rate is out of range.
     """
     check_intrinsics(intrinsics)
     if not 0 < rate <= _HIGHEST_RATE:
@@ -253,13 +254,13 @@ def write_sequence(folder: str | Path, intrinsics: Intrinsics, shots: Iterable[S
 
 
 def depth_steps(depth: Float[np.ndarray, "h w"]) -> UInt16[np.ndarray, "h w"]:
-    """Meters as a depth image has them; 0 where it has no number for them, and where they are none."""
+    """Depth in meters as units of a depth image; 0 for pixels without return and for depths it cannot represent."""
     steps = np.rint(depth.astype(np.float64) * DEPTH_UNITS)
     return np.where((steps > 0) & (steps <= np.iinfo(np.uint16).max), steps, 0).astype(np.uint16)
 
 
 def _write_shot(folder: Path, time: str, shot: Shot) -> dict[tuple[str, tuple[str, ...]], str]:
-    """Write the images of a shot; the lists it belongs into, by name and fields, and its line in each."""
+    """Write the images of a shot. Returns its line in each list, by name and fields of the list."""
     images = {DEPTH_LIST: ("depth", depth_steps(np.asarray(shot.frame.depth)))}
     images[CLASS_LIST] = ("classes", np.asarray(shot.frame.classes))
     if shot.picture is not None:
@@ -289,13 +290,13 @@ def _read_gray(file: Path, bits: int, what: str) -> np.ndarray:
 
 
 def _nearest(times: Float[np.ndarray, "n"], wanted: Float[np.ndarray, "m"], tolerance: float) -> Int[np.ndarray, "m"]:
-    """For each wanted time the index of the nearest one, -1 where that is too far away. Times are sorted."""
+    """For each wanted time the index of the nearest of the sorted times; -1 where that is too far away."""
     if not times.size:
         return np.full(wanted.shape, -1)
     after = np.searchsorted(times, wanted).clip(0, times.size - 1)
     before = (after - 1).clip(0)
     nearest = np.where(np.abs(times[before] - wanted) <= np.abs(times[after] - wanted), before, after)
-    # Times are written in decimals, and their difference is not exact.
+    # Times are decimal fractions, and their differences are not exact.
     return np.where(np.abs(times[nearest] - wanted) <= tolerance + 1e-9, nearest, -1)
 
 
@@ -346,7 +347,7 @@ def _lines(path: Path, fields: tuple[str, ...] = _LIST_FIELDS) -> Iterator[tuple
         bare = line.replace(",", " ").strip()
         if not bare or bare.startswith("#"):
             continue
-        # The name of a file may have blanks in it.
+        # File names may contain blanks.
         words = bare.split(maxsplit=1) if fields == _LIST_FIELDS else bare.split()
         if len(words) != len(fields):
             raise InputError(

@@ -1,20 +1,20 @@
-"""A simulated camera: depth and class of every pixel, by following its ray through a height field.
+"""A simulated camera: depth and class of every pixel, by ray casting through a height field.
 
-Exact: a ray goes from tile to tile and meets walls and tops in closed form. Over open ground it crosses all the tiles
-at once that are known to be flat around it. What stands in front hides what is behind.
+Ray casting is exact: a ray steps from tile to tile and intersects walls and tops in closed form. Over open ground it
+crosses all tiles that are known to be flat around it in one step. Nearer surfaces hide farther ones.
 
-- A ray that leaves the map or the range, or goes up past everything, meets nothing: depth 0, class 0.
-- A camera inside an obstacle, below the ground or off the map sees nothing at all.
-- Class 0 with a depth is ground that the map does not know.
+- A ray that leaves the map or the range, or passes above everything, hits nothing: depth 0, class 0.
+- A camera inside an obstacle, below the ground or off the map sees nothing.
+- Class 0 with a positive depth is ground that the map does not know.
 
-All functions are for one camera; `jax.vmap` makes them take many, each in a scene of its own or all in one. On CPUs
-`jax.lax.map` is several times as fast: what one small image needs stays in the cache, and no image waits for another.
+All functions take one camera; use `jax.vmap` for batches of cameras, in separate scenes or in the same. On CPUs
+`jax.lax.map` is several times as fast: the data of one small image stay in the cache, and no image waits for another.
 
-The usual camera is meant for a delivery robot, with the field of view of the paper's (section IV-B): 90 degrees. It
-stands 1 m high and looks down by 15 degrees, so that the ground begins 0.8 m ahead, in the next cell, and a front door
-is in view up to its lintel from 3 m on. At 160 x 120 pixels, rows are 1 m of ground apart 9 m ahead: finer, and every
-cell of a map of 1 m cells that is in view up to 8 cells away has its pixels; coarser, and cells further off are seen
-when the robot comes nearer.
+The default camera suits a delivery robot. Its field of view is the paper's (section IV-B): 90 degrees. It is 1 m high
+and looks down by 15 degrees, so the visible ground begins 0.8 m ahead, in the next cell, and a front door is visible up
+to its lintel from 3 m on. At 160 x 120 pixels, adjacent rows of pixels are 1 m of ground apart at 9 m distance. With
+finer images, every visible cell of 1 m up to 8 cells away has its own pixels; with coarser images, distant cells are
+observed only when the robot comes nearer.
 """
 
 import math
@@ -32,19 +32,19 @@ from dc2g_jax.grid.terrain import CAR, CLASS_NAMES, HOUSE
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, level_camera, rays
 from dc2g_jax.mapping.scene import CELL_SIZE, SHAPES, Scene
 
-#: The usual camera: degrees from side to side, rows and columns of the image, height in meters, pitch in radians.
+#: The default camera: horizontal field of view in degrees, rows and columns, height in meters, pitch in radians.
 FIELD_OF_VIEW = 90.0
 IMAGE_SIZE = (120, 160)
 CAMERA_HEIGHT = 1.0
 CAMERA_PITCH = math.radians(15)
 
-#: How far the usual camera sees, meters: to the far side of a cell 8 cells away.
+#: Range of the default camera, meters: to the far side of a cell 8 cells away.
 CAMERA_RANGE = 8.5
 
-#: Faces that a ray may meet: those across x, across y, and tops.
+#: Faces that a ray may hit: those across x, across y, and tops.
 FACE_X, FACE_Y, FACE_TOP = 0, 1, 2
 
-#: Class name -> RGB by daylight, for pictures. The classes of the map itself are drawn in `CLASS_COLORS`.
+#: Class name -> RGB by daylight, for pictures. Maps are drawn in `CLASS_COLORS` instead.
 _PAINT: dict[str, tuple[int, int, int]] = {
     "__ignore__": (150, 150, 150),
     "front_door": (150, 40, 35),
@@ -65,33 +65,33 @@ _PAINT: dict[str, tuple[int, int, int]] = {
 }
 _COLORS = np.array([_PAINT[name] for name in CLASS_NAMES])
 
-#: Class index -> from which height on it is painted otherwise, meters, and how: roofs, and the windows of cars.
+#: Class index -> (height in meters, RGB): the color above that height, for roofs and the windows of cars.
 _UPPER = {HOUSE: (SHAPES["house"].rings[0], (142, 92, 76)), CAR: (SHAPES["car"].rings[0], (52, 62, 74))}
 
-#: Which classes are obstacles, by index; how the flat ground they stand on is painted.
+#: Class index -> whether it is an obstacle; RGB of the flat ground around obstacles.
 _OBSTACLES, _FOOT = np.array([name in SHAPES for name in CLASS_NAMES]), (112, 106, 94)
 _ZENITH, _HORIZON, _HAZE = (118, 166, 220), (222, 233, 242), (200, 206, 210)
 
-#: Where the sun stands, in the world; how bright a face is that it does not reach.
+#: Direction to the sun in the world; brightness of a face that the sun does not reach.
 _SUN = (-0.42, -0.36, 0.83)
 _SHADE = 0.6
 
-#: How much the brightness of tiles differs, so that the eye finds hold on flat ground.
+#: Variation in brightness between tiles, which gives flat ground a visible texture.
 _GRAIN = 0.05
 
-#: How far computed heights may be off, meters.
+#: Tolerance for rounding errors of heights, meters.
 _ROUNDING = 1e-3
 
 
 @struct.dataclass
 class Hit:
-    """Where a ray ends.
+    """The end of a ray.
 
     Attributes:
-      distance: in lengths of the ray's direction, so depth for the rays of a camera; 0 where it meets nothing.
-      row: of the tile it meets.
-      column: of that tile.
-      face: of that tile: `FACE_X`, `FACE_Y` or `FACE_TOP`.
+      distance: in lengths of the ray's direction, which is depth for the rays of a camera; 0 without a hit.
+      row: row of the tile that is hit.
+      column: column of that tile.
+      face: face of that tile: `FACE_X`, `FACE_Y` or `FACE_TOP`.
     """
 
     distance: Float[Array, ""]
@@ -101,7 +101,7 @@ class Hit:
 
 
 class _March(NamedTuple):
-    """A ray on its way: the tile it is in (whole numbers), when and by which face it came in, and does it end here?"""
+    """State of a ray: its tile (whole numbers), when and by which face it entered, and whether it ends there."""
 
     column: Float[Array, ""]
     row: Float[Array, ""]
@@ -111,7 +111,7 @@ class _March(NamedTuple):
 
 
 class _Axis(NamedTuple):
-    """A ray along one side of the map, in tiles."""
+    """One coordinate of a ray, in tiles."""
 
     start: Float[Array, ""]
     speed: Float[Array, ""]
@@ -122,7 +122,7 @@ class _Axis(NamedTuple):
         return cls(start, speed, jnp.where(speed == 0, jnp.inf, 1 / speed))
 
     def leaves(self, tile: Float[Array, ""], clearance: Float[Array, ""]) -> Float[Array, ""]:
-        """When it passes the border of the tiles within so many of this one."""
+        """When the ray leaves the tiles within `clearance` tiles of this one."""
         border = jnp.where(self.speed >= 0, tile + 1 + clearance, tile - clearance)
         return (border - self.start) * self.inverse
 
@@ -131,18 +131,18 @@ class _Axis(NamedTuple):
         return tile + jnp.where(self.speed >= 0, 1 + clearance, -1 - clearance)
 
     def tile(self, time: Float[Array, ""], near: Float[Array, ""], clearance: Float[Array, ""]) -> Float[Array, ""]:
-        """The tile it is in at a time; rounding does not take it further from `near` than the clearance."""
+        """The tile at a time, clipped to the clearance around `near` against rounding errors."""
         return jnp.clip(jnp.floor(self.start + self.speed * time), near - clearance, near + clearance)
 
 
 def cast(scene: Scene, origin: Float[Array, "3"], direction: Float[Array, "3"], max_range: Float[Array, ""]) -> Hit:
-    """Follow one ray to the first surface in its way.
+    """Cast one ray to the first surface it hits.
 
     Args:
-      scene: what there is to meet.
-      origin: where the ray begins, in the world, meters.
-      direction: where it goes; need not be normalized.
-      max_range: how far it goes, meters from the origin.
+      scene: the scene.
+      origin: origin of the ray in the world, meters.
+      direction: direction of the ray; need not be normalized.
+      max_range: length of the ray, meters.
     """
     rows, columns = scene.field.shape
     across = _Axis.of(origin[0] / scene.tile_size, direction[0] / scene.tile_size)
@@ -194,7 +194,7 @@ def cast(scene: Scene, origin: Float[Array, "3"], direction: Float[Array, "3"], 
 
 
 def _cast_all(scene: Scene, pose: CameraPose, directions: Float[Array, "h w 3"], max_range: ArrayLike) -> Hit:
-    """The end of every pixel's ray; a `Hit` of images."""
+    """The hit of every pixel's ray; the fields of the `Hit` are images."""
     along_row = jax.vmap(cast, in_axes=(None, None, 0, None))
     return jax.vmap(along_row, in_axes=(None, None, 0, None))(
         scene, pose.position, directions, jnp.asarray(max_range, jnp.float32)
@@ -202,25 +202,25 @@ def _cast_all(scene: Scene, pose: CameraPose, directions: Float[Array, "h w 3"],
 
 
 def _classes(scene: Scene, hits: Hit) -> UInt8[Array, "h w"]:
-    """The class each pixel shows, 0 where its ray meets nothing."""
+    """The class of each pixel, 0 where its ray hits nothing."""
     return jnp.where(hits.distance > 0, scene.classes.at[hits.row, hits.column].get(mode="clip"), 0).astype(jnp.uint8)
 
 
 def render(scene: Scene, intrinsics: Intrinsics, pose: CameraPose, max_range: ArrayLike = CAMERA_RANGE) -> Frame:
-    """What a camera without errors delivers.
+    """Render the frame of a camera without errors.
 
     Args:
-      scene: what stands around it.
-      intrinsics: of the camera.
-      pose: of the camera; it is the frame's pose too.
-      max_range: how far the camera sees, meters from it.
+      scene: the scene.
+      intrinsics: intrinsics of the camera.
+      pose: pose of the camera; also the pose of the frame.
+      max_range: range of the camera, meters.
     """
     hits = _cast_all(scene, pose, rays(intrinsics, pose), max_range)
     return Frame(depth=hits.distance, classes=_classes(scene, hits), pose=pose)
 
 
 def robot_camera(pose: Pose, cell_size: ArrayLike = CELL_SIZE) -> CameraPose:
-    """The usual camera of a robot that stands in the middle of a cell.
+    """The pose of the default camera of a robot in the middle of a cell.
 
     Args:
       pose: column, row and heading of one robot.
@@ -238,13 +238,13 @@ def robot_camera(pose: Pose, cell_size: ArrayLike = CELL_SIZE) -> CameraPose:
 def picture(
     scene: Scene, intrinsics: Intrinsics, pose: CameraPose, max_range: ArrayLike = math.inf
 ) -> UInt8[Array, "h w 3"]:
-    """A color picture to look at: what the camera sees by daylight, without shadows.
+    """Render a color picture of the scene by daylight, without shadows.
 
     Args:
-      scene: what stands around it.
-      intrinsics: of the camera.
-      pose: of the camera.
-      max_range: where the sky begins, meters from the camera.
+      scene: the scene.
+      intrinsics: intrinsics of the camera.
+      pose: pose of the camera.
+      max_range: distance from the camera at which the sky begins, meters.
     """
     directions = rays(intrinsics, pose)
     hits = _cast_all(scene, pose, directions, max_range)
@@ -261,9 +261,9 @@ def picture(
 
 
 def _brightness(directions: Float[Array, "h w 3"], hits: Hit) -> Float[Array, "h w"]:
-    """How bright each pixel's surface is: Lambert's law for the face that is met, with a grain from tile to tile."""
+    """Brightness of each pixel's surface: Lambert's law for the face that is hit, with a random grain per tile."""
     sun = jnp.asarray(_SUN) / math.hypot(*_SUN)
-    # A ray meets the side of a tile that faces it.
+    # A ray hits the side of a tile that faces it.
     facing = jnp.where(directions > 0, -sun, sun).at[..., FACE_TOP].set(sun[FACE_TOP])
     share = jnp.take_along_axis(facing, hits.face[..., None], axis=-1)[..., 0]
     grain = (hits.row * 73 + hits.column * 151 + hits.row * hits.column * 7) % 17 / 16 - 0.5
@@ -271,7 +271,7 @@ def _brightness(directions: Float[Array, "h w 3"], hits: Hit) -> Float[Array, "h
 
 
 def _sky(directions: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
-    """The color where a ray meets nothing: sky, and haze below the horizon."""
+    """The color of rays that hit nothing: sky, and haze below the horizon."""
     rise = (directions[..., 2] / jnp.linalg.norm(directions, axis=-1))[..., None]
     sky = jnp.asarray(_HORIZON) + jnp.sqrt(jnp.maximum(rise, 0)) * (jnp.asarray(_ZENITH) - jnp.asarray(_HORIZON))
     return jnp.where(rise > 0, sky, jnp.asarray(_HAZE, jnp.float32))
