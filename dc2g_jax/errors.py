@@ -1,8 +1,8 @@
-"""The one exception type for bad input: its message is the whole story a user needs."""
+"""The exception type for invalid input."""
 
 
 class InputError(ValueError):
-    """Input the package refuses.
+    """Invalid input from the user.
 
     The message is one line that names the file, the value found there and the remedy. Commands print it
     without a stack trace and exit with status 2.

@@ -1,1 +1,1 @@
-"""Houses on disk, houses drawn procedurally, and training pairs made from them."""
+"""Datasets of houses (published, own or procedural), episode starts, and training pairs."""

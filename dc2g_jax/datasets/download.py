@@ -1,8 +1,8 @@
-"""Fetching the published dataset once, from its authors' repository, into a cache folder.
+"""Download of the published dataset from its authors' repository into a cache folder.
 
-pooch checks every file against a manifest of SHA-256 sums that the package ships (the images themselves are not part
-of it) and moves it to its place when it is whole. So an interrupted download goes on with the files that are missing,
-however many processes fetch at once.
+pooch checks every file against the package's manifest of SHA-256 sums (the images themselves are not part of the
+package) and moves it to its place once it is complete. An interrupted download resumes with the missing files, and
+several processes may download at once.
 """
 
 import os
@@ -24,7 +24,7 @@ from dc2g_jax.files.resources import resource
 #: The authors' files at the pinned commit.
 BASE_URL = "https://raw.githubusercontent.com/mit-acl/dc2g/6f739e1/data/datasets/driveways_bing_iros19/"
 
-#: Asked in turn where the address above answers "no such file"; check sums make the source irrelevant.
+#: Mirrors, tried in turn if the address above answers "no such file". Checksums make the source irrelevant.
 OTHER_URLS = (
     "https://github.com/mit-acl/dc2g/raw/6f739e1/data/datasets/driveways_bing_iros19/",
     "https://raw.githubusercontent.com/mit-acl/dc2g/HEAD/data/datasets/driveways_bing_iros19/",
@@ -34,18 +34,18 @@ FOLDER_NAME = "driveways_bing_iros19"
 MANIFEST_NAME = "driveways_bing_iros19.sha256"
 
 TIMEOUT_SECONDS = 10.0
-#: How long the server may take to answer at all before the network counts as absent.
+#: Time for the server to answer before the network counts as unavailable.
 PROBE_SECONDS = 6.0
-#: Further tries of a file; pooch waits 1 s before the first and 2 s before the second.
+#: Retries per file; pooch waits 1 s before the first and 2 s before the second.
 RETRIES = 2
 
 _REMEDY = "pass --dataset FOLDER (or set DC2G_DATA) with a copy of the dataset, or 'procedural'"
 
 
 class NetworkUnavailable(Exception):
-    """Nothing answers where the files lie: no route, no name service, refused, timed out or a broken connection.
+    """The server does not answer: no route, no name service, refused, timed out or a broken connection.
 
-    The message says in a few words why.
+    The message gives the reason in a few words.
     """
 
 
@@ -53,10 +53,10 @@ def read_manifest(path: Path | None = None) -> dict[str, str]:
     """Read a manifest in the format of sha256sum: relative path -> SHA-256, lowercase hex.
 
     Args:
-        path: the manifest; None for the shipped one of the published dataset.
+        path: the manifest; None for the package's manifest of the published dataset.
 
     Raises:
-        InputError: the file is missing, empty, or a line has another form.
+        InputError: the file is missing or empty, or a line is malformed.
     """
     path = resource(MANIFEST_NAME) if path is None else Path(path)
     try:
@@ -75,7 +75,7 @@ def read_manifest(path: Path | None = None) -> dict[str, str]:
 
 
 def matches_published(folder: Path) -> bool:
-    """Say whether every file of the published dataset is in the folder, to the byte."""
+    """Whether the folder contains every file of the published dataset, byte for byte."""
     return all(
         os.path.isfile(folder / name) and pooch.file_hash(folder / name) == digest
         for name, digest in read_manifest().items()
@@ -83,7 +83,7 @@ def matches_published(folder: Path) -> bool:
 
 
 def cache_folder() -> Path:
-    """Return where downloads are kept: `DC2G_CACHE`, else `dc2g_jax` in the user's cache folder."""
+    """The folder of downloads: `DC2G_CACHE`, else `dc2g_jax` in the user's cache folder."""
     chosen = os.environ.get("DC2G_CACHE")
     try:
         return Path(chosen or pooch.os_cache("dc2g_jax")).expanduser()
@@ -98,21 +98,21 @@ def fetch_dataset(
     manifest: Path | None = None,
     progress: bool = True,
 ) -> Path:
-    """Return the folder of the published dataset, downloading what the cache does not have.
+    """Return the folder of the published dataset, after downloading the files that the cache lacks.
 
     Args:
         cache_dir: folder for downloads; None for `cache_folder()`.
-        base_url: where the files lie, a folder's address; None for the authors' repository.
-        manifest: file of check sums that says what to fetch; None for the shipped one.
-        progress: show a bar on the error stream.
+        base_url: address of the folder of files; None for the authors' repository.
+        manifest: file of checksums that lists the files; None for the package's manifest.
+        progress: whether to show a progress bar on the error stream.
 
     Returns:
-        The folder, every file in it verified just now.
+        The folder. Every file in it has been verified in this call.
 
     Raises:
-        NetworkUnavailable: nothing answers; found out within `PROBE_SECONDS`.
-        InputError: a file is not the one in the manifest (in the cache or as sent), the server does not hand it
-            out, the download breaks off midway, or the cache folder cannot be read or written.
+        NetworkUnavailable: the server does not answer within `PROBE_SECONDS`.
+        InputError: a file (in the cache or downloaded) does not match the manifest, the server refuses a file, the
+            download is interrupted, or the cache folder cannot be read or written.
     """
     entries = read_manifest(manifest)
     folder = (cache_folder() if cache_dir is None else Path(cache_dir)) / FOLDER_NAME
@@ -129,7 +129,7 @@ def fetch_dataset(
 
 
 def _missing(folder: Path, entries: Mapping[str, str]) -> list[str]:
-    """The files to fetch; InputError where one is there but is not the published one."""
+    """The files to fetch. Raises InputError if a file is present but differs from the published one."""
     missing = []
     for name, digest in entries.items():
         path = folder / name
@@ -147,7 +147,7 @@ def _download(
 ) -> None:
     """Fetch files, one after the other over one connection."""
     session = requests.Session()
-    # Without a network nothing is touched, whether or not the cache could be written.
+    # The network is probed first, so that without it the cache is not touched.
     _require_answer(session, base_urls[0])
 
     def fetch(url: str, file: str, _store: object) -> None:
@@ -158,7 +158,7 @@ def _download(
         answer.raise_for_status()
         Path(file).write_bytes(answer.content)
 
-    pooch.get_logger().setLevel("WARNING")  # the bar says enough
+    pooch.get_logger().setLevel("WARNING")  # the progress bar is enough
     store = pooch.create(path=folder, base_url=base_urls[0], registry=dict(entries), retry_if_failed=RETRIES)
     bar = tqdm(
         total=len(entries),
@@ -171,7 +171,7 @@ def _download(
     try:
         with bar:
             for name in missing:
-                # pooch would make it too, but not while another process does.
+                # pooch also makes it, but fails if another process does so at the same time.
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 store.fetch(name, downloader=fetch)
                 bar.update()
@@ -183,14 +183,14 @@ def _download(
             f"{folder}: the download broke off ({_words(error)}); {kept} of {len(entries)} files are kept: run again "
             f"to fetch the others, or {_REMEDY}"
         ) from None
-    except ValueError as error:  # pooch found another check sum
+    except ValueError as error:  # pooch found a wrong checksum
         raise InputError(f"{name}: {error} Try again later, or {_REMEDY}") from None
 
 
 def _require_answer(session: requests.Session, url: str) -> None:
-    """See that a server answers, whatever it says.
+    """Check that a server answers, with any status.
 
-    The wait is on a thread, because looking a name up and trying address after address cannot be cut short.
+    The request runs on a thread, because name resolution and attempts at several addresses cannot be interrupted.
     """
     answer: Future[requests.Response] = Future()
 
@@ -213,7 +213,7 @@ def _require_answer(session: requests.Session, url: str) -> None:
 
 
 def _words(error: BaseException) -> str:
-    """What went wrong, in few words: requests wraps what urllib3 wraps."""
+    """The innermost reason of an error in a few words: requests wraps errors that urllib3 already wraps."""
     while error.__context__ is not None:
         error = error.__context__
     return " ".join(str(getattr(error, "strerror", None) or error).split()) or type(error).__name__

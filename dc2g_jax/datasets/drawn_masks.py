@@ -1,17 +1,17 @@
-"""Observation masks as a hand would draw them: strokes, blobs and strips (the masks of Algorithm 1).
+"""Observation masks that imitate hand-drawn ones: strokes, blobs and strips (the masks of Algorithm 1).
 
-The paper's own masks were not published; its figures show broad strokes that uncover parts of a map, and the authors'
-scripts turn each of them by quarters and invert it.
+The paper's masks were not published. Its figures show broad strokes that uncover parts of a map, and the authors'
+scripts rotate each mask by quarter turns and invert it.
 """
 
 import cv2
 import numpy as np
 from jaxtyping import Bool
 
-#: Each drawing is used turned by quarters, covering and uncovering.
+#: Variants of a drawing: four quarter turns, each as drawn and inverted.
 VARIANTS = 8
 
-#: A drawing covers at least this share of the map, and leaves as much free.
+#: A drawing covers at least this share of the map and leaves at least this share uncovered.
 _LEAST_SHARE = 0.1
 
 
@@ -57,18 +57,18 @@ def _drawing(size: int, rng: np.random.Generator) -> Bool[np.ndarray, "s s"]:
 
 
 def mask_variants(mask: Bool[np.ndarray, "s s"]) -> Bool[np.ndarray, "8 s s"]:
-    """A mask turned by 0 to 3 quarters, then the inverse of each."""
+    """A mask rotated by 0 to 3 quarter turns, then the inverse of each."""
     turned = [np.rot90(mask, quarter) for quarter in range(4)]
     return np.stack(turned + [~variant for variant in turned])
 
 
 def drawn_masks(count: int, size: int, *, seed: int) -> Bool[np.ndarray, "count s s"]:
-    """Random drawings in all their variants: what is observed.
+    """Random drawings in all their variants; true where a cell is observed.
 
     Args:
-      count: how many masks; the last drawing gives fewer variants where this is no multiple of `VARIANTS`.
+      count: number of masks. The last drawing has fewer variants if this is not a multiple of `VARIANTS`.
       size: rows and columns.
-      seed: of the drawings.
+      seed: seed of the drawings.
     """
     rng = np.random.default_rng(seed)
     drawings = [mask_variants(_drawing(size, rng)) for _ in range(-(-count // VARIANTS))]

@@ -1,4 +1,4 @@
-"""Houses as class grids: the published dataset, folders in its format or of maps, and the procedural ones."""
+"""Houses as class grids: the published dataset, folders in its format, folders of maps, and procedural houses."""
 
 import collections
 import difflib
@@ -31,7 +31,7 @@ SPLIT_FILES = dict(zip(SPLITS, ("training_houses.csv", "validation_houses.csv", 
 IMAGE_FOLDER = "full_semantic"
 PUBLISHED_NAME = "driveways_bing_iros19"
 
-#: The word that stands for the procedural houses where a location is asked for.
+#: Location that stands for the procedural houses.
 PROCEDURAL = "procedural"
 
 _TEST_GROUPS = {"001": "same_neighborhood", "002": "new_neighborhood", "004": "urban"}
@@ -62,12 +62,12 @@ class HouseDataset:
     """Houses in the order of training, validation and test split, each split in the order of its list.
 
     Attributes:
-        name: what to call the dataset in results.
+        name: name of the dataset in results.
         source: 'published' (every file equals the authors'), 'procedural' or 'folder'.
         houses: all of them; names are unique.
 
     Raises:
-        InputError: two houses have one name.
+        InputError: two houses have the same name.
     """
 
     name: str
@@ -89,13 +89,13 @@ class HouseDataset:
         return digest.hexdigest()
 
     def split(self, split: str) -> tuple[House, ...]:
-        """Return the houses of 'train', 'val' or 'test'; InputError for any other word."""
+        """Return the houses of 'train', 'val' or 'test'. Raises InputError for any other split."""
         if split not in SPLIT_FILES:
             raise InputError(f"{self.name}: no split is called {split!r}; use one of: {', '.join(SPLIT_FILES)}")
         return tuple(house for house in self.houses if house.split == split)
 
     def house(self, name: str) -> House:
-        """Return the house of this name; InputError with the closest names where there is none."""
+        """Return the house of this name. Raises InputError, with the closest names, if there is none."""
         for house in self.houses:
             if house.name == name:
                 return house
@@ -106,7 +106,7 @@ class HouseDataset:
 
 
 def stack_worlds(houses: Iterable[House]) -> World:
-    """The worlds of houses of one grid size, stacked in their order along the last axis.
+    """The worlds of houses of equal grid size, stacked in their order along the last axis.
 
     Raises:
         InputError: the sizes of two houses differ.
@@ -126,9 +126,9 @@ def stack_worlds(houses: Iterable[House]) -> World:
 def group_of(house: House) -> str | None:
     """Return the paper's category of a house (section IV).
 
-    'train' and 'val' follow the split. Test houses are 'same_neighborhood' in neighborhood ?001, which
-    training saw parts of, 'new_neighborhood' in ?002, 'urban' in ?004, and 'test' anywhere else. None for
-    a split of another name.
+    'train' and 'val' follow the split. Test houses are 'same_neighborhood' in neighborhood ?001, parts of
+    which are in the training split, 'new_neighborhood' in ?002, 'urban' in ?004, and 'test' elsewhere. None
+    for any other split.
     """
     if house.split == "test":
         return _TEST_GROUPS.get(house.neighborhood[1:], "test")
@@ -139,20 +139,20 @@ def load_dataset(folder: str | os.PathLike[str], *, cells: int | None = 50) -> H
     """Read a folder in the published layout.
 
     The layout: `labels_colors.csv`; the house lists `training_houses.csv`, `validation_houses.csv` and
-    `testing_houses.csv` with the column `house_id`, of which up to two may be absent; and one image a house,
-    `full_semantic/{train,val,test}/world<house_id>.png`. Images that no list names are left alone.
+    `testing_houses.csv` with the column `house_id`, of which up to two may be absent; and one image per house,
+    `full_semantic/{train,val,test}/world<house_id>.png`. Images that no list names are ignored.
 
     Args:
         folder: the dataset.
-        cells: cells a side of the grid that every image is sampled to; `None` to leave them as they are.
+        cells: side of the square grid to which every image is sampled; `None` for no sampling.
 
     Raises:
-        InputError: anything in the folder is missing, damaged or contradicts itself; the message names the
-            file, the value and the remedy.
+        InputError: anything in the folder is missing, damaged or contradictory; the message names the file, the
+            value and the remedy.
     """
     folder = Path(folder)
     if cells is not None and cells < 1:
-        raise InputError(f"{folder}: a grid of {cells} cells a side is no grid; ask for at least 1")
+        raise InputError(f"{folder}: a grid of {cells} cells a side is not a grid; give at least 1")
     try:
         _check_folder(folder)
         lists = _read_house_lists(folder)
@@ -171,11 +171,10 @@ def load_dataset(folder: str | os.PathLike[str], *, cells: int | None = 50) -> H
 
 
 def procedural_dataset(seed: int = 0, *, cells: int | None = 50) -> HouseDataset:
-    """Return the procedural houses, sampled to `cells` a side like images from a folder
-    (`None`: as they are drawn).
+    """Return the procedural houses, sampled to `cells` x `cells` like images from a folder (`None`: no sampling).
 
     Raises:
-        InputError: `cells` is less than 1 or more than the drawn maps have pixels.
+        InputError: `cells` is less than 1 or more than the maps have pixels.
     """
     name = PROCEDURAL if seed == 0 else f"{PROCEDURAL}-{seed}"
     return HouseDataset(
@@ -192,7 +191,7 @@ def map_dataset(folder: str | os.PathLike[str]) -> HouseDataset:
     """Read a folder of maps of any size, see `dc2g_jax.datasets.maps.read_map_folder`.
 
     Raises:
-        InputError: the folder holds no maps, or anything in it is missing, damaged or of no use.
+        InputError: the folder contains no maps, or anything in it is missing, damaged or unusable.
     """
     folder = Path(folder)
     try:
@@ -208,14 +207,14 @@ def save_dataset(dataset_images: Iterable[tuple[str, str, np.ndarray]], folder: 
     """Write class images in the published layout, as RGB PNGs.
 
     Args:
-        dataset_images: `(name, split, classes uint8 [H W])` of each house; read once, in order.
-        folder: new or empty.
+        dataset_images: `(name, split, classes uint8 [H W])` of each house; consumed once, in order.
+        folder: folder to write to, new or empty.
 
     Returns:
         The folder, which `load_dataset` reads back.
 
     Raises:
-        InputError: the folder is in use or cannot be written, or a name, split or image is not valid.
+        InputError: the folder is not empty or cannot be written, or a name, split or image is invalid.
     """
     folder = Path(folder)
     names: dict[str, list[str]] = {}
@@ -245,7 +244,7 @@ def save_dataset(dataset_images: Iterable[tuple[str, str, np.ndarray]], folder: 
 
 
 def tell_on_stderr(line: str) -> None:
-    """Print one line to the error stream, where it does not mix with results."""
+    """Print one line to the error stream, apart from results."""
     print(line, file=sys.stderr, flush=True)
 
 
@@ -255,21 +254,20 @@ def open_dataset(
     cells: int | None = 50,
     log: Callable[[str], None] = tell_on_stderr,
 ) -> HouseDataset:
-    """Open the dataset that is meant, fetching the published one where nothing else is said.
+    """Open a dataset, by default the published one.
 
-    In this order: `location`; the environment variable `DC2G_DATA`; the copy downloaded earlier; a download
-    from the authors' repository; and, only where nothing answers there, the procedural houses with
-    one line through `log`.
+    The first of these that is given or available: `location`; the environment variable `DC2G_DATA`; an earlier
+    download; a download from the authors' repository; and, only if the repository does not answer, the procedural
+    houses, with one line through `log`.
 
     Args:
         location: a folder in the published layout, a folder of maps, or the word 'procedural'.
-        cells: cells a side of the grids; `None` to leave the images as they are. A folder of maps says itself
-            what its cells are.
-        log: takes the line about the fallback.
+        cells: side of the square grids; `None` for no sampling. A folder of maps defines its own grid size.
+        log: receives the line about the fallback.
 
     Raises:
-        InputError: a location that was asked for is no good, a downloaded file is not the published one, or the
-            download is refused or breaks off midway. None of them is ever replaced by other houses.
+        InputError: the given location is not a valid dataset, a downloaded file is not the published one, or the
+            download is refused or interrupted. These cases never fall back to other houses.
     """
     if location is not None:
         return _open_location(os.fspath(location), "the dataset location", cells)
@@ -279,7 +277,7 @@ def open_dataset(
         folder = fetch_dataset()
     except NetworkUnavailable as reason:
         log(
-            f"The published dataset is not here and cannot be downloaded ({reason}): using the embedded "
+            f"The published dataset is not here and cannot be downloaded ({reason}): using the "
             "procedural houses instead. To use the published houses, pass --dataset FOLDER or set DC2G_DATA."
         )
         return procedural_dataset(cells=cells)
@@ -300,7 +298,7 @@ def _open_location(location: str, setting: str, cells: int | None) -> HouseDatas
 
 
 def _is_map_folder(folder: Path) -> bool:
-    """Does a folder hold maps, and nothing of the published layout? What cannot be listed is left to that."""
+    """Whether a folder contains maps and nothing of the published layout. False for folders that cannot be listed."""
     published = [folder / name for name in (IMAGE_FOLDER, *SPLIT_FILES.values())]
     try:
         return not any(path.exists() for path in published) and any(map_files(folder).values())

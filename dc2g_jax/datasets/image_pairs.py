@@ -1,4 +1,4 @@
-"""Pairs of pictures for the image-to-image translator: partial maps and their cost-to-go (Algorithm 1)."""
+"""Image pairs for the image-to-image translator: partial maps and their cost-to-go (Algorithm 1)."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -17,18 +17,18 @@ from dc2g_jax.grid.sampling import ClassImage, resize_nearest, sample_grid
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE, UNKNOWN
 from dc2g_jax.programs import jit
 
-#: Pictures are enlarged by so much before they are cut at random, as in pix2pix.
+#: Factor by which images are enlarged before a random crop, as in pix2pix.
 _ENLARGED = 286 / 256
 
 
 @struct.dataclass
 class ImageSet:
-    """Whole maps, labels and observation masks; pictures are made from them on the device, a batch at a time.
+    """Whole maps, labels and observation masks. Images are made from them on the device, batch by batch.
 
     Attributes:
       terrain: class indices of every house.
       cost_to_go: exact cost-to-go of every house, 8-connected; infinity where there is none.
-      masks: boards of what is observed, at any resolution.
+      masks: boards of observed cells, at any resolution.
       pair_house: index of the house of each pair.
       pair_mask: index of the mask of each pair.
     """
@@ -42,14 +42,14 @@ class ImageSet:
 
 @struct.dataclass
 class ImagePair:
-    """A picture of a partial map and the picture of its cost-to-go, RGB from 0 to 1."""
+    """The image of a partial map and the image of its cost-to-go, RGB from 0 to 1."""
 
     image: Float[Array, "*batch s s 3"]
     target: Float[Array, "*batch s s 3"]
 
 
 def houses_with_door(dataset: HouseDataset, split: str) -> list[House]:
-    """Houses of a split that have a cost-to-go at all: the paper's 31, 4 and 41.
+    """Houses of a split that have a front door, so that a cost-to-go exists: 31, 4 and 41 in the published dataset.
 
     Raises:
       InputError: if there is none.
@@ -64,16 +64,16 @@ _solve = jit(search.cost_to_go)
 
 
 def labeled_map(image: ClassImage, size: int) -> tuple[UInt8[np.ndarray, "s s"], Float[np.ndarray, "s s"]]:
-    """A house's map and its exact cost-to-go, squeezed to a square (Algorithm 1, lines 4 and 5).
+    """A house's map and its exact cost-to-go, resampled to a square (Algorithm 1, lines 4 and 5).
 
-    Distances are those of the map in its own proportions, with `size` pixels along its longer side.
+    Distances are those of the map in its own aspect ratio, with `size` pixels along its longer side.
 
     Args:
-      image: class indices of the whole house, of any size and proportions.
+      image: class indices of the whole house, of any size and aspect ratio.
       size: rows and columns of the result.
 
     Returns:
-      Class indices, and 8-connected costs in pixels of the unsqueezed map; infinity where there is none.
+      Class indices, and 8-connected costs in pixels of the map in its own aspect ratio; infinity without cost-to-go.
     """
     height, width = (max(1, round(size * side / max(image.shape))) for side in image.shape)
     reduced = np.full((size, size), UNKNOWN, np.uint8)
@@ -86,11 +86,11 @@ def labeled_grid(image: ClassImage, cells: int) -> tuple[UInt8[np.ndarray, "s s"
     """A house's map and its exact cost-to-go on the grid that robots move on.
 
     Args:
-      image: class indices of the whole house, of any size and proportions.
+      image: class indices of the whole house, of any size and aspect ratio.
       cells: rows and columns of the grid.
 
     Returns:
-      Class indices, and 8-connected costs in cells; infinity where there is none.
+      Class indices, and 8-connected costs in cells; infinity without cost-to-go.
     """
     terrain = sample_grid(image, cells)
     return terrain, np.asarray(_solve(TRAVERSABLE[terrain], terrain == FRONT_DOOR))
@@ -109,7 +109,7 @@ def all_pairs(houses: Sequence[House], masks: Bool[np.ndarray, "masks s s"]) -> 
 
     Args:
       houses: houses with their whole images.
-      masks: what is observed; their size is that of the pictures.
+      masks: true where a pixel is observed, in the size of the images to make.
     """
     terrain, cost = labeled_maps((house.terrain for house in houses), masks.shape[-1])
     return ImageSet(
@@ -122,12 +122,12 @@ def all_pairs(houses: Sequence[House], masks: Bool[np.ndarray, "masks s s"]) -> 
 
 
 class MaskedMap(NamedTuple):
-    """A house, its cost-to-go and what is observed of it.
+    """A house with its cost-to-go and an observation mask.
 
     Attributes:
       terrain: class indices of the whole house.
       cost_to_go: exact cost-to-go, infinity where there is none.
-      seen: what is observed.
+      seen: true where a pixel is observed.
       largest: the largest finite cost of the whole house.
     """
 
@@ -137,13 +137,13 @@ class MaskedMap(NamedTuple):
     largest: Float[Array, ""]
 
     def pictures(self) -> ImagePair:
-        """The pictures of the house under the mask (Algorithm 1, lines 7 and 8)."""
+        """The images of the house under the mask (Algorithm 1, lines 7 and 8)."""
         observed = jnp.where(self.seen, self.terrain, jnp.uint8(UNKNOWN))
         return ImagePair(semantic_image(observed), cost_to_go_image(self.cost_to_go, observed, self.largest))
 
 
 def masked_map(data: ImageSet, index: Int[Array, ""]) -> MaskedMap:
-    """What one of the pairs of a set is made of."""
+    """The masked map of one pair of a set."""
     size, mask_size = data.terrain.shape[-1], data.masks.shape[-1]
     mask = bitboard.unpack(data.masks[data.pair_mask[index]], mask_size)
     cost = data.cost_to_go[data.pair_house[index]]
@@ -151,7 +151,7 @@ def masked_map(data: ImageSet, index: Int[Array, ""]) -> MaskedMap:
 
 
 def _jittered(whole: MaskedMap, key: Array) -> MaskedMap:
-    """Enlarged by 286 / 256, cut to its old size at random, and mirrored left to right every other time."""
+    """Enlarged by 286 / 256, randomly cropped to the original size, and mirrored left to right with probability 1/2."""
     size = whole.terrain.shape[-1]
     enlarged = round(size * _ENLARGED)
     corner_key, mirror_key = jax.random.split(key)
@@ -168,15 +168,15 @@ def _jittered(whole: MaskedMap, key: Array) -> MaskedMap:
 def draw_image_pairs(
     key: Array, step: Int[Array, ""], data: ImageSet, *, batch_size: int, whole_share: float, augment: bool
 ) -> ImagePair:
-    """The batch of a step: all pairs in random order, then all of them in another order, and so on.
+    """The batch of a step. Steps visit all pairs in random order, then all pairs in another random order, and so on.
 
     Args:
-      key: of the whole run.
+      key: random key of the whole run.
       step: number of the step.
       data: the pairs.
-      batch_size: pairs a step.
-      whole_share: share of pairs in which all of the map is observed, instead of what the mask shows.
-      augment: shift, enlarge and mirror maps at random, as pix2pix does.
+      batch_size: pairs per step.
+      whole_share: share of pairs in which the whole map is observed instead of the part that the mask shows.
+      augment: whether to enlarge, crop and mirror maps at random, as pix2pix does.
     """
     n_pairs = len(data.pair_house)
     order_key, own_key = jax.random.split(key)

@@ -1,4 +1,4 @@
-"""Your own maps as terrain: class pictures, class arrays and ROS occupancy maps of any size, and folders of them."""
+"""User maps as terrain: class images, class arrays and ROS occupancy maps of any size, and folders of them."""
 
 import difflib
 import math
@@ -24,7 +24,7 @@ SPLITS = ("train", "val", "test")
 #: Files of a folder of maps, beside the palette.
 GOALS_FILE, CELLS_FILE = "goals.csv", "cells.csv"
 
-#: What the files of maps end in.
+#: File endings of maps.
 MAP_ENDINGS = (".png", ".npy", *YAML_ENDINGS)
 
 _GOAL_REMEDY = "draw a front door, or give a goal (--goals), next to ground that can be driven on: " + ", ".join(
@@ -33,12 +33,12 @@ _GOAL_REMEDY = "draw a front door, or give a goal (--goals), next to ground that
 
 
 class Goal(NamedTuple):
-    """Where a goal lies.
+    """Position of a goal.
 
     Attributes:
       x: column of the grid, or meters in the map frame.
       y: row of the grid, growing downward, or meters in the map frame.
-      unit: `metres` can be given where the map is a ROS map.
+      unit: `cells`, or `metres` for ROS maps.
     """
 
     x: float
@@ -53,20 +53,20 @@ def read_map(
     goals: Sequence[Goal] = (),
     cells: tuple[int, int] | None = None,
 ) -> UInt8[np.ndarray, "h w"]:
-    """Read a map on which a planner can be run: some ground of it leads to a goal.
+    """Read a map on which a planner can run: some of its ground leads to a goal.
 
     Args:
-      path: a class picture (`.png`), an array of class indices (`.npy`), or the YAML file of a ROS occupancy map.
-      palette: what the colors of a picture mean.
-      goals: goals besides the front doors that are drawn; they become front doors.
+      path: a class image (`.png`), an array of class indices (`.npy`), or the YAML file of a ROS occupancy map.
+      palette: classes of the colors of an image.
+      goals: goals in addition to the front doors of the map; they become front doors.
       cells: columns and rows of the grid that the map is sampled to, see `dc2g_jax.grid.sampling.sample_grid` and
-        `OccupancyMap.terrain`; `None` for a pixel a cell.
+        `OccupancyMap.terrain`; `None` for one pixel per cell.
 
     Returns:
       Class indices, read-only.
 
     Raises:
-      InputError: the map cannot be read, a goal is not on its traversable ground, or none can be reached.
+      InputError: the map cannot be read, a goal is not on traversable ground, or no goal can be reached.
     """
     terrain = draw_map(path, palette=palette, goals=goals, cells=cells)
     require_way_to_goal(str(path), terrain)
@@ -80,7 +80,7 @@ def map_from_classes(
     cells: tuple[int, int] | None = None,
     name: str = "the array",
 ) -> UInt8[np.ndarray, "h w"]:
-    """A map from an array of class indices in memory: as `read_map` gives it, `name` stands for it in messages."""
+    """A map from an array of class indices in memory, like `read_map`. Messages call it `name`."""
     terrain = _with_goals(name, _sampled_with_doors(name, check_classes(name, classes), cells, goals), goals)
     require_way_to_goal(name, terrain)
     return terrain
@@ -93,7 +93,7 @@ def draw_map(
     goals: Sequence[Goal] = (),
     cells: tuple[int, int] | None = None,
 ) -> UInt8[np.ndarray, "h w"]:
-    """Read a map like `read_map`, but whether or not its goals can be reached."""
+    """Read a map like `read_map`, without the check that a goal can be reached."""
     path = Path(path)
     where, ending, occupancy = str(path), path.suffix.lower(), None
     if ending == ".png":
@@ -108,18 +108,23 @@ def draw_map(
         occupancy = read_occupancy_map(path)
         terrain = occupancy.terrain(*_grid_size(where, occupancy.free.shape, cells))
     else:
-        raise InputError(f"{path}: is no map; give a file that ends in {', '.join(MAP_ENDINGS)}")
+        raise InputError(f"{path}: is not a map; give a file that ends in {', '.join(MAP_ENDINGS)}")
     return _with_goals(where, terrain, goals, occupancy)
 
 
 def sampled(where: str, classes: ClassImage, cells: int | tuple[int, int] | None) -> ClassImage:
-    """Class indices on a grid of cells; `cells` is the side of a square grid, its columns and rows, or `None`.
+    """Sample class indices to a grid.
+
+    Args:
+      where: begins messages of errors.
+      classes: class indices, uint8 [H W].
+      cells: side of a square grid, or columns and rows, or `None` for no sampling.
 
     Returns:
       Class indices, read-only.
 
     Raises:
-      InputError: the grid is empty, or finer than the picture; `where` begins the message.
+      InputError: the grid is empty, or finer than the image.
     """
     columns, rows = _grid_size(where, classes.shape, cells)
     terrain = np.array(classes if cells is None else sample_grid(classes, (columns, rows)), np.uint8)
@@ -130,7 +135,7 @@ def sampled(where: str, classes: ClassImage, cells: int | tuple[int, int] | None
 def _sampled_with_doors(
     where: str, classes: ClassImage, cells: tuple[int, int] | None, goals: Sequence[Goal]
 ) -> ClassImage:
-    """Class indices on a grid of cells that does not lose the only goals there are."""
+    """Class indices on a grid of cells. Raises InputError if sampling loses every front door of the map."""
     terrain = sampled(where, classes, cells)
     if not goals and np.any(classes == FRONT_DOOR) and not np.any(terrain == FRONT_DOOR):
         raise InputError(
@@ -141,7 +146,7 @@ def _sampled_with_doors(
 
 
 def _grid_size(where: str, shape: tuple[int, ...], cells: int | tuple[int, int] | None) -> tuple[int, int]:
-    """Columns and rows of the grid over a picture of this shape."""
+    """Columns and rows of the grid over an image of this shape."""
     height, width = shape
     columns, rows = (width, height) if cells is None else (cells, cells) if isinstance(cells, int) else cells
     if not (1 <= columns <= width and 1 <= rows <= height):
@@ -158,23 +163,23 @@ def _read_array(path: Path) -> ClassImage:
             array = np.lib.format.read_array(stream, allow_pickle=False)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give a file that numpy.save wrote") from None
-    except Exception as error:  # a damaged header brings about many kinds
+    except Exception as error:  # a damaged header raises many kinds of errors
         problem = " ".join(str(error).split())[:120] or type(error).__name__
-        raise InputError(f"{path}: holds no plain array ({problem}); write it with numpy.save") from None
+        raise InputError(f"{path}: is not a plain array ({problem}); write it with numpy.save") from None
     return check_classes(str(path), array)
 
 
 def _with_goals(
     where: str, terrain: UInt8[np.ndarray, "h w"], goals: Sequence[Goal], occupancy: OccupancyMap | None = None
 ) -> UInt8[np.ndarray, "h w"]:
-    """The map with front doors on the goals, which must lie on traversable ground; read-only."""
+    """The map with front doors on the goals, read-only. Goals must lie on traversable ground."""
     drawn = terrain.copy()
     rows, columns = terrain.shape
     ground = TRAVERSABLE[terrain]
     for goal in goals:
         name = f"goal ({goal.x:g}, {goal.y:g})"
         if not (math.isfinite(goal.x) and math.isfinite(goal.y)):
-            raise InputError(f"{where}: {name} is nowhere; give two numbers")
+            raise InputError(f"{where}: {name} is not finite; give two finite numbers")
         if goal.unit == "metres":
             if occupancy is None:
                 raise InputError(f"{where}: {name} is in meters, which only a ROS map knows; give its column and row")
@@ -203,7 +208,7 @@ def _with_goals(
 
 
 def _nearest_ground(ground: np.ndarray, column: int, row: int) -> str:
-    """What to do about a goal that is not on the ground."""
+    """Remedy for a goal that is not on traversable ground."""
     rows, columns = np.nonzero(ground)
     if not len(rows):
         return "the map has no traversable ground at all"
@@ -212,13 +217,13 @@ def _nearest_ground(ground: np.ndarray, column: int, row: int) -> str:
 
 
 def require_way_to_goal(where: str, terrain: UInt8[np.ndarray, "h w"]) -> None:
-    """Refuse a map on which no planner can be run, with `InputError`; `where` begins the message."""
+    """Raise `InputError` if no ground of the map leads to a goal; `where` begins the message."""
     if reason := why_no_way(terrain):
         raise InputError(f"{where}: {reason}; {_GOAL_REMEDY}")
 
 
 def map_files(folder: Path) -> dict[str, list[Path]]:
-    """The maps of a folder by split: those in `train`, `val` and `test`, or else all that lie in the folder, as `test`.
+    """The maps of a folder by split: those in the folders `train`, `val` and `test`, else all in the folder as `test`.
 
     Raises:
       InputError: there are maps both in the folder itself and in the folders of the splits.
@@ -240,14 +245,14 @@ def _maps_in(folder: Path) -> list[Path]:
 
 
 def read_map_folder(folder: Path) -> list[tuple[str, str, UInt8[np.ndarray, "h w"]]]:
-    """Read a folder of maps: name, split and terrain of each, split by split in the order of their names.
+    """Read a folder of maps: name, split and terrain of each, by split and then by name.
 
-    Beside the maps may lie: `labels_colors.csv`, the colors of pictures (`class,r,g,b`); `goals.csv`, the goals of
-    maps by name (`map,x,y,unit`, see `Goal`); and `cells.csv`, the size of the grid that every map is sampled to
-    (`columns,rows` and one line), where a pixel is not to be a cell.
+    Optional files beside the maps: `labels_colors.csv`, the palette of images (`class,r,g,b`); `goals.csv`, goals by
+    name of the map (`map,x,y,unit`, see `Goal`); and `cells.csv`, the size of the grid to which every map is sampled
+    (`columns,rows` and one line). Without `cells.csv`, each pixel is a cell.
 
     Raises:
-      InputError: a map is refused by `read_map`, two have one name, or one of the tables is wrong.
+      InputError: `read_map` rejects a map, two maps have the same name, or one of the tables is invalid.
     """
     files = map_files(folder)
     paths: dict[str, Path] = {}
@@ -269,7 +274,7 @@ def read_map_folder(folder: Path) -> list[tuple[str, str, UInt8[np.ndarray, "h w
 
 
 def _read_goals(path: Path, names: Sequence[str]) -> Mapping[str, list[Goal]]:
-    """The goals by name of their map; none where there is no such file."""
+    """The goals by name of their map; empty if the file does not exist."""
     goals: dict[str, list[Goal]] = {}
     if not path.exists():
         return goals
@@ -277,7 +282,7 @@ def _read_goals(path: Path, names: Sequence[str]) -> Mapping[str, list[Goal]]:
         name, unit = row["map"], row["unit"]
         if name not in names:
             close = difflib.get_close_matches(name, names, n=3, cutoff=0.5) or sorted(names)[:3]
-            raise InputError(f"{path}: line {line} has a goal of {name!r}, which is no map; write {' or '.join(close)}")
+            raise InputError(f"{path}: line {line}: {name!r} is not a map; use {' or '.join(close)}")
         if unit not in ("cells", "metres"):
             raise InputError(f"{path}: line {line} has the unit {unit!r}; write cells or metres")
         x, y = (_number(path, line, column, row[column]) for column in "xy")
@@ -296,7 +301,7 @@ def _number(path: Path, line: int, column: str, text: str) -> float:
 
 
 def _read_cells(path: Path) -> tuple[int, int] | None:
-    """The size of the grid; `None` where there is no such file."""
+    """Columns and rows of the grid; `None` if the file does not exist."""
     if not path.exists():
         return None
     rows = read_table(path, ("columns", "rows"), remedy="give the size of the grid there")

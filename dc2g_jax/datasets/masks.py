@@ -1,4 +1,4 @@
-"""Observation masks: what a moving robot has seen at some moment (the masks of Algorithm 1)."""
+"""Observation masks: the cells that a moving robot has seen at some moment (the masks of Algorithm 1)."""
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ class Moments:
 
     Attributes:
       seen: board of the cells observed so far.
-      exploring: is a goal still out of reach, so that a planner would ask for a cost-to-go?
+      exploring: whether no goal is reachable yet, so that a planner would ask for a cost-to-go.
     """
 
     seen: UInt32[Array, "*batch n_words h"]
@@ -27,14 +27,14 @@ class Moments:
 def moments_along(
     world: World, start: Pose, actions: Int8[Array, "t"], times: Int[Array, "k"], *, sensing: Kernel
 ) -> Moments:
-    """What a robot that takes `actions` from `start` has seen after `times[k]` actions.
+    """The cells that a robot that takes `actions` from `start` has seen after `times[k]` actions.
 
-    The path and the sensor are independent: any kernel may look along any path.
+    Path and sensor are independent: any kernel may be used along any path.
 
     Args:
       world: the map.
       start: first pose.
-      actions: actions taken; those beyond the largest of `times` do not matter.
+      actions: actions taken; actions beyond the largest of `times` have no effect.
       times: numbers of actions, each from 0 to `len(actions)`.
       sensing: field of view.
     """

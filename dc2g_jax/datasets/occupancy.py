@@ -1,4 +1,4 @@
-"""Occupancy maps as ROS saves them: a YAML file with the facts beside a PGM picture, read as map_server reads them."""
+"""ROS occupancy maps, read like map_server reads them: a YAML file with metadata and a PGM image."""
 
 import math
 import re
@@ -13,12 +13,12 @@ from jaxtyping import Bool, UInt8
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import HOUSE, ROAD, UNKNOWN
 
-#: What the files of occupancy maps end in.
+#: File endings of occupancy maps.
 YAML_ENDINGS = (".yaml", ".yml")
 
 _REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 
-#: The gray that map savers write where nothing is known, and the threshold below which it is not read as free.
+#: The gray value that map savers write for unknown pixels, and the usual threshold, with which it is not read as free.
 _UNKNOWN_GRAY, _USUAL_FREE_THRESHOLD = 205, 0.196
 
 _GAP = rb"(?:\s|#[^\r\n]*[\r\n])+"
@@ -32,11 +32,11 @@ class OccupancyMap:
     Attributes:
       path: the YAML file it was read from.
       free: pixels known to be free.
-      occupied: pixels known to be occupied; where neither, nothing is known.
-      resolution: meters a pixel.
-      origin: where the lower left corner of the picture lies in the map frame: x and y in meters, and the angle in
-        radians by which the picture is turned counterclockwise about it.
-      doubt: one line on what was read as the file says but is probably not meant so, or `None`.
+      occupied: pixels known to be occupied; pixels that are neither are unknown.
+      resolution: meters per pixel.
+      origin: position of the lower left corner of the image in the map frame, x and y in meters, and the
+        counterclockwise rotation of the image about it in radians.
+      doubt: one line about metadata that was followed but is probably a mistake, or `None`.
     """
 
     path: Path
@@ -49,22 +49,23 @@ class OccupancyMap:
     def terrain(self, columns: int, rows: int) -> UInt8[np.ndarray, "{rows} {columns}"]:
         """The map as terrain: road where free, house where occupied, unknown elsewhere.
 
-        What the shipped network has been trained on has these classes. A cell is free only if all it covers is free,
-        and occupied if anything in it is, so that no wall is lost on a coarser grid.
+        The trained network of the package knows these classes. A cell is free only if all of its pixels are free, and
+        occupied if any of its pixels is, so that no wall is lost on a coarser grid.
         """
         free = _covered(~self.free, columns, rows) == 0
         occupied = _covered(self.occupied, columns, rows) > 0
         return np.asarray(np.where(free, ROAD, np.where(occupied, HOUSE, UNKNOWN)), np.uint8)
 
     def cell(self, x: float, y: float, columns: int, rows: int) -> tuple[int, int] | None:
-        """Column and row, on a grid of this size, of a point in the map frame; beyond the grid for one off the
-        map, `None` where no number says how far.
+        """Column and row of a point in the map frame, on a grid of this size.
+
+        They lie beyond the grid for points off the map. `None` if they are too large for numbers.
 
         Args:
           x: meters.
           y: meters.
-          columns: of the grid that is laid over the map.
-          rows: of the grid.
+          columns: columns of the grid over the map.
+          rows: rows of the grid.
         """
         height, width = self.free.shape
         east, north, yaw = x - self.origin[0], y - self.origin[1], self.origin[2]
@@ -76,7 +77,7 @@ class OccupancyMap:
 
 
 def _covered(pixels: Bool[np.ndarray, "h w"], columns: int, rows: int) -> np.ndarray:
-    """How many of these pixels each cell of a grid over them touches, [rows columns]."""
+    """Number of these pixels that each cell of a grid over them touches, [rows columns]."""
     height, width = pixels.shape
     sums = np.pad(np.cumsum(np.cumsum(pixels, axis=0, dtype=np.int64), axis=1), ((1, 0), (1, 0)))
     row, column = np.arange(rows + 1), np.arange(columns + 1)
@@ -90,8 +91,8 @@ def read_occupancy_map(path: Path) -> OccupancyMap:
     """Read a ROS map: `image`, `resolution`, `origin`, `negate`, `occupied_thresh`, `free_thresh`; mode `trinary`.
 
     Raises:
-      InputError: the YAML file or its picture is missing, unreadable or damaged, a key is missing, a value makes no
-        sense, or the mode is another.
+      InputError: the YAML file or its image is missing, unreadable or damaged, a key is missing, a value is invalid,
+        or the mode is not `trinary`.
     """
     facts = _read_facts(path)
     image = path.parent / str(facts["image"])
@@ -127,7 +128,7 @@ def read_occupancy_map(path: Path) -> OccupancyMap:
 
 
 def _read_facts(path: Path) -> dict[str, Any]:
-    """The keys and values of the YAML file; none of the required is missing."""
+    """The keys and values of the YAML file, checked to contain all required keys."""
     try:
         facts = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
@@ -139,7 +140,7 @@ def _read_facts(path: Path) -> dict[str, Any]:
         where = f" line {mark.line + 1}" if mark else ""
         problem = " ".join(str(getattr(error, "problem", None) or "no YAML").split())
         raise InputError(f"{path}:{where} is not YAML ({problem}); repair the file") from None
-    except Exception as error:  # a date or number that is none, brackets without end: many kinds
+    except Exception as error:  # invalid dates and numbers, unclosed brackets: many kinds of errors
         raise InputError(f"{path}: is not YAML ({' '.join(str(error).split())}); repair the file") from None
     if not isinstance(facts, dict):
         raise InputError(f"{path}: holds no keys and values; a ROS map needs {', '.join(_REQUIRED)}")
@@ -150,18 +151,18 @@ def _read_facts(path: Path) -> dict[str, Any]:
 
 
 def _number(path: Path, key: str, value: object) -> float:
-    """A finite number; YAML takes `5e-2` for text."""
+    """A finite number. YAML reads `5e-2` as text, which is accepted too."""
     try:
         number = math.nan if isinstance(value, bool) else float(str(value))
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise InputError(f"{path}: {key} has {value!r}, which is no number; write one such as 0.05")
+        raise InputError(f"{path}: {key} has {value!r}, which is not a number; write one such as 0.05")
     return number
 
 
 def _read_pgm(path: Path, named_in: Path) -> UInt8[np.ndarray, "h w"]:
-    """Gray values of a binary 8-bit PGM file, checked to the last byte."""
+    """Gray values of a binary 8-bit PGM file, whose length is checked."""
     try:
         data = path.read_bytes()
     except OSError as error:

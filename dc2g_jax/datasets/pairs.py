@@ -1,4 +1,4 @@
-"""Training pairs: masked maps and the exact cost-to-go beneath them (Algorithm 1)."""
+"""Training pairs: masked maps and their exact cost-to-go (Algorithm 1)."""
 
 import dataclasses
 import functools
@@ -12,23 +12,23 @@ from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
 
 from dc2g_jax.grid import bitboard
 
-#: `(key, observed map) ->` the map as it might have been observed.
+#: `(key, observed map) -> noisy map`.
 Degrade = Callable[[Array, UInt8[Array, "h w"]], UInt8[Array, "h w"]]
 
-#: Number of ways to turn and mirror a square map.
+#: Number of rotations and reflections of a square map.
 SYMMETRY_COUNT = 8
 
 
 @struct.dataclass
 class TrainingSet:
-    """Labels and observation masks; pairs are made from them on the device, a batch at a time.
+    """Labels and observation masks. Pairs are made from them on the device, batch by batch.
 
     Attributes:
       terrain: class indices of every world.
       cost_to_go: exact cost-to-go of every world in cells, infinity where there is none.
       masks: boards of observed cells.
       mask_world: index of the world that each mask belongs to.
-      n_own: how many of the masks, the first ones, are of the dataset's own houses rather than procedural ones.
+      n_own: number of masks of the dataset's own houses; these come first, those of procedural houses follow.
     """
 
     terrain: UInt8[Array, "worlds h w"]
@@ -54,7 +54,7 @@ class Pair:
 
 
 def _turned(grid: Array, symmetry: Int[Array, ""]) -> Array:
-    """One of the symmetries of the square (of the rectangle where the grid is not square)."""
+    """The grid under one of the symmetries of the square (of the rectangle if the grid is not square)."""
     mirrored = jnp.where(symmetry & 1, grid[:, ::-1], grid)
     flipped = jnp.where(symmetry & 2, mirrored[::-1], mirrored)
     if grid.shape[0] != grid.shape[1]:
@@ -78,20 +78,20 @@ def make_pair(
     edge_width: int = 2,
     half_weight_cost: float = math.inf,
 ) -> Pair:
-    """The training pair of one mask, turned or mirrored (Algorithm 1, lines 7 and 8).
+    """The training pair of one mask under a symmetry (Algorithm 1, lines 7 and 8).
 
-    Only observed cells with a cost-to-go count. Those within `edge_width` cells of unobserved ground, which is where a
-    planner's choices lie, count `edge_weight` times. All count the less the further from a goal they lie, so that what
-    is learned is nearer to a relative error than to an absolute one.
+    Only observed cells with a cost-to-go have weight. Cells within `edge_width` cells of unobserved ground, among which
+    a planner chooses, have `edge_weight` times the weight. Weights decrease with distance from the goal, so that the
+    loss is closer to a relative error than to an absolute one.
 
     Args:
       data: labels and masks.
-      index: which mask, 0 to masks - 1.
+      index: index of the mask.
       symmetry: 0 to `SYMMETRY_COUNT` - 1.
-      whole: lift the mask, so that all of the map is observed.
+      whole: whether to lift the mask, so that the whole map is observed.
       edge_weight: weight of cells near unobserved ground; other cells have weight 1.
-      edge_width: how near is near, in cells.
-      half_weight_cost: cost-to-go in cells at which a cell counts half as much as at a goal; infinite for all alike.
+      edge_width: largest distance to unobserved ground that counts as near, in cells.
+      half_weight_cost: cost-to-go in cells at which the weight is half of that at a goal; infinite for equal weights.
     """
     world = data.mask_world[index]
     width = data.terrain.shape[-1]
@@ -104,20 +104,20 @@ def make_pair(
     return jax.tree.map(lambda grid: _turned(grid, symmetry), pair)
 
 
-#: Cells by which a map is moved, at most, for each unit of jitter.
+#: Largest shift of a map in cells, per unit of jitter.
 _SHIFT_PER_JITTER = 40.0
 
 
 def jittered(key: Array, pair: Pair, jitter: float) -> Pair:
-    """A pair as it would be were the map a little larger or smaller, a little to the side; half of them as they are.
+    """A randomly scaled and shifted pair; with probability 1/2 the pair does not change.
 
-    Both axes are stretched by factors of their own and cells sampled anew, nearest neighbor; costs grow with the map.
-    What comes in from beyond the map's edge is unobserved.
+    Each axis is scaled by its own factor, and cells are resampled by nearest neighbor. Costs scale with the map. Cells
+    from beyond the map's edge are unobserved.
 
     Args:
       key: PRNG key.
       pair: one training pair.
-      jitter: logarithm of the largest factor; maps are moved by up to 40 cells times it.
+      jitter: logarithm of the largest factor; maps are shifted by up to 40 cells times `jitter`.
     """
     height, width = pair.terrain.shape
     stretch, shift, chance = jax.random.split(key, 3)
@@ -125,7 +125,7 @@ def jittered(key: Array, pair: Pair, jitter: float) -> Pair:
     offsets = _SHIFT_PER_JITTER * jax.random.uniform(shift, (2,), minval=-jitter, maxval=jitter)
 
     def sampled(size: int, axis: int) -> tuple[Array, Array]:
-        """Index of the cell that each cell is taken from, and whether it lies on the map."""
+        """Index of the source of each cell, and whether the source lies on the map."""
         middle = (size - 1) / 2
         source = jnp.round((jnp.arange(size) - middle) / factors[axis] + middle + offsets[axis]).astype(jnp.int32)
         return jnp.clip(source, 0, size - 1), (source >= 0) & (source < size)
@@ -159,13 +159,13 @@ def draw_pairs(
       key: PRNG key.
       data: labels and masks.
       batch_size: number of pairs.
-      own_share: probability that a pair is of one of the dataset's own houses; of no weight where there are masks of
-        one kind only.
+      own_share: probability that a pair is of one of the dataset's own houses; ignored if there are masks of one kind
+        only.
       edge_weight: see `make_pair`.
       jitter: see `jittered`; 0 for none.
-      whole_share: probability that all of a map is observed.
+      whole_share: probability that the whole map is observed.
       half_weight_cost: see `make_pair`.
-      degrade: what becomes of each observed map, as a camera may make it out; `None` for nothing.
+      degrade: noise of observed maps, such as that of a camera; `None` for none.
     """
     which, place, turn, change, lift, noise = jax.random.split(key, 6)
     count = len(data.mask_world)

@@ -1,4 +1,4 @@
-"""How much a map has in common with the training maps: bags of visual words (section IV-A3)."""
+"""Similarity of a map to the training maps: bags of visual words (section IV-A3)."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from dc2g_jax.grid.terrain import CLASS_NAMES
 #: Words in the vocabulary, as in the paper.
 VOCABULARY = 20
 
-#: A map is broken into this many patches along each side.
+#: Number of patches along each side of a map.
 _PATCHES = 16
 
 _SEED, _ATTEMPTS, _ITERATIONS = 0, 10, 200
@@ -21,8 +21,8 @@ class SimilarityScale(NamedTuple):
     """The training maps as bags of words.
 
     Attributes:
-      vocabulary: color histograms that stand for the kinds of patches there are, each with sum 1.
-      bags: how often each word occurs in each training map, with sum 1 over the words.
+      vocabulary: the words: color histograms of kinds of patches, each with sum 1.
+      bags: frequency of each word in each training map, with sum 1 over the words.
     """
 
     vocabulary: Float[np.ndarray, "words classes"]
@@ -30,14 +30,14 @@ class SimilarityScale(NamedTuple):
 
 
 def patch_histograms(terrain: UInt8[np.ndarray, "s s"]) -> Float[np.ndarray, "patches classes"]:
-    """The color histogram of every patch of a map, with sum 1; a class is a color.
+    """The color histogram of every patch of a map, with sum 1. Each class is one color.
 
     Raises:
-      ValueError: if the map cannot be broken into patches of equal size.
+      ValueError: if the map cannot be divided into patches of equal size.
     """
     size = len(terrain)
     if size % _PATCHES:
-        raise ValueError(f"a map of {size} cells a side cannot be broken into {_PATCHES} equal patches a side")
+        raise ValueError(f"a map with sides of {size} cells cannot be divided into {_PATCHES} equal patches per side")
     side = size // _PATCHES
     patches = terrain.reshape(_PATCHES, side, _PATCHES, side).transpose(0, 2, 1, 3).reshape(-1, side * side)
     return np.stack([np.mean(patches == index, axis=1) for index in range(len(CLASS_NAMES))], axis=1, dtype=np.float32)
@@ -46,13 +46,13 @@ def patch_histograms(terrain: UInt8[np.ndarray, "s s"]) -> Float[np.ndarray, "pa
 def _bag(
     terrain: UInt8[np.ndarray, "s s"], vocabulary: Float[np.ndarray, "words classes"]
 ) -> Float[np.ndarray, "words"]:
-    """How often each word occurs in a map, with sum 1."""
+    """Frequency of each word in a map, with sum 1."""
     distance = np.linalg.norm(patch_histograms(terrain)[:, None] - vocabulary, axis=-1)
     return np.bincount(np.argmin(distance, axis=1), minlength=len(vocabulary)) / _PATCHES**2
 
 
 def similarity_scale(training: UInt8[np.ndarray, "maps s s"]) -> SimilarityScale:
-    """Learn the words from the training maps by k-means, the same way every time."""
+    """Learn the vocabulary from the training maps by k-means. The result is deterministic."""
     features = np.concatenate([patch_histograms(terrain) for terrain in training])
     words = min(VOCABULARY, len(np.unique(features, axis=0)))
     cv2.setRNGSeed(_SEED)
@@ -62,8 +62,8 @@ def similarity_scale(training: UInt8[np.ndarray, "maps s s"]) -> SimilarityScale
 
 
 def distance_to_training(terrain: UInt8[np.ndarray, "s s"], scale: SimilarityScale) -> float:
-    """Distance of a map from the most similar training map: 0 for the same bag of words, 1 for no word in common.
+    """Distance of a map to the most similar training map: 0 for equal bags of words, 1 for no word in common.
 
-    The paper calls it the similarity score; half the L1 distance between bags, which both have the sum 1.
+    This is half the L1 distance between the bags, both of sum 1. The paper calls it the similarity score.
     """
     return float(np.min(np.abs(scale.bags - _bag(terrain, scale.vocabulary)).sum(axis=1)) / 2)

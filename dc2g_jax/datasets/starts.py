@@ -1,4 +1,4 @@
-"""Where episodes start: sampled on the road, read from a CSV file, or as published."""
+"""Start poses of episodes: sampled on roads, read from a CSV file, or as published."""
 
 import csv
 import functools
@@ -29,8 +29,8 @@ class Start(NamedTuple):
       x: column.
       y: row, growing downward.
       heading: 0 = +x, 1 = +y, 2 = -x, 3 = -y.
-      sensing_range: reach of the field of view in cells, `None` for the setting's own.
-      expanding_range: range of the frontier-expanding kernel in cells, `None` for the setting's own.
+      sensing_range: range of the field of view in cells, `None` for the default of the settings.
+      expanding_range: range of the frontier-expanding kernel in cells, `None` for the default of the settings.
     """
 
     house: str
@@ -47,9 +47,9 @@ class PublishedEpisode(NamedTuple):
     Attributes:
       group: `train`, `same_neighborhood`, `new_neighborhood` or `urban`.
       start: first pose.
-      oracle: steps the authors' oracle took.
-      frontier: steps the authors' frontier planner took.
-      dc2g: steps the authors' DC2G took.
+      oracle: steps of the authors' oracle.
+      frontier: steps of the authors' frontier planner.
+      dc2g: steps of the authors' DC2G planner.
     """
 
     group: str
@@ -61,7 +61,7 @@ class PublishedEpisode(NamedTuple):
 
 @functools.cache
 def published_episodes() -> tuple[PublishedEpisode, ...]:
-    """The 400 published episodes with the authors' own step counts."""
+    """The 400 published episodes with the authors' step counts."""
     with resource("published_episodes.csv").open(newline="") as file:
         lines = (line for line in file if not line.startswith("#"))
         return tuple(
@@ -77,13 +77,13 @@ def published_episodes() -> tuple[PublishedEpisode, ...]:
 
 
 def start_cells(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Road from which a front door can be reached; in a map without any road, all such ground but the doors."""
+    """Road cells from which a front door can be reached; on maps without road, all such ground except the doors."""
     ground = terrain == ROAD if np.any(terrain == ROAD) else terrain != FRONT_DOOR
     return np.asarray(connected_to_goal(terrain) & ground)
 
 
 def why_no_episode(house: House) -> str | None:
-    """Why no episode can be run in a house, or `None` where one can."""
+    """The reason why no episode can be run in a house; `None` if one can."""
     if reason := why_no_way(house.terrain):
         return reason
     if not np.any(start_cells(house.terrain)):
@@ -94,11 +94,11 @@ def why_no_episode(house: House) -> str | None:
 def sample_starts(houses: Iterable[House], per_house: int, *, seed: int) -> list[Start]:
     """Random starts on `start_cells`, in random headings.
 
-    The starts of a house depend on the seed and the house's name alone. Houses in which no episode can be run have
-    none; see `why_no_episode`.
+    The starts of a house depend only on the seed and the name of the house. Houses in which no episode can be run get
+    no starts, see `why_no_episode`.
 
     Raises:
-      InputError: `per_house` is below 1.
+      InputError: `per_house` is less than 1.
     """
     if per_house < 1:
         raise InputError(f"{per_house} starts per house: give 1 or more")
@@ -122,10 +122,10 @@ _MIN_RANGE = 2
 
 
 def _whole_number(path: Path, line: int, row: dict[str, str], column: str, low: int, high: int | None) -> int:
-    """One cell of the table as a whole number within bounds."""
+    """One entry of the table as a whole number within bounds."""
     text = row[column]
     bounds = f"of at least {low}" if high is None else f"from {low} to {high}"
-    # No number here has more than six digits, and `int` would take many more spellings than a table should.
+    # Values have at most six digits. `int` alone would accept spellings that do not belong in a table.
     number = int(text) if re.fullmatch(r"-?[0-9]{1,6}", text) else None
     if number is None or number < low or (high is not None and number > high):
         raise InputError(f"{path}: line {line}: {column} is {text[:20]!r}; give a whole number {bounds}")
@@ -158,13 +158,13 @@ def _read_start(path: Path, line: int, row: dict[str, str], dataset: HouseDatase
 
 
 def read_starts(path: str | Path, dataset: HouseDataset) -> list[Start]:
-    """Read starts from a CSV file with columns `house,x,y,heading` and, optionally, `range,expanding_range`.
+    """Read starts from a CSV file with the columns `house,x,y,heading` and, optionally, `range,expanding_range`.
 
     Other columns are ignored.
 
     Raises:
-      InputError: for a file that cannot be read, a missing column, a bad number, an unknown house, or a start from
-        which no goal can be reached, naming the line; for a table of episodes of several planners.
+      InputError: the file cannot be read or lacks a column, a number is invalid, a house is unknown, no goal can be
+        reached from a start (the message names the line), or the table holds episodes of several planners.
     """
     path = Path(path)
     remedy = f"give a CSV file with columns {', '.join(_REQUIRED)}"

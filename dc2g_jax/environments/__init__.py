@@ -1,1 +1,1 @@
-"""The search for a front door as an environment to learn in: `functional` for JAX, `gymnasium_env` for Gymnasium."""
+"""Reinforcement-learning environments of the search for a front door, for JAX and for Gymnasium."""

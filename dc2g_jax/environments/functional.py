@@ -1,6 +1,6 @@
-"""The search for a front door as an environment for learning: pure functions in the manner of gymnax and PureJaxRL.
+"""The search for a front door as a JAX environment: pure functions in the style of gymnax and PureJaxRL.
 
-Written for one robot; `jax.vmap` makes it many, and a whole training loop fits into one `jax.jit`:
+Functions take one robot; use `jax.vmap` for batches. A whole training loop fits into one `jax.jit`:
 
     environment, params = front_door(houses)
     observation, state = environment.reset(key, params)
@@ -9,7 +9,7 @@ Written for one robot; `jax.vmap` makes it many, and a whole training loop fits 
 An episode starts on the road of a random house (`dc2g_jax.datasets.starts.start_cells`), in a random heading. Every
 action costs 1, so the return is minus the number of steps. The episode terminates when the robot stands on a front
 door after an action, and is truncated at the step limit. Actions are those of `dc2g_jax.grid.poses`: 0 forward, 1 turn
-left, 2 turn right. A planner never drives against an obstacle; a learner does, and the robot then stays where it is.
+left, 2 turn right. A robot that drives against an obstacle stays where it is.
 """
 
 import dataclasses
@@ -37,20 +37,20 @@ from dc2g_jax.rollouts.rollout import NO_ACTION, STEP_LIMIT
 #: Reward of every action.
 STEP_REWARD = -1.0
 
-#: Reach of the field of view in cells where nothing else is said, as in the paper.
+#: Default range of the field of view in cells, as in the paper.
 SENSING_RANGE = 8
 
-# A field of view grows with the square of its range; steps are counted in 32 bits.
+# The size of a field of view grows with the square of its range; steps are counted in 32 bits.
 _MAX_STEP_LIMIT = 2**31 - 1
 
 
 @struct.dataclass
 class Params:
-    """Where episodes take place. Values, not settings: a program is compiled once for all of the same shapes.
+    """Parameters of the environment. They are traced: programs are compiled once for all parameters of equal shapes.
 
     Attributes:
       worlds: the houses, stacked along the last axis.
-      start_cells: cells that episodes may start on, house after house, as row times width plus column, int32.
+      start_cells: start cells of episodes, house after house, as row times width plus column, int32.
       first_start: index of each house's first cell in `start_cells`, int32.
       start_count: number of each house's cells in `start_cells`, at least 1, int32.
       step_limit: actions after which an episode is truncated, int32.
@@ -69,7 +69,7 @@ class Observation:
 
     Attributes:
       terrain: observed class indices (see `dc2g_jax.grid.terrain`), 0 where nothing has been observed.
-      pose: where the robot is: column and row in cells, heading in quarter turns.
+      pose: pose of the robot: column and row in cells, heading in quarter turns.
     """
 
     terrain: UInt8[Array, "h w"]
@@ -78,7 +78,7 @@ class Observation:
 
 @struct.dataclass
 class State:
-    """An episode under way.
+    """State of an episode.
 
     Attributes:
       house: index of the house in the stack of worlds, int32.
@@ -93,7 +93,10 @@ class State:
 
 @dataclasses.dataclass(frozen=True)
 class FrontDoor:
-    """The environment. Hashable, so a static value under `jit`.
+    """The environment: search for a front door of a random house on the paper's gridworld.
+
+    Observation, action, reward and end of an episode are described in the module's documentation. Hashable, so it can
+    be a static argument of `jit`.
 
     Attributes:
       sensing: the robot's field of view.
@@ -112,14 +115,14 @@ class FrontDoor:
         Args:
           house: index of the house in the stack of worlds.
           pose: first pose, on a traversable cell other than a front door.
-          params: where episodes take place.
+          params: parameters of the environment.
         """
         belief = gridworld.reset(_world(params, house), pose, self.sensing)
         state = State(house=house, belief=belief, episode_return=jnp.zeros((), jnp.float32))
         return observe(state), state
 
     def reset(self, key: PRNGKeyArray, params: Params) -> tuple[Observation, State]:
-        """Begin an episode in a random house, on a random one of its start cells, in a random heading."""
+        """Begin an episode in a random house, on a random start cell, in a random heading."""
         house_key, cell_key, heading_key = jax.random.split(key, 3)
         house = jax.random.randint(house_key, (), 0, len(params.start_count), jnp.int32)
         number = jax.random.randint(cell_key, (), 0, params.start_count[house], jnp.int32)
@@ -130,15 +133,15 @@ class FrontDoor:
     def advance(
         self, state: State, action: Int[Array, ""], params: Params
     ) -> tuple[State, Float[Array, ""], Bool[Array, ""], Bool[Array, ""]]:
-        """Take one action, and leave it at that where the episode ends.
+        """Take one action, without a reset at the end of an episode.
 
         Returns:
-          State, reward, whether the robot stands on a front door (terminated), and whether it does not but
-          has used up its steps (truncated).
+          State; reward; `terminated`, whether the robot stands on a front door; and `truncated`, whether it does not
+          and has reached the step limit.
         """
         world = _world(params, state.house)
         ahead = moved(state.belief.pose, action, world.height, world.width)
-        # The robot bumps into what it cannot drive on.
+        # The robot stays in place if the cell ahead is not traversable.
         action = jnp.where(bitboard.contains(world.traversable, ahead.x, ahead.y), action, NO_ACTION)
         belief = gridworld.step(world, state.belief, action, self.sensing)
         reward = jnp.full((), STEP_REWARD, jnp.float32)
@@ -150,18 +153,18 @@ class FrontDoor:
     def step(
         self, key: PRNGKeyArray, state: State, action: Int[Array, ""], params: Params
     ) -> tuple[Observation, State, Float[Array, ""], Bool[Array, ""], dict[str, Any]]:
-        """Take one action, and begin the next episode where it ends this one.
+        """Take one action, and begin a new episode if it ends the current one.
 
         Args:
-          key: used where a new episode begins.
-          state: the episode under way.
+          key: random key of the new episode.
+          state: state of the current episode.
           action: 0 forward, 1 turn left, 2 turn right.
-          params: where episodes take place.
+          params: parameters of the environment.
 
         Returns:
-          Observation and state, which are those of the new episode where one begins; reward; whether the old episode
-          has ended; and more about the old one: `final_observation`, `terminated`, `truncated`, `episode_return` and
-          `episode_length`, the latter two so far where it goes on.
+          Observation and state, those of the new episode if one begins; reward; whether the current episode has ended;
+          and information about it: `final_observation`, `terminated`, `truncated`, `episode_return` and
+          `episode_length`. The last two count the episode so far if it continues.
         """
         last, reward, terminated, truncated = self.advance(state, action, params)
         done = terminated | truncated
@@ -179,16 +182,16 @@ class FrontDoor:
 def front_door(
     houses: Sequence[House], *, sensing_range: int = SENSING_RANGE, step_limit: int = STEP_LIMIT
 ) -> tuple[FrontDoor, Params]:
-    """The environment in a set of houses.
+    """The environment, and its parameters for a set of houses.
 
     Args:
-      houses: where episodes take place, each as often as any other; all of one size.
-      sensing_range: reach of the 90-degree field of view, in cells.
+      houses: houses of equal size; each is drawn with equal probability.
+      sensing_range: range of the 90-degree field of view, in cells.
       step_limit: actions after which an episode is truncated.
 
     Raises:
-      InputError: there is no house, no episode can be run in one of them (leave out those for which `why_no_episode`
-        gives a reason), they differ in size, or a number is out of bounds.
+      InputError: there are no houses, no episode can be run in one of them (leave out those for which `why_no_episode`
+        gives a reason), their sizes differ, or a number is out of bounds.
     """
     if not houses:
         raise InputError("houses: there are none; give at least one")
@@ -209,7 +212,7 @@ def front_door(
 
 
 def whole_number(name: str, value: object, low: int, high: int | None = None) -> int:
-    """A number of the user's within bounds, or an InputError that names it."""
+    """The value as an integer within bounds. Raises InputError, which names it, for any other value."""
     whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
     if not whole or int(value) < low or (high is not None and int(value) > high):  # type: ignore[call-overload]
         bounds = f"of at least {low}" if high is None else f"from {low} to {high}"
@@ -220,18 +223,18 @@ def whole_number(name: str, value: object, low: int, high: int | None = None) ->
 def observe(state: State) -> Observation:
     """What the robot knows."""
     belief = state.belief
-    # Every word is read for 32 cells. XLA would work it out anew for each of them, but not so a reduction, which makes
-    # a step four times faster where the final observation is used.
+    # Each word holds 32 cells. XLA would recompute a word for each of them, but it does not recompute a reduction. This
+    # makes a step four times faster if the final observation is used.
     classes = jnp.bitwise_or.reduce(jnp.stack([belief.classes, jnp.zeros_like(belief.classes)]))
     return Observation(terrain=unpack_classes(classes, belief.width), pose=belief.pose)
 
 
 def egocentric(observation: Observation, radius: int) -> UInt8[Array, "side side"]:
-    """An observation as the robot sees it: itself in the middle, ahead is up, left is left.
+    """The egocentric view of an observation: the robot in the middle, looking up.
 
     Args:
-      observation: what the robot knows.
-      radius: cells shown in each direction, of which the square has 2 `radius` + 1 a side.
+      observation: observation of the robot.
+      radius: cells shown in each direction; the square has sides of 2 `radius` + 1 cells.
 
     Returns:
       Class indices, 0 where nothing has been observed, `dc2g_jax.grid.terrain.OUTSIDE` beyond the map.
@@ -239,7 +242,7 @@ def egocentric(observation: Observation, radius: int) -> UInt8[Array, "side side
     side = 2 * radius + 1
     framed = jnp.pad(observation.terrain, radius, constant_values=OUTSIDE)
     square = jax.lax.dynamic_slice(framed, (observation.pose.y, observation.pose.x), (side, side))
-    # Heading 0 looks to the right of the map: a quarter turn counterclockwise turns that up.
+    # Heading 0 looks to the right of the map; a quarter turn counterclockwise makes that up.
     return jax.lax.select_n(observation.pose.heading, *(jnp.rot90(square, turns) for turns in (1, 2, 3, 0)))
 
 

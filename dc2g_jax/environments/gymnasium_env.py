@@ -1,17 +1,17 @@
-"""The search for a front door as Gymnasium environments: one robot, or many that a single compiled call steps.
+"""The search for a front door as Gymnasium environments: a single one, and a vectorized one in one compiled call.
 
-    import dc2g_jax.environments.gymnasium_env  # makes the environments known
+    import dc2g_jax.environments.gymnasium_env  # registers the environments
 
     gymnasium.make("dc2g_jax/FrontDoor-v0", dataset="procedural", split="train")
     gymnasium.make_vec("dc2g_jax/FrontDoor-v0", num_envs=256, vectorization_mode="vector_entry_point")
 
-Both are `dc2g_jax.environments.functional.FrontDoor` and take the same options. Needs the extra `gym`. (Gymnasium looks
-for no plug-ins since its version 1.0, so somebody has to import this module; it does so itself when it is asked for
-`"dc2g_jax.environments.gymnasium_env:dc2g_jax/FrontDoor-v0"`.)
+Both wrap `dc2g_jax.environments.functional.FrontDoor` and take the same options. They need the extra `gym`. Since
+version 1.0 Gymnasium does not discover plug-ins, so this module must be imported. Gymnasium imports it itself for the
+name `"dc2g_jax.environments.gymnasium_env:dc2g_jax/FrontDoor-v0"`.
 
 An observation is a dictionary: `terrain`, uint8 [h w], holds the class index of every observed cell (see
 `dc2g_jax.grid.terrain`) and 0 elsewhere; `pose`, int32 [3], is column, row and heading (0 = +x, 1 = +y, 2 = -x, 3 = -y;
-y grows downward). Actions: 0 forward one cell, 1 turn left, 2 turn right. Every action is rewarded with -1.
+y grows downward). Actions: 0 forward one cell, 1 turn left, 2 turn right. The reward of every action is -1.
 """
 
 import functools
@@ -56,16 +56,16 @@ except ModuleNotFoundError as error:
         name=error.name,
     ) from None
 
-#: What Gymnasium calls the environment.
+#: Gymnasium's name of the environment.
 GYMNASIUM_ID = "dc2g_jax/FrontDoor-v0"
 
-#: Longer side of a rendered frame in pixels, about.
+#: Approximate length of the longer side of a rendered frame, pixels.
 FRAME_SIDE = 400
 
-#: Color of the robot in a frame, RGB: none of the classes'.
+#: Color of the robot in a frame, RGB; no class has it.
 ROBOT_COLOR = (255, 60, 200)
 
-#: Half the robot's length in a frame in pixels, at least.
+#: Least half-length of the robot in a frame, pixels.
 ROBOT_RADIUS = 9
 
 _ACTIONS = "give 0 (forward), 1 (turn left) or 2 (turn right)"
@@ -79,18 +79,21 @@ if GYMNASIUM_ID not in registration.registry:
 
 
 class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
-    """One robot.
+    """The search for a front door by one robot, as a Gymnasium environment.
+
+    Observations, actions and rewards are described in the module's documentation. An episode is terminated when the
+    robot reaches a front door, and truncated at the step limit.
 
     Args:
-      dataset: where to be, see `dc2g_jax.environments.task.Task`; and so for the next four.
+      dataset: folder, the word `procedural`, an open dataset or `None`; see `dc2g_jax.environments.task.Task`.
       split: `train`, `val` or `test`.
-      sensing_range: reach of the 90-degree field of view, in cells.
+      sensing_range: range of the 90-degree field of view, in cells.
       step_limit: actions after which an episode is truncated.
-      cells: cells a side of the maps, where `dataset` is to be opened.
+      cells: side of the square maps, if `dataset` is yet to be opened.
       render_mode: `rgb_array` or `None`.
 
     Raises:
-      InputError: an option is no good, or the dataset is not.
+      InputError: an option or the dataset is invalid.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012
@@ -116,14 +119,14 @@ class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin an episode: a random one, or from a given start.
+        """Begin an episode at a random or a given start.
 
         Args:
-          seed: the same seed begins the same series of episodes; `None` goes on with the present one.
-          options: nothing, or a start: `house`, a name in the split, `x`, `y` and `heading`.
+          seed: begins the series of random episodes of this seed; `None` continues the current series.
+          options: `None` or empty, or a start: `house` (a name in the split), `x`, `y` and `heading`.
 
         Returns:
-          Observation, and the house's name as `house`.
+          Observation, and infos with the house's name as `house`.
 
         Raises:
           InputError: an episode cannot start there.
@@ -140,7 +143,7 @@ class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         return self._seen(), self._info()
 
     def step(self, action: np.int64 | int) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Take one action. `terminated`: a front door is reached; `truncated`: the steps are used up."""
+        """Take one action. `terminated`: a front door is reached; `truncated`: the step limit is reached."""
         if self._state is None:
             raise gymnasium.error.ResetNeeded("the episode has ended or none has begun; call reset() first")
         if not self.action_space.contains(action):
@@ -155,7 +158,7 @@ class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         return outcome
 
     def render(self) -> UInt8[np.ndarray, "height width 3"] | None:
-        """A picture of what the robot knows, or `None` where no render mode was chosen."""
+        """An image of the robot's belief, or `None` without render mode."""
         if self.render_mode is None or self._observation is None:
             return None
         return frame(**self._seen())
@@ -170,20 +173,20 @@ class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
 
 
 class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
-    """Many robots, each in an episode of its own, all stepped by one compiled call.
+    """The vectorized search for a front door: many robots in separate episodes, stepped by one compiled call.
 
-    Robot `i` goes through what that of a `FrontDoorEnv` seeded with `seed + i` does. A robot whose episode ends begins
-    the next in the same step (`AutoresetMode.SAME_STEP`): its observation is the first of the new episode, and the last
-    of the old one is `final_obs` in the infos.
+    Robot `i` has the same episodes as a `FrontDoorEnv` with seed `seed + i`. When an episode ends, the next begins in
+    the same step (`AutoresetMode.SAME_STEP`): the observation is the first of the new episode, and the last of the old
+    episode is `final_obs` in the infos.
 
     Args:
-      num_envs: how many robots.
-      dataset: as in `FrontDoorEnv`, and so are the others.
-      split: see there.
-      sensing_range: see there.
-      step_limit: see there.
-      cells: see there.
-      render_mode: see there.
+      num_envs: number of robots.
+      dataset: see `FrontDoorEnv`.
+      split: see `FrontDoorEnv`.
+      sensing_range: see `FrontDoorEnv`.
+      step_limit: see `FrontDoorEnv`.
+      cells: see `FrontDoorEnv`.
+      render_mode: see `FrontDoorEnv`.
     """
 
     metadata = {  # noqa: RUF012
@@ -219,11 +222,11 @@ class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.nd
         """Begin an episode of every robot.
 
         Args:
-          seed: robot `i` is seeded with `seed + i`; `None` goes on with the present series of episodes.
-          options: nothing, or starts: `house`, `x`, `y` and `heading`, each one value for all or one a robot.
+          seed: robot `i` gets the seed `seed + i`; `None` continues the current series of episodes.
+          options: `None` or empty, or starts: `house`, `x`, `y` and `heading`, each one value for all or one per robot.
 
         Returns:
-          Observations, and the houses' names as `house`.
+          Observations, and infos with the houses' names as `house`.
 
         Raises:
           InputError: an episode cannot start there.
@@ -244,7 +247,7 @@ class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.nd
     def step(
         self, actions: np.ndarray
     ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Take one action of every robot, and begin the next episode of those that have ended theirs."""
+        """Take one action of every robot, and begin the next episode where one has ended."""
         if self._states is None:
             raise gymnasium.error.ResetNeeded("no episode has begun; call reset() first")
         task, houses = self._task, np.asarray(self._states.house)
@@ -258,7 +261,7 @@ class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.nd
         return _to_numpy(self._observations), np.array(rewards, np.float64), terminated, truncated, infos
 
     def render(self) -> tuple[UInt8[np.ndarray, "height width 3"], ...] | None:
-        """A picture of what each robot knows, or `None` where no render mode was chosen."""
+        """An image of each robot's belief, or `None` without render mode."""
         if self.render_mode is None or self._observations is None:
             return None
         return tuple(frame(**seen) for seen in _one_by_one(_to_numpy(self._observations)))
@@ -274,7 +277,7 @@ class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.nd
         return chosen.astype(np.int32)
 
     def _infos(self) -> dict[str, Any]:
-        """What `FrontDoorEnv` says of every robot, in the form of vector infos."""
+        """The infos of `FrontDoorEnv` for every robot, in the format of vector environments."""
         assert self._states is not None
         return {"house": self._task.names[np.asarray(self._states.house)], "_house": np.ones(self.num_envs, bool)}
 
@@ -309,12 +312,12 @@ def _observation_space(task: Task) -> gymnasium.Space[Any]:
 
 
 def _keys(generators: Iterable[np.random.Generator]) -> Array:
-    """The key that each robot's series of episodes begins with."""
+    """The first key of each robot's series of episodes."""
     return jax.vmap(jax.random.key)(np.array([generator.integers(2**31) for generator in generators], np.int32))
 
 
 def _to_numpy(observation: Observation, chosen: Any = ...) -> dict[str, np.ndarray]:
-    """An observation, or the chosen of many, as Gymnasium has it: arrays of the caller's own."""
+    """An observation, or the chosen ones of a batch, in Gymnasium's format; copies that the caller owns."""
     pose = observation.pose
     return {
         "terrain": np.array(np.asarray(observation.terrain)[chosen]),
@@ -323,7 +326,7 @@ def _to_numpy(observation: Observation, chosen: Any = ...) -> dict[str, np.ndarr
 
 
 def _one_by_one(observations: dict[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
-    """A batch of observations, each by itself."""
+    """The observations of a batch as a list."""
     return [
         {"terrain": terrain.copy(), "pose": pose.copy()}
         for terrain, pose in zip(observations["terrain"], observations["pose"], strict=True)
@@ -340,7 +343,7 @@ def _start(house: Int[Array, ""], pose: Pose, params: Params, environment: Front
 
 @_jit
 def _reset(key: Array, params: Params, environment: FrontDoor) -> tuple[Array, Observation, State]:
-    """Begin an episode, and leave a key for the next."""
+    """Begin an episode; also return the key for the next one."""
     key, own_key = jax.random.split(key)
     return key, *environment.reset(own_key, params)
 
@@ -369,7 +372,7 @@ def _reset_all(keys: Array, params: Params, environment: FrontDoor) -> tuple[Arr
 def _step_all(
     keys: Array, states: State, actions: Int[Array, "robots"], params: Params, environment: FrontDoor
 ) -> tuple[Array, Observation, State, Float[Array, "robots"], dict[str, Any]]:
-    """Step every robot; a key is used up where an episode ends."""
+    """Step every robot. Keys advance only where an episode ends."""
 
     def step_one(key: Array, state: State, action: Array) -> tuple[Any, ...]:
         next_key, own_key = jax.random.split(key)
@@ -380,7 +383,7 @@ def _step_all(
 
 
 def frame(terrain: UInt8[np.ndarray, "h w"], pose: Int[np.ndarray, "3"]) -> UInt8[np.ndarray, "height width 3"]:
-    """A picture of what a robot knows: observed cells in their classes' colors, others black, the robot a triangle.
+    """An image of a belief: observed cells in the colors of their classes, others black, the robot as a triangle.
 
     Args:
       terrain: observed class indices.

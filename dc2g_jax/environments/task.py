@@ -1,4 +1,4 @@
-"""What a user asks of an environment, checked: houses, sensing range and step limit, and starts by house name."""
+"""Checked options of an environment: houses, sensing range, step limit, and starts by house name."""
 
 import os
 from collections.abc import Mapping
@@ -27,20 +27,20 @@ class Task:
     """The houses of a split in which episodes can be run, and the environment in them.
 
     Args:
-      dataset: folder of houses, the word `procedural`, or an open dataset, which spares environments that share one
-        the reading; `None` for the published houses, see `dc2g_jax.datasets.houses.open_dataset`.
-      split: houses to be in: `train`, `val` or `test`. Those in which no episode can be run are left out.
-      sensing_range: reach of the 90-degree field of view, in cells.
+      dataset: folder of houses, the word `procedural`, or an open dataset, which environments can share; `None` for the
+        published houses, see `dc2g_jax.datasets.houses.open_dataset`.
+      split: `train`, `val` or `test`. Houses in which no episode can be run are left out.
+      sensing_range: range of the 90-degree field of view, in cells.
       step_limit: actions after which an episode is truncated.
-      cells: cells a side of the maps, where `dataset` is to be opened.
+      cells: side of the square maps, if `dataset` is yet to be opened.
 
     Attributes:
       environment: the functional environment.
-      params: where its episodes take place.
+      params: its parameters.
       names: names of the houses, by their index in the stack of worlds: object [houses].
 
     Raises:
-      InputError: an option is no good, or the dataset is not.
+      InputError: an option or the dataset is invalid.
     """
 
     def __init__(
@@ -61,11 +61,11 @@ class Task:
         self.names = np.array([house.name for house in houses], object)
 
     def starts(self, options: Mapping[str, Any], robots: int) -> tuple[Int[Array, "robots"], Pose]:
-        """The starts that reset options ask for.
+        """The starts given by reset options.
 
         Args:
-          options: `house`, `x`, `y` and `heading`, each one value for all robots or one for each of them.
-          robots: how many.
+          options: `house`, `x`, `y` and `heading`, each one value for all robots or one per robot.
+          robots: number of robots.
 
         Returns:
           Index of the house, and pose, of each robot.
@@ -91,7 +91,7 @@ class Task:
         return house, make_pose(x, y, heading)
 
     def _start(self, name: object, x: object, y: object, heading: object) -> tuple[int, int, int, int]:
-        """One start, checked; the house by its index."""
+        """One checked start, with the index of the house."""
         house = self._dataset.house(str(name))
         if house.split != self._split:
             raise InputError(
@@ -107,7 +107,7 @@ class Task:
 
 
 def _check_ground(house: House, x: int, y: int) -> None:
-    """Refuse a cell from which there is nothing to look for."""
+    """Reject a cell that is a goal already or from which no goal can be reached."""
     terrain = house.terrain[y, x]
     if terrain == FRONT_DOOR:
         raise InputError(f"({x}, {y}) in {house.name} is a front door already; start elsewhere")

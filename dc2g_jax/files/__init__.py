@@ -1,1 +1,1 @@
-"""Images and tables, read strictly and written atomically; files that the package ships."""
+"""Strict readers and atomic writers of images and tables, and the package's resource files."""

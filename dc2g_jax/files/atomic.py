@@ -1,4 +1,4 @@
-"""Files that are whole at any moment: what is written anew takes the old file's place in one go."""
+"""Atomic writing of files: a new file replaces the old one in a single step."""
 
 import contextlib
 import json
@@ -8,19 +8,19 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-#: What marks the name of a file that is not finished.
+#: Marks the name of a temporary file.
 _MARK = ".unfinished-"
 
 
 @contextlib.contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """A path to write a file under that takes another's place once the block has ended; not if it raises.
+    """Write a file atomically: a temporary file replaces `path` at the end of the block, unless the block raises.
 
     Args:
-        path: the file to replace, or to make.
+        path: the file to replace or create.
 
     Yields:
-        Path of a hidden file beside it, with the same suffix, that no other writer has.
+        Path of the temporary file: hidden, in the same folder, with the same suffix and a unique name.
     """
     path = Path(path)
     unfinished = path.with_name(f".{path.stem}{_MARK}{secrets.token_hex(8)}{path.suffix}")
@@ -32,13 +32,13 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 def write_json(path: str | Path, facts: Any) -> None:
-    """Write facts as a JSON file, for people to read as well."""
+    """Write facts as a human-readable JSON file, atomically."""
     with replacing(path) as unfinished:
         unfinished.write_text(json.dumps(facts, indent=2) + "\n")
 
 
 def clear_unfinished(folder: Path) -> None:
-    """Delete what writers that were killed have left in a folder and those below it; for when nobody writes there."""
+    """Delete temporary files of killed writers in a folder and its subfolders. No other writer may be active there."""
     for left in folder.rglob(f".*{_MARK}*"):
-        with contextlib.suppress(OSError):  # what cannot be deleted does no harm
+        with contextlib.suppress(OSError):  # files that cannot be deleted do no harm
             left.unlink()

@@ -1,4 +1,4 @@
-"""Pictures of terrain: PNG files whose exact colors stand for classes, and the palette that says which."""
+"""Class images: PNG files whose exact colors stand for terrain classes, and their palettes."""
 
 import difflib
 import functools
@@ -24,7 +24,7 @@ ALIASES = {"_boundary_": UNKNOWN, "_background_": UNKNOWN}
 _NO_ENTRY = 255
 _FOREIGN_CLASS = 254
 
-#: Colors that a message lists before it counts the others.
+#: Number of colors that a message lists before it only counts the others.
 _LISTED_COLORS = 3
 
 
@@ -32,8 +32,8 @@ _LISTED_COLORS = 3
 class Palette:
     """The colors of a dataset.
 
-    Several classes may share a color; the first in file order has it. A class that the package does not
-    know is refused only where a pixel uses its color, so that a palette may list more than is drawn.
+    If several classes share a color, the first in file order has it. An unknown class is an error only if a
+    pixel has its color, so a palette may list more classes than images use.
 
     Attributes:
         path: the file it was read from.
@@ -47,7 +47,7 @@ class Palette:
 
     @functools.cached_property
     def class_of_color(self) -> np.ndarray:
-        """Terrain class of every RGB color, uint8 [2**24]; above the classes: 254 foreign, 255 no entry."""
+        """Terrain class of every RGB color, uint8 [2**24]; 254 for unknown classes, 255 for colors without entry."""
         table = np.full(2**24, _NO_ENTRY, np.uint8)
         known = {**ALIASES, **{name: index for index, name in enumerate(CLASS_NAMES)}}
         for name, code in zip(self.names[::-1], _color_codes(self.colors)[::-1], strict=True):
@@ -68,7 +68,7 @@ class Palette:
 def read_palette(csv_path: Path) -> Palette:
     """Read a palette file: CSV with the columns `class`, `r`, `g`, `b`, color values 0 to 255.
 
-    Classes are known by name, so the order of the rows is free.
+    Classes are identified by name, so the order of the rows does not matter.
 
     Raises:
         InputError: no such file, a column is missing, a value is not a whole number from 0 to 255, or the
@@ -97,8 +97,8 @@ def read_class_image(png_path: Path, palette: Palette) -> np.ndarray:
     Colors are exact. An alpha channel must be opaque everywhere.
 
     Raises:
-        InputError: the file is no intact PNG with 8-bit colors, or a pixel has a color that is not in the
-            palette or belongs to a class the package does not know.
+        InputError: the file is not an intact PNG with 8-bit colors, or a pixel has a color that is not in the
+            palette or belongs to an unknown class.
     """
     png_path = Path(png_path)
     picture = read_png(png_path, ("palette", "8-bit RGB", "8-bit RGBA"), "colors that stand for classes")
@@ -115,8 +115,8 @@ def check_classes(where: str, classes: npt.ArrayLike) -> np.ndarray:
     """Return an array as terrain classes, uint8 [H W].
 
     Raises:
-        InputError: the array is not two-dimensional, is empty, or holds a value that is no class; `where`
-            begins the message.
+        InputError: the array is not two-dimensional, is empty, or has an invalid class index; `where` begins the
+            message.
     """
     array = np.asarray(classes)
     if array.ndim != 2 or array.size == 0:
@@ -136,7 +136,7 @@ def write_class_image(png_path: Path, classes: np.ndarray) -> None:
     """Write terrain classes, uint8 [H W], as an RGB PNG in the published colors.
 
     Raises:
-        InputError: the array is not two-dimensional or holds a value that is no class.
+        InputError: the array is not two-dimensional or has an invalid class index.
         OSError: the file cannot be written.
     """
     write_png(png_path, CLASS_COLORS[check_classes(str(png_path), classes)])
@@ -148,7 +148,7 @@ def _color_codes(colors: np.ndarray) -> np.ndarray:
 
 
 def _explain_color(png_path: Path, palette: Palette, colors: np.ndarray, classes: np.ndarray) -> str:
-    """One line about the pixels that have no class."""
+    """A one-line message about the pixels without class."""
     y, x = (int(value) for value in np.argwhere(classes >= _FOREIGN_CLASS)[0])
     if classes[y, x] == _FOREIGN_CLASS:
         color = _rgb(colors[y, x])

@@ -1,8 +1,8 @@
-"""PNG files, decoded by Pillow; those that would show something else than was drawn are refused.
+"""PNG files, decoded by Pillow with additional checks.
 
-Pillow checks the structure and the check sums. It does not see that rows are missing where the check sums are right,
-and then shows them as zeros; it takes the last of two palettes; and it cuts 16 bits a color to 8. Each would make a
-wrong map.
+Pillow checks the structure and the checksums. But if rows are missing and the checksums are right, it silently fills
+them with zeros; of two palettes it takes the last; and it truncates 16-bit colors to 8 bits. Each of these would give a
+wrong map, so such files are rejected.
 """
 
 import collections
@@ -30,20 +30,20 @@ _END = b"\0\0\0\0IEND\xaeB`\x82"
 
 
 def read_png(path: Path, kinds: Collection[str], what: str) -> Image.Image:
-    """Read a picture. Text, color profiles and the like that are embedded in it change nothing.
+    """Read an image. Embedded text, color profiles and other metadata are ignored.
 
     Args:
         path: the file.
-        kinds: those that are taken: "palette", or bits a channel and channels, such as "8-bit RGB", "8-bit RGBA",
+        kinds: accepted kinds: "palette", or bits per channel and channels, such as "8-bit RGB", "8-bit RGBA",
             "16-bit grayscale".
-        what: what the picture holds, for the message about another kind.
+        what: content of the image, for the message about a wrong kind.
 
     Returns:
-        The picture, decoded whole. Pixels of a palette picture are indices that its palette has.
+        The decoded image. Pixels of a palette image are indices into its palette.
 
     Raises:
-        InputError: the file is missing, is no PNG, is truncated or damaged, is of another kind, or has more pixels
-            than twice `PIL.Image.MAX_IMAGE_PIXELS`; sizes are checked before anything is decoded.
+        InputError: the file is missing, not a PNG, truncated, damaged or of another kind, or has more pixels than twice
+            `PIL.Image.MAX_IMAGE_PIXELS`; sizes are checked before decoding.
     """
     try:
         data = path.read_bytes()
@@ -69,13 +69,13 @@ def read_png(path: Path, kinds: Collection[str], what: str) -> Image.Image:
         raise InputError(f"{path}: {error}; scale it down") from None
     except UnidentifiedImageError:
         found = f"starts with {data[:8].hex(' ')}" if data else "is empty"
-        raise InputError(f"{path}: {found}, which is no intact PNG file; save the picture as PNG again") from None
-    except Exception as error:  # damage brings about many kinds
+        raise InputError(f"{path}: {found}, which is not an intact PNG file; save the picture as PNG again") from None
+    except Exception as error:  # damaged files raise many kinds of errors
         raise InputError(f"{path}: damaged or truncated PNG ({error}); copy or export the file again") from None
 
 
 def write_png(path: Path, pixels: np.ndarray) -> None:
-    """Write a picture in one go: uint8 or uint16 [H W] as grayscale, or uint8 [H W 3] as RGB.
+    """Write an image atomically: uint8 or uint16 [H W] as grayscale, or uint8 [H W 3] as RGB.
 
     Raises:
         OSError: the file cannot be written.
@@ -85,7 +85,7 @@ def write_png(path: Path, pixels: np.ndarray) -> None:
 
 
 def _read_chunks(data: bytes) -> dict[bytes, bytes]:
-    """Contents by name of chunks whose check sums are right; the pieces of pixel data joined."""
+    """Contents of the chunks by name, with checksums verified and the pieces of pixel data joined."""
     chunks = collections.defaultdict(list)
     position = 8
     while b"IEND" not in chunks:
@@ -101,7 +101,7 @@ def _read_chunks(data: bytes) -> dict[bytes, bytes]:
 
 
 def _check_pixel_data(header: tuple[int, ...], data: bytes) -> None:
-    """Decompress the pixel data: exactly as much as the header promises."""
+    """Check that the pixel data have exactly the size that the header states."""
     width, height, depth, color_type, _, _, interlaced = header
     expected = 0
     for x, y, step_x, step_y in _ADAM7 if interlaced else ((0, 0, 1, 1),):

@@ -1,4 +1,4 @@
-"""Small CSV tables. Read strictly: what is wrong is said in one line with file and line number."""
+"""Strict reading of small CSV tables, with one-line errors that name file and line, and atomic writing."""
 
 import csv
 import io
@@ -14,20 +14,20 @@ def read_table(
 ) -> list[tuple[int, dict[str, str]]]:
     """Read the named columns of a CSV file with a header row.
 
-    A byte-order mark, CRLF line ends, blank lines, further columns and a missing last line end are fine.
+    A byte-order mark, CRLF line ends, blank lines, further columns and a missing final line end are accepted.
 
     Args:
         path: the CSV file, UTF-8.
-        columns: names that the header must have; cells come back stripped of surrounding blanks.
-        optional: further columns, which may be absent or empty; their values are then empty.
-        remedy: what to do where the file is missing, the end of the message.
+        columns: required columns; values are stripped of surrounding blanks.
+        optional: optional columns, which may be absent or empty; their values are then empty.
+        remedy: end of the message about a missing file: what to do about it.
 
     Returns:
-        One `(line number, {column: value})` for each row, in file order; at least one.
+        A tuple `(line number, {column: value})` for each row, in file order; at least one.
 
     Raises:
-        InputError: the file is missing, unreadable, not UTF-8, without one of the columns or
-            with one twice, without a value in one of them, or without rows.
+        InputError: the file is missing, unreadable or not UTF-8, lacks a required column or a value in one, has a
+            column twice, or has no rows.
     """
     text = _read_text(path, remedy)
     reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True)
@@ -54,7 +54,7 @@ def read_table(
 
 
 def write_table(path: Path, columns: Sequence[str], rows: Iterable[Iterable[object]]) -> None:
-    """Write a CSV file with a header row. One that is there is replaced in one go: it is whole at any moment.
+    """Write a CSV file with a header row, atomically.
 
     Args:
         path: the CSV file.

@@ -1,17 +1,17 @@
-"""Keeping clear of walls, lawn and people, beside whatever planned the path.
+"""Collision avoidance with static obstacles and people, independent of the planner of the path.
 
-Two parts. `detour` looks ahead: if the straight way to the next point meets a person, it takes the direction next to it
-that does not, in the short run (velocity obstacles: P. Fiorini and Z. Shiller, "Motion planning in dynamic environments
-using velocity obstacles", 1998). `avoid` guards the command: of all that the vehicle can reach within one period, it
-takes the admissible one next to what is wished for. Admissible is after what the vehicle can still brake to a stand
-with its footprint on the ground where it may be, touching nobody (D. Fox, W. Burgard and S. Thrun, "The dynamic window
-approach to collision avoidance", 1997). There a person may be anywhere between standing still from now on and walking
-on as before, and somewhat aside of that.
+Avoidance has two parts. `detour` looks ahead: if the straight line to the next point meets a person within a short
+horizon, it takes the nearest direction that does not (velocity obstacles: P. Fiorini and Z. Shiller, "Motion planning
+in dynamic environments using velocity obstacles", 1998). `avoid` guards the command: of the commands that the vehicle
+can reach within one period, it takes the admissible one nearest to the desired one. A command is admissible if the
+vehicle can brake to a stop after it with its footprint on allowed ground and without touching anybody (D. Fox,
+W. Burgard and S. Thrun, "The dynamic window approach to collision avoidance", 1997). A person is assumed anywhere
+between standing still from now on and walking on as before, plus a margin that grows with time.
 
-Braking is itself one of the commands, so whoever begins with an admissible one always has the next: the vehicle touches
-nothing that stands, whatever is wished for. That holds for the whole way, not only where a period ends.
+Braking is one of the commands, so an admissible command is always followed by another one. The vehicle therefore
+touches no static obstacle, whatever the desired commands are, along the whole path and not only at the ends of periods.
 
-All functions are for one vehicle; `jax.vmap` makes them take many.
+All functions take one vehicle; use `jax.vmap` for batches.
 """
 
 import math
@@ -28,12 +28,12 @@ from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleStat
 
 @struct.dataclass
 class People:
-    """Who is around, as far as the vehicle knows.
+    """People that the vehicle knows of.
 
     Attributes:
-      positions: of their middles, meters; far away those that only fill up the array.
-      velocities: meters per second.
-      radius: of the circle that each of them takes up, meters.
+      positions: centers of the people, meters; entries that only pad the array are far away.
+      velocities: velocities, meters per second.
+      radius: radius of the circle that a person occupies, meters.
     """
 
     positions: Float[Array, "people 2"]
@@ -43,19 +43,19 @@ class People:
 
 @struct.dataclass
 class Avoidance:
-    """How to keep clear.
+    """Settings of collision avoidance.
 
     Attributes:
-      speeds: how many speeds are tried, evenly over those that can be reached.
-      turn_rates: how many turn rates.
+      speeds: number of speeds tried, evenly spaced over the reachable ones.
+      turn_rates: number of turn rates tried, likewise.
       margin: clearance from people, meters.
-      growth: how fast a person may turn aside of what is predicted, meters per second.
-      directions: how many directions a detour may take, evenly over both sides.
-      widest: furthest of them aside of the wished one, radians.
-      horizon: how far ahead it matters whom a direction meets, seconds.
-      looks: how many moments of that are looked at.
-      squeeze: how much further aside a detour may be than one past somebody so near that it must slow down, radians.
-      steadiness: how much an angle aside of the vehicle's yaw counts beside one aside of the wished direction.
+      growth: growth of a person's possible deviation from the prediction, meters per second.
+      directions: number of directions that a detour may take, evenly spaced over both sides.
+      widest: largest angle between a detour and the desired direction, radians.
+      horizon: time within which a direction must not meet anybody, seconds.
+      looks: number of moments checked within the horizon.
+      squeeze: additional angle of a detour that avoids passing somebody so near that it must slow down, radians.
+      steadiness: weight of the angle to the vehicle's yaw relative to the angle to the desired direction.
     """
 
     speeds: int = struct.field(pytree_node=False, default=5)
@@ -77,13 +77,13 @@ def navigate(
     """The command that follows a path past people: speed (meters per second) and turn rate (radians per second).
 
     Args:
-      state: of the vehicle.
-      path: where to drive.
-      ground: where its footprint may be.
-      people: who is around.
-      limits: of the vehicle.
-      following: how the path is followed; None for the usual way.
-      avoidance: how to keep clear; None for the usual way.
+      state: state of the vehicle.
+      path: path to follow.
+      ground: allowed ground of the footprint.
+      people: people around the vehicle.
+      limits: limits of the vehicle.
+      following: settings of path following; None for the defaults.
+      avoidance: settings of collision avoidance; None for the defaults.
     """
     following = Following() if following is None else following
     avoidance = Avoidance() if avoidance is None else avoidance
@@ -96,29 +96,29 @@ def detour(
     state: VehicleState, target: Float[Array, "2"], ground: Ground, people: People, limits: VehicleLimits,
     avoidance: Avoidance,
 ) -> Float[Array, "2"]:  # fmt: skip
-    """Where to drive straight instead, so as to meet nobody: the target itself if it can be, or if nowhere is better.
+    """The point to drive to straight so as to meet nobody: the target if it is free or if no direction is better.
 
     Args:
-      state: of the vehicle.
-      target: where it would go, meters.
-      ground: where its footprint may be.
-      people: who is around, taken to walk on as they do.
-      limits: of the vehicle.
-      avoidance: how to keep clear.
+      state: state of the vehicle.
+      target: desired point, meters.
+      ground: allowed ground of the footprint.
+      people: people around the vehicle, predicted at constant velocity.
+      limits: limits of the vehicle.
+      avoidance: settings of collision avoidance.
     """
     offset = target - state.position
     bearing = jnp.arctan2(offset[1], offset[0])
     aside = jnp.linspace(-avoidance.widest, avoidance.widest, avoidance.directions)
     bearings = bearing + aside
     directions = jnp.stack([jnp.cos(bearings), jnp.sin(bearings)], axis=-1)
-    # As far as the vehicle would get within the horizon, it is people that matter; walls do as far as it can brake.
+    # People matter as far as the vehicle gets within the horizon; obstacles matter within its braking distance.
     reach = limits.max_speed**2 / (2 * limits.max_acceleration)
     distance = jnp.minimum(jnp.linalg.norm(offset), reach)
     around = surroundings(ground, state.position, reach + limits.radius)
     pace = (state.speed + limits.max_speed) / 2
 
     def gap(direction: Float[Array, "2"]) -> Float[Array, ""]:
-        """How near it comes to anybody, meters."""
+        """Smallest distance to any person along a direction, meters."""
         time = avoidance.horizon * (1 + jnp.arange(avoidance.looks)) / avoidance.looks
         driven = jnp.minimum(pace * time, jnp.linalg.norm(offset))
         apart = (state.position + driven[:, None] * direction)[:, None] - people.positions
@@ -138,7 +138,7 @@ def detour(
 
 
 def braking(state: VehicleState, limits: VehicleLimits) -> Float[Array, "2"]:
-    """The command that slows down as fast as possible, along the same curve."""
+    """The command that brakes as hard as possible along the same curve."""
     speed = jnp.maximum(state.speed - limits.max_acceleration * CONTROL_PERIOD, 0)
     return jnp.stack([speed, state.turn_rate * speed / jnp.maximum(state.speed, 1e-6)])
 
@@ -147,20 +147,20 @@ def avoid(
     state: VehicleState, wished: Float[Array, "2"], ground: Ground, people: People, limits: VehicleLimits,
     avoidance: Avoidance,
 ) -> Float[Array, "2"]:  # fmt: skip
-    """The admissible command next to the wished one; braking if there is none.
+    """The admissible command nearest to the desired one; braking if there is none.
 
     Args:
-      state: of the vehicle.
-      wished: speed (meters per second) and turn rate (radians per second).
-      ground: where the footprint may be. A vehicle that touches other cells already may drive where it touches them
-        no more deeply.
-      people: who is around.
-      limits: of the vehicle.
-      avoidance: how to keep clear.
+      state: state of the vehicle.
+      wished: desired speed (meters per second) and turn rate (radians per second).
+      ground: allowed ground of the footprint. A vehicle that already touches other cells may move as long as it does
+        not go deeper into them.
+      people: people around the vehicle.
+      limits: limits of the vehicle.
+      avoidance: settings of collision avoidance.
     """
     commands = _commands(state, wished, limits, avoidance)
-    ways = _ways_to_a_stand(state, commands, limits)
-    admissible = _stays_on_ground(ways, ground, limits) & _touches_nobody(ways, people, limits, avoidance)
+    paths = _ways_to_a_stand(state, commands, limits)
+    admissible = _stays_on_ground(paths, ground, limits) & _touches_nobody(paths, people, limits, avoidance)
     change = (commands - commands[0]) / jnp.array([limits.max_speed, limits.max_turn_rate], jnp.float32)
     best = jnp.argmin(jnp.where(admissible, jnp.sum(change**2, axis=-1), jnp.inf))
     return jnp.where(jnp.any(admissible), commands[best], commands[1])
@@ -169,7 +169,7 @@ def avoid(
 def _commands(
     state: VehicleState, wished: Float[Array, "2"], limits: VehicleLimits, avoidance: Avoidance
 ) -> Float[Array, "commands 2"]:
-    """Commands within reach: the wished one, as far as it is, then braking, then a grid over all."""
+    """Reachable commands: the one nearest to the desired one, then braking, then a grid over all reachable ones."""
 
     def within_reach(command: Float[Array, "2"]) -> Float[Array, "2"]:
         return reachable_command(state, command, limits, CONTROL_PERIOD)
@@ -182,14 +182,14 @@ def _commands(
 
 
 @struct.dataclass
-class _Ways:
-    """One period under each command, and then braking to a stand.
+class _Paths:
+    """The paths of commands: one period under the command, then braking to a stop.
 
     Attributes:
-      start: where all begin, meters.
-      ends: where each period ends, meters.
-      traveled: length of its arc, meters.
-      turned: its turn, radians.
+      start: common start, meters.
+      ends: end of each period, meters.
+      traveled: length of each period's arc, meters.
+      turned: turn of each period's arc, radians.
     """
 
     start: Float[Array, "2"]
@@ -199,13 +199,13 @@ class _Ways:
 
 
 def _periods(limits: VehicleLimits) -> int:
-    """How many periods a way to a stand takes at most."""
+    """Largest number of periods until the vehicle has stopped."""
     # A hair less, so that rounding adds no period.
     return 1 + math.ceil(limits.max_speed / (limits.max_acceleration * CONTROL_PERIOD) - 1e-6)
 
 
-def _ways_to_a_stand(state: VehicleState, commands: Float[Array, "commands 2"], limits: VehicleLimits) -> _Ways:
-    """Where each command leads if nothing but braking follows it."""
+def _ways_to_a_stand(state: VehicleState, commands: Float[Array, "commands 2"], limits: VehicleLimits) -> _Paths:
+    """The path of each command if only braking follows it."""
 
     def brake(before: VehicleState, _: None) -> tuple[VehicleState, VehicleState]:
         after = jax.vmap(lambda one: drive(one, braking(one, limits), limits))(before)
@@ -214,7 +214,7 @@ def _ways_to_a_stand(state: VehicleState, commands: Float[Array, "commands 2"], 
     first = jax.vmap(drive, in_axes=(None, 0, None))(state, commands, limits)
     _, later = jax.lax.scan(brake, first, length=_periods(limits) - 1)
     states = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, later)
-    return _Ways(
+    return _Paths(
         start=state.position,
         ends=states.position,
         traveled=states.speed * CONTROL_PERIOD,
@@ -222,34 +222,34 @@ def _ways_to_a_stand(state: VehicleState, commands: Float[Array, "commands 2"], 
     )
 
 
-def _stays_on_ground(ways: _Ways, ground: Ground, limits: VehicleLimits) -> Bool[Array, "commands"]:
-    """Does the footprint stay where it may be, all the way?"""
+def _stays_on_ground(paths: _Paths, ground: Ground, limits: VehicleLimits) -> Bool[Array, "commands"]:
+    """Whether the footprint stays on allowed ground along the whole path."""
     longest = limits.max_speed * CONTROL_PERIOD * (_periods(limits) + 1) / 2
-    around = surroundings(ground, ways.start, longest + limits.radius)
-    now = clearance(ways.start, around)
-    needed = needed_clearance(limits.radius, ways.traveled, ways.turned, now)
+    around = surroundings(ground, paths.start, longest + limits.radius)
+    now = clearance(paths.start, around)
+    needed = needed_clearance(limits.radius, paths.traveled, paths.turned, now)
     # A period begins where one ends that is at least as long and as bent, and needs as much clearance.
-    return jnp.all(clearance(ways.ends, around) >= needed, axis=0) & (now >= needed[0])
+    return jnp.all(clearance(paths.ends, around) >= needed, axis=0) & (now >= needed[0])
 
 
 def _touches_nobody(
-    ways: _Ways, people: People, limits: VehicleLimits, avoidance: Avoidance
+    paths: _Paths, people: People, limits: VehicleLimits, avoidance: Avoidance
 ) -> Bool[Array, "commands"]:
-    """Does the footprint keep clear of everybody while the vehicle moves, wherever they are between here and there?
+    """Whether the footprint keeps clear of everybody while the vehicle moves, at all their possible positions.
 
-    Once it stands, it is for them to walk around it.
+    People are expected to walk around a vehicle that has stopped.
     """
-    starts = jnp.broadcast_to(ways.start, (1, *ways.ends.shape[1:]))
-    places = jnp.concatenate([starts, ways.ends])
+    starts = jnp.broadcast_to(paths.start, (1, *paths.ends.shape[1:]))
+    places = jnp.concatenate([starts, paths.ends])
     x, y = places[..., 0], places[..., 1]
-    traveled, turned = (jnp.concatenate([values[:1], values]) for values in (ways.traveled, ways.turned))
+    traveled, turned = (jnp.concatenate([values[:1], values]) for values in (paths.traveled, paths.turned))
     # Where a period ends, the next one begins: everybody may have come as far as they do until that is over.
     time = CONTROL_PERIOD * (1 + jnp.arange(len(places), dtype=jnp.float32))[:, None]
 
     def clear_of(clear: Array, person: tuple[Array, Array]) -> tuple[Array, None]:
         position, velocity = person
         apart = people.radius + avoidance.margin
-        now = jnp.linalg.norm(position - ways.start) - apart
+        now = jnp.linalg.norm(position - paths.start) - apart
         off_x, off_y = x - position[0], y - position[1]
         speed_squared = jnp.maximum(jnp.sum(velocity**2), 1e-6)
         since = jnp.clip((off_x * velocity[0] + off_y * velocity[1]) / speed_squared, 0, time)

@@ -1,10 +1,10 @@
-"""Following a planned path: regulated pure pursuit of the furthest point of the path that can be driven to straight.
+"""Path following: regulated pure pursuit of the farthest point of the path that is reachable in a straight line.
 
 The vehicle steers along the arc to that point (R. C. Coulter, "Implementation of the Pure Pursuit Path Tracking
-Algorithm", 1992), never faster than lets it stop there, and turns on the spot where the point is too far aside
-("regulated": S. Macenski et al., "Regulated Pure Pursuit for Robot Path Tracking", 2023). In a corridor one cell wide
-the point stays close before a corner, which slows the vehicle down; on open ground it is far ahead and smooths the
-path of cells.
+Algorithm", 1992), slow enough to stop there. It turns in place if the direction to the point differs too much from its
+yaw ("regulated": S. Macenski et al., "Regulated Pure Pursuit for Robot Path Tracking", 2023). In a corridor one cell
+wide the point is close before a corner, which slows the vehicle down. On open ground the point is far ahead, which
+smooths the path of cells.
 """
 
 import jax
@@ -20,11 +20,11 @@ from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleStat
 
 @struct.dataclass
 class Path:
-    """Where to drive.
+    """A path.
 
     Attributes:
-      points: to pass, meters; those after the last repeat it.
-      yaw: how to stand in the end, counter-clockwise from +x, radians.
+      points: points to pass, meters; padded with copies of the last point.
+      yaw: final yaw, counter-clockwise from +x, radians.
     """
 
     points: Float[Array, "n 2"]
@@ -33,13 +33,13 @@ class Path:
 
 @struct.dataclass
 class Following:
-    """How a path is followed.
+    """Settings of path following.
 
     Attributes:
-      look_ahead: how far along the path the point to steer for may be, meters.
-      candidates: points of the path that are tried, evenly up to there, beside the one next to the vehicle.
-      largest_turn: aside of this angle the vehicle turns on the spot, radians.
-      arrival: nearer than this to its end, meters, the path has been driven, and the vehicle takes on its yaw.
+      look_ahead: largest distance of the target point along the path, meters.
+      candidates: number of evenly spaced points of the path that are tried, besides the one nearest to the vehicle.
+      largest_turn: at a larger angle to the target point, the vehicle turns in place, radians.
+      arrival: within this distance of the path's end, meters, the vehicle only turns to the final yaw.
     """
 
     look_ahead: float = struct.field(pytree_node=False, default=1.5)
@@ -52,10 +52,9 @@ def path_through(cells: Int[Array, "n 2"], length: ArrayLike, heading: ArrayLike
     """The path through the centers of cells.
 
     Args:
-      cells: column and row, one after the other, two at least; a cell may follow itself, where the plan turns
-        on the spot.
-      length: how many of them count, at least 1.
-      heading: of the plan's last pose, as in `dc2g_jax.grid.poses`: 0 = +x, 1 = +row, 2 = -x, 3 = -row.
+      cells: columns and rows of consecutive cells, at least two. A cell may repeat, where the plan turns in place.
+      length: number of cells that count, at least 1.
+      heading: heading of the plan's last pose, as in `dc2g_jax.grid.poses`: 0 = +x, 1 = +row, 2 = -x, 3 = -row.
       cell_size: side of a cell, meters.
     """
     index = jnp.minimum(jnp.arange(len(cells)), jnp.asarray(length) - 1)
@@ -65,7 +64,7 @@ def path_through(cells: Int[Array, "n 2"], length: ArrayLike, heading: ArrayLike
 
 
 def _points_ahead(position: Float[Array, "2"], path: Path, following: Following) -> Float[Array, "points 2"]:
-    """The path's point next to the vehicle, and points of the path up to `look_ahead` further."""
+    """The point of the path nearest to the vehicle, and points of the path up to `look_ahead` beyond it."""
     begin, step = path.points[:-1], jnp.diff(path.points, axis=0)
     squared = jnp.sum(step**2, axis=-1)
     along = jnp.sum((position - begin) * step, axis=-1) / jnp.where(squared > 0, squared, 1)
@@ -80,29 +79,29 @@ def _points_ahead(position: Float[Array, "2"], path: Path, following: Following)
 def aim(
     state: VehicleState, path: Path, ground: Ground, limits: VehicleLimits, following: Following
 ) -> Float[Array, "2"]:
-    """The furthest of the path's points ahead that the footprint can drive to straight, meters.
+    """The farthest point of the path ahead that the footprint can reach in a straight line, meters.
 
-    If it can to none of them, the point next to the vehicle: from anywhere in a cell of the path, the way there is
-    free. A vehicle that was led off its path further than that needs a new one.
+    If it can reach none, the point of the path nearest to the vehicle, which can be reached from anywhere in a cell of
+    the path. A vehicle that is farther off its path needs a new path.
 
     Args:
-      state: of the vehicle.
-      path: where to drive.
-      ground: where its footprint may be.
-      limits: of the vehicle.
-      following: how to drive.
+      state: state of the vehicle.
+      path: path to follow.
+      ground: allowed ground of the footprint.
+      limits: limits of the vehicle.
+      following: settings of path following.
     """
     points = _points_ahead(state.position, path, following)
     offsets = points - state.position
     around = surroundings(ground, state.position, following.look_ahead + limits.radius)
-    # Nothing is known of the surroundings further off.
+    # The surroundings are known no farther than this.
     near = jnp.linalg.norm(offsets, axis=-1) < following.look_ahead + ROUNDING
     free = near & free_straight(state.position, offsets, around, limits.radius)
     return points[jnp.max(jnp.where(free, jnp.arange(len(points)), 0))]
 
 
 def _stopping(distance: Float[Array, ""], deceleration: float) -> Float[Array, ""]:
-    """The rate from which it takes this distance to come to rest, slowing down at every command."""
+    """The rate at which braking to rest takes this distance, with a deceleration at every command."""
     pause = CONTROL_PERIOD / 2
     return deceleration * (jnp.sqrt(pause**2 + 2 * distance / deceleration) - pause)
 
@@ -110,16 +109,16 @@ def _stopping(distance: Float[Array, ""], deceleration: float) -> Float[Array, "
 def steer(
     state: VehicleState, target: Float[Array, "2"], path: Path, limits: VehicleLimits, following: Following
 ) -> Float[Array, "2"]:
-    """The command that leads to a point: speed (meters per second) and turn rate (radians per second).
+    """The command that steers to a point: speed (meters per second) and turn rate (radians per second).
 
-    Where the path ends, it turns the vehicle to the path's yaw.
+    At the end of the path it turns the vehicle to the path's final yaw.
 
     Args:
-      state: of the vehicle.
+      state: state of the vehicle.
       target: the point, meters.
-      path: where the vehicle drives in the end.
-      limits: of the vehicle.
-      following: how to drive.
+      path: path that the vehicle follows.
+      limits: limits of the vehicle.
+      following: settings of path following.
     """
     offset = target - state.position
     distance = jnp.linalg.norm(offset)
@@ -137,14 +136,14 @@ def steer(
 def follow(
     state: VehicleState, path: Path, ground: Ground, limits: VehicleLimits, following: Following | None = None
 ) -> Float[Array, "2"]:
-    """The command that follows a path where nobody is in the way.
+    """The command that follows a path without regard to people.
 
     Args:
-      state: of the vehicle.
-      path: where to drive.
-      ground: where its footprint may be.
-      limits: of the vehicle.
-      following: how to drive; None for the usual way.
+      state: state of the vehicle.
+      path: path to follow.
+      ground: allowed ground of the footprint.
+      limits: limits of the vehicle.
+      following: settings of path following; None for the defaults.
     """
     following = Following() if following is None else following
     return steer(state, aim(state, path, ground, limits, following), path, limits, following)

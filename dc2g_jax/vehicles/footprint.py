@@ -1,4 +1,4 @@
-"""Does a circular footprint stay on the cells where it may be? Exact distances to whole cells, not to their centers."""
+"""Collision checks of a circular footprint, with exact distances to whole cells instead of their centers."""
 
 import itertools
 import math
@@ -7,16 +7,16 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
-#: Clearance kept beyond the footprint, meters: more than single precision loses on the largest of maps.
+#: Clearance kept beyond the footprint, meters: more than rounding errors in single precision on the largest maps.
 ROUNDING = 1e-3
 
 
 @struct.dataclass
 class Ground:
-    """Where a footprint may be. Beyond the map's edges it may not.
+    """The ground on which a footprint is allowed. Space beyond the map's edges is not allowed.
 
     Attributes:
-      cells: may it be on this cell? Unknown cells are not among them.
+      cells: whether the footprint is allowed on a cell. Unknown cells are not allowed.
       cell_size: side of a cell, meters.
     """
 
@@ -26,12 +26,12 @@ class Ground:
 
 @struct.dataclass
 class Surroundings:
-    """The cells around one place where a footprint may not be.
+    """The blocked cells around a place.
 
     Attributes:
-      blocked: which of the columns and rows around it, by column and row.
-      x: centers of those columns, meters.
-      y: centers of those rows, meters.
+      blocked: whether a cell is blocked, by column and row around the place.
+      x: centers of these columns, meters.
+      y: centers of these rows, meters.
       half: half the side of a cell, meters.
     """
 
@@ -42,7 +42,7 @@ class Surroundings:
 
 
 def cell_at(position: Float[Array, "*n 2"], cell_size: float) -> Int[Array, "*n 2"]:
-    """Column and row of the cells that these places lie in.
+    """Column and row of the cells that contain the given positions.
 
     Args:
       position: x and y, meters.
@@ -62,7 +62,7 @@ def cell_centers(cells: Int[Array, "*n 2"], cell_size: float) -> Float[Array, "*
 
 
 def contains(ground: Ground, cells: Int[Array, "*n 2"]) -> Bool[Array, "*n"]:
-    """Are these cells, column and row, ground where a footprint may be?"""
+    """Whether the footprint is allowed on these cells (column and row)."""
     height, width = ground.cells.shape
     column, row = cells[..., 0], cells[..., 1]
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
@@ -70,12 +70,12 @@ def contains(ground: Ground, cells: Int[Array, "*n 2"]) -> Bool[Array, "*n"]:
 
 
 def surroundings(ground: Ground, position: Float[Array, "2"], reach: float) -> Surroundings:
-    """What is blocked within `reach` meters of a place, and somewhat further.
+    """The blocked cells within at least `reach` meters of a place.
 
     Args:
-      ground: where a footprint may be.
+      ground: allowed ground of the footprint.
       position: the place, meters.
-      reach: how far from the place matters, meters.
+      reach: distance from the place, meters.
     """
     rings = math.ceil(reach / ground.cell_size)
     offsets = jnp.arange(-rings, rings + 1)
@@ -92,11 +92,11 @@ def clearance(points: Float[Array, "*n 2"], around: Surroundings) -> Float[Array
 
     Args:
       points: x and y, meters.
-      around: what is blocked near them.
+      around: blocked cells near the points.
     """
     off_x = [jnp.maximum(jnp.abs(points[..., 0] - x) - around.half, 0) ** 2 for x in around.x]
     off_y = [jnp.maximum(jnp.abs(points[..., 1] - y) - around.half, 0) ** 2 for y in around.y]
-    # Cell by cell: compilers make one pass of it over all points, which a reduction over the cells is not.
+    # Cell by cell: compilers fuse this loop into one pass over all points, unlike a reduction over the cells.
     nearest = jnp.full(points.shape[:-1], jnp.inf, jnp.float32)
     for column, row in itertools.product(range(len(off_x)), range(len(off_y))):
         there = jnp.where(around.blocked[column, row], off_x[column] + off_y[row], jnp.inf)
@@ -107,14 +107,14 @@ def clearance(points: Float[Array, "*n 2"], around: Surroundings) -> Float[Array
 def free_straight(
     position: Float[Array, "2"], offsets: Float[Array, "n 2"], around: Surroundings, radius: float, probes: int = 10
 ) -> Bool[Array, "n"]:
-    """Does a footprint stay clear of blocked cells, straight from a place to others?
+    """Whether the footprint stays clear of blocked cells along straight lines from one place to others.
 
     Args:
-      position: the place, meters.
-      offsets: to the others, meters.
-      around: what is blocked, at least that far away.
-      radius: of the footprint, meters.
-      probes: places where the clearance of each line is taken.
+      position: start of the lines, meters.
+      offsets: offsets of the ends from the start, meters.
+      around: blocked cells, complete at least as far as the ends.
+      radius: radius of the footprint, meters.
+      probes: number of points of each line at which the clearance is computed.
     """
     shares = (jnp.arange(probes + 1) / probes)[:, None, None]
     clear = clearance(position + shares * offsets, around)
@@ -125,17 +125,17 @@ def free_straight(
 def needed_clearance(
     radius: float, traveled: Float[Array, "*n"], turned: Float[Array, "*n"] | float, now: Float[Array, "..."]
 ) -> Float[Array, "*n"]:
-    """Clearance at both ends of an arc that keeps a footprint clear all along it, meters.
+    """The clearance at both ends of an arc that guarantees a clear footprint along the whole arc, meters.
 
-    The arc is nowhere further from its chord than an eighth of its length times its turn, and a point of the chord
-    nowhere further from one of its ends than half its length.
+    No point of the arc is farther from its chord than an eighth of the arc's length times its turn. No point of the
+    chord is farther from the nearer end than half the chord's length.
 
     Args:
-      radius: of the footprint, meters.
+      radius: radius of the footprint, meters.
       traveled: length of the arc, meters.
-      turned: its turn, radians.
-      now: clearance where the vehicle is. Where the footprint touches blocked ground already, for that has just been
-        found to be blocked, it must touch it nowhere more deeply: so it can get away.
+      turned: turn of the arc, radians.
+      now: clearance at the vehicle's current position. If the footprint already touches blocked ground, because that
+        ground has just been found to be blocked, the footprint must not go deeper into it. So the vehicle can get away.
     """
     bulge = traveled * jnp.abs(turned) / 8
     needed = jnp.sqrt((radius + ROUNDING + bulge) ** 2 + (traveled / 2) ** 2)
@@ -145,6 +145,6 @@ def needed_clearance(
 def distance_to_segment(
     point: Float[Array, "2"], begin: Float[Array, "2"], offset: Float[Array, "2"]
 ) -> Float[Array, ""]:
-    """Distance of a point to the segment that begins here and leads so far, meters."""
+    """Distance of a point to the segment with this start and offset, meters."""
     along = jnp.dot(point - begin, offset) / jnp.maximum(jnp.dot(offset, offset), 1e-12)
     return jnp.linalg.norm(point - begin - jnp.clip(along, 0, 1) * offset)

@@ -1,9 +1,9 @@
 """Sampling-based model predictive control: IT-MPC (information-theoretic MPPI, Williams et al. 2018).
 
-A plan is a sequence of commands over a horizon. Each call drives many noisy copies of it, in the model of the vehicle
-that also drives the robot, prices them with any function of a pose, and moves the plan to their mean, weighted by price
-(equations 5 and 6 of the paper on dense cost maps for object goals). All functions are for one robot; `jax.vmap` makes
-them take many.
+A plan is a sequence of commands over a horizon. Each call simulates many noisy copies of the plan with the model of the
+vehicle that also drives the robot, evaluates them with a cost function of the pose, and moves the plan to their mean
+weighted by cost (equations 5 and 6 of the paper on dense cost maps for object goals). All functions take one robot; use
+`jax.vmap` for batches.
 """
 
 from collections.abc import Callable
@@ -17,31 +17,31 @@ from jaxtyping import Array, Float, Key
 from dc2g_jax.errors import InputError
 from dc2g_jax.vehicles.vehicle import VehicleLimits, VehicleState, drive
 
-#: What it costs to be at a position (x and y, meters) facing a yaw (radians): a finite number.
+#: The cost of a pose: position (x and y, meters) and yaw (radians) -> a finite number.
 CostOfPose = Callable[[Float[Array, "2"], Float[Array, ""]], Float[Array, ""]]
 
 
 def _is_count(number: float) -> bool:
-    """Is it a whole number of at least 1?"""
+    """Whether it is a whole number of at least 1."""
     return isinstance(number, int | np.integer) and number >= 1
 
 
 @struct.dataclass
 class MPPISettings:
-    """How the controller samples and what it weighs. Known when programs are compiled.
+    """Settings of the controller. Static under `jit`.
 
     Attributes:
-      limits: of the vehicle.
-      horizon: commands in a plan, H.
-      samples: noisy copies of the plan a call drives, K.
+      limits: limits of the vehicle.
+      horizon: number of commands in a plan, H.
+      samples: number of noisy copies of the plan per call, K.
       noise: standard deviation of the noise on speed (meters per second) and turn rate (radians per second), sigma.
-      correlation: of the noise of a command with that of the next, at least 0 and below 1. The paper's noise is
-        independent, 0: then sampled headings hardly leave the plan's, as turns to the left and right cancel.
-      temperature: difference in cost that makes a copy e times less likely, lambda, in units of the summed cost.
-      effort: the control-effort matrix Q on (speed, turn rate), by rows: symmetric, no negative eigenvalue.
+      correlation: correlation of the noise of successive commands, at least 0 and below 1. The paper's noise is
+        independent (0). Sampled headings then hardly deviate from the plan, as turns to the left and right cancel.
+      temperature: difference in summed cost that makes a copy e times less likely, lambda.
+      effort: the control-effort matrix Q on (speed, turn rate), by rows: symmetric, without negative eigenvalues.
 
     Raises:
-      InputError: a value out of its range.
+      InputError: a value is out of range.
     """
 
     limits: VehicleLimits = struct.field(pytree_node=False, default=VehicleLimits())
@@ -75,13 +75,13 @@ class MPPISettings:
 
 @struct.dataclass
 class Samples:
-    """The copies of a plan that a call drove.
+    """The sampled copies of a plan.
 
     Attributes:
-      path: the vehicle after each command.
-      commands: speeds and turn rates that the vehicle could make of the noisy ones.
-      costs: of each copy, summed over the horizon, S.
-      weights: of each copy, w; they sum to one.
+      path: state of the vehicle after each command.
+      commands: speeds and turn rates of the noisy commands after the limits of the vehicle.
+      costs: cost of each copy, summed over the horizon, S.
+      weights: weight of each copy, w; they sum to one.
     """
 
     path: VehicleState
@@ -91,7 +91,7 @@ class Samples:
 
 
 def standing_still(settings: MPPISettings) -> Float[Array, "h 2"]:
-    """The plan to begin with."""
+    """The initial plan: no motion."""
     return jnp.zeros((settings.horizon, 2), jnp.float32)
 
 
@@ -102,30 +102,30 @@ def plan(
     cost_of_pose: CostOfPose,
     settings: MPPISettings,
 ) -> tuple[Float[Array, "h 2"], Samples]:
-    """A better plan: one step of IT-MPC. Apply its first command, then `shift` it for the next call.
+    """Improve a plan by one step of IT-MPC. Apply its first command, then `shift` it for the next call.
 
     Args:
-      key: for the noise.
-      controls: plan so far, speed and turn rate of each command.
-      state: of the vehicle now.
-      cost_of_pose: what a pose costs.
-      settings: of the controller.
+      key: random key of the noise.
+      controls: current plan, speed and turn rate of each command.
+      state: current state of the vehicle.
+      cost_of_pose: cost of a pose.
+      settings: settings of the controller.
 
     Returns:
-      The new plan, and the samples it was made from.
+      The new plan, and its samples.
     """
     return improved(controls, sampled_noise(key, settings), state, cost_of_pose, settings)
 
 
 def shift(controls: Float[Array, "h 2"]) -> Float[Array, "h 2"]:
-    """The plan without its first command, which has been driven; its last one is repeated."""
+    """The plan without its first command, which has been executed; the last command is repeated."""
     return jnp.concatenate([controls[1:], controls[-1:]])
 
 
 def sampled_noise(key: Key[Array, ""], settings: MPPISettings) -> Float[Array, "k h 2"]:
-    """Normal noise on the commands of every copy, of the same deviation at every time.
+    """Normally distributed noise on the commands of every copy, with the same standard deviation at every time.
 
-    Commands n apart correlate by `correlation` to the n-th power, as those of a first-order autoregressive process.
+    The noise is a first-order autoregressive process: commands n apart have correlation `correlation` ** n.
     """
     time = np.arange(settings.horizon)
     mixing = np.linalg.cholesky(settings.correlation ** np.abs(time[:, None] - time).astype(float))
@@ -143,21 +143,21 @@ def improved(
 ) -> tuple[Float[Array, "h 2"], Samples]:
     """The plan moved by the weighted mean of its noise (equation 6).
 
-    The noise that counts is what the vehicle makes of it: its limits on speeds and on their changes cut it off in every
-    copy, and so the new plan keeps to them too. Where they do not bind this is the equation as it stands.
+    The noise is first clipped by the vehicle's limits on velocities and accelerations in every copy, so the new plan
+    respects them too. Where the limits are inactive this is exactly the equation.
 
     Args:
-      controls: plan so far.
-      noise: on the commands of each copy.
-      state: of the vehicle now.
-      cost_of_pose: what a pose costs.
-      settings: of the controller.
+      controls: current plan.
+      noise: noise on the commands of each copy.
+      state: current state of the vehicle.
+      cost_of_pose: cost of a pose.
+      settings: settings of the controller.
     """
     path = _driven(state, controls + noise, settings)
     commands = jnp.stack([path.speed, path.turn_rate], axis=-1)
     effort = jnp.einsum("khi,ij,khj->k", commands, jnp.array(settings.effort, jnp.float32), commands)
     costs = jax.vmap(jax.vmap(cost_of_pose))(path.position, path.yaw).sum(axis=1) + effort
-    # exp(-(S - min S) / lambda) / eta: softmax takes the largest exponent, the least cost, off first.
+    # exp(-(S - min S) / lambda) / eta: softmax subtracts the largest exponent, that of the least cost, first.
     weights = jax.nn.softmax(-costs / settings.temperature)
     new = controls + jnp.einsum("k,khi->hi", weights, commands - controls)
     return new, Samples(path=path, commands=commands, costs=costs, weights=weights)

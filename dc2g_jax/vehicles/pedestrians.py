@@ -1,12 +1,11 @@
-"""Pedestrians who walk along sidewalks, for a vehicle to keep clear of.
+"""A model of pedestrians on sidewalks.
 
-Each walks from the cell where it is to the next, drawn at random from those beside it, and turns round only where
-there is no other. It keeps to its own side of the cells' middles, and its footprint on cells where people walk. It does
-not step in front of a vehicle: it waits, and when it has waited long enough, goes back and tries another way. Who has
-had to go back too often, shut in at the end of a path perhaps, leaves across the lawn and is gone. People do not see
-each other.
+A pedestrian walks from cell to cell. The next cell is drawn at random from the adjacent ones; a pedestrian turns around
+only where there is no other. It keeps to one side of the cells' centers and keeps its footprint on walkable cells. It
+does not step in front of a vehicle but waits. After a while it goes back and tries another path. A pedestrian who has
+gone back too often, for example at a dead end, is removed. Pedestrians ignore each other.
 
-All functions are for the people of one world; `jax.vmap` makes them take many worlds.
+All functions take the pedestrians of one world; use `jax.vmap` for batches of worlds.
 """
 
 import jax
@@ -20,31 +19,31 @@ from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.vehicles.footprint import Ground, cell_centers, contains, distance_to_segment
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleState
 
-#: Class index -> do people walk there? bool [class].
+#: Class index -> whether pedestrians walk on it, bool [class].
 WALKABLE = np.isin(CLASS_NAMES, ["sidewalk", "path"])
 
-#: Places as near as this are the same one, meters.
+#: Points at most this far apart count as equal, meters.
 _SAME_PLACE = 1e-3
 
-#: Log-odds of what is never drawn while there is anything else.
+#: Log-odds of a choice that is drawn only if there is no other.
 _LAST_RESORT = -1e9
 
-#: Where people are who are nowhere on the map, meters.
+#: Coordinates of people who are not on the map, meters.
 NOWHERE = 1e5
 
 
 @struct.dataclass
 class Pedestrians:
-    """People on their way.
+    """State of the pedestrians.
 
     Attributes:
-      position: of their middles, meters.
-      velocity: meters per second.
-      came_from: column and row of the last cell whose middle they passed.
+      position: centers, meters.
+      velocity: velocities, meters per second.
+      came_from: column and row of the last cell whose center they passed.
       heads_for: column and row of the cell they walk to.
-      side: how far from the middle of cells they walk, meters.
-      waited: how long they have been standing in front of the vehicle, seconds.
-      turned_back: how often they have gone back because of it.
+      side: lateral offset from the centers of cells, meters.
+      waited: time they have been waiting for the vehicle, seconds.
+      turned_back: how often they have gone back because of the vehicle.
     """
 
     position: Float[Array, "people 2"]
@@ -58,15 +57,15 @@ class Pedestrians:
 
 @struct.dataclass
 class Walking:
-    """How people walk.
+    """Settings of the pedestrian model.
 
     Attributes:
-      speed: meters per second.
-      radius: of the circle that each of them takes up, meters.
-      space: what they leave between themselves and a vehicle in front of them, meters.
-      foresight: for how long they expect the vehicle to drive on as it does, seconds.
-      patience: for how long they wait for it before they go back, seconds.
-      returns: how often they go back before they leave.
+      speed: walking speed, meters per second.
+      radius: radius of the circle that a pedestrian occupies, meters.
+      space: distance that they keep to a vehicle in front of them, meters.
+      foresight: time for which they predict the vehicle at constant velocity, seconds.
+      patience: time that they wait for the vehicle before they go back, seconds.
+      returns: how often they go back before they are removed.
     """
 
     speed: float = struct.field(pytree_node=False, default=1.2)
@@ -85,14 +84,14 @@ def walkable_cells(terrain: UInt8[Array, "h w"] | UInt8[np.ndarray, "h w"]) -> B
 def place(
     key: Array, sidewalks: Ground, count: int, away_from: Float[Array, "2"], walking: Walking | None = None
 ) -> Pedestrians:
-    """People at random places on the sidewalks, standing, in cells whose middle is over three meters from a place.
+    """Standing pedestrians at random places on sidewalks, more than three meters from the vehicle's start.
 
     Args:
-      key: of the random numbers.
-      sidewalks: cells where people walk. Where there are none far enough from the place, people are `NOWHERE`.
-      count: how many people.
-      away_from: the place, where the vehicle starts, meters.
-      walking: how they walk; None for the usual way.
+      key: random key.
+      sidewalks: walkable cells. If none is far enough from the start, pedestrians are at `NOWHERE`.
+      count: number of pedestrians.
+      away_from: start of the vehicle, meters. The distance to the centers of cells counts.
+      walking: settings of the model; None for the defaults.
     """
     walking = Walking() if walking is None else walking
     of_cell, of_side = jax.random.split(key)
@@ -120,15 +119,15 @@ def walk(
     key: Array, people: Pedestrians, sidewalks: Ground, vehicle: VehicleState, vehicle_radius: float,
     walking: Walking | None = None,
 ) -> Pedestrians:  # fmt: skip
-    """The people one period later.
+    """The pedestrians one period later.
 
     Args:
-      key: of the random numbers of this period.
-      people: as they are now.
-      sidewalks: cells where they walk.
-      vehicle: as it is now.
-      vehicle_radius: of its footprint, meters.
-      walking: how they walk; None for the usual way.
+      key: random key of this period.
+      people: current state of the pedestrians.
+      sidewalks: walkable cells.
+      vehicle: current state of the vehicle.
+      vehicle_radius: radius of its footprint, meters.
+      walking: settings of the model; None for the defaults.
     """
     walking = Walking() if walking is None else walking
     ahead = walking.foresight * vehicle.speed * jnp.stack([jnp.cos(vehicle.yaw), jnp.sin(vehicle.yaw)])
@@ -163,7 +162,7 @@ def walk(
 
 
 def _next_cell(key: Array, person: Pedestrians, sidewalks: Ground) -> Int[Array, "2"]:
-    """The cell that a person walks to from the one it has come to: back only where there is no other way."""
+    """The next cell of a pedestrian at the center of a cell: the previous cell only if there is no other."""
     beside = person.heads_for + jnp.array(FORWARD)
     is_back = jnp.all(beside == person.came_from, axis=-1)
     free = contains(sidewalks, beside)

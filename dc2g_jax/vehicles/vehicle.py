@@ -1,10 +1,10 @@
-"""The vehicle: a unicycle with a circular footprint and limits on how fast it drives, turns and changes either.
+"""The vehicle: a unicycle with a circular footprint and limits on velocities and accelerations.
 
 It drives in the ground plane of the world of `dc2g_jax.mapping.camera`: meters, x along the map's columns, y against
-its rows, yaw counter-clockwise from +x. It never drives backwards, where its camera does not look; turning on the spot,
-a circular footprint covers no new ground, so it can always face about.
+its rows, yaw counter-clockwise from +x. It never drives backward, where its camera does not look. It can always turn in
+place, because a circular footprint then covers no new ground.
 
-All functions are for one vehicle; `jax.vmap` makes them take many.
+All functions take one vehicle; use `jax.vmap` for batches.
 """
 
 import dataclasses
@@ -22,13 +22,13 @@ CONTROL_PERIOD = 0.1
 
 @struct.dataclass
 class VehicleState:
-    """Where a vehicle is and how it moves.
+    """Pose and velocities of a vehicle.
 
     Attributes:
-      position: of the footprint's center, meters.
-      yaw: where it faces, counter-clockwise from +x, radians, -pi to pi.
-      speed: ahead, meters per second.
-      turn_rate: counter-clockwise, radians per second.
+      position: center of the footprint, meters.
+      yaw: direction of the vehicle, counter-clockwise from +x, radians, -pi to pi.
+      speed: forward speed, meters per second.
+      turn_rate: turn rate, counter-clockwise, radians per second.
     """
 
     position: Float[Array, "2"]
@@ -39,14 +39,14 @@ class VehicleState:
 
 @struct.dataclass
 class VehicleLimits:
-    """What a vehicle can do: by default about what a sidewalk delivery robot can. Known when programs are compiled.
+    """Limits of a vehicle. Defaults are typical of a sidewalk delivery robot. Static under `jit`.
 
     Attributes:
-      max_speed: ahead, meters per second.
-      max_turn_rate: either way, radians per second.
-      max_acceleration: speeding up and braking, meters per second squared.
-      max_turn_acceleration: of the turn rate, either way, radians per second squared.
-      radius: of the footprint, meters.
+      max_speed: largest forward speed, meters per second.
+      max_turn_rate: largest turn rate in either direction, radians per second.
+      max_acceleration: largest acceleration and deceleration, meters per second squared.
+      max_turn_acceleration: largest change of the turn rate in either direction, radians per second squared.
+      radius: radius of the footprint, meters.
 
     Raises:
       InputError: a limit is not above 0.
@@ -65,11 +65,11 @@ class VehicleLimits:
 
 
 def at_rest(position: ArrayLike, yaw: ArrayLike) -> VehicleState:
-    """A vehicle that stands.
+    """The state of a vehicle at rest.
 
     Args:
       position: x and y, meters.
-      yaw: where it faces, radians.
+      yaw: direction of the vehicle, radians.
     """
     still = jnp.float32(0)
     return VehicleState(
@@ -81,14 +81,14 @@ def at_rest(position: ArrayLike, yaw: ArrayLike) -> VehicleState:
 
 
 def wrapped(angle: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """The same angle, radians, at least -pi and below pi."""
+    """The angle wrapped to [-pi, pi), radians."""
     return (angle + jnp.pi) % (2 * jnp.pi) - jnp.pi
 
 
 def reachable_command(
     state: VehicleState, command: Float[Array, "2"], limits: VehicleLimits, seconds: float
 ) -> Float[Array, "2"]:
-    """What a vehicle makes of a command: the nearest speed and turn rate that its limits let it reach in `seconds`."""
+    """The speed and turn rate nearest to a command that a vehicle can reach within its limits in `seconds`."""
     speed_change, turn_change = limits.max_acceleration * seconds, limits.max_turn_acceleration * seconds
     speed = jnp.clip(command[0], state.speed - speed_change, state.speed + speed_change)
     turn_rate = jnp.clip(command[1], state.turn_rate - turn_change, state.turn_rate + turn_change)
@@ -103,16 +103,16 @@ def reachable_command(
 def along_arc(
     position: Float[Array, "*n 2"], yaw: Float[Array, "*n"], traveled: Float[Array, "*n"], turned: Float[Array, "*n"]
 ) -> Float[Array, "*n 2"]:
-    """Where the arc of a circle ends.
+    """Position and direction at the end of a circular arc.
 
-    The chord of an arc of length s that turns by a is s sin(a / 2) / (a / 2) long and points half-way through the turn.
-    That is exact for every turn, none included.
+    The chord of an arc of length s that turns by a has length s sin(a / 2) / (a / 2) and the direction half-way through
+    the turn. This is exact for every turn, including 0.
 
     Args:
-      position: where it begins, meters.
-      yaw: its direction there, radians.
-      traveled: its length, meters.
-      turned: by how much its direction turns, radians.
+      position: start of the arc, meters.
+      yaw: direction at the start, radians.
+      traveled: length of the arc, meters.
+      turned: change of direction along the arc, radians.
     """
     # jnp.sinc(x) is sin(pi x) / (pi x), and 1 at 0.
     chord = traveled * jnp.sinc(turned / (2 * jnp.pi))
@@ -125,13 +125,14 @@ def drive(
 ) -> VehicleState:
     """The vehicle after `seconds` under one command.
 
-    It takes on the speed and turn rate at once, as far as its accelerations allow in that time, and drives the arc.
+    The model changes speed and turn rate at once, as far as the accelerations allow in that time, and then drives the
+    arc.
 
     Args:
-      state: of the vehicle.
-      command: wished speed (meters per second) and turn rate (radians per second).
-      limits: of the vehicle.
-      seconds: for how long.
+      state: state of the vehicle.
+      command: desired speed (meters per second) and turn rate (radians per second).
+      limits: limits of the vehicle.
+      seconds: duration.
     """
     speed, turn_rate = reachable_command(state, command, limits, seconds)
     return VehicleState(

@@ -258,7 +258,7 @@ def test_missing_pixel_rows_behind_intact_check_sums_are_refused(tmp_path, palet
 def test_a_file_that_is_no_png(folder):
     path = first_image(folder)
     path.write_bytes(b"GIF89a and so on")
-    refusal(lambda: load_dataset(folder), path, "47 49 46", "no intact PNG", "save")
+    refusal(lambda: load_dataset(folder), path, "47 49 46", "not an intact PNG", "save")
     path.write_bytes(b"")
     refusal(lambda: load_dataset(folder), path, "empty", "PNG")
     path.unlink()

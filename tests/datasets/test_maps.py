@@ -178,20 +178,20 @@ def test_arrays_that_are_no_classes(tmp_path, array, mentions):
 def test_files_that_are_no_maps(tmp_path, palette, yard):
     np.save(tmp_path / "a.npy", yard)
     (tmp_path / "cut.npy").write_bytes((tmp_path / "a.npy").read_bytes()[:-3])
-    refusal(lambda: read_map(tmp_path / "cut.npy"), tmp_path / "cut.npy", "no plain array", "numpy.save")
+    refusal(lambda: read_map(tmp_path / "cut.npy"), tmp_path / "cut.npy", "is not a plain array", "numpy.save")
     np.save(tmp_path / "b.npy", np.array([None]), allow_pickle=True)
-    refusal(lambda: read_map(tmp_path / "b.npy"), tmp_path / "b.npy", "no plain array", "numpy.save")
+    refusal(lambda: read_map(tmp_path / "b.npy"), tmp_path / "b.npy", "is not a plain array", "numpy.save")
     whole = (tmp_path / "a.npy").read_bytes()
     for name, damaged in (("open", whole.replace(b"}", b"(", 1)), ("word", whole.replace(b"False", b"F lse", 1))):
         (tmp_path / f"{name}.npy").write_bytes(damaged)
-        refusal(lambda name=name: read_map(tmp_path / f"{name}.npy"), tmp_path / f"{name}.npy", "no plain array")
+        refusal(lambda name=name: read_map(tmp_path / f"{name}.npy"), tmp_path / f"{name}.npy", "is not a plain array")
     (tmp_path / "empty.npy").touch()
-    refusal(lambda: read_map(tmp_path / "empty.npy"), tmp_path / "empty.npy", "no plain array")
+    refusal(lambda: read_map(tmp_path / "empty.npy"), tmp_path / "empty.npy", "is not a plain array")
     (tmp_path / "archive.npy").write_bytes(b"PK\x03\x04nothing else")
-    refusal(lambda: read_map(tmp_path / "archive.npy"), tmp_path / "archive.npy", "no plain array", "numpy.save")
+    refusal(lambda: read_map(tmp_path / "archive.npy"), tmp_path / "archive.npy", "is not a plain array", "numpy.save")
     refusal(lambda: read_map(tmp_path / "gone.npy"), tmp_path / "gone.npy", "cannot be read", "give")
     refusal(lambda: read_map(tmp_path / "gone.png", palette=palette), tmp_path / "gone.png", "cannot be read", "give")
-    refusal(lambda: read_map(tmp_path / "a.jpg"), tmp_path / "a.jpg", "is no map", ".png, .npy, .yaml, .yml")
+    refusal(lambda: read_map(tmp_path / "a.jpg"), tmp_path / "a.jpg", "is not a map", ".png, .npy, .yaml, .yml")
 
 
 def test_maps_of_no_use(yard):
@@ -217,8 +217,8 @@ def test_doors_that_a_coarse_grid_would_lose(yard):
     [
         (Goal(5, 0), ["goal (5, 0) lies at column 5, row 0, off the map of 5 x 7 cells"]),
         (Goal(0, -1), ["goal (0, -1) lies at column 0, row -1, off the map"]),
-        (Goal(float("nan"), 1), ["goal (nan, 1) is nowhere"]),
-        (Goal(1, float("inf"), "metres"), ["goal (1, inf) is nowhere"]),
+        (Goal(float("nan"), 1), ["goal (nan, 1) is not finite"]),
+        (Goal(1, float("inf"), "metres"), ["goal (1, inf) is not finite"]),
         (Goal(1.5, 1), ["goal (1.5, 1) is between cells", "whole numbers"]),
         (Goal(1, 1, "metres"), ["goal (1, 1) is in meters", "only a ROS map"]),
         (Goal(0, 6), ["goal (0, 6) lies at column 0, row 6 on 'house'", "not traversable", "column 0, row 3"]),
@@ -253,7 +253,7 @@ def test_maps_of_two_sizes_cannot_be_run_together(tmp_path, yard):
     ("text", "mentions"),
     [
         ("map,x,y\nyard,1,2\n", ["lacks the column 'unit'"]),
-        ("map,x,y,unit\nyrad,1,1,cells\n", ["line 2", "'yrad', which is no map", "write yard"]),
+        ("map,x,y,unit\nyrad,1,1,cells\n", ["line 2", "'yrad' is not a map", "use yard"]),
         ("map,x,y,unit\nyard,1,1,feet\n", ["line 2", "'feet'", "cells or metres"]),
         ("map,x,y,unit\nyard,1,one,cells\n", ["line 2", "'one'", "'y'", "write a number"]),
         ("map,x,y,unit\nyard,nan,1,cells\n", ["line 2", "'nan'", "'x'"]),

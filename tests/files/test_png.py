@@ -77,7 +77,7 @@ def test_no_byte_can_be_missing_and_no_bit_can_be_other(tmp_path, whole, capfd):
         (png(PIXELS, 2, idat=b"\0" * 52), ["52 of 65 bytes"]),
         (png(PIXELS, 2, idat=b"\0" * 66), ["more of 65 bytes"]),
         (png(PIXELS, 2, idat=b"\7" + b"\0" * 64), ["unrecognized data"]),
-        (png(PIXELS[:, :0], 2), ["no intact PNG"]),
+        (png(PIXELS[:, :0], 2), ["not an intact PNG"]),
     ],
     ids=str,
 )

@@ -185,8 +185,8 @@ def test_lists_that_are_missing_are_named(recording, file):
         ),
         ("depth/0.png", png(np.zeros((18, 27), np.uint16)), ("27 x 18", "28 x 18", "camera.txt")),
         ("classes/c 0.png", png(np.zeros((17, 28), np.uint8)), ("28 x 17", "28 x 18")),
-        ("depth/0.png", png(np.arange(504, dtype=np.uint16).reshape(SHAPE))[:-60], ("no intact PNG",)),
-        ("depth/0.png", b"", ("no intact PNG",)),
+        ("depth/0.png", png(np.arange(504, dtype=np.uint16).reshape(SHAPE))[:-60], ("not an intact PNG",)),
+        ("depth/0.png", b"", ("not an intact PNG",)),
         ("depth/0.png", None, ("No such file",)),
     ],
 )

@@ -1,7 +1,7 @@
-"""Procedural houses: a seeded set of semantic maps shaped like the published one, and endless further ones.
+"""Procedural houses: a seeded dataset of semantic maps structured like the published one, and further training houses.
 
-Nothing is downloaded: a map is drawn from streets, lots, driveways and walkways, and redrawn until a robot
-that starts on the road can reach a front door in the 50x50 grid that the map is squeezed into.
+Nothing is downloaded. A map is generated from streets, lots, driveways and walkways, again and again until a
+robot that starts on the road can reach a front door in the map's 50x50 grid.
 """
 
 import numpy as np
@@ -12,10 +12,10 @@ from dc2g_jax.grid.ground import connected_to_goal
 from dc2g_jax.grid.sampling import ClassImage, sample_grid
 from dc2g_jax.grid.terrain import ROAD
 
-#: The four neighborhoods' styles; "urban" is the one no training house has.
+#: Styles of the four neighborhoods. No training house of the default dataset is "urban".
 STYLES: tuple[str, ...] = (*SUBURBS, "urban")
 
-#: Road cells of the 50x50 grid from which a front door can be reached, at least.
+#: Least number of road cells of the 50x50 grid from which a front door can be reached.
 MIN_ROAD_CELLS = 20
 
 _ATTEMPTS = 100
@@ -55,7 +55,7 @@ def extra_house_seed(seed: int, index: int) -> int:
 
 
 def _paired(seed: int, index: int) -> int:
-    """One number for two, no two pairs alike.
+    """Combine two numbers into one, injectively.
 
     Raises:
         ValueError: if either is negative or 2^32 or more.
@@ -66,7 +66,7 @@ def _paired(seed: int, index: int) -> int:
 
 
 def is_usable(classes: ClassImage, cells: int = 50) -> bool:
-    """Can a front door be reached, 4-connected, from enough road cells of the map's grid?
+    """Whether a front door can be reached, 4-connected, from at least `MIN_ROAD_CELLS` road cells of the map's grid.
 
     Args:
         classes: class indices, uint8 [H W].
@@ -77,10 +77,10 @@ def is_usable(classes: ClassImage, cells: int = 50) -> bool:
 
 
 def draw_house(seed: int, style: str) -> ClassImage:
-    """One house's semantic map, the same for a seed everywhere.
+    """Generate the semantic map of one house. It depends only on the arguments.
 
     Args:
-        seed: any integer from 0 on; seeds below 2^128 give different streams of random numbers.
+        seed: a non-negative integer; seeds below 2^128 give different streams of random numbers.
         style: one of `STYLES`.
 
     Returns:
@@ -101,14 +101,14 @@ def draw_house(seed: int, style: str) -> ClassImage:
 
 
 def draw_neighborhood(seed: int, style: str, cells: int, doors: int) -> ClassImage:
-    """Houses in rows along streets, the same for a seed everywhere.
+    """Generate houses in rows along streets. The map depends only on the arguments.
 
     Args:
-        seed: any integer from 0 on.
+        seed: a non-negative integer.
         style: one of `SUBURBS`.
-        cells: side of the grid, whose cells are as large as those of a single house's map; some 350 at most, since
-            the streets end somewhere.
-        doors: houses that have a front door, at most.
+        cells: side of the grid, whose cells are as large as those of a single house's map. The streets are long enough
+            for about 350 cells.
+        doors: largest number of houses that have a front door.
 
     Returns:
         Class indices of the grid, uint8 [cells cells]; a front door can be reached from the road.
@@ -143,11 +143,11 @@ def procedural_houses(seed: int = 0) -> list[tuple[str, str, ClassImage]]:
 
 
 def extra_training_houses(count: int, seed: int) -> list[ClassImage]:
-    """Further houses for training, all four styles in turn; none shares its seed with a procedural house.
+    """Further houses for training, in all four styles in turn. None shares its seed with a house of the dataset.
 
     Args:
-        count: how many.
-        seed: in [0, 2^32).
+        count: number of houses.
+        seed: seed in [0, 2^32).
 
     Returns:
         Class indices of each, uint8 [H W].

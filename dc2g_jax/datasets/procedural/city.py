@@ -31,7 +31,7 @@ _STREETS = {"straight": 0.3, "curved": 0.08, "tee": 0.15, "corner": 0.25, "cross
 
 
 def draw_city(rng: np.random.Generator) -> ClassImage | None:
-    """One picture of a city block's street front, uint8 [H W] of class indices."""
+    """Draw the street front of one city block: class indices, uint8 [H W]; `None` if the drawing fails."""
     streets = lay_streets(rng, _STREETS, (6.5, 13.0), uniform(rng, (30, 70)))
     sidewalks = Sidewalks(
         verge=float(rng.choice((0.0, uniform(rng, (0.5, 2.0))), p=(0.75, 0.25))),
@@ -65,14 +65,14 @@ def draw_city(rng: np.random.Generator) -> ClassImage | None:
 
 
 def _look(rng: np.random.Generator, streets: Streets, margin: float) -> View:
-    """A picture of a stretch of the first street, with more or less of the block beside and behind."""
+    """A view of a stretch of the first street, with a random part of the block beside and behind it."""
     road = 2 * float(streets.roads[0][1].mean())
     window = streets.curbs[0].at(0.0).place(rectangle(-8, -road * uniform(rng, (0.4, 1.0)), 8, margin + 12))
     return view_around(rng, [window], _turn(rng), (4, uniform(rng, (16, 38))), (7, 12))
 
 
 def _curb_crossings(rng: np.random.Generator, streets: Streets, verge: float) -> Shape:
-    """Short walkways over the grass between sidewalk and curb."""
+    """Short walkways across the grass between sidewalk and curb."""
     shape: Shape = []
     spacing, width = uniform(rng, (12, 30)), uniform(rng, (1.2, 2.0))
     for curb in streets.curbs:
@@ -89,7 +89,7 @@ def _turn(rng: np.random.Generator) -> float:
 
 
 def _add_alleys(rng: np.random.Generator, sketch: Sketch, streets: Streets, depth: float) -> list[Curb]:
-    """An alley behind the first row of buildings, with one or two passages to the street; its two edges."""
+    """Add an alley behind the first row of buildings, with one or two passages to the street. Returns its two curbs."""
     curb, width = streets.curbs[0], uniform(rng, (3.5, 5.5))
     alley = np.array([curb.at(offset).place((0, depth)) for offset in np.arange(-70, 71, 7.0)])
     shape = stroke(alley, width)
@@ -105,7 +105,7 @@ def _add_alleys(rng: np.random.Generator, sketch: Sketch, streets: Streets, dept
 def _line_with_buildings(
     rng: np.random.Generator, sketch: Sketch, edge: Curb, margin: float, weights: dict[str, float]
 ) -> None:
-    """Buildings along a curb, one beside the other, as many as fit between what is drawn already."""
+    """Add buildings along a curb, side by side, as many as fit without overlapping what is already drawn."""
     setback = float(rng.choice((0.3, uniform(rng, (0.5, 3)), uniform(rng, (3, 8)))))
     along = -75.0
     while along < 75.0:
@@ -168,7 +168,7 @@ def _terraces(rng: np.random.Generator, width: float, setback: float) -> Buildin
 
 
 def _slab(rng: np.random.Generator, width: float, setback: float) -> Building:
-    """A long apartment house with several entrances, perhaps with a walkway that runs along its front."""
+    """A long apartment house with several entrances, sometimes with a walkway along its front."""
     depth = uniform(rng, (10, 18))
     building: Building = {
         "house": [rectangle(-width / 2, setback, width / 2, setback + depth)],
@@ -193,7 +193,7 @@ def _slab(rng: np.random.Generator, width: float, setback: float) -> Building:
 
 
 def _relief(rng: np.random.Generator, building: Building, width: float, setback: float, depth: float) -> None:
-    """Stair towers, notches' opposites and wings that break up a plain front and back."""
+    """Add stair towers, projections and wings that break up a plain front and back."""
     for _ in range(int(rng.integers(0, 5))):
         start, size = uniform(rng, (-width / 2, width / 2 - 3)), uniform(rng, (2.0, 8.0))
         end = min(start + size, width / 2)
@@ -205,7 +205,7 @@ def _relief(rng: np.random.Generator, building: Building, width: float, setback:
 
 
 def _court_block(rng: np.random.Generator, width: float, setback: float) -> Building:
-    """A U of buildings round a planted court open to the street, doors inside the court."""
+    """A U-shaped building around a planted court that is open to the street, with doors inside the court."""
     width, depth = max(width, 22.0), uniform(rng, (18, 40))
     wing = uniform(rng, (7, 0.36 * width))
     left, right, back = -width / 2, width / 2, setback + depth
@@ -231,7 +231,7 @@ def _court_block(rng: np.random.Generator, width: float, setback: float) -> Buil
 
 
 def _closed_block(rng: np.random.Generator, width: float, setback: float) -> Building:
-    """A block built up all round, with a court inside and perhaps an archway for cars."""
+    """A block with buildings on all sides, a court inside, and sometimes an archway for cars."""
     width, depth = max(width, 26.0), uniform(rng, (24, 36))
     building = _slab(rng, width, setback)
     building["house"] = [rectangle(-width / 2, setback, width / 2, setback + depth)]
@@ -245,7 +245,7 @@ def _closed_block(rng: np.random.Generator, width: float, setback: float) -> Bui
 
 
 def _parking(rng: np.random.Generator, width: float, setback: float) -> Building:
-    """A parking lot with rows of cars, its entry from the street, a building behind it."""
+    """A parking lot with rows of cars and an entry from the street, and a building behind it."""
     width, depth = min(width, 26.0), uniform(rng, (11, 18))
     ground = rectangle(-width / 2 + 0.5, setback + 0.5, width / 2 - 0.5, setback + depth)
     entry = uniform(rng, (-0.3, 0.3)) * width
@@ -260,7 +260,7 @@ def _parking(rng: np.random.Generator, width: float, setback: float) -> Building
 
 
 def _tower(rng: np.random.Generator, width: float, setback: float) -> Building:
-    """A tower on a lawn or a paved square, a walkway bent to its door and a driveway down to its garage."""
+    """A tower on a lawn or a paved square, with a bent walkway to its door and a driveway to its garage."""
     side, back = uniform(rng, (13, 20)), setback + uniform(rng, (3, 9))
     blocks = [rectangle(-side / 2, back, side / 2, back + side)]
     blocks.append(
@@ -287,7 +287,7 @@ def _tower(rng: np.random.Generator, width: float, setback: float) -> Building:
 
 
 def _annex(rng: np.random.Generator, width: float, setback: float) -> Building:
-    """A garage or the back of another street's building: no door to be seen."""
+    """A garage or the back of a building on another street, without a door."""
     width = min(width, uniform(rng, (6, 30)))
     depth = uniform(rng, (6, 16))
     building: Building = {"house": [rectangle(-width / 2, setback, width / 2, setback + depth)]}
@@ -317,7 +317,7 @@ _WEIGHTS = {
 
 
 def _parked_cars(rng: np.random.Generator, streets: Streets, density: float) -> Shape:
-    """Cars along the curbs, bumper to bumper or with gaps, none where a street meets another."""
+    """Cars along the curbs, bumper to bumper or with gaps, except at junctions."""
     cars = []
     for curb in streets.curbs:
         for along in np.arange(-60, 60, 6.2):
@@ -338,7 +338,7 @@ def _on_other_road(streets: Streets, curb: Curb, point: np.ndarray) -> bool:
 
 
 def _crossing(rng: np.random.Generator, streets: Streets) -> Shape:
-    """A pedestrian crossing over the side street, just off the main one."""
+    """A pedestrian crossing over the side street, next to the main street."""
     line, half_widths = streets.roads[1]
     off = float(streets.roads[0][1].mean()) + uniform(rng, (1.5, 4))
     index = int(np.searchsorted(traveled(line), off))

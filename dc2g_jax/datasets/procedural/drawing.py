@@ -1,8 +1,7 @@
-"""Geometry in meters and a layered sketch in pixels: what the procedural neighborhoods are drawn with.
+"""Drawing tools of the procedural neighborhoods: geometry in meters and a layered sketch in pixels.
 
-Shapes live in a plane measured in meters. A shape is a list of polygons, each float [k 2] (x, y). A `View`
-says which turned rectangle of that plane becomes the picture, and a `Sketch` fills polygons into masks, one
-for each layer.
+Shapes lie in a plane measured in meters. A shape is a list of polygons, each float [k 2] (x, y). A `View` selects the
+rotated rectangle of the plane that becomes the image. A `Sketch` fills polygons into masks, one per layer.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,7 +18,7 @@ Points = npt.NDArray[np.float64]
 Shape = list[Points]
 Range = tuple[float, float]
 
-#: Layer -> terrain class, in painting order: later ones cover earlier ones. Pavement less verge is sidewalk.
+#: Layer -> terrain class, in painting order: later layers cover earlier ones. Pavement minus verge is sidewalk.
 LAYERS: dict[str, int] = {
     "path": PATH,
     "pavement": SIDEWALK,
@@ -37,7 +36,7 @@ LAYERS: dict[str, int] = {
 
 
 def uniform(rng: np.random.Generator, limits: Range) -> float:
-    """One number between two limits."""
+    """A uniformly distributed number between two limits."""
     return float(rng.uniform(*limits))
 
 
@@ -49,21 +48,21 @@ def choose(rng: np.random.Generator, weights: Mapping[str, float]) -> str:
 
 @dataclass(frozen=True)
 class Frame:
-    """A place and a direction: local points are mirrored (x -> -x) if asked, turned by `angle`, moved."""
+    """A coordinate frame: local points are optionally mirrored (x -> -x), rotated by `angle` and translated."""
 
     origin: Points
     angle: float
     mirrored: bool = False
 
     def place(self, points: npt.ArrayLike) -> Points:
-        """Local points [... 2] in the coordinates this frame stands in, [... 2]."""
+        """Local points [... 2] in the parent coordinates of this frame, [... 2]."""
         local = np.asarray(points, dtype=float)
         x, y = (-local[..., 0] if self.mirrored else local[..., 0]), local[..., 1]
         cosine, sine = np.cos(self.angle), np.sin(self.angle)
         return np.stack([x * cosine - y * sine, x * sine + y * cosine], axis=-1) + self.origin
 
     def place_all(self, shape: Iterable[Points]) -> Shape:
-        """Every polygon of a shape, placed."""
+        """Every polygon of a shape in the parent coordinates."""
         return [self.place(polygon) for polygon in shape]
 
 
@@ -73,7 +72,7 @@ def rectangle(left: float, bottom: float, right: float, top: float) -> Points:
 
 
 def jitter(rng: np.random.Generator, points: Points, amount: float) -> Points:
-    """Points moved by a normal random step: the unsteady hand of whoever outlined them."""
+    """Points moved by normally distributed noise, as in outlines drawn by hand."""
     return points + rng.normal(0.0, amount, points.shape)
 
 
@@ -84,7 +83,7 @@ def disc(
     unevenness: float = 0.03,
     corners: int | None = None,
 ) -> Points:
-    """A circle outlined by hand: a polygon [corners 2], of 10 to 24 corners if not said."""
+    """A circle as if outlined by hand: a polygon [corners 2], with 10 to 24 corners by default."""
     count = int(rng.integers(10, 25)) if corners is None else corners
     angles = 2 * np.pi * (np.arange(count) + rng.uniform(-0.25, 0.25, count)) / count
     radii = radius * (1 + rng.normal(0, unevenness, count))
@@ -92,7 +91,7 @@ def disc(
 
 
 def smooth(points: npt.ArrayLike, rounds: int) -> Points:
-    """A polyline with its corners cut `rounds` times (Chaikin), ends kept."""
+    """A polyline with its corners cut `rounds` times (Chaikin's algorithm); the ends do not move."""
     line = np.asarray(points, dtype=float)
     for _ in range(rounds):
         near, far = 0.75 * line[:-1] + 0.25 * line[1:], 0.25 * line[:-1] + 0.75 * line[1:]
@@ -107,7 +106,7 @@ def traveled(line: Points) -> Points:
 
 
 def resample(line: Points, spacing: float) -> Points:
-    """A polyline with a point about every `spacing` meters, ends kept."""
+    """A polyline with a point about every `spacing` meters; the ends do not move."""
     distance = traveled(line)
     at = np.linspace(0, distance[-1], max(2, round(distance[-1] / spacing) + 1))
     return np.stack([np.interp(at, distance, line[:, 0]), np.interp(at, distance, line[:, 1])], axis=-1)
@@ -123,7 +122,7 @@ def left_normals(line: Points) -> Points:
 def ribbon(line: Points, left: npt.ArrayLike, right: npt.ArrayLike) -> Shape:
     """The strip from `left` to `right` meters beside a polyline [n 2], as quadrilaterals that share edges.
 
-    Offsets count leftward (negative is to the right); each is one number or [n].
+    Offsets are positive to the left and negative to the right; each is one number or [n].
     """
     normals = left_normals(line)
     sides = [line + normals * np.broadcast_to(offset, len(line))[:, None] for offset in (left, right)]
@@ -137,14 +136,14 @@ def stroke(line: Points, width: npt.ArrayLike) -> Shape:
 
 
 def wobble(rng: np.random.Generator, count: int, amount: float) -> Points:
-    """A slowly changing offset with about `amount` spread at each of `count` points, [count]."""
+    """A slowly varying random offset of about `amount` at each of `count` points, [count]."""
     knots = rng.normal(0, amount, count // 6 + 2)
     return np.interp(np.linspace(0, len(knots) - 1, count), np.arange(len(knots)), knots)
 
 
 @dataclass(frozen=True)
 class View:
-    """The picture's frame: points are turned by `angle`, moved by -`corner` and scaled to pixels."""
+    """The frame of the image: points are rotated by `angle`, translated by -`corner` and scaled to pixels."""
 
     angle: float
     corner: Points
@@ -161,10 +160,10 @@ class View:
 def view_around(
     rng: np.random.Generator, shape: Sequence[Points], angle: float, margins: Range, pixels_per_meter: Range
 ) -> View:
-    """The picture that holds a shape, with a random margin in meters at each side.
+    """The view that contains a shape, with a random margin in meters on each side.
 
-    Sides come out between 200 and 930 pixels, and no side more than `longest` times the other,
-    a ratio that is drawn anew for each picture from 1.25 to 2.4.
+    The sides of the image have 200 to 930 pixels. No side is more than `longest` times the other, a ratio drawn for
+    each image from 1.25 to 2.4.
     """
     turned = Frame(np.zeros(2), angle).place(np.concatenate(list(shape)))
     low = turned.min(axis=0) - rng.uniform(*margins, 2)
@@ -181,7 +180,7 @@ def view_around(
 
 @dataclass
 class Sketch:
-    """A picture in the making: one mask per layer of `LAYERS`, and `verge`, which takes sidewalk away."""
+    """An unfinished image: one mask per layer of `LAYERS`, and the mask `verge`, which removes sidewalk."""
 
     view: View
     masks: dict[str, ClassImage] = field(default_factory=dict)
@@ -199,12 +198,12 @@ class Sketch:
         self._fill(self.masks[layer], shape)
 
     def add_all(self, shapes: Mapping[str, Iterable[Points]]) -> None:
-        """Fill shapes into the layers they are named after."""
+        """Fill shapes into the layers of their names."""
         for layer, shape in shapes.items():
             self.add(layer, shape)
 
     def add_clear(self, layer: str, shape: Iterable[Points]) -> None:
-        """Fill polygons into a layer one by one, but none that touches what the layer holds already."""
+        """Fill polygons into a layer one by one, except those that touch what the layer already contains."""
         for polygon in shape:
             if self.overlap(self.mask([polygon]), layer) == 0:
                 self.add(layer, [polygon])
@@ -223,7 +222,7 @@ class Sketch:
         return int(np.count_nonzero(mask[part] & taken)) / total
 
     def classes(self) -> ClassImage:
-        """The finished picture: class indices, uint8 [H W]."""
+        """The finished image: class indices, uint8 [H W]."""
         picture = np.full((self.view.height, self.view.width), GRASS, np.uint8)
         for layer, terrain in LAYERS.items():
             if layer not in self.masks:

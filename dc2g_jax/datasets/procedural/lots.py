@@ -1,7 +1,7 @@
 """One lot of a suburb: house, driveway, walkways, doors and cars, drawn in meters.
 
-A house has its own frame: its front runs along x near y = 0, the street lies toward negative y, the garage
-is at the left (negative x); the frame may be mirrored.
+A house has its own frame: its front runs along x near y = 0, the street lies toward negative y, and the garage
+is on the left (negative x). The frame may be mirrored.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ from dc2g_jax.datasets.procedural.streets import Curb
 
 @dataclass(frozen=True)
 class LotStyle:
-    """What a neighborhood's lots are like: ranges in meters, `turn` in radians, weights and shares."""
+    """Style of a neighborhood's lots: ranges in meters, `turn` in radians, weights and shares."""
 
     width: Range
     setback: Range
@@ -53,14 +53,14 @@ class House:
 
 @dataclass
 class Lot:
-    """What stands on one lot: layer -> shape in the plane, and the shape that a picture of it has to hold."""
+    """The content of one lot: layer -> shape in the plane, and the shape that an image of the lot must contain."""
 
     shapes: dict[str, Shape]
     essentials: Shape
 
 
 def front_at(blocks: list[Points], x: float) -> float:
-    """The foremost (least) y of the blocks that reach over x, meters."""
+    """The foremost (smallest) y of the blocks that extend over x, meters."""
     return min(float(b[:, 1].min()) for b in blocks if b[:, 0].min() <= x <= b[:, 0].max())
 
 
@@ -84,7 +84,7 @@ def build_house(rng: np.random.Generator, style: LotStyle) -> House:
         wing = uniform(rng, (0.25, 0.6)) * width
         start = uniform(rng, (left - 1.0, right - wing + 1.0))
         blocks.append(rectangle(start, depth * 0.5, start + wing, depth + uniform(rng, (0.8, 5.0))))
-    if rng.random() < 0.25:  # a wing thrown forward, far from the garage: an L or a U
+    if rng.random() < 0.25:  # a wing in front, far from the garage: an L or a U
         start = right - uniform(rng, (0.2, 0.4)) * width
         blocks.append(rectangle(start, uniform(rng, (-5, -2)), right, depth * 0.6))
     door_x = uniform(rng, (inner + 1.2, max(right - 1.5, inner + 1.3)))
@@ -94,7 +94,7 @@ def build_house(rng: np.random.Generator, style: LotStyle) -> House:
 
 
 def _cut_corner(rng: np.random.Generator, block: Points) -> Points:
-    """Sometimes the block with one or two back corners cut off, else the block."""
+    """The block, sometimes with one or two back corners cut off."""
     if rng.random() < 0.75:
         return block
     corner = int(rng.integers(2, 4))
@@ -105,7 +105,7 @@ def _cut_corner(rng: np.random.Generator, block: Points) -> Points:
 
 
 def build_lot(rng: np.random.Generator, style: LotStyle, curb: Curb, has_sidewalk: bool) -> Lot:
-    """House, driveway, walkways, doors and cars on the lot that lies along a curb."""
+    """House, driveway, walkways, doors and cars of the lot along a curb."""
     house = build_house(rng, style)
     at_curb = curb.at(0.0)
     setback = uniform(rng, style.setback) + max(-house.garage[1], 0.0)
@@ -138,7 +138,7 @@ class Driveway:
 
 
 def _tapered(rng: np.random.Generator, line: Points, at_road: float, at_house: float, flare: float) -> Shape:
-    """A driveway's strip: its width runs from road to house, and widens over its first meters."""
+    """The strip of a driveway: its width varies from road to house, and flares over its first meters."""
     distance = traveled(line)
     width = np.interp(distance, (0, distance[-1]), (at_road, at_house))
     mouth = uniform(rng, (2.0, 3.5))
@@ -169,7 +169,7 @@ def _court(rng: np.random.Generator, house: House, width: float) -> tuple[Shape,
     ground[0] += (uniform(rng, (0, 1.5)), uniform(rng, (-1, 1)))
     shape = [ground]
     entry = np.array([house.left - reach + width * uniform(rng, (0.5, 0.8)), front + 0.8])
-    if rng.random() < 0.7:  # a stub to turn round in
+    if rng.random() < 0.7:  # a stub for turning around
         slant, length = uniform(rng, (-0.8, 0.8)), uniform(rng, (3, 7))
         foot = np.array([house.left - reach * 0.75, front + back * 0.6])
         tip = foot + length * np.array([np.sin(slant), np.cos(slant)])
@@ -199,7 +199,7 @@ def _winding_driveway(rng: np.random.Generator, style: LotStyle, house: House, s
 
 
 def _horseshoe_driveway(rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, curb: Curb) -> Driveway:
-    """A driveway with two mouths that passes before the front door, with a spur to the garage."""
+    """A driveway with two entries that passes in front of the front door, with a spur to the garage."""
     width = uniform(rng, style.driveway_width) * 0.9
     court, entry, middle = _court(rng, house, width)
     door_x, door_y = house.door
@@ -236,7 +236,7 @@ def _horseshoe_driveway(rng: np.random.Generator, style: LotStyle, house: House,
 
 
 def _side_driveway(rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, curb: Curb) -> Driveway:
-    """A narrow driveway along the house's side to its back, perhaps to a garage of its own."""
+    """A narrow driveway along the side of the house to its back, sometimes to a separate garage."""
     width = uniform(rng, style.driveway_width) * 0.85
     x = house.left - width * uniform(rng, (0.5, 0.9))
     back = uniform(rng, (4.0, 12.0))
@@ -253,7 +253,7 @@ def _side_driveway(rng: np.random.Generator, style: LotStyle, house: House, stan
 def _walkway_starts(
     rng: np.random.Generator, house: House, stand: Frame, at_curb: Frame, drive: Driveway, has_sidewalk: bool
 ) -> Shape:
-    """Where walkways to the front door begin: one or two points [2] on the driveway or at the street."""
+    """The starts of walkways to the front door: one or two points [2] on the driveway or at the street."""
     from_drive = drive.walk_from[int(rng.integers(len(drive.walk_from)))]
     door = stand.place((house.door[0], house.door[1]))
     along = np.array([np.cos(at_curb.angle), np.sin(at_curb.angle)])
@@ -268,7 +268,7 @@ def _walkway_starts(
 
 
 def _walkway(rng: np.random.Generator, house: House, stand: Frame, start: Points, width: float) -> Shape:
-    """A walkway from a point of the plane to the front door: bent, slanted or curved, before the house."""
+    """A bent, slanted or curved walkway in front of the house, from a point of the plane to the front door."""
     door_x, door_y = house.door
     cosine, sine = np.cos(stand.angle), np.sin(stand.angle)
     dx, dy = start - stand.origin
@@ -301,7 +301,7 @@ def _door(rng: np.random.Generator, door: tuple[float, float], style: LotStyle) 
 
 
 def _add_side_door(rng: np.random.Generator, lot: Lot, house: House, stand: Frame, width: float) -> None:
-    """A second door at the house's side or a patio there, with a walkway round the corner."""
+    """Add a second door or a patio at the side of the house, with a walkway around the corner."""
     depth = max(float(block[:, 1].max()) for block in house.blocks[:1])
     beside, side_y = house.right + width * uniform(rng, (0.6, 1.2)), uniform(rng, (0.3, 0.8)) * depth
     front = min(float(block[:, 1].min()) for block in house.blocks) - width * uniform(rng, (0.5, 1.2))
@@ -325,7 +325,7 @@ def car(rng: np.random.Generator, center: Points, angle: float) -> Points:
 
 
 def _park(rng: np.random.Generator, drive: Driveway) -> Shape:
-    """One or two cars beside a driveway's center line, so that it stays passable where it is wide."""
+    """One or two cars beside a driveway's center line, so that wide driveways stay passable."""
     cars = []
     for _ in range(1 + int(rng.random() < 0.25)):
         index = int(np.clip(uniform(rng, (0.35, 0.95)) * len(drive.line), 1, len(drive.line) - 2))

@@ -19,19 +19,19 @@ from dc2g_jax.datasets.procedural.drawing import (
     wobble,
 )
 
-_REACH = 150.0  # meters of road drawn to either side of where a street begins
+_REACH = 150.0  # meters of road on either side of the origin of a street
 _STEP = 3.0  # meters between the points of a road's center line
 
 
 @dataclass(frozen=True, eq=False)
 class Curb:
-    """A road edge [n 2] with the lots to its left, and how far along it (meters) one lot lies."""
+    """A road edge [n 2] with lots to its left, and the position of one lot along it (meters)."""
 
     line: Points
     position: float
 
     def at(self, offset: float) -> Frame:
-        """The frame on the curb `offset` meters further on: x along the curb, y away from the road."""
+        """The frame on the curb `offset` meters beyond the lot: x along the curb, y away from the road."""
         distance = traveled(self.line)
         place = min(max(self.position + offset, 0.0), float(distance[-1]))
         index = min(int(np.searchsorted(distance, place, side="right")) - 1, len(self.line) - 2)
@@ -42,7 +42,7 @@ class Curb:
 
 @dataclass(frozen=True)
 class Sidewalks:
-    """Where sidewalks run: width of the grass between curb and sidewalk, sidewalk width (meters), sides.
+    """Layout of sidewalks: width of the grass between curb and sidewalk, sidewalk width (meters), sides.
 
     A verge of 0.3 m or less is not drawn.
     """
@@ -58,8 +58,8 @@ class Sidewalks:
 class Streets:
     """Public roads as (center line [n 2], half widths [n]) and turning circles as (center [2], radius).
 
-    `bulges` are circles that only round off a junction and have no sidewalk round them.
-    `curbs` lists road edges; the first is the one the main lot lies along.
+    `bulges` are circles that round off a junction and have no sidewalk around them.
+    `curbs` lists road edges; the main lot lies along the first.
     """
 
     roads: list[tuple[Points, Points]] = field(default_factory=list)
@@ -69,7 +69,7 @@ class Streets:
     curbs: list[Curb] = field(default_factory=list)
 
     def add_road(self, line: Points, half_width: npt.ArrayLike) -> None:
-        """A road of one half width or one per point [n], and the curbs at both its sides."""
+        """Add a road, with one half width or one per point [n], and the curbs on both sides."""
         half_widths = np.broadcast_to(np.asarray(half_width, dtype=float), len(line))
         self.roads.append((line, half_widths))
         normals = left_normals(line) * half_widths[:, None]
@@ -106,7 +106,7 @@ class Streets:
 
 
 def wander(rng: np.random.Generator, heading: float, bend: float, length: float = _REACH) -> Points:
-    """A line from the origin whose heading drifts: `bend` is the typical turn in radians per 100 m, [n 2]."""
+    """A line [n 2] from the origin whose heading drifts by about `bend` radians per 100 m."""
     count = int(length / _STEP)
     turns = (wobble(rng, count, bend) + rng.normal(0, bend)) * _STEP / 100
     headings = heading + np.cumsum(turns)
@@ -115,7 +115,7 @@ def wander(rng: np.random.Generator, heading: float, bend: float, length: float 
 
 
 def through_road(rng: np.random.Generator, bend: float) -> Points:
-    """A road through the origin, there along +x, bending gently to both sides, [n 2]."""
+    """A gently bending road [n 2] through the origin, where its direction is +x."""
     ahead, behind = wander(rng, 0.0, bend), wander(rng, np.pi, bend)
     return np.concatenate([behind[:0:-1], ahead])
 
@@ -148,7 +148,7 @@ def lay_streets(rng: np.random.Generator, kinds: dict[str, float], road_width: R
 
 
 def _lay_circle(rng: np.random.Generator, streets: Streets, half_width: float) -> None:
-    """A cul-de-sac at the origin; the main lot lies at +y, the road leaves somewhere else, often flared."""
+    """Add a cul-de-sac at the origin. The main lot lies at +y; the road leaves elsewhere and is often flared."""
     radius = half_width * uniform(rng, (1.7, 3.4))
     angles = np.linspace(1.5 * np.pi, -0.5 * np.pi, 61)  # clockwise, so that lots lie to the left
     edge = radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)

@@ -20,16 +20,16 @@ from dc2g_jax.datasets.procedural.lots import Lot, LotStyle, build_lot, car
 from dc2g_jax.datasets.procedural.streets import Curb, Sidewalks, Streets, lay_streets, wander
 from dc2g_jax.grid.sampling import ClassImage
 
-#: Cells a side of a single house's map, and pixels a side of each cell of a larger one.
+#: Side of a single house's map in cells, and side of a cell of a larger map in pixels.
 _HOUSE_CELLS, _PIXELS_A_CELL = 50, 4
 
-#: Streets that houses stand in rows along.
+#: Kinds of streets for rows of houses, with weights.
 _THROUGH = {"straight": 0.5, "fork": 0.5}
 
 
 @dataclass(frozen=True)
 class Suburb:
-    """What a suburb is like: its lots, its streets, and how much of it a picture shows (ranges in meters)."""
+    """Style of a suburb: its lots, its streets, and how much of it an image shows (ranges in meters)."""
 
     lots: LotStyle
     streets: dict[str, float]
@@ -133,7 +133,7 @@ SUBURBS = {
 
 
 def draw_suburb(rng: np.random.Generator, suburb: Suburb) -> ClassImage | None:
-    """One picture around one house, uint8 [H W] of class indices; None where the house does not fit."""
+    """Draw the surroundings of one house: class indices, uint8 [H W]; None if the house does not fit."""
     lot_width = uniform(rng, suburb.lots.width)
     streets = lay_streets(rng, suburb.streets, suburb.road_width, lot_width)
     sidewalks = _choose_sidewalks(rng, suburb)
@@ -154,13 +154,13 @@ def draw_suburb(rng: np.random.Generator, suburb: Suburb) -> ClassImage | None:
 
 
 def draw_row(rng: np.random.Generator, suburb: Suburb, cells: int, doors: int) -> ClassImage:
-    """One picture of houses in rows along a street and its side streets, uint8 [H W] of class indices, a square.
+    """Draw houses in rows along a street and its side streets: class indices of a square, uint8 [H W].
 
     Args:
-        rng: decides everything else.
-        suburb: what the houses and streets are like.
-        cells: side of the grid that the picture is for, whose cells are as large as a single house's of 50 x 50.
-        doors: houses that have a front door, at most; the walkways of the others end at a wall.
+        rng: random number generator.
+        suburb: style of the houses and streets.
+        cells: side of the grid of the image, whose cells are as large as those of a single house's 50 x 50 grid.
+        doors: largest number of houses that have a front door; the walkways of the others end at a wall.
     """
     lot_width = uniform(rng, suburb.lots.width)
     streets = lay_streets(rng, _THROUGH, suburb.road_width, lot_width)
@@ -186,7 +186,7 @@ def draw_row(rng: np.random.Generator, suburb: Suburb, cells: int, doors: int) -
 
 
 def _widened(view: View, cells: int) -> View:
-    """A square around a picture's middle, so large that its cells are those of the picture on a 50 x 50 grid."""
+    """A square around the middle of a view, with cells as large as those of the view on a 50 x 50 grid."""
     sides = np.array([view.width, view.height]) / view.scale
     cell = float(np.sqrt(sides.prod())) / _HOUSE_CELLS
     corner = view.corner + (sides - cells * cell) / 2
@@ -194,7 +194,7 @@ def _widened(view: View, cells: int) -> View:
 
 
 def _add_side_streets(rng: np.random.Generator, streets: Streets, apart: float, reach: float) -> None:
-    """Streets that leave the first one to either side, so many meters apart at least, as far as `reach` along it."""
+    """Add side streets on both sides of the first street, at least `apart` meters apart, up to `reach` along it."""
     main, half_widths = streets.roads[0]
     along = traveled(main) - traveled(main)[len(main) // 2]
     for side in (-1, 1):
@@ -210,7 +210,7 @@ def _add_side_streets(rng: np.random.Generator, streets: Streets, apart: float, 
 
 
 def _all_along(rng: np.random.Generator, streets: Streets, lot_width: float) -> list[Curb]:
-    """Places for houses along all curbs, from one end to the other."""
+    """Places for houses along the whole length of all curbs."""
     places = []
     for curb in streets.curbs:
         position, end = uniform(rng, (0, lot_width)), float(traveled(curb.line)[-1])
@@ -221,7 +221,7 @@ def _all_along(rng: np.random.Generator, streets: Streets, lot_width: float) -> 
 
 
 def _turn(rng: np.random.Generator) -> float:
-    """How the picture is turned, radians: often nearly square to the street, else any angle."""
+    """Rotation of the image, radians: often nearly aligned with the street, otherwise any angle."""
     if rng.random() < 0.5:
         return float(rng.integers(4)) * np.pi / 2 + rng.normal(0, 0.07)
     return uniform(rng, (0, 2 * np.pi))
@@ -247,7 +247,7 @@ def _view(rng: np.random.Generator, suburb: Suburb, streets: Streets, lot: Lot) 
 
 
 def _framing(rng: np.random.Generator, suburb: Suburb, streets: Streets, essentials: Shape) -> Shape:
-    """What the picture has to hold: the lot, some or all of the road before it, perhaps more beside it."""
+    """The shape that the image must contain: the lot, some or all of the road in front, sometimes more beside it."""
     curb = streets.curbs[0].at(0.0)
     depth = 2 * float(streets.roads[0][1].mean()) + uniform(rng, suburb.beyond_road)
     left, right = rng.uniform(*suburb.extra_width, 2)
@@ -255,7 +255,7 @@ def _framing(rng: np.random.Generator, suburb: Suburb, streets: Streets, essenti
 
 
 def _fits(sketch: Sketch, shapes: dict[str, Shape]) -> bool:
-    """May a lot be drawn: its house clear of roads, driveways and houses, its driveway clear of houses?"""
+    """Whether a lot fits: its house is clear of roads, driveways and houses, and its driveway is clear of houses."""
     house, driveway = sketch.mask(shapes["house"]), sketch.mask(shapes["driveway"])
     if sketch.overlap(house, "road", "driveway", "house", "pavement", "pavement_over_driveway", "path") > 0:
         return False
@@ -279,7 +279,7 @@ def _lots_along(rng: np.random.Generator, streets: Streets, lot_width: float, re
 
 
 def _street_cars(rng: np.random.Generator, streets: Streets) -> Shape:
-    """Cars that stand along the curbs, a few on each."""
+    """Cars parked along the curbs, a few on each."""
     cars = []
     for curb in streets.curbs:
         for _ in range(int(rng.integers(0, 4))):
