@@ -1,18 +1,17 @@
-"""What stands in a house: the classes of the indoor map, how they look, and what a data set calls them.
+"""Semantic classes of indoor maps: names, colors, goals, and their object types in ProcTHOR.
 
-The paper has 16 semantic classes, "a superset of our target classes" (section II-A), and names the goals alone. The
-others here are chosen to tell rooms apart. Floor and walls are none of them: that something stands in the way, and what
-has been seen, are channels of their own.
+The paper has 16 semantic classes, "a superset of our target classes" (section II-A), but names only the goals. The
+other classes here are chosen to distinguish types of rooms. Floor and walls have no class: the map has separate
+channels for obstacles and for explored cells.
 
-An armchair is no goal "chair" and has a class of its own, so that whatever the map calls a chair is one. Bathtubs
-are other objects: ProcTHOR's table of objects has none, so a class of their own would teach a cue that is never found
-there.
+An armchair is not the goal "chair" and has its own class, so that everything labeled as a chair is a goal. Bathtubs are
+other objects: ProcTHOR's table of objects has none, so a separate class would be a cue that never occurs there.
 """
 
 import numpy as np
 
-#: Class -> RGB color, in the order of the indices. Goals have colors of Okabe and Ito, which color-blind people tell
-#: apart; all else is paler or darker than they are.
+#: Class -> RGB color, in the order of the indices. Goals have the colors of Okabe and Ito, which color-blind people can
+#: distinguish; other classes are paler or darker.
 _PALETTE = {
     "nothing": (255, 255, 255),
     "bed": (0, 114, 178),
@@ -33,7 +32,7 @@ _PALETTE = {
     "other object": (158, 142, 176),
 }
 
-#: Class index -> name. Index 0 stands for floor, wall and whatever has no class.
+#: Class index -> name. Index 0 stands for floor, walls and everything without class.
 CLASS_NAMES: tuple[str, ...] = tuple(_PALETTE)
 
 #: Class index -> RGB color, uint8 [class 3].
@@ -48,15 +47,15 @@ NOTHING = 0
     LAMP, OTHER,
 ) = range(1, len(CLASS_NAMES))  # fmt: skip
 
-#: What a robot may be sent to, by class index, in the paper's order (section III-C).
+#: Class indices of the goals, in the paper's order (section III-C).
 GOALS: tuple[int, ...] = (BED, CHAIR, SINK, PLANT, COUCH)
 
-#: Room type -> name, as ProcTHOR has them. Index 0 is outside.
+#: Room type -> ProcTHOR's name. Index 0 is the outside.
 ROOM_NAMES: tuple[str, ...] = ("outside", "Bedroom", "Bathroom", "Kitchen", "LivingRoom")
 BEDROOM, BATHROOM, KITCHEN, LIVING_ROOM = range(1, len(ROOM_NAMES))
 
-#: ProcTHOR object type -> class. Small things that stand on furniture are part of it, whatever else stands on the floor
-#: is an other object.
+#: ProcTHOR object type -> class. Small things on furniture are part of it; everything else on the floor is an other
+#: object.
 PROCTHOR_CLASSES: dict[str, int] = {
     "Bed": BED,
     "Chair": CHAIR,

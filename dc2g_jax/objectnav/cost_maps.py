@@ -1,7 +1,7 @@
-"""Cost maps a controller drives by: what it costs the center of a round vehicle to be anywhere on a grid.
+"""Cost maps for the controller: the cost of each position of the center of a round vehicle on a grid.
 
-Made from distances and obstacles, exact or predicted. Cells lie in the world as in `dc2g_jax.vehicles.vehicle`: x along
-columns, y against rows, meters.
+They are made from exact or predicted distances and obstacles. Coordinates are those of `dc2g_jax.vehicles.vehicle`: x
+along columns, y against rows, meters.
 """
 
 import functools
@@ -19,11 +19,13 @@ from dc2g_jax.vehicles.mppi import CostOfPose
 
 
 def inflated(cells: Bool[Array, "h w"], radius: float, cell_size: float) -> Bool[Array, "h w"]:
-    """Cells where the center of a round vehicle may not be: at any nearer than `radius` the disc covers a part of one.
+    """Obstacles inflated by the radius of a round vehicle: cells in which its center must not be.
+
+    These are all cells whose center is nearer than `radius` to some point of an obstacle cell.
 
     Args:
-      cells: the obstacles, squares.
-      radius: of the vehicle, meters.
+      cells: obstacle cells.
+      radius: radius of the vehicle, meters.
       cell_size: edge of a cell, meters.
     """
     reach = math.ceil(radius / cell_size + 0.5)
@@ -39,23 +41,24 @@ def inflated(cells: Bool[Array, "h w"], radius: float, cell_size: float) -> Bool
 def straight_distance(
     goals: Bool[Array, "h w"], walls: Bool[Array, "h w"], cell_size: float, most: float
 ) -> Float[Array, "h w"]:
-    """Distance of cells to an object near them, as the crow flies, over furniture but not through walls.
+    """Straight-line distance of cells to a nearby object, over furniture but not through walls.
 
-    Just around the end of a wall counts: what can be reached on the grid within `most` without crossing a wall.
+    An object just around the end of a wall counts: it must be reachable on the grid within `most` without crossing a
+    wall.
 
     Args:
       goals: cells of the object.
-      walls: cells that nothing reaches through.
-      cell_size: meters.
+      walls: cells of walls.
+      cell_size: edge of a cell, meters.
       most: the longest distance that counts, meters.
 
     Returns:
-      float32 meters between the middles of cells; infinity farther away and behind walls.
+      float32 meters between the centers of cells; infinity farther away and behind walls.
     """
     steps = round(most / cell_size)
     reached = goals
     for number in range(steps):
-        # By turns to four neighbors and to eight, an octagon that holds the circle.
+        # Alternating between four and eight neighbors gives an octagon that contains the circle.
         across = reached | shifted(reached, 0, 1, False) | shifted(reached, 0, -1, False)
         last = across if number % 2 else reached
         reached = (across | shifted(last, 1, 0, False) | shifted(last, -1, 0, False)) & ~walls
@@ -72,16 +75,16 @@ def distance_for_vehicle(
 ) -> Float[Array, "h w"]:
     """Distance that the center of a round vehicle has to drive until it touches the goal (fast marching method).
 
-    It does not touch the goal through an obstacle.
+    The vehicle cannot touch the goal through an obstacle.
 
     Args:
-      obstacles: cells it may not touch, but on the goal.
+      obstacles: cells that the vehicle must not touch, except those of the goal.
       goals: cells of the goal, obstacles or free.
-      radius: of the vehicle, meters.
+      radius: radius of the vehicle, meters.
       cell_size: edge of a cell, meters.
 
     Returns:
-      float32 meters; infinity where it does not fit and where no way leads to the goal.
+      float32 meters; infinity where the vehicle does not fit and where no path leads to the goal.
     """
     near = jnp.isfinite(straight_distance(goals, obstacles & ~goals, cell_size, radius + cell_size))
     touching = goals | (inflated(goals, radius, cell_size) & near & ~obstacles)
@@ -91,13 +94,14 @@ def distance_for_vehicle(
 def with_tight_cells(
     distance: Float[Array, "h w"], free: Bool[Array, "h w"], fits: Bool[Array, "h w"], cell_size: float
 ) -> Float[Array, "h w"]:
-    """Distances on free floor alone: from where a robot does not fit, they count from where it could be.
+    """Extend distances to free cells in which a robot does not fit, by the distance to cells in which it does.
 
     Args:
-      distance: meters, infinite where the robot does not fit and where no way leads to the goal; the latter stay so.
-      free: floor on which nothing stands.
-      fits: where the robot fits.
-      cell_size: meters.
+      distance: meters; infinite where the robot does not fit, and where no path leads to the goal. The latter stay
+        infinite.
+      free: free floor.
+      fits: cells in which the robot fits.
+      cell_size: edge of a cell, meters.
     """
     known = jnp.where(free, distance, jnp.inf)
     tight = free & ~fits & ~jnp.isfinite(known)
@@ -107,13 +111,13 @@ def with_tight_cells(
 def dense_costs(
     distance: Float[Array, "h w"], cell_size: ArrayLike, *, collision: ArrayLike = 50.0, slope: ArrayLike = 10.0
 ) -> Float[Array, "h w"]:
-    """A finite cost everywhere: the distance where there is one, and a wall that leads back to it elsewhere.
+    """A finite cost for every cell: the distance where finite, elsewhere a penalty that slopes back to such cells.
 
     Args:
-      distance: to the goal, meters; infinity where the vehicle must not be or finds no way.
+      distance: distance to the goal, meters; infinity where the vehicle must not be or has no path.
       cell_size: edge of a cell, meters.
-      collision: cost of being where there is no distance, on top of the rest.
-      slope: of the cost there, away from cells with a distance, per meter.
+      collision: additional cost of cells with infinite distance.
+      slope: increase of the cost there, per meter away from cells with finite distance.
     """
     known = jnp.isfinite(distance)
     cost_of_cell = jnp.where(known, jnp.inf, jnp.asarray(slope * cell_size, jnp.float32))
@@ -122,10 +126,10 @@ def dense_costs(
 
 
 def cost_lookup(costs: Float[Array, "h w"], cell_size: ArrayLike, outside: ArrayLike) -> CostOfPose:
-    """What a pose costs by a cost map, between the centers of cells bilinear, for every yaw alike.
+    """The cost of a pose by bilinear interpolation of a cost map. It does not depend on the yaw.
 
     Args:
-      costs: of cells, finite.
+      costs: finite costs of cells.
       cell_size: edge of a cell, meters.
       outside: cost off the map.
     """

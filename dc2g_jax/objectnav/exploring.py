@@ -1,7 +1,8 @@
-"""Robots that drive about a known house, and what their cameras have shown by when: partial maps to train on.
+"""Partial maps for training, from simulated robots that drive through a known house.
 
-They drive shortest ways to random places and to objects, one after the other, so that their maps are those of robots
-that know where to go, and of such that do not. Everything is for one robot; `jax.vmap` or `jax.lax.map` makes it many.
+Robots drive along shortest paths to random places and to objects, one after the other. Their maps are therefore those
+of robots that know the goal and of robots that explore. All functions take one robot; use `jax.vmap` or `jax.lax.map`
+for batches.
 
 Headings are counter-clockwise from east, radians; rows grow southward.
 """
@@ -17,36 +18,35 @@ from dc2g_jax.objectnav.agent import CAMERA_HEIGHT, CAMERA_PITCH, FIELD_OF_VIEW,
 from dc2g_jax.objectnav.mapping import MapSettings
 from dc2g_jax.vehicles.vehicle import wrapped
 
-#: How far the robot's camera sees, meters, and how far below the horizon its image ends, radians.
+#: Range of the robot's camera, meters, and angle of its image's lower edge below the horizon, radians.
 CAMERA_RANGE = MapSettings().reach
 _LOWEST_VIEW = CAMERA_PITCH + math.atan(math.tan(math.radians(FIELD_OF_VIEW) / 2) * IMAGE_SIZE[0] / IMAGE_SIZE[1])
 
-#: The number of the view that shows a cell first, where none does.
+#: Stands for the first view of a cell that no view shows.
 NEVER = 255
 
-#: Meters that a robot drives between two views, and radians that it turns at most: four steps of 0.1 s at 0.6 m/s and
-#: 1.5 rad/s.
+#: Distance driven between two views, meters, and largest turn, radians: four steps of 0.1 s at 0.6 m/s and 1.5 rad/s.
 _DRIVE_A_VIEW, _TURN_A_VIEW = 0.24, 0.6
 
-#: It turns on the spot until its way is within so many radians of where it looks.
+#: The robot turns in place until the direction of its path is within this angle of its heading, radians.
 _AHEAD = 1.0
 
-#: A place has been reached within this distance, meters.
+#: A place counts as reached within this distance, meters.
 _REACHED = 0.3
 
-#: Spread of a glance to the side, radians; a robot glances in every fourth view.
+#: Standard deviation of a glance to the side, radians; a robot glances in every fourth view.
 _GLANCE = 0.6
 
 _NEIGHBORS = ((0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1), (1, 0), (1, 1))
 
 
 class Journey(NamedTuple):
-    """One robot's way and what it has seen by when.
+    """The path of one robot, and when it saw each cell.
 
     Attributes:
-      cells: row and column where it was at each view.
-      headings: where it looked.
-      first_seen: number of the view that showed a cell first, `NEVER` where none did.
+      cells: row and column of the robot at each view.
+      headings: heading of the camera at each view.
+      first_seen: number of the view that first showed each cell, `NEVER` if none did.
     """
 
     cells: Int[Array, "view 2"]
@@ -55,7 +55,7 @@ class Journey(NamedTuple):
 
 
 class _Robot(NamedTuple):
-    """A robot between two views: its cell, where it looks, and how many of its places it has been to."""
+    """State of a robot between two views: its cell, its heading, and how many of its places it has reached."""
 
     cell: Int[Array, "2"]
     heading: Float[Array, ""]
@@ -65,16 +65,16 @@ class _Robot(NamedTuple):
 def visible(
     heights: Float[Array, "h w"], cell_size: float, cell: Int[Array, "2"], heading: Float[Array, ""]
 ) -> tuple[Int[Array, "ray sample 2"], Bool[Array, "ray sample"]]:
-    """Cells that are sampled along the rays of a camera, and whether it sees them.
+    """The cells along the rays of a camera, and whether the camera sees them.
 
-    A cell is seen if its top rises above all that lies before it on the ray, as seen from the camera. Rays are so close
-    that none of the cells in view is missed.
+    A cell is seen if its top appears above everything in front of it on the ray. The rays are dense enough to miss no
+    cell in view.
 
     Args:
-      heights: of what stands in a cell, meters.
-      cell_size: meters.
-      cell: the camera stands in the middle of it.
-      heading: of the camera.
+      heights: height of each cell, meters.
+      cell_size: edge of a cell, meters.
+      cell: cell of the camera, which is above its center.
+      heading: heading of the camera.
     """
     half = math.radians(FIELD_OF_VIEW) / 2
     bearings = heading + jnp.linspace(-half, half, math.ceil(2 * half * CAMERA_RANGE / (0.84 * cell_size)))
@@ -99,16 +99,16 @@ def explore(
     *,
     views: int,
 ) -> Journey:
-    """Drive from place to place, and look.
+    """Simulate a robot that drives from place to place.
 
     Args:
-      heights: of what stands in a cell, meters.
-      cell_size: meters.
-      distances: what is left of the way to each place, meters; infinite where the robot must not be.
-      start: row and column where it begins; it looks anywhere.
-      places: where it goes, one after the other; a place that no way leads to is passed over.
-      key: where chance comes from.
-      views: how many, less than `NEVER`.
+      heights: height of each cell, meters.
+      cell_size: edge of a cell, meters.
+      distances: remaining distance to each place, meters; infinite where the robot must not be.
+      start: row and column of the start; the initial heading is random.
+      places: places to visit in this order; unreachable places are skipped.
+      key: random key.
+      views: number of views, less than `NEVER`.
     """
     first_key, views_key = jax.random.split(key)
     begin = _Robot(start, jax.random.uniform(first_key, minval=-math.pi, maxval=math.pi), jnp.int32(0))
@@ -132,7 +132,7 @@ def explore(
 
 
 def _driven(robot: _Robot, distances: Float[Array, "place h w"], places: Int[Array, "stage"], cells: int) -> _Robot:
-    """The robot at the next view: it has turned toward its way, and driven so many cells if it looks along it."""
+    """The robot at the next view: turned toward its path, and `cells` cells further if it faces along the path."""
 
     def left(stage: Array, at: Int[Array, "*n 2"]) -> Float[Array, "*n"]:
         place = places[stage % len(places)]

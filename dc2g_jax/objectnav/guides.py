@@ -1,6 +1,6 @@
-"""Guides: what tells a robot which way an object may be (`dc2g_jax.objectnav.agent`).
+"""Guides: strategies that direct a robot toward an object (`dc2g_jax.objectnav.agent`).
 
-The goal reacher goes around any of the others: it takes over as soon as the robot has seen what it looks for.
+`GoalReacher` wraps any other guide and takes over once the robot has seen an object of the wanted class.
 """
 
 import functools
@@ -20,14 +20,14 @@ from dc2g_jax.objectnav.goal_reacher import distance_to_object, without_specks
 from dc2g_jax.objectnav.mapping import EXPLORED, OBSTACLE, has, has_any_class, square, window
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 
-#: A way counts as the robot's if it begins within so many cells of the robot, to every side: one that has run into
-#: something stands where it does not fit.
+#: A path counts if it begins within this many cells of the robot in rows and columns: a robot that has collided stands
+#: on a cell in which it does not fit.
 _NEAR = 2
 
 
 @struct.dataclass
 class TrueCost:
-    """Knows the way to the nearest object, and when it is there.
+    """Guide with the exact distance to the nearest object, which also knows when the robot has arrived.
 
     The paper's agent with exact costs ends an episode when the goal is visible.
     """
@@ -39,14 +39,14 @@ class TrueCost:
 
 
 def true_distance(robot: Robot, site: Site, agent: Agent) -> Float[Array, "n n"]:
-    """What is left of the way to the nearest object from each cell of the local map, meters."""
+    """Exact distance to the nearest object from each cell of the local map, meters."""
     side = agent.mapping.local
     return square(site.distances[robot.target], robot.local_middle - side // 2, side, jnp.inf)
 
 
 @struct.dataclass
 class NoIdea:
-    """Knows nothing: for steering that does not ask."""
+    """Guide without information, for steering that does not use a guide."""
 
     def guide(self, key: Key[Array, ""], robot: Robot, site: Site, agent: Agent) -> Guidance:
         """See `Guide`."""
@@ -57,9 +57,9 @@ class NoIdea:
 
 @struct.dataclass
 class Frontier:
-    """Goes where the nearest floor is that has not been seen: on the local map, and if nothing is left there on all.
+    """Guide to the nearest unseen floor on the local map, or on the whole map if none is left on the local one.
 
-    Specks of unseen floor count only when nothing else is left.
+    Small specks of unseen floor count only if nothing else is left.
     """
 
     def guide(self, key: Key[Array, ""], robot: Robot, site: Site, agent: Agent) -> Guidance:
@@ -80,7 +80,7 @@ class Frontier:
 
 @struct.dataclass
 class Predicted:
-    """Goes by the costs that a network predicts (section II-B), but not through what it has seen to be in the way.
+    """Guide by the costs that a network predicts (section II-B), outside the obstacles seen so far.
 
     Attributes:
       costs: the prediction.
@@ -98,15 +98,14 @@ class Predicted:
 
 @struct.dataclass
 class PromisingFrontier:
-    """Goes where the way to unseen floor and the cost that a network predicts there are least together.
+    """Guide to the unseen floor with the least sum of distance and predicted cost.
 
-    That is the rule of this package's `dc2g` in place of the paper's, which drives down the predicted costs themselves:
-    those have hollows that lead nowhere, the way over seen floor has none. Where nothing near is left to be seen, it is
-    `Frontier`.
+    This is the rule of this package's `dc2g` planner. The paper's agent instead descends the predicted costs, which
+    have local minima; distances over seen floor have none. If nothing unseen is near, this guide is `Frontier`.
 
     Attributes:
-      costs: predicted.
-      weight: of a meter of predicted cost, in meters of way over seen floor.
+      costs: the prediction.
+      weight: weight of the predicted cost relative to the distance over seen floor.
     """
 
     costs: PredictedCosts
@@ -127,12 +126,12 @@ class PromisingFrontier:
 
 @struct.dataclass
 class GoalReacher:
-    """Goes to an object of the wanted class once one has been seen and as long as a way may lead to it (section II-D).
+    """Guide to an object of the wanted class once one has been seen and while a path may lead to it (section II-D).
 
-    What has not been seen counts as free. Where no way is left, the other guide goes on.
+    Unseen cells count as free. Before, and if there is no path, the other guide is used.
 
     Attributes:
-      explorer: guides the robot until then.
+      explorer: the other guide.
     """
 
     explorer: Guide
@@ -157,14 +156,14 @@ class GoalReacher:
 
 
 def _begins_here(distance: Float[Array, "n n"]) -> Bool[Array, ""]:
-    """Is there a way from where the robot is, in the middle of the local map?"""
+    """Whether a path begins at the robot, in the middle of the local map."""
     middle = distance.shape[0] // 2
     near = slice(middle - _NEAR, middle + _NEAR + 1)
     return jnp.any(jnp.isfinite(distance[near, near]))
 
 
 def _ground(cells: UInt32[Array, "n n"], agent: Agent) -> tuple[Bool[Array, "n n"], Bool[Array, "n n"]]:
-    """Cells that have been seen and that the robot can be in, and such beside them that have not been seen."""
+    """Seen cells in which the robot fits, and unseen cells beside them."""
     known = has(cells, EXPLORED)
     passable = ~inflated(has(cells, OBSTACLE), agent.controller.limits.radius, agent.mapping.cell_size)
     ground = known & passable

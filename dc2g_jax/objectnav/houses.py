@@ -1,4 +1,4 @@
-"""Houses to search for objects in, by split: embedded ones, or those of ProcTHOR's files."""
+"""Houses for object search, by split: procedural houses, or houses from ProcTHOR's files."""
 
 import os
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from dc2g_jax.objectnav.plan_cells import CELL_SIZE, world_from_plan
 from dc2g_jax.objectnav.procthor import read_procthor
 from dc2g_jax.objectnav.worlds import IndoorWorld
 
-#: What the files of houses end in.
+#: File endings of houses.
 ENDINGS = (".jsonl.gz", ".jsonl")
 
 
@@ -22,8 +22,8 @@ class IndoorHouse:
     """One house.
 
     Attributes:
-        name: such as `train-17`: the split and the line of the file, or the number of the drawing.
-        split: 'train', 'val' or 'test'; a house belongs to one.
+        name: such as `train-17`: the split, and the line of the file or the index of the procedural house.
+        split: 'train', 'val' or 'test'.
         world: the house as cells.
     """
 
@@ -45,17 +45,18 @@ def indoor_houses(
     """The first houses of a split.
 
     Args:
-        location: 'procedural' for the procedural houses, of which there is no end, or a folder with the files `train`,
+        location: 'procedural' for procedural houses, whose number is unlimited, or a folder with the files `train`,
             `val` and `test`, ending in `.jsonl.gz` or `.jsonl`, and `asset_boxes.json`.
         split: 'train', 'val' or 'test'.
-        count: how many, all if `None`; 20 embedded ones, as many as a split of the sample of ProcTHOR.
+        count: number of houses. `None` for all houses of a file, or for 20 procedural ones, as many as a split of
+            ProcTHOR's sample has.
         cell_size: side of a cell, meters.
-        seed: of the procedural houses.
-        strict: refuse a file for the first line that is no house, see `read_procthor`.
-        log: takes a line for each house that is skipped.
+        seed: seed of the procedural houses.
+        strict: whether an invalid house is an error, see `read_procthor`.
+        log: receives a line for each house that is skipped.
 
     Raises:
-        InputError: there is no such split, folder or file, or a file is no good, or has fewer houses than that.
+        InputError: the split, folder or file does not exist, a file is invalid, or it has fewer than `count` houses.
     """
     if split not in SPLITS:
         raise InputError(f"no split is called {split!r}; use one of: {', '.join(SPLITS)}")
@@ -75,7 +76,7 @@ def split_file(folder: Path, split: str) -> Path:
     """The file of a split.
 
     Raises:
-        InputError: the folder has none.
+        InputError: the folder has no file of the split.
     """
     paths = [folder / f"{split}{ending}" for ending in ENDINGS]
     for path in paths:

@@ -1,13 +1,14 @@
-"""The map that a robot makes of a house as it goes: what of 16 classes stands in a cell, what is in the way, what has
-been seen (section II-A of the paper on dense cost maps).
+"""The robot's map of a house: 16 semantic classes, obstacles and explored cells.
 
-Depth and class of every pixel are points in the world; a cell has every class that one of its points had, is an
-obstacle as soon as one lay where the robot could hit it, and is explored as soon as there was any, or its floor was in
-view. That is 18 channels of yes or no, kept as the bits of one number a cell and spread out when they are asked for:
-0.7 MB for 420 x 420 cells, where 18 channels of floats would take 12.7 MB.
+See section II-A of the paper on dense cost maps.
 
-The map's cells are those of the world's grid (`dc2g_jax.objectnav.worlds`), and the robot starts in its middle. It does
-not turn with the robot: north stays above. All functions are for one robot; `jax.vmap` makes them take many.
+Pixels with depth and class are points in the world. A cell has the classes of all its points, is an obstacle once one
+of its points lies at a height where the robot could hit it, and is explored once it has any point or its floor has been
+in view. These 18 binary channels are stored as bits of one integer per cell and unpacked on demand: 0.7 MB for
+420 x 420 cells, instead of 12.7 MB for 18 channels of floats.
+
+The cells of the map are those of the world's grid (`dc2g_jax.objectnav.worlds`). The robot starts in the middle of the
+map. The map does not rotate with the robot. All functions take one robot; use `jax.vmap` for batches.
 """
 
 import dataclasses
@@ -25,7 +26,7 @@ from dc2g_jax.mapping.camera import Frame, Intrinsics, check_shapes, points, ray
 from dc2g_jax.objectnav.classes import SEMANTIC_CLASSES
 from dc2g_jax.vehicles.footprint import cell_at
 
-#: Channels of a map: the classes (class index 1 + channel), then what is an obstacle, then what is explored.
+#: Channels of a map: the classes (class index 1 + channel), then obstacles, then explored cells.
 OBSTACLE, EXPLORED = SEMANTIC_CLASSES, SEMANTIC_CLASSES + 1
 CHANNELS = SEMANTIC_CLASSES + 2
 if CHANNELS > 32:
@@ -36,20 +37,20 @@ if CHANNELS > 32:
 
 @struct.dataclass
 class MapSettings:
-    """What a map covers. Known when programs are compiled.
+    """Extent and thresholds of a map. Static under `jit`.
 
     Attributes:
-      cells: along each side of the map. The paper has 420.
-      local: along each side of the part of it around the robot, a divisor of `cells`. The paper has 140.
-      cell_size: meters. The paper's maps, of cells of 5 cm, are 21 m wide; ProcTHOR's largest houses are 28 m long, so
-        that cells of 10 cm are the default here and the map is 42 m wide.
-      reach: returns from farther away than this (meters from the camera) are skipped.
-      lowest: what is lower than this above the floor (meters) is no obstacle.
-      highest: what is higher than this (meters) is none either: the robot's height.
-      inset: a return that is nearer than this to the cell behind it counts for that one, meters.
+      cells: cells along each side of the map. The paper has 420.
+      local: cells along each side of the local map around the robot, a divisor of `cells`. The paper has 140.
+      cell_size: edge of a cell, meters. The paper's maps have cells of 5 cm and are 21 m wide. ProcTHOR's largest
+        houses are 28 m long, so the default here is 10 cm, and the map is 42 m wide.
+      reach: returns farther from the camera than this are skipped, meters.
+      lowest: points lower than this above the floor are no obstacles, meters.
+      highest: points higher than this, the height of the robot, are no obstacles, meters.
+      inset: a return nearer than this to the cell behind it counts for that cell, meters.
 
     Raises:
-      InputError: a value out of its range.
+      InputError: a value is out of range.
     """
 
     cells: int = struct.field(pytree_node=False, default=420)
@@ -76,16 +77,16 @@ class MapSettings:
 
     @property
     def window(self) -> int:
-        """Cells along the sides of the part of the map that one frame can touch."""
+        """Side of the part of the map that one frame can change, in cells."""
         return min(2 * math.ceil((self.reach + self.inset) / self.cell_size) + 1, self.cells)
 
 
 @struct.dataclass
 class IndoorMap:
-    """What a robot knows of a house.
+    """A robot's map of a house.
 
     Attributes:
-      cells: the channels of each cell, one bit each, channel 0 the lowest.
+      cells: the channels of each cell, one bit per channel, channel 0 in the lowest bit.
       origin: row and column of the first cell in the world's grid; they may be negative.
     """
 
@@ -94,40 +95,40 @@ class IndoorMap:
 
 
 def empty_map(position: Float[Array, "2"], settings: MapSettings) -> IndoorMap:
-    """A map of which nothing has been seen, around the place where a robot starts (x and y, meters)."""
+    """A map without observations, centered on the robot's start (x and y, meters)."""
     origin = grid_cell(position, settings.cell_size) - settings.cells // 2
     return IndoorMap(cells=jnp.zeros((settings.cells, settings.cells), jnp.uint32), origin=origin)
 
 
 def grid_cell(position: Float[Array, "2"], cell_size: float) -> Int[Array, "2"]:
-    """Row and column of the cell that a place (x and y, meters) lies in."""
+    """Row and column of the cell that contains a position (x and y, meters)."""
     return cell_at(position, cell_size)[::-1]
 
 
 def has(cells: UInt32[Array, "h w"], channel: ArrayLike) -> Bool[Array, "h w"]:
-    """One channel of some cells."""
+    """One channel of the cells."""
     return (cells >> jnp.asarray(channel, jnp.uint32)) & 1 == 1
 
 
 def has_any_class(cells: UInt32[Array, "h w"]) -> Bool[Array, "h w"]:
-    """Cells of which any class has been seen. Obstacles without one are walls."""
+    """Cells in which any class has been seen. Obstacles without class are walls."""
     return cells & jnp.uint32((1 << SEMANTIC_CLASSES) - 1) > 0
 
 
 def integrate(indoor_map: IndoorMap, frame: Frame, intrinsics: Intrinsics, settings: MapSettings) -> IndoorMap:
-    """The map after one more frame. Pixels without a return, or with one from out of reach, say nothing.
+    """Integrate one frame into the map. Pixels without return, or with a return out of reach, are skipped.
 
-    Where the floor is in view, and nothing that the robot could hit, there is none: so what has been booked to the cell
-    beside its own is forgotten.
+    A cell whose floor is in view, without anything that the robot could hit, loses its obstacle and classes. This
+    corrects points that were assigned to a neighboring cell.
 
     Args:
-      indoor_map: so far.
+      indoor_map: the map so far.
       frame: depth, classes and pose of the camera.
-      intrinsics: of the camera.
-      settings: those the map was made with.
+      intrinsics: intrinsics of the camera.
+      settings: the settings with which the map was made.
 
     Raises:
-      InputError: frame and intrinsics are of different sizes.
+      InputError: the sizes of frame and intrinsics do not match.
     """
     check_shapes(frame, intrinsics)
     side = settings.window
@@ -147,7 +148,7 @@ def _found(
     frame: Frame, intrinsics: Intrinsics, usable: Bool[Array, "height width"], corner: Int[Array, "2"],
     settings: MapSettings,
 ) -> UInt32[Array, "n n"]:  # fmt: skip
-    """The channels that a frame's points give the cells of the window that begins at a corner of the world's grid."""
+    """The channels that a frame's points set in a window, given the window's first cell in the world's grid."""
     side = settings.window
     shown = points(frame.depth, intrinsics, frame.pose)
     row, column = _booked(shown, frame.pose.position, settings) - corner[:, None, None]
@@ -168,15 +169,15 @@ def _found(
 def _booked(
     shown: Float[Array, "height width 3"], origin: Float[Array, "3"], settings: MapSettings
 ) -> Int[Array, "2 height width"]:
-    """Row and column of the cell that each point counts for.
+    """Row and column of the cell to which each point is assigned.
 
-    A surface between two cells belongs to the one behind it, seen from the camera. Only across the border that a point
-    is nearest to it is moved over: along its ray, one at the edge of a wall would get past the wall's end.
+    A surface between two cells belongs to the cell behind it, as seen from the camera. A point is moved only across the
+    border nearest to it. If it were moved along its ray, a point at the edge of a wall could pass the wall's end.
 
     Args:
       shown: the points, meters.
-      origin: of the rays they were seen along, meters.
-      settings: of the map.
+      origin: origin of their rays, meters.
+      settings: settings of the map.
     """
     scale = jnp.array([-1, 1], jnp.float32) / settings.cell_size
     place = shown[..., 1::-1] * scale
@@ -190,10 +191,10 @@ def _floor_in_view(
     frame: Frame, intrinsics: Intrinsics, usable: Bool[Array, "height width"], corner: Int[Array, "2"],
     settings: MapSettings,
 ) -> Bool[Array, "n n"]:  # fmt: skip
-    """Cells of the window in whose middle the floor is seen.
+    """Cells of the window whose center is visible floor.
 
-    Far away, rows of pixels are several cells apart. A cell is seen if the pixel above its middle shows something
-    behind it.
+    Far away, rows of pixels are several cells apart. The floor of a cell is visible if the pixel above its center shows
+    something behind it.
     """
     along = jnp.arange(settings.window)
     x = (along + corner[1] + 0.5) * settings.cell_size - frame.pose.position[0]
@@ -209,15 +210,15 @@ def _floor_in_view(
 
 
 def stood_on(indoor_map: IndoorMap, position: Float[Array, "2"], radius: float, settings: MapSettings) -> IndoorMap:
-    """The map of a robot that takes what is around it for explored, whether it has seen it or not.
+    """Mark the cells around the robot as explored, whether it has seen them or not.
 
-    What has been seen to stand there still does. Cells behind a wall so near count as well.
+    Obstacles and classes do not change. Cells behind a nearby wall are marked as well.
 
     Args:
-      indoor_map: so far.
+      indoor_map: the map so far.
       position: x and y of the robot, meters.
-      radius: of what counts, meters.
-      settings: those the map was made with.
+      radius: radius around the robot, meters.
+      settings: the settings with which the map was made.
     """
     rings = math.ceil(radius / settings.cell_size)
     offsets = jnp.stack(jnp.meshgrid(*2 * (jnp.arange(-rings, rings + 1),), indexing="ij"), axis=-1)
@@ -236,24 +237,24 @@ def stood_on(indoor_map: IndoorMap, position: Float[Array, "2"], radius: float, 
 
 
 def window(indoor_map: IndoorMap, middle: Int[Array, "2"], side: int) -> UInt32[Array, "side side"]:
-    """A square of cells around a cell of the world's grid, which comes to lie at `side // 2`. Off the map: 0.
+    """A square of cells around a cell of the world's grid, which is at index `side // 2`. Cells off the map are 0.
 
     Args:
       indoor_map: the map.
       middle: row and column in the world's grid.
-      side: of the square, cells.
+      side: side of the square, cells.
     """
     return square(indoor_map.cells, middle - side // 2 - indoor_map.origin, side, 0)
 
 
 def square(grid: Shaped[Array, "h w"], first: Int[Array, "2"], side: int, beyond: float) -> Shaped[Array, "side side"]:
-    """A square of a grid, wherever it lies.
+    """A square of a grid, which may extend beyond it.
 
     Args:
-      grid: what to take it from.
-      first: row and column of its first cell, on the grid or off it.
-      side: of the square, cells.
-      beyond: what is off the grid.
+      grid: the grid.
+      first: row and column of the square's first cell, on the grid or off it.
+      side: side of the square, cells.
+      beyond: value of cells off the grid.
     """
     height, width = grid.shape
     rows, columns = first[:, None] + jnp.arange(side)
@@ -262,14 +263,14 @@ def square(grid: Shaped[Array, "h w"], first: Int[Array, "2"], side: int, beyond
 
 
 def channels(cells: UInt32[Array, "h w"]) -> Float[Array, "18 h w"]:
-    """The 18 channels of some cells, 0 or 1: the classes, obstacle, explored."""
+    """The 18 channels of the cells, 0 or 1: classes, obstacle, explored."""
     return ((cells >> jnp.arange(CHANNELS, dtype=jnp.uint32)[:, None, None]) & 1).astype(jnp.float32)
 
 
 def local_crop(
     indoor_map: IndoorMap, position: Float[Array, "2"], settings: MapSettings
 ) -> Float[Array, "18 local local"]:
-    """The channels of the map around a robot (x and y, meters), not turned: the paper's local map."""
+    """The channels of the map around a robot (x and y, meters), not rotated: the paper's local map."""
     return channels(window(indoor_map, grid_cell(position, settings.cell_size), settings.local))
 
 
@@ -278,7 +279,7 @@ def global_pooled(
 ) -> Float[Array, "18 local local"]:
     """The channels of the whole map, averaged to the size of the local one: the paper's global map.
 
-    It has the robot (x and y, meters) in the middle like the local map, so that both show the same place there.
+    Like the local map it is centered on the robot (x and y, meters), so the centers of both show the same place.
     """
     local, pool = settings.local, settings.cells // settings.local
     cells = window(indoor_map, grid_cell(position, settings.cell_size), settings.cells)
@@ -290,5 +291,5 @@ def global_pooled(
 def network_input(
     indoor_map: IndoorMap, position: Float[Array, "2"], settings: MapSettings
 ) -> Float[Array, "36 local local"]:
-    """What the network is shown of the map (section II-B): the channels of the local map, then of the global one."""
+    """The network's input maps (section II-B): the channels of the local map, then those of the global map."""
     return jnp.concatenate([local_crop(indoor_map, position, settings), global_pooled(indoor_map, position, settings)])

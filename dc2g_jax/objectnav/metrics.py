@@ -1,22 +1,22 @@
-"""How good a predicted cost map is (section III-B). For one map each, but for `occupancy_scores`, which takes any."""
+"""Metrics of predicted cost maps (section III-B). All functions take one map, except `occupancy_scores`."""
 
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-#: Steps of a local policy, down the rows and along them. Staying comes first: of equal costs the first one counts.
+#: Steps of a local policy, (rows, columns). Staying comes first, because the first of equal costs counts.
 FIVE_ACTIONS: tuple[tuple[int, int], ...] = ((0, 0), (0, 1), (-1, 0), (0, -1), (1, 0))
 NINE_ACTIONS: tuple[tuple[int, int], ...] = (*FIVE_ACTIONS, (-1, 1), (-1, -1), (1, -1), (1, 1))
 
 
 class OccupancyScores(NamedTuple):
-    """Scores of the occupancy, as shares; means over free and occupied.
+    """Scores of predicted occupancy from 0 to 1, as means over the classes free and occupied.
 
     Attributes:
-      accuracy: of a class's cells, the share that is found (MPA).
-      f1: harmonic mean of that and of the share of right ones among those found (mF1).
-      iou: right ones by all that are in the class or predicted to be (mIoU).
+      accuracy: recall: share of a class's cells that are predicted as such (MPA).
+      f1: harmonic mean of recall and precision (mF1).
+      iou: intersection over union of the predicted and the true cells (mIoU).
     """
 
     accuracy: Float[Array, ""]
@@ -25,17 +25,17 @@ class OccupancyScores(NamedTuple):
 
 
 def confusion(predicted: Bool[Array, "h w"], true: Bool[Array, "h w"]) -> Int[Array, "2 2"]:
-    """Numbers of cells by truth (row) and prediction (column), free before occupied. They add up over maps."""
+    """Confusion matrix of a map: cells by truth (row) and prediction (column), free before occupied. It is additive."""
     return jnp.stack(
         [jnp.stack([jnp.sum((true == row) & (predicted == column)) for column in (0, 1)]) for row in (0, 1)]
     )
 
 
 def occupancy_scores(counts: Float[Array, "2 2"] | Int[Array, "2 2"]) -> OccupancyScores:
-    """Scores from a confusion matrix. A class that is neither there nor predicted counts as found.
+    """Scores from a confusion matrix. A class that is neither present nor predicted has score 1.
 
     Args:
-      counts: see `confusion`.
+      counts: confusion matrix of one or more maps, see `confusion`.
     """
     right = jnp.diagonal(counts)
     there, predicted = jnp.sum(counts, axis=1), jnp.sum(counts, axis=0)
@@ -51,11 +51,11 @@ def occupancy_scores(counts: Float[Array, "2 2"] | Int[Array, "2 2"]) -> Occupan
 
 
 def best_actions(costs: Float[Array, "h w"], actions: tuple[tuple[int, int], ...]) -> Int[Array, "h w"]:
-    """The action that leads from each cell to the lowest cost, by its index; the first one of equals.
+    """Index of the action that leads from each cell to the lowest cost; ties to the first action.
 
     Args:
-      costs: infinite where there is no way. Beyond the map it is infinite too.
-      actions: steps down the rows and along them.
+      costs: costs of cells, infinite without path. Costs beyond the map are infinite.
+      actions: steps, (rows, columns).
     """
     height, width = costs.shape
     around = jnp.pad(costs, 1, constant_values=jnp.inf)
@@ -68,15 +68,15 @@ def best_actions(costs: Float[Array, "h w"], actions: tuple[tuple[int, int], ...
 def action_accuracy(
     predicted: Float[Array, "h w"], true: Float[Array, "h w"], actions: tuple[tuple[int, int], ...]
 ) -> Float[Array, ""]:
-    """Share of navigable cells at which the lowest cost nearby lies the same way (aAP5 and aAP9).
+    """Share of navigable cells whose best action is the same for predicted and true costs (aAP5 and aAP9).
 
     Args:
       predicted: the final cost map, infinite or high where occupied.
-      true: navigation cost, infinite where occupied or without a way to the goal.
+      true: navigation cost, infinite where occupied or without a path to the goal.
       actions: `FIVE_ACTIONS` or `NINE_ACTIONS`.
 
     Returns:
-      The share; 1 where no cell is navigable.
+      The share; 1 if no cell is navigable.
     """
     navigable = jnp.isfinite(true)
     same = navigable & (best_actions(predicted, actions) == best_actions(true, actions))

@@ -1,8 +1,7 @@
-"""How the inside of a simulated house looks.
+"""Appearance of simulated houses.
 
-It has no more looks than its classes have colors, so each house is painted: its objects in the colors of their
-classes, each a little different, and its floors by the type of room, since kitchens and bathrooms have other floors
-than bedrooms have. Walls tell nothing.
+Houses have no textures, so they are painted: objects in the colors of their classes with random variation, and floors
+by the type of room, since kitchens and bathrooms have other floors than bedrooms. All walls look alike.
 """
 
 import numpy as np
@@ -11,17 +10,17 @@ from jaxtyping import UInt8
 from dc2g_jax.objectnav.classes import BATHROOM, BEDROOM, CLASS_COLORS, KITCHEN, LIVING_ROOM
 from dc2g_jax.objectnav.worlds import IndoorWorld
 
-#: Floors by type of room, walls, and where there is nothing.
+#: Colors of floors by type of room, of walls, and of the outside.
 _FLOORS = {BEDROOM: (196, 170, 140), BATHROOM: (170, 196, 206), KITCHEN: (206, 200, 182), LIVING_ROOM: (158, 120, 88)}
 _WALL, NO_COLOR = (226, 224, 218), (245, 245, 242)
 
 
 def painted(world: IndoorWorld, rng: np.random.Generator) -> UInt8[np.ndarray, "h w 3"]:
-    """The color of what is highest in each cell of a house.
+    """The color of each cell of a house, which is that of its highest object.
 
     Args:
       world: one house.
-      rng: where chance comes from: no two chairs have the same color.
+      rng: random number generator of the variation between objects.
     """
     objects = np.append(CLASS_COLORS[np.asarray(world.objects.classes)], [_WALL], axis=0)
     objects = objects + rng.normal(0, 14, objects.shape)

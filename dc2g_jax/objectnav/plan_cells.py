@@ -1,9 +1,9 @@
-"""From a plan in meters to a world of cells.
+"""Rasterization of a plan in meters to a world of cells.
 
-What a grid of heights can hold is the highest object in each cell, solid from the floor up. So a plant on a table takes
-the cells below its own box, as high as it reaches, and the table keeps the rest; what is pushed under a table top and
-what lies between a table's legs is not seen; a television on a wall stands on the floor. Nothing reaches through a wall
-or into another room. What is too thin for the grid gets the cells around it that a cell's width more would cover.
+A grid of heights holds only the highest object of each cell, solid from the floor up. A plant on a table therefore
+occupies the cells below its own box up to its top, and the table keeps its other cells. Objects under a table top and
+the space between table legs are lost. A television on a wall reaches down to the floor. No object extends through a
+wall or into another room. An object that is too thin for the grid is widened by the width of a cell.
 """
 
 import math
@@ -19,23 +19,22 @@ from dc2g_jax.objectnav.worlds import IndoorWorld, Objects
 #: Side of a cell, meters: the paper's map of 420 cells is then 21 m wide.
 CELL_SIZE = 0.05
 
-#: Height of walls, and how thick they are where cells are not larger; meters.
+#: Height of walls, and their thickness unless cells are larger; meters.
 WALL_HEIGHT = 2.5
 WALL_THICKNESS = 0.1
 
-#: How much of the outside a grid shows around a house, meters. With cells of 5 or 10 cm, walls on whole decimeters
-#: then fill whole cells.
+#: Margin of the grid around a house, meters. With cells of 5 or 10 cm, walls on whole decimeters then fill whole cells.
 MARGIN = 0.25
 
-#: The most cells along a side of a grid.
+#: Largest number of cells along a side of a grid.
 MOST_CELLS = 4096
 
-#: What a cell's middle may lie outside a box and still be inside: rounding must not open walls. Meters.
+#: Tolerance for centers of cells on the border of a box, meters: rounding errors must not open walls.
 _ROUNDING = 1e-6
 
 
 class _Window(NamedTuple):
-    """A part of the grid: where it lies there, and the x and y of its cells' middles in the plan."""
+    """A part of the grid: its position there, and the x and y of its cells' centers in the plan."""
 
     place: tuple[slice, slice]
     x: Float[np.ndarray, "1 w"]
@@ -43,7 +42,7 @@ class _Window(NamedTuple):
 
 
 class _Grid(NamedTuple):
-    """Cells over a plan: x of the left edge, y of the upper one, rows, columns, and the side of a cell."""
+    """A grid over a plan: x of the left edge, y of the upper edge, rows, columns, and side of a cell."""
 
     left: float
     top: float
@@ -53,7 +52,7 @@ class _Grid(NamedTuple):
 
     @classmethod
     def over(cls, plan: HousePlan, cell_size: float) -> "_Grid":
-        """The grid that shows all rooms and walls."""
+        """The grid that covers all rooms and walls."""
         corners = np.concatenate([*(room.outline for room in plan.rooms), *(np.array(wall) for wall in plan.walls)])
         (left, bottom), (right, top) = corners.min(axis=0) - MARGIN, corners.max(axis=0) + MARGIN
         height, width = float(top - bottom), float(right - left)
@@ -74,22 +73,22 @@ class _Grid(NamedTuple):
 
 
 def _span(start: float, end: float, cell_size: float, cells: int) -> slice:
-    """The cells along one side that hold anything of an interval, meters."""
+    """The cells along one axis that overlap an interval in meters."""
     first = min(max(math.floor(start / cell_size), 0), cells)
     return slice(first, min(max(math.ceil(end / cell_size), first), cells))
 
 
 def world_from_plan(plan: HousePlan, cell_size: float = CELL_SIZE) -> IndoorWorld:
-    """Cut a house into cells. A cell belongs to what its middle lies in.
+    """Rasterize a house. A cell belongs to whatever contains its center.
 
-    Objects whose middle is in no room are left out.
+    Objects whose center is outside all rooms are left out.
 
     Args:
       plan: the house.
       cell_size: side of a cell, meters.
 
     Raises:
-      InputError: cells have no size, or the house would have more than `MOST_CELLS` a side.
+      InputError: the cell size is not positive, or the grid would have more than `MOST_CELLS` cells along a side.
     """
     if not (math.isfinite(cell_size) and cell_size > 0):
         raise InputError(f"cell size {cell_size}: give the meters of a cell, such as {CELL_SIZE}")
@@ -100,7 +99,7 @@ def world_from_plan(plan: HousePlan, cell_size: float = CELL_SIZE) -> IndoorWorl
     heights = np.where(walls, WALL_HEIGHT, 0).astype(np.float32)
     instances = np.full(heights.shape, -1, np.int16)
     housed = [entry for entry in zip(plan.furniture, rooms_at(plan), strict=True) if entry[1]]
-    # The highest comes last and covers the others.
+    # In order of height: the highest object covers the others.
     for number, (piece, room) in sorted(enumerate(housed), key=lambda entry: entry[1][0].top):
         place, cells = _footprint(grid, piece, rooms, room)
         heights[place][cells] = piece.top
@@ -123,7 +122,7 @@ def world_from_plan(plan: HousePlan, cell_size: float = CELL_SIZE) -> IndoorWorl
 
 
 def rooms_at(plan: HousePlan) -> list[int]:
-    """The number of the room that the middle of each piece of furniture lies in, counted from 1; 0 outside."""
+    """The number of the room that contains the center of each piece of furniture, counted from 1; 0 outside."""
     x, y = np.array([(piece.x, piece.y) for piece in plan.furniture]).reshape(-1, 2).T
     found = np.zeros(len(x), int)
     for number, room in enumerate(plan.rooms, 1):
@@ -134,7 +133,7 @@ def rooms_at(plan: HousePlan) -> list[int]:
 def _inside(
     outline: Float[np.ndarray, "corner 2"], x: Float[np.ndarray, "..."], y: Float[np.ndarray, "..."]
 ) -> Bool[np.ndarray, "..."]:
-    """Which points lie within an outline: those from which a line to the right crosses it an odd number of times."""
+    """Whether points lie within an outline, by the even-odd rule for a ray to the right."""
     inside = np.zeros(np.broadcast_shapes(x.shape, y.shape), bool)
     for (x0, y0), (x1, y1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         if y0 != y1:
@@ -144,7 +143,7 @@ def _inside(
 
 
 def _floor(grid: _Grid, rooms: tuple[Room, ...]) -> UInt8[np.ndarray, "h w"]:
-    """The number of each cell's room."""
+    """The room number of each cell."""
     floor = np.zeros((grid.rows, grid.columns), np.uint8)
     for number, room in enumerate(rooms, 1):
         window = grid.around(room.outline, 0)
@@ -153,23 +152,23 @@ def _floor(grid: _Grid, rooms: tuple[Room, ...]) -> UInt8[np.ndarray, "h w"]:
 
 
 def _walls(grid: _Grid, plan: HousePlan) -> Bool[np.ndarray, "h w"]:
-    """Cells of walls, without those of open doors."""
+    """Cells of walls, except open doors."""
     walls = np.zeros((grid.rows, grid.columns), bool)
     for wall in plan.walls:
         place, cells = _strip(grid, wall, 1.0)
         walls[place] |= cells
     for door in plan.doors:
-        # Two walls back to back may lie a little apart.
+        # Two walls back to back may have a small gap between them.
         place, cells = _strip(grid, door, 2.0)
         walls[place] &= ~cells
     return walls
 
 
 def _strip(grid: _Grid, segment: Segment, thickness: float) -> tuple[tuple[slice, slice], Bool[np.ndarray, "h w"]]:
-    """Where a strip of so many thicknesses of a wall lies along a segment, and its cells there.
+    """The window around a strip along a segment, `thickness` times as thick as a wall, and its cells there.
 
-    Walls are so thick that no step from cell to cell, not even a diagonal one, leads through. They end square, half a
-    thickness beyond their ends, so that corners are closed; openings end where they end.
+    Walls are thick enough that no step between cells, not even a diagonal one, leads through them. They end half a
+    thickness beyond their ends, so that corners are closed. Openings end exactly at their ends.
     """
     (x0, y0), (x1, y1) = segment
     length = math.hypot(x1 - x0, y1 - y0) or 1.0
@@ -183,7 +182,7 @@ def _strip(grid: _Grid, segment: Segment, thickness: float) -> tuple[tuple[slice
 def _footprint(
     grid: _Grid, piece: Furniture, rooms: UInt8[np.ndarray, "h w"], room: int
 ) -> tuple[tuple[slice, slice], Bool[np.ndarray, "rows columns"]]:
-    """The cells of an object within its room: where they are on the grid, and which of them."""
+    """The window around an object, and its cells there that lie within its room."""
     place, cells = _covered(grid, piece)
     cells &= rooms[place] == room
     if not cells.any():
@@ -194,7 +193,7 @@ def _footprint(
 
 
 def _covered(grid: _Grid, box: Furniture) -> tuple[tuple[slice, slice], Bool[np.ndarray, "h w"]]:
-    """The cells whose middle lies in a box: where they are on the grid, and which of them."""
+    """The window around a box, and the cells there whose center lies in the box."""
     cosine, sine = math.cos(box.angle), math.sin(box.angle)
     window = grid.around(np.array([[box.x, box.y]]), math.hypot(box.width, box.depth) / 2 + grid.cell_size)
     x, y = window.x - box.x, window.y - box.y

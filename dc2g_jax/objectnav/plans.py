@@ -1,6 +1,6 @@
-"""A furnished house in meters, before it is cut into cells.
+"""Plans of furnished houses in meters, before rasterization.
 
-Plan frame: x to the right and y up, as one draws it, angles counter-clockwise from x.
+Plan frame: x to the right, y up, angles counter-clockwise from x.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ class Room(NamedTuple):
 
     Attributes:
       kind: index into `dc2g_jax.objectnav.classes.ROOM_NAMES`.
-      outline: corners of its floor in turn, [corner 2].
+      outline: corners of its floor in order, [corner 2].
     """
 
     kind: int
@@ -23,7 +23,7 @@ class Room(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """A straight piece of a wall, by its ends (x, y)."""
+    """A straight segment of a wall, given by its ends (x, y)."""
 
     start: tuple[float, float]
     end: tuple[float, float]
@@ -34,12 +34,12 @@ class Furniture(NamedTuple):
 
     Attributes:
       kind: class index, see `dc2g_jax.objectnav.classes`.
-      x: of its middle.
-      y: of its middle.
-      width: along its own x axis, meters.
-      depth: along its own y axis, meters.
-      angle: of that x axis, radians.
-      top: how high it reaches above the floor, meters.
+      x: x of its center, meters.
+      y: y of its center, meters.
+      width: extent along its own x axis, meters.
+      depth: extent along its own y axis, meters.
+      angle: angle of its own x axis, radians.
+      top: height of its top above the floor, meters.
     """
 
     kind: int
@@ -56,10 +56,10 @@ class HousePlan:
     """A furnished house.
 
     Attributes:
-      rooms: at least one; no two overlap.
-      walls: those that two rooms share may come twice.
-      doors: the pieces of walls that are open. All doors of a plan are.
-      furniture: in any order.
+      rooms: at least one room; rooms do not overlap.
+      walls: walls; those that two rooms share may occur twice.
+      doors: open segments of walls. All doors of a plan are open.
+      furniture: furniture in any order.
     """
 
     rooms: tuple[Room, ...]

@@ -1,4 +1,4 @@
-"""Costs that a network predicts for a robot under way: what it is shown, and what its answer means in meters."""
+"""Predicted costs of a robot: inputs of the network, and its output in meters."""
 
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
@@ -18,7 +18,7 @@ NETWORK_FILE, ENCODER_FILE = "network.safetensors", "encoder.safetensors"
 
 
 class CostEstimator(Protocol):
-    """Predicts costs from what has been seen: a pytree."""
+    """Predicts costs from a partial map. Implementations are pytrees."""
 
     def estimate(
         self,
@@ -30,13 +30,13 @@ class CostEstimator(Protocol):
         """Predict for one robot.
 
         Args:
-          maps: see `dc2g_jax.objectnav.mapping.network_input`.
-          target: what it looks for, an index into `GOALS`.
-          features: mid-level features of what it sees.
-          heading: where its camera looks, counter-clockwise from +x, radians.
+          maps: maps of the robot, see `dc2g_jax.objectnav.mapping.network_input`.
+          target: the wanted class, an index into `GOALS`.
+          features: mid-level features of the camera image.
+          heading: direction of the camera, counter-clockwise from +x, radians.
 
         Returns:
-          Of each cell of the local map, the probability that it is no free floor, and the navigation cost.
+          For each cell of the local map, the probability that it is not free floor, and the navigation cost.
         """
         ...
 
@@ -46,14 +46,14 @@ _Estimator = TypeVar("_Estimator", bound=CostEstimator)
 
 @struct.dataclass
 class PredictedCosts(Generic[_Estimator]):
-    """What a network makes of what a robot knows and sees.
+    """Navigation costs predicted from the map and the camera image of a robot.
 
     Attributes:
       estimator: predicts costs.
-      encoder: makes mid-level features of what the camera sees.
-      meters: of way, for a cost of 1. A network trained on shares of the longest way (`--recipe paper`) has no such
-        scale, and is driven as if it had.
-      threshold: a cell that is occupied with more than this probability is none to be in (the paper's theta_occ).
+      encoder: computes mid-level features of the camera image.
+      meters: distance that corresponds to a cost of 1. A network trained on shares of the longest path
+        (`--recipe paper`) has no such scale and is used as if it had.
+      threshold: cells with a higher probability of being occupied are blocked (the paper's theta_occ).
     """
 
     estimator: _Estimator
@@ -62,7 +62,7 @@ class PredictedCosts(Generic[_Estimator]):
     threshold: float = 0.5
 
     def of(self, robot: Robot, site: Site, agent: Agent) -> Float[Array, "n n"]:
-        """What it costs to be in a cell of the local map, meters more than in the best one.
+        """Cost of each cell of the local map relative to the best cell, meters.
 
         Infinite where a cell is predicted to be occupied.
         """
@@ -79,10 +79,10 @@ def load_costs(folder: Path) -> PredictedCosts[CostMapEstimator]:
     """Read a trained network and its encoder.
 
     Args:
-      folder: as `dc2g objectnav train` writes it.
+      folder: output folder of `dc2g objectnav train`.
 
     Raises:
-      InputError: a file is missing or is none of these, or the one does not go with the other.
+      InputError: a file is missing or invalid, or the two do not match.
     """
     for name in (NETWORK_FILE, ENCODER_FILE):
         if not (folder / name).is_file():

@@ -1,9 +1,9 @@
-"""Houses in the format of ProcTHOR (Deitke et al., 2022): one house a line of JSON, and a table of its objects' boxes.
+"""Houses in the format of ProcTHOR (Deitke et al., 2022): one house per line of JSON, and a table of bounding boxes.
 
-What is taken from a house: the floors of rooms; walls, but those marked `empty`, which are none; doors between two
-rooms, all of them open, while doors to the outside stay closed; objects as the boxes of their assets, turned by
-`rotation.y`. Windows are walls. Of what stands on other objects that alone is taken which has a class of its own, such
-as a plant on a table. What hangs on a wall is left out, but televisions.
+The following parts of a house are used: the floors of rooms; walls, except those marked `empty`; doors between two
+rooms, all of them open (doors to the outside are closed); and objects as the boxes of their assets, rotated by
+`rotation.y`. Windows are walls. Objects on other objects are used only if they have a class of their own, such as a
+plant on a table. Objects that hang on a wall are left out, except televisions.
 """
 
 import gzip
@@ -22,27 +22,27 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.classes import OTHER, PROCTHOR_CLASSES, ROOM_NAMES
 from dc2g_jax.objectnav.plans import Furniture, HousePlan, Room, Segment
 
-#: The table of boxes, where no other is named: it lies beside the houses.
+#: Default name of the table of boxes, beside the houses.
 BOXES_FILE = "asset_boxes.json"
 
-#: What begins higher above the floor than this and stands on nothing hangs on a wall, meters.
+#: An object that begins higher above the floor than this, and stands on nothing, hangs on a wall; meters.
 _HANGING = 0.3
 
-#: No house reaches farther than this from the origin, meters, nor turns an object by more degrees than that.
+#: Largest distance of a house from the origin, meters, and largest rotation of an object, degrees.
 _FARTHEST, _FULLY_TURNED = 100.0, 3600.0
 
-#: What a house may have at most.
+#: Largest numbers of rooms and objects in a house.
 _MOST_ROOMS, _MOST_OBJECTS = 255, 10_000
 
 
 class AssetBox(NamedTuple):
-    """The box around an asset.
+    """The bounding box of an asset.
 
     Attributes:
-      kind: what it is, such as `DiningTable`.
-      width: along its x axis, meters.
-      height: meters.
-      depth: along its z axis, meters.
+      kind: object type, such as `DiningTable`.
+      width: extent along its x axis, meters.
+      height: height, meters.
+      depth: extent along its z axis, meters.
     """
 
     kind: str
@@ -55,7 +55,7 @@ def read_asset_boxes(path: str | Path) -> dict[str, AssetBox]:
     """Read the table of boxes: a JSON object `assetId -> {"type": ..., "box": [x, y, z]}`, sizes in meters.
 
     Raises:
-      InputError: the file cannot be read or is no such table; names the asset.
+      InputError: the file cannot be read or is not such a table; the message names the asset.
     """
     path = Path(path)
     remedy = "give a JSON file that says type and box [x, y, z] in meters of each asset"
@@ -64,7 +64,7 @@ def read_asset_boxes(path: str | Path) -> dict[str, AssetBox]:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); {remedy}") from None
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is no JSON ({_first_line(error)}); {remedy}") from None
+        raise InputError(f"{path}: is not JSON ({_first_line(error)}); {remedy}") from None
     if not isinstance(table, dict):
         raise InputError(f"{path}: holds a {type(table).__name__} instead of assets; {remedy}")
     boxes = {}
@@ -83,20 +83,20 @@ def read_procthor(
     strict: bool = False,
     log: Callable[[str], None] = tell_on_stderr,
 ) -> list[tuple[int, HousePlan]]:
-    """Read the houses of a file. Empty lines are passed over.
+    """Read the houses of a file. Empty lines are ignored.
 
     Args:
       path: JSON lines, gzipped if the name ends in `.gz`.
       boxes: the table of boxes, `asset_boxes.json` beside the houses if `None`.
-      strict: refuse the file for the first line that is no house; else such lines are named through `log` and skipped,
-        and at the end counted.
-      log: takes those lines.
+      strict: whether an invalid house is an error. Otherwise invalid houses are skipped, reported through `log`, and
+        counted at the end.
+      log: receives these messages.
 
     Returns:
       Line number, from 1, and plan of each house.
 
     Raises:
-      InputError: a file cannot be read, or there is no house in it, or, when strict, a line is none.
+      InputError: a file cannot be read or contains no houses, or, if strict, a line is not a valid house.
     """
     path = Path(path)
     table = read_asset_boxes(path.parent / BOXES_FILE if boxes is None else boxes)
@@ -106,8 +106,8 @@ def read_procthor(
             houses.append((number, house_plan(_parsed(line), table)))
         except InputError as error:
             if strict:
-                raise InputError(f"{path}: line {number} is no house: {error}; repair or delete the line") from None
-            log(f"{path}: line {number} is no house and is skipped: {error}")
+                raise InputError(f"{path}: line {number} is not a house: {error}; repair or delete the line") from None
+            log(f"{path}: line {number} is not a house and is skipped: {error}")
             skipped += 1
     if skipped:
         log(f"{path}: skipped {skipped} of {skipped + len(houses)} lines; repair or delete them")
@@ -117,14 +117,14 @@ def read_procthor(
 
 
 def house_plan(house: Mapping[str, Any], boxes: Mapping[str, AssetBox]) -> HousePlan:
-    """The plan of one house: ProcTHOR's x and z are the plan's x and y, and its turns to the right are negative.
+    """The plan of one house. ProcTHOR's x and z are the plan's x and y; its clockwise angles become negative.
 
     Args:
-      house: parsed from JSON.
+      house: the house, parsed from JSON.
       boxes: asset -> its box.
 
     Raises:
-      InputError: something in it is missing or makes no sense.
+      InputError: something in it is missing or invalid.
     """
     rooms = tuple(_room(room) for room in _list(house, "rooms"))
     walls = {str(_field(wall, "id")): wall for wall in _list(house, "walls")}
@@ -142,7 +142,7 @@ def house_plan(house: Mapping[str, Any], boxes: Mapping[str, AssetBox]) -> House
 
 
 def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
-    """The lines of a file that are not empty, with their numbers."""
+    """The non-empty lines of a file, with their numbers."""
     opened = gzip.open if path.suffix == ".gz" else open
     try:
         with opened(path, "rb") as file:
@@ -160,7 +160,7 @@ def _parsed(line: bytes) -> dict[str, Any]:
     try:
         house = json.loads(line)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"it is no JSON ({_first_line(error)})") from None
+        raise InputError(f"it is not JSON ({_first_line(error)})") from None
     if not isinstance(house, dict):
         raise InputError(f"it holds a {type(house).__name__} instead of an object")
     return house
@@ -171,7 +171,7 @@ def _first_line(error: BaseException) -> str:
 
 
 def _field(entry: Any, name: str) -> Any:
-    """What stands under a name; InputError where nothing does."""
+    """The value of a field. Raises InputError if the field is missing."""
     if not isinstance(entry, dict) or name not in entry:
         raise InputError(f"no {name!r} in {str(entry)[:60]!r}")
     return entry[name]
@@ -180,13 +180,13 @@ def _field(entry: Any, name: str) -> Any:
 def _list(entry: Any, name: str) -> list[Any]:
     found = _field(entry, name)
     if not isinstance(found, list):
-        raise InputError(f"{name!r} is {str(found)[:60]!r}, no list")
+        raise InputError(f"{name!r} is {str(found)[:60]!r}, not a list")
     return found
 
 
 def _number(value: Any, name: str, most: float = _FARTHEST) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= most:
-        raise InputError(f"{name!r} is {str(value)[:60]!r}, no number from {-most:g} to {most:g}")
+        raise InputError(f"{name!r} is {str(value)[:60]!r}, not a number from {-most:g} to {most:g}")
     return float(value)
 
 
@@ -206,13 +206,13 @@ def _room(room: Any) -> Room:
 
 
 def _ends(wall: Any) -> Segment:
-    """Where a wall stands: the first two corners of its polygon are those on the floor."""
+    """The segment of a wall: the first two corners of its polygon are those on the floor."""
     start, end = _corners(wall, "polygon", 2)[:2].tolist()
     return Segment(tuple(start), tuple(end))
 
 
 def _opening(door: Any, walls: Mapping[str, Any]) -> Segment:
-    """The piece of wall that a door opens."""
+    """The segment of wall that a door opens."""
     name = str(_field(door, "wall0"))
     if name not in walls:
         raise InputError(f"door {_field(door, 'id')!r} is in a wall {name!r} that is not there")
@@ -238,7 +238,7 @@ def _pieces(entry: Any, boxes: Mapping[str, AssetBox], *, on_floor: bool) -> Ite
     kind = PROCTHOR_CLASSES.get(box.kind, OTHER)
     bottom, top = middle - box.height / 2, middle + box.height / 2
     stands = on_floor and bottom <= _HANGING
-    if top > 0 and (kind != OTHER or stands):  # what the floor hides is nothing that a robot sees or touches
+    if top > 0 and (kind != OTHER or stands):  # objects below the floor are neither visible nor in the way
         yield Furniture(kind, x, z, box.width, box.depth, -math.radians(turn), top)
     for child in _list(entry, "children") if entry.get("children") else ():
         yield from _pieces(child, boxes, on_floor=False)

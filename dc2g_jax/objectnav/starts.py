@@ -1,4 +1,4 @@
-"""Where a robot can go in a house, when it has come to an object, and where episodes begin."""
+"""Starts of object searches, the cells that a robot can reach, and the cells from which an object is within reach."""
 
 import math
 
@@ -12,19 +12,19 @@ from dc2g_jax.objectnav.worlds import IndoorWorld
 #: Radius of the robot, meters.
 ROBOT_RADIUS = 0.2
 
-#: How near the robot comes to an object that it has reached, meters: the paper's success distance (section III-C).
+#: An object within this distance is reached, meters: the paper's success distance (section III-C).
 REACH = 1.0
 
 
 def passable(free: Bool[np.ndarray, "h w"], cell_size: float, radius: float = ROBOT_RADIUS) -> Bool[np.ndarray, "h w"]:
-    """The cells in whose middle a round robot stands clear of all cells that are not free.
+    """The cells in whose center a round robot does not touch blocked cells.
 
-    A blocked cell counts as a disc as wide as itself.
+    Blocked cells count as discs of the width of a cell.
 
     Args:
-      free: cells without obstacles. What lies beyond the grid does not count.
+      free: cells without obstacles. Space beyond the grid does not count as blocked.
       cell_size: side of a cell, meters.
-      radius: of the robot, meters.
+      radius: radius of the robot, meters.
     """
     distance = cv2.distanceTransform(free.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     return np.asarray(distance * cell_size >= radius + cell_size / 2 - 1e-6)
@@ -33,13 +33,13 @@ def passable(free: Bool[np.ndarray, "h w"], cell_size: float, radius: float = RO
 def approaches(
     world: IndoorWorld, goal: int, *, radius: float = ROBOT_RADIUS, reach: float = REACH
 ) -> Bool[np.ndarray, "h w"]:
-    """The cells that a robot can stand on with an object of a class within reach, in the object's own room.
+    """The cells on which a robot has an object of a class within reach, in the room of the object.
 
     Args:
       world: one house.
       goal: class index.
-      radius: of the robot, meters.
-      reach: from the cell to the nearest cell of the object, meters.
+      radius: radius of the robot, meters.
+      reach: largest distance from the cell to the nearest cell of the object, meters.
     """
     cell_size, rooms = float(world.cell_size), np.asarray(world.rooms)
     goals, near = np.asarray(world.goals(goal)), np.zeros(rooms.shape, bool)
@@ -53,13 +53,13 @@ def approaches(
 def start_cells(
     world: IndoorWorld, goal: int, *, distance: float, radius: float = ROBOT_RADIUS, reach: float = REACH
 ) -> Bool[np.ndarray, "h w"]:
-    """The cells from which a robot can get to an object of a class that is not near it yet.
+    """The cells from which a robot can reach an object of a class, at some distance from all objects of the class.
 
     Args:
       world: one house.
       goal: class index.
-      distance: to the nearest object of the class as the crow flies, meters at least.
-      radius: of the robot, meters.
+      distance: least straight-line distance to the nearest object of the class, meters.
+      radius: radius of the robot, meters.
       reach: see `approaches`.
     """
     piece = component_numbers(passable(np.asarray(world.free), float(world.cell_size), radius))
@@ -72,17 +72,16 @@ def start_cells(
 def sample_starts(
     world: IndoorWorld, goal: int, count: int, *, rng: np.random.Generator, distance: float = 2.0
 ) -> Float[np.ndarray, "start 3"]:
-    """Random starts on `start_cells` of the usual robot: x and y in the world, meters, and yaw, radians.
+    """Random starts on `start_cells` of the default robot: x and y in the world, meters, and yaw, radians.
 
-    Each is in the middle of a cell and headed anywhere. There are none, [0 3], where no such object can be reached from
-    far enough away.
+    A start is in the center of a cell and has a random yaw. The result is empty, [0 3], if there are no start cells.
 
     Args:
       world: one house.
       goal: class index.
-      count: how many.
-      rng: where chance comes from.
-      distance: to the nearest object of the class as the crow flies, meters at least.
+      count: number of starts.
+      rng: random number generator.
+      distance: least straight-line distance to the nearest object of the class, meters.
     """
     rows, columns = np.nonzero(start_cells(world, goal, distance=distance))
     if not rows.size:
@@ -93,7 +92,7 @@ def sample_starts(
 
 
 def rooms_cut_off(world: IndoorWorld, *, radius: float = ROBOT_RADIUS) -> list[int]:
-    """The rooms that a robot cannot get to from where it can move most, by their number in `world.rooms`."""
+    """The rooms that a robot cannot reach from the largest connected region, by their number in `world.rooms`."""
     piece = component_numbers(passable(np.asarray(world.free), float(world.cell_size), radius))
     sizes = np.bincount(piece.ravel())
     sizes[0] = 0

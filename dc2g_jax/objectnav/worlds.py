@@ -1,4 +1,4 @@
-"""Houses as cells: where a robot can stand, and what is where and how high.
+"""Houses as grids of cells: free floor, heights, classes and objects.
 
 World frame as in `dc2g_jax.mapping.camera`: x along the columns, y against the rows, both 0 at the outer corner of the
 first cell, which is the upper left one of the plan.
@@ -15,18 +15,18 @@ from jaxtyping import Array, Bool, Float, Int16, UInt8
 from dc2g_jax.errors import InputError
 from dc2g_jax.mapping.scene import Scene, scene_from_heights
 
-#: What a leaf of one house is, and of stacked ones.
+#: A leaf of one house (NumPy) or of stacked houses (JAX).
 Leaf = np.ndarray | Array
 
 
 @struct.dataclass
 class Objects:
-    """The objects of a house. Those of class 0 only fill up the arrays.
+    """The objects of a house. Objects of class 0 are padding.
 
     Attributes:
-      classes: class index of each.
-      rooms: the room it stands in, an index into `IndoorWorld.room_kinds`.
-      positions: x and y of its middle in the world, meters.
+      classes: class index of each object.
+      rooms: room of each object, an index into `IndoorWorld.room_kinds`.
+      positions: x and y of each object's center in the world, meters.
     """
 
     classes: UInt8[Leaf, " object"]
@@ -39,13 +39,14 @@ class IndoorWorld:
     """One house. Its leaves are NumPy arrays until houses are stacked.
 
     Attributes:
-      free: floor on which nothing stands, also in open doors.
-      heights: of what stands in a cell, meters above the floor; 0 on free floor and outside.
-      classes: of the highest object in a cell, see `dc2g_jax.objectnav.classes`; 0 where there is none, so in walls.
-      instances: its number in `objects`, -1 where there is none.
+      free: whether a cell is free floor, including open doors.
+      heights: height of each cell above the floor, meters; 0 on free floor and outside.
+      classes: class index of the highest object in each cell, see `dc2g_jax.objectnav.classes`; 0 without object, as in
+        walls.
+      instances: index of that object in `objects`, -1 without object.
       rooms: room of each cell, also below objects; 0 in walls and outside.
       room_kinds: room -> index into `dc2g_jax.objectnav.classes.ROOM_NAMES`; room 0 is the outside.
-      objects: what stands in the house, also what is hidden by something higher.
+      objects: all objects of the house, including those hidden below higher ones.
       cell_size: side of a cell, meters.
     """
 
@@ -60,7 +61,7 @@ class IndoorWorld:
 
     @property
     def obstacle(self) -> Bool[Leaf, "h w"]:
-        """Cells in which a wall or an object stands. What lies outside is neither free nor an obstacle."""
+        """Cells of walls and objects. The outside is neither free nor an obstacle."""
         return self.heights > 0
 
     @property
@@ -69,24 +70,24 @@ class IndoorWorld:
         return self.obstacle & (self.instances < 0)
 
     def goals(self, goal: int | Array) -> Bool[Leaf, "h w"]:
-        """The cells of all objects of a class, as seen from above."""
+        """The cells whose highest object has this class."""
         return self.classes == goal
 
 
 def scene(world: IndoorWorld) -> Scene:
-    """What a simulated camera sees of a house: a tile a cell. Scenes of one size can be stacked."""
+    """The scene of a house for the simulated camera, with one tile per cell. Scenes of equal size can be stacked."""
     return scene_from_heights(np.asarray(world.heights), np.asarray(world.classes), float(world.cell_size))
 
 
 def pad_world(world: IndoorWorld, rows: int, columns: int, rooms: int, objects: int) -> IndoorWorld:
-    """The same house with more outside below and to the right of it, so that positions stay what they are.
+    """Pad a house below and to the right with outside, so that positions do not change.
 
     Args:
       world: one house.
-      rows: of the padded grid.
-      columns: of the padded grid.
-      rooms: how many to have room for, the outside being one.
-      objects: how many to have room for.
+      rows: rows of the padded grid.
+      columns: columns of the padded grid.
+      rooms: number of rooms after padding, including the outside.
+      objects: number of objects after padding.
 
     Raises:
       InputError: the house is larger than that.
@@ -117,19 +118,19 @@ def pad_world(world: IndoorWorld, rows: int, columns: int, rooms: int, objects: 
 
 
 def stack_worlds(worlds: Sequence[IndoorWorld], *, rows: int = 0, columns: int = 0) -> IndoorWorld:
-    """Houses padded to one size and stacked along a first axis, to be mapped over.
+    """Pad houses to a common size and stack them along a first axis, for `jax.vmap` and `jax.lax.map`.
 
     Args:
-      worlds: at least one, all with cells of one size.
-      rows: of the grid at least; more where a house needs them.
-      columns: of the grid at least.
+      worlds: at least one house, all with cells of the same size.
+      rows: least number of rows of the grid; more if a house needs them.
+      columns: least number of columns of the grid, likewise.
 
     Raises:
-      InputError: there are no houses, or their cells differ in size.
+      InputError: there are no houses, or their cell sizes differ.
     """
     sizes = sorted({float(world.cell_size) for world in worlds})
     if len(sizes) != 1:
-        raise InputError(f"houses with cells of {sizes or 'no'} meters cannot be stacked; give houses with cells alike")
+        raise InputError(f"houses with cells of {sizes or 'no'} meters cannot be stacked; give houses with equal cells")
     shape = (
         max(rows, *(world.free.shape[0] for world in worlds)),
         max(columns, *(world.free.shape[1] for world in worlds)),

@@ -139,7 +139,7 @@ def test_a_malformed_line_is_named_and_skipped_or_refused(tmp_path, line, said):
     assert f"{path}: line 3 " in told[0]
     assert said in told[0]
     assert "skipped 1 of 3 lines" in told[1]
-    with pytest.raises(InputError, match="line 3 is no house") as refusal:
+    with pytest.raises(InputError, match="line 3 is not a house") as refusal:
         read_procthor(path, strict=True)
     assert "\n" not in str(refusal.value)
 

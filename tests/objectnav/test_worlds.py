@@ -36,9 +36,9 @@ def test_houses_that_do_not_fit_together_are_refused():
     world = world_from_plan(plan(), 0.1)
     with pytest.raises(InputError, match="does not fit"):
         pad_world(world, 10, 200, 3, 0)
-    with pytest.raises(InputError, match="cells alike"):
+    with pytest.raises(InputError, match="equal cells"):
         stack_worlds([world, world_from_plan(plan(), 0.2)])
-    with pytest.raises(InputError, match="cells alike"):
+    with pytest.raises(InputError, match="equal cells"):
         stack_worlds([])
     with pytest.raises(InputError, match="cell size"):
         world_from_plan(plan(), 0.0)

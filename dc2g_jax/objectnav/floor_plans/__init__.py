@@ -1,4 +1,4 @@
-"""Procedural floor plans: furnished houses like ProcTHOR's, as many as are wanted, the same for a seed everywhere."""
+"""Procedural floor plans: an unlimited number of furnished houses like ProcTHOR's, reproducible by seed."""
 
 import numpy as np
 
@@ -15,15 +15,15 @@ _ATTEMPTS = 100
 
 
 def draw_plan(seed: int, split: str, index: int) -> HousePlan:
-    """One furnished house. No two of seed, split and index share their random numbers.
+    """Draw a furnished house. Every combination of seed, split and index has its own random numbers.
 
-    A robot of the usual radius gets from everywhere it fits to everywhere else, checked in cells of `CHECK_CELLS`; in
-    finer ones there may be gaps behind furniture. All doors are open.
+    A robot of default radius can drive between all cells in which it fits. This is checked with cells of `CHECK_CELLS`;
+    with finer cells there may be isolated gaps behind furniture. All doors are open.
 
     Args:
-      seed: from 0 on.
+      seed: a non-negative seed.
       split: 'train', 'val' or 'test'.
-      index: of the house in the split, from 0 on.
+      index: index of the house in the split, from 0.
 
     Raises:
       InputError: there is no such split, or a number is negative.
@@ -39,7 +39,7 @@ def draw_plan(seed: int, split: str, index: int) -> HousePlan:
         rooms = [RoomSketch(rng, layout, number, floor) for number in range(len(layout.kinds))]
         for room in rooms:
             furnish(room)
-        # What stands near a border without a wall may cut off a corner of the room beyond.
+        # An object near a border without wall may cut off a corner of the adjacent room.
         if component_numbers(passable(floor.free, CHECK_CELLS)).max() == 1:
             furniture = tuple(piece for room in rooms for piece in room.pieces)
             return HousePlan(layout.rooms, layout.walls, layout.doors, furniture)

@@ -1,4 +1,4 @@
-"""What stands in which room, how often, and how large it is: as in ProcTHOR's training houses."""
+"""Sizes of furniture, as in ProcTHOR's training houses."""
 
 from typing import NamedTuple
 
@@ -10,13 +10,13 @@ Limits = tuple[float, float]
 
 
 class Sizes(NamedTuple):
-    """Between which sizes a kind of furniture comes, meters.
+    """Ranges of the size of a kind of furniture, meters.
 
     Attributes:
-      width: along its back.
-      depth: from back to front.
-      top: height.
-      is_square: are width and depth the same?
+      width: range of the extent along its back.
+      depth: range of the extent from back to front.
+      top: range of the height.
+      is_square: whether width and depth are equal.
     """
 
     width: Limits
@@ -25,7 +25,7 @@ class Sizes(NamedTuple):
     is_square: bool = False
 
     def draw(self, rng: np.random.Generator) -> Size:
-        """One of them."""
+        """Draw a size."""
         width, depth, top = (float(rng.uniform(*limits)) for limits in (self.width, self.depth, self.top))
         return Size(width, width if self.is_square else depth, top)
 

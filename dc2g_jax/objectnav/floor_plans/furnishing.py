@@ -1,6 +1,6 @@
-"""What is put into a room of each type, and where: rates and places as in ProcTHOR's training houses.
+"""Furnishing of rooms by type, with frequencies and places as in ProcTHOR's training houses.
 
-Two things stand here that those 20 houses do not have: bathtubs, and sinks in kitchens.
+Bathtubs and sinks in kitchens are additions: those 20 houses have none.
 """
 
 import math
@@ -33,13 +33,13 @@ from dc2g_jax.objectnav.floor_plans.catalog import Sizes
 from dc2g_jax.objectnav.floor_plans.placing import RoomSketch, Wall, in_front
 from dc2g_jax.objectnav.plans import Furniture
 
-#: How many chairs a table has, and how often.
+#: Number of chairs at a table, and its probability.
 _CHAIRS = ((0, 0.14), (1, 0.24), (2, 0.22), (3, 0.08), (4, 0.14), (6, 0.18))
 
-#: How far a chair reaches below the table, and by how much it is turned at most, meters and radians.
+#: Range of the depth of a chair below the table, meters, and its largest rotation, radians.
 _TUCKED, _TURNED = (0.08, 0.25), 0.45
 
-#: Meters that stay free before what one stands or sits before.
+#: Free space in front of furniture that is used from the front, meters.
 _FRONT = 0.55
 
 
@@ -85,7 +85,7 @@ def _bathroom(room: RoomSketch) -> None:
 
 def _kitchen(room: RoomSketch) -> None:
     if _chance(room, 0.95):
-        # Boxes around counters that run around a corner are deep.
+        # Counters that run around a corner have deep boxes.
         is_deep = _chance(room, 0.55)
         sizes = catalog.DEEP_COUNTER if is_deep else catalog.COUNTER
         counter = _at_wall(room, COUNTER, sizes, corner=0.6, front=_FRONT)
@@ -138,7 +138,7 @@ def _chance(room: RoomSketch, share: float) -> bool:
 def _at_wall(
     room: RoomSketch, kind: int, sizes: Sizes, *, corner: float = 0.0, front: float = 0.0, seat: float = 0.0
 ) -> Furniture | None:
-    """Something with its back to a wall, of another size if it does not fit, and as often as `seat` with a chair."""
+    """Place a piece with its back to a wall, with retries at other sizes, and with a chair at probability `seat`."""
     for _ in range(4):
         piece = room.against_wall(kind, sizes.draw(room.rng), corner=corner, front=front)
         if piece:
@@ -149,13 +149,13 @@ def _at_wall(
 
 
 def _often(room: RoomSketch, kind: int, sizes: Sizes, share: float, *, corner: float = 0.0) -> None:
-    """Sometimes something with its back to a wall."""
+    """Place a piece with its back to a wall, with probability `share`."""
     if _chance(room, share):
         _at_wall(room, kind, sizes, corner=corner)
 
 
 def _nightstand(room: RoomSketch, bed: Furniture) -> None:
-    """A nightstand beside the head of a bed, perhaps with a lamp."""
+    """Place a nightstand beside the head of a bed, sometimes with a lamp."""
     size = catalog.NIGHTSTAND.draw(room.rng)
     for side in room.rng.permutation([-1, 1]).tolist():
         x, y = in_front(bed, side * (bed.width + size.width + 0.12) / 2, (size.depth - bed.depth) / 2)
@@ -167,7 +167,7 @@ def _nightstand(room: RoomSketch, bed: Furniture) -> None:
 
 
 def _television(room: RoomSketch, watcher: Furniture | None, *, stand: float) -> None:
-    """A television on the wall that someone faces, if anyone does, or before it on a stand."""
+    """Place a television on a wall, or on a stand in front of it; if possible the wall that `watcher` faces."""
     wall = room.opposite(watcher) if watcher else None
     if _chance(room, stand):
         below = _opposite_first(room, CABINET, catalog.TELEVISION_STAND, wall)
@@ -178,21 +178,21 @@ def _television(room: RoomSketch, watcher: Furniture | None, *, stand: float) ->
 
 
 def _opposite_first(room: RoomSketch, kind: int, sizes: Sizes, wall: Wall | None) -> Furniture | None:
-    """Something against a wall, or else against any other."""
+    """Place a piece against a wall, or against another wall if it does not fit there."""
     size = sizes.draw(room.rng)
     piece = room.against_wall(kind, size, wall=wall) if wall else None
     return piece or room.against_wall(kind, size)
 
 
 def _coffee_table(room: RoomSketch, couch: Furniture) -> None:
-    """A low table before a couch."""
+    """Place a coffee table in front of a couch."""
     size = catalog.COFFEE_TABLE.draw(room.rng)
     x, y = in_front(couch, 0, couch.depth / 2 + 0.75 + size.depth / 2)
     room.place(Furniture(TABLE, x, y, size.width, size.depth, couch.angle, size.top))
 
 
 def _table(room: RoomSketch) -> None:
-    """A table, against a wall or not, with some chairs around it, and perhaps something on it."""
+    """Place a table, against a wall or not, with chairs around it and sometimes something on top."""
     size = catalog.TABLE.draw(room.rng)
     by_wall = _chance(room, 0.4)
     table = room.against_wall(TABLE, size, corner=0.25) if by_wall else room.anywhere(TABLE, size)
@@ -207,9 +207,9 @@ def _table(room: RoomSketch) -> None:
 
 
 def _seats(room: RoomSketch, *, pairs: bool) -> list[tuple[float, float]]:
-    """Places around a table: side, 0 being its front, and how far from that side's middle, in widths of the table.
+    """Seats around a table: the side (0 is the front), and the offset from the side's middle in widths of the table.
 
-    Long sides come first; with pairs, two sit along each of them.
+    Long sides come first; with `pairs` they have two seats each.
     """
     long, short = room.rng.permutation([0, math.pi]), room.rng.permutation([math.pi / 2, -math.pi / 2])
     places = [(float(side), shift) for side in long for shift in ((-0.25, 0.25) if pairs else (0.0,))]
@@ -217,7 +217,7 @@ def _seats(room: RoomSketch, *, pairs: bool) -> list[tuple[float, float]]:
 
 
 def _seat(room: RoomSketch, table: Furniture, side: float, shift: float) -> bool:
-    """Put a chair at one side of a table, 0 being its front, moved along that side; did it fit?"""
+    """Place a chair at a side of a table (0 is the front), shifted along that side. Returns whether it fits."""
     size = catalog.CHAIR.draw(room.rng)
     reach = table.depth if math.cos(side) ** 2 > 0.5 else table.width
     ahead = (reach + size.depth) / 2 - room.rng.uniform(*_TUCKED)
@@ -228,7 +228,7 @@ def _seat(room: RoomSketch, table: Furniture, side: float, shift: float) -> bool
 
 
 def _on_top(room: RoomSketch, piece: Furniture) -> None:
-    """Sometimes a lamp or a plant on a piece."""
+    """Sometimes place a lamp or a plant on a piece."""
     if _chance(room, 0.42):
         room.on(piece, LAMP, catalog.DESK_LAMP.draw(room.rng))
     if _chance(room, 0.16):
@@ -236,7 +236,7 @@ def _on_top(room: RoomSketch, piece: Furniture) -> None:
 
 
 def _clutter(room: RoomSketch, *, boxes: float, balls: float, bins: float, pets: float) -> None:
-    """What stands about."""
+    """Place other objects on the floor: boxes, balls, bins and pet beds, each with its probability."""
     if _chance(room, boxes):
         room.anywhere(OTHER, catalog.BOX.draw(room.rng))
     if _chance(room, balls):

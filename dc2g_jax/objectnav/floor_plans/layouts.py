@@ -1,8 +1,8 @@
-"""Rooms on a coarse grid of squares: which there are, what squares they have, and the walls and doors between them.
+"""Layouts of houses: rooms on a coarse grid of squares, with the walls and doors between them.
 
 Rooms grow as in Lopes et al., "A constrained growth method for procedural floor plan generation" (2010): first as
-rectangles, then into what is left, which makes some of them L-shaped. Of several tries the one whose doors join the
-most plausible rooms is kept.
+rectangles, then into the remaining squares, which makes some of them L-shaped. Of several attempts, the layout whose
+doors connect the most plausible rooms is kept.
 """
 
 import itertools
@@ -16,7 +16,7 @@ from dc2g_jax.objectnav.plans import Room, Segment
 
 Square = tuple[int, int]
 
-#: Number of rooms -> how often, and which rooms: those of ProcTHOR's training houses, and larger houses in their way.
+#: Number of rooms -> weight, and lists of rooms: those of ProcTHOR's training houses, and larger houses in their style.
 _PROGRAMS: dict[int, tuple[float, tuple[str, ...]]] = {
     1: (0.12, ("L", "L", "B", "K")),
     2: (0.21, ("BW", "LK")),
@@ -31,14 +31,14 @@ _PROGRAMS: dict[int, tuple[float, tuple[str, ...]]] = {
 }
 _KINDS = {"L": LIVING_ROOM, "K": KITCHEN, "B": BEDROOM, "W": BATHROOM}
 
-#: Room type -> usual floor, square meters, and how much its logarithm varies. Rooms end up as large as ProcTHOR's.
+#: Room type -> mean target area, square meters, and spread of its logarithm. Final rooms are as large as ProcTHOR's.
 _AREAS = {BEDROOM: 26.0, BATHROOM: 12.5, KITCHEN: 27.0, LIVING_ROOM: 25.0}
 _AREA_SPREAD = 0.28
 
-#: Sides of a square, meters.
+#: Range of the side of a square, meters.
 _UNITS = (1.6, 2.1)
 
-#: How unlikely a door between two types of rooms is; pairs that are not named: `_STRANGE`.
+#: Implausibility of a door between two types of rooms; `_STRANGE` for pairs that are not listed.
 _DISTANCES = {
     frozenset((LIVING_ROOM, KITCHEN)): 0.0,
     frozenset((LIVING_ROOM,)): 0.5,
@@ -51,16 +51,16 @@ _DISTANCES = {
 }
 _STRANGE = 6.0
 
-#: What counts against a layout: a way that leads through a bathroom, a room of less than half its size.
+#: Penalties of a layout: for a path that leads through a bathroom, and for a room of less than half its target size.
 _THROUGH_BATHROOM, _CRAMPED = 4.0, 3.0
 
-#: How often kitchen and living room are one space, and rooms without need have a door; share of wide doors.
+#: Probabilities that kitchen and living room are one space, that rooms get an additional door, and of wide doors.
 _OPEN_KITCHEN, _FURTHER_DOOR, _WIDE = 0.65, 0.15, 0.72
 
-#: Widths of doors, and what wall is left beside one, meters.
+#: Ranges of the widths of doors, and least length of wall beside a door, meters.
 _DOOR_WIDTH, _WIDE_DOOR_WIDTH, _JAMB = (1.0, 1.05), (1.9, 2.0), 0.15
 
-#: Share of its squares up to which a room grows as a rectangle.
+#: Share of its target size up to which a room grows as a rectangle.
 _RECTANGLE = 0.85
 
 _TRIES = 6
@@ -73,11 +73,11 @@ class Layout(NamedTuple):
     Attributes:
       unit: side of a square, meters.
       kinds: type of each room.
-      squares: of each room: column and row, counted upward.
+      squares: squares of each room: column and row, rows counted upward.
       rooms: the same rooms with their outlines in meters.
-      walls: between rooms, and between rooms and the outside.
-      doors: of all rooms.
-      open: borders between rooms that have no wall.
+      walls: walls between rooms, and between rooms and the outside.
+      doors: doors between rooms.
+      open: borders between rooms without wall.
     """
 
     unit: float
@@ -105,7 +105,7 @@ def draw_layout(rng: np.random.Generator) -> Layout:
 
 
 def _grown(rng: np.random.Generator, kinds: Sequence[int], unit: float) -> list[set[Square]] | None:
-    """The squares of each room, or `None` where the rooms do not find place or leave a hole."""
+    """The squares of each room, or `None` if the rooms do not fit or leave a hole."""
     spread = np.exp(rng.normal(0, _AREA_SPREAD, len(kinds)) - _AREA_SPREAD**2 / 2)
     targets = [max(2, round(_AREAS[kind] * s / unit**2)) for kind, s in zip(kinds, spread, strict=True)]
     ground = _ground(rng, sum(targets))
@@ -121,7 +121,7 @@ def _grown(rng: np.random.Generator, kinds: Sequence[int], unit: float) -> list[
 
 
 def _ground(rng: np.random.Generator, area: int) -> set[Square]:
-    """About so many squares: a rectangle with some of its corners cut off."""
+    """The ground of a house, about `area` squares: a rectangle with some of its corners cut off."""
     room = area * rng.uniform(0.95, 1.45)
     width = max(1, round(float(np.sqrt(room) * np.exp(rng.normal(0, 0.2)))))
     height = max(1, round(room / width))
@@ -142,7 +142,7 @@ def _ground(rng: np.random.Generator, area: int) -> set[Square]:
 def _grow_rectangles(
     rng: np.random.Generator, rooms: list[set[Square]], left: set[Square], targets: Sequence[int]
 ) -> None:
-    """Push whole sides of rooms outward, of the neediest first, until each has its size or is hemmed in."""
+    """Push whole sides of rooms outward, of the smallest for its target first, until none can or needs to grow."""
     growing = set(range(len(rooms)))
     while growing:
         room = min(growing, key=lambda index: len(rooms[index]) / targets[index])
@@ -161,7 +161,7 @@ def _grow_rectangles(
 
 
 def _give_away(rooms: list[set[Square]], left: set[Square], targets: Sequence[int]) -> None:
-    """Give every remaining square to the room beside it that has the most sides along it, then to the neediest."""
+    """Assign each remaining square to the room with most sides along it, then to the smallest room for its target."""
     while left:
         claims = []
         for square in sorted(left):
@@ -183,7 +183,7 @@ def _neighbors(square: Square) -> list[Square]:
 def _with_doors(
     rng: np.random.Generator, kinds: tuple[int, ...], unit: float, squares: list[set[Square]]
 ) -> tuple[float, Layout] | None:
-    """How implausible a house is, and the house; `None` where a room has a hole or none can be reached."""
+    """The implausibility of a house and the house; `None` if a room has a hole or cannot be reached."""
     outlines = [_outline(room) for room in squares]
     if any(outline is None for outline in outlines):
         return None
@@ -213,7 +213,7 @@ def _with_doors(
 
 
 def _outline(room: set[Square]) -> list[Square] | None:
-    """The corners of a room in turn, counter-clockwise; `None` where it has a hole or touches itself."""
+    """The corners of a room, counter-clockwise; `None` if it has a hole or touches itself."""
     sides: dict[Square, Square] = {}
     count = 0
     for x, y in room:
@@ -224,7 +224,7 @@ def _outline(room: set[Square]) -> list[Square] | None:
                 sides[start] = end
                 count += 1
     if len(sides) != count:
-        return None  # two sides begin at one corner: there is no one way around
+        return None  # two sides begin at one corner: the outline is not unique
     first = min(sides)
     walk = [first]
     while (following := sides[walk[-1]]) != first:
@@ -273,7 +273,7 @@ def _meters(run: _Run, unit: float) -> Segment:
 def _links(
     rng: np.random.Generator, kinds: Sequence[int], borders: Mapping[_Pair, object]
 ) -> tuple[set[_Pair] | None, float]:
-    """Which rooms have a door between them, so that all hang together, and how implausible that is."""
+    """Pairs of rooms with a door, which connect all rooms, and the implausibility of these doors."""
     pairs = [pair for pair in borders if pair[0] >= 0]
     cost = {
         (one, other): _DISTANCES.get(frozenset((kinds[one], kinds[other])), _STRANGE) + rng.uniform(0, 0.8)
@@ -281,7 +281,7 @@ def _links(
     }
     group = list(range(len(kinds)))
     linked: set[_Pair] = set()
-    # Bathrooms come last, each with one door: ways lead through them only where there is no other.
+    # Bathrooms come last, each with one door: paths lead through them only if there is no other.
     for pair in sorted(pairs, key=lambda pair: (BATHROOM in (kinds[pair[0]], kinds[pair[1]]), cost[pair])):
         one, other = (group[number] for number in pair)
         if one != other:
@@ -299,7 +299,7 @@ def _links(
 
 
 def _door(rng: np.random.Generator, borders: Sequence[Segment]) -> Segment:
-    """A door somewhere in the walls between two rooms."""
+    """A door at a random place in the walls between two rooms."""
     lengths = [np.hypot(*np.subtract(border.end, border.start)) for border in borders]
     index = int(rng.choice(len(borders), p=np.array(lengths) / sum(lengths)))
     start, length = np.array(borders[index].start), float(lengths[index])

@@ -1,7 +1,7 @@
-"""Furniture in a room: along its walls, in its corners or away from them, so that a robot still gets everywhere.
+"""Placement of furniture in a room: along walls, in corners or away from them, without blocking a robot.
 
-What has been placed never moves. Every door keeps a free square on both sides, and what one has to stand before, such
-as a couch, keeps its front. A piece after which some floor could no longer be reached by a robot is not placed.
+Placed furniture never moves. Every door keeps a free square on both sides, and pieces that are used from the front,
+such as a couch, keep their front free. A piece that would cut off floor from a robot is not placed.
 """
 
 import itertools
@@ -17,13 +17,13 @@ from dc2g_jax.objectnav.plan_cells import MARGIN, world_from_plan
 from dc2g_jax.objectnav.plans import Furniture, HousePlan, Segment
 from dc2g_jax.objectnav.starts import passable
 
-#: Cells in which it is checked that a robot gets everywhere, meters.
+#: Side of the cells with which reachability is checked, meters.
 CHECK_CELLS = 0.1
 
-#: From the middle of a wall to the back of what stands against it, meters.
+#: Distance from the center line of a wall to the back of a piece against it, meters.
 _BEHIND = 0.07
 
-#: What is kept free before a door, and between two pieces, meters.
+#: Free space in front of a door, and between two pieces, meters.
 _BEFORE_DOOR, _BETWEEN = 0.9, 0.02
 
 _ATTEMPTS = 10
@@ -38,7 +38,7 @@ class Rectangle(NamedTuple):
     upper: float
 
     def overlaps(self, other: "Rectangle", gap: float = 0.0) -> bool:
-        """Do two rectangles come nearer to each other than a gap?"""
+        """Whether two rectangles are nearer to each other than a gap."""
         return (
             self.left < other.right + gap
             and other.left < self.right + gap
@@ -64,7 +64,7 @@ class Wall(NamedTuple):
 
 
 class Size(NamedTuple):
-    """Of a piece: along its back, from back to front, and its height; meters."""
+    """Size of a piece: width along its back, depth from back to front, and height; meters."""
 
     width: float
     depth: float
@@ -72,7 +72,7 @@ class Size(NamedTuple):
 
 
 def bounds(piece: Furniture) -> Rectangle:
-    """The upright rectangle around a piece."""
+    """The axis-aligned bounding rectangle of a piece."""
     cosine, sine = abs(math.cos(piece.angle)), abs(math.sin(piece.angle))
     across = (piece.width * cosine + piece.depth * sine) / 2
     up = (piece.width * sine + piece.depth * cosine) / 2
@@ -80,13 +80,13 @@ def bounds(piece: Furniture) -> Rectangle:
 
 
 def in_front(piece: Furniture, along: float, ahead: float) -> tuple[float, float]:
-    """A point relative to a piece: so far to the side along its back, and so far before its middle."""
+    """A point relative to a piece: `along` to the side along its back, and `ahead` in front of its center."""
     cosine, sine = math.cos(piece.angle), math.sin(piece.angle)
     return piece.x + along * cosine - ahead * sine, piece.y + along * sine + ahead * cosine
 
 
 class Floor:
-    """The floor of a house in cells, with what is free of it."""
+    """The floor of a house in cells, and which of them are free."""
 
     def __init__(self, layout: Layout) -> None:
         plan = HousePlan(layout.rooms, layout.walls, layout.doors, ())
@@ -96,7 +96,7 @@ class Floor:
         self._left, self._top = float(corners[:, 0].min()) - MARGIN, float(corners[:, 1].max()) + MARGIN
 
     def cells(self, area: Rectangle, reach: float = 0.0) -> tuple[slice, slice]:
-        """The cells whose middle lies in a rectangle, or so near to it."""
+        """The cells whose center lies in a rectangle or within `reach` of it."""
         left, right = ((x - self._left) / CHECK_CELLS - 0.5 for x in (area.left - reach, area.right + reach))
         upper, lower = ((self._top - y) / CHECK_CELLS - 0.5 for y in (area.upper + reach, area.lower - reach))
         rows = slice(max(math.ceil(upper), 0), max(math.floor(lower) + 1, 0))
@@ -107,14 +107,14 @@ class RoomSketch:
     """A room that is being furnished.
 
     Args:
-      rng: where chance comes from.
+      rng: random number generator.
       layout: the house.
-      number: of the room.
-      floor: of the house; takes in what is placed.
+      number: number of the room.
+      floor: floor of the house, updated with every piece.
 
     Attributes:
       kind: type of the room.
-      pieces: what stands in it.
+      pieces: furniture placed so far.
     """
 
     def __init__(self, rng: np.random.Generator, layout: Layout, number: int, floor: Floor) -> None:
@@ -127,7 +127,7 @@ class RoomSketch:
         inside = floor.rooms == number + 1
         doors = [door for door in layout.doors if np.any(inside[floor.cells(_widened(door, CHECK_CELLS))])]
         for door in doors:
-            # The way to a door has to stay open too.
+            # The path to a door has to stay open too.
             opening = floor.cells(_widened(door, CHECK_CELLS))
             inside[opening] = floor.free[opening]
         self._inside = inside[self._window]
@@ -141,13 +141,13 @@ class RoomSketch:
 
         Args:
           kind: class index.
-          size: of the piece.
-          corner: share of the attempts that put it at an end of the wall.
-          front: meters before it that stay free.
-          wall: which one, else any.
+          size: size of the piece.
+          corner: share of the attempts at an end of the wall.
+          front: free space in front of the piece, meters.
+          wall: the wall; any if `None`.
 
         Returns:
-          The piece, or `None` where it does not fit.
+          The piece, or `None` if it does not fit.
         """
         walls = [w for w in ([wall] if wall else self._walls) if w.length >= size.width + 2 * _BEHIND]
         if not walls:
@@ -163,7 +163,7 @@ class RoomSketch:
         return None
 
     def anywhere(self, kind: int, size: Size) -> Furniture | None:
-        """Place a piece somewhere on the floor, along or across; `None` where it does not fit."""
+        """Place a piece anywhere on the floor, along or across; `None` if it does not fit."""
         for _ in range(_ATTEMPTS):
             x, y = self.point()
             angle = float(self.rng.integers(2)) * math.pi / 2
@@ -185,13 +185,13 @@ class RoomSketch:
         return min(found)[1] if found else None
 
     def point(self) -> tuple[float, float]:
-        """A point of the floor."""
+        """A random point of the floor."""
         squares = sorted(self._squares)
         column, row = squares[int(self.rng.integers(len(squares)))]
         return (column + self.rng.uniform()) * self._unit, (row + self.rng.uniform()) * self._unit
 
     def on(self, piece: Furniture, kind: int, size: Size) -> None:
-        """Put something small on top of a piece."""
+        """Place a small object on top of a piece."""
         along = max((piece.width - size.width) / 2, 0.0) * self.rng.uniform(-0.9, 0.9)
         back = max((piece.depth - size.depth) / 2, 0.0) * self.rng.uniform(-0.9, 0.3)
         x, y = in_front(piece, along, back)
@@ -201,9 +201,9 @@ class RoomSketch:
         """Place a piece, unless it does not fit or some floor would be cut off.
 
         Args:
-          piece: to be placed.
-          front: meters before it that stay free.
-          table: what it may reach below.
+          piece: the piece.
+          front: free space in front of it, meters.
+          table: a table below which it may extend.
         """
         area = bounds(piece)
         allowed = bounds(table) if table else None
@@ -228,39 +228,39 @@ class RoomSketch:
         return True
 
     def _holds(self, area: Rectangle) -> bool:
-        """Is a rectangle inside the room?"""
+        """Whether a rectangle is inside the room."""
         columns = range(math.floor(area.left / self._unit), math.floor(area.right / self._unit) + 1)
         rows = range(math.floor(area.lower / self._unit), math.floor(area.upper / self._unit) + 1)
         return all(square in self._squares for square in itertools.product(columns, rows))
 
     def _is_one(self) -> bool:
-        """Can a robot get from everywhere it fits in the room to everywhere else, its doors included?"""
+        """Whether a robot can drive between all cells of the room in which it fits, including the doors."""
         cells: Bool[np.ndarray, "h w"] = passable(self._floor.free[self._window], CHECK_CELLS) & self._inside
         return int(component_numbers(cells).max()) == 1
 
 
 def standing(kind: int, size: Size, wall: Wall, at: float) -> Furniture:
-    """A piece with its back to a wall, its middle so many meters from the wall's start."""
+    """A piece with its back to a wall, its center `at` meters from the wall's start."""
     ahead = _BEHIND + size.depth / 2
     x, y = (s + a * at + n * ahead for s, a, n in zip(wall.start, wall.along, wall.inward, strict=True))
     return Furniture(kind, x, y, size.width, size.depth, math.atan2(-wall.inward[0], wall.inward[1]), size.top)
 
 
 def _front(piece: Furniture, reach: float) -> Rectangle:
-    """What lies before a piece."""
+    """The space in front of a piece."""
     x, y = in_front(piece, 0, (piece.depth + reach) / 2)
     return bounds(piece._replace(x=x, y=y, depth=reach))
 
 
 def _widened(door: Segment, reach: float) -> Rectangle:
-    """The rectangle that a door takes up, and so much on both of its sides."""
+    """The rectangle of a door, extended by `reach` on both of its sides."""
     (x0, y0), (x1, y1) = door
     across, up = (reach, 0.0) if x0 == x1 else (0.0, reach)
     return Rectangle(min(x0, x1) - across, min(y0, y1) - up, max(x0, x1) + across, max(y0, y1) + up)
 
 
 def _walls_of(layout: Layout, number: int) -> list[Wall]:
-    """The walls of a room, also those with doors; borders without a wall are none."""
+    """The walls of a room, including those with doors, without open borders."""
     outline = layout.rooms[number].outline
     walls = []
     for (x0, y0), (x1, y1) in zip(outline.tolist(), np.roll(outline, -1, axis=0).tolist(), strict=True):
@@ -275,5 +275,5 @@ def _walls_of(layout: Layout, number: int) -> list[Wall]:
 
 
 def _is_along(border: Segment, along: tuple[int, int]) -> bool:
-    """Does a border run along a direction?"""
+    """Whether a border runs along a direction."""
     return (border.start[0] == border.end[0]) == (along[0] == 0)
