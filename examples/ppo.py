@@ -40,9 +40,9 @@ CLIP, ENTROPY_WEIGHT, VALUE_WEIGHT, MAX_GRADIENT_NORM = 0.2, 0.01, 0.5, 0.5
 REWARD_SCALE = 0.05  # What a step's reward of -1 counts, which keeps values around one.
 
 # What the network is told of a cell: 0 unknown, 1 no ground, 2 house, 3 outside, 4 street, 5 driveway or path, 6 door.
-GROUPS = np.array([0, *np.where(TRAVERSABLE[1:], 4, 1), 3])
+CELL_GROUPS = np.array([0, *np.where(TRAVERSABLE[1:], 4, 1), 3])
 for _group, _names in ((2, ("house", "garage door")), (5, ("driveway", "path")), (6, ("front_door",))):
-    GROUPS[[CLASS_NAMES.index(name) for name in _names]] = _group
+    CELL_GROUPS[[CLASS_NAMES.index(name) for name in _names]] = _group
 Act = Callable[[Array, Observation], Int[Array, "robots"]]
 
 
@@ -92,15 +92,15 @@ class ActorCritic(nnx.Module):
 
     def __init__(self, options: Options, rngs: nnx.Rngs):
         layer = functools.partial(nnx.Linear, rngs=rngs)
-        self.first = layer((2 * options.view + 1) ** 2 * (GROUPS.max() + 1), options.width)
+        self.first = layer((2 * options.view + 1) ** 2 * (CELL_GROUPS.max() + 1), options.width)
         self.second = layer(options.width, options.width)
         self.policy = layer(options.width, FrontDoor.num_actions, kernel_init=nnx.initializers.orthogonal(0.01))
         self.value = layer(options.width, 1, kernel_init=nnx.initializers.orthogonal(1.0))
 
     def __call__(self, view: UInt8[Array, "robots side side"]) -> tuple[Array, Array]:
         """Logits of the actions `[robots action]` and values `[robots]`."""
-        groups = jnp.asarray(GROUPS)[view]
-        hidden = jax.nn.relu(self.first(jax.nn.one_hot(groups, GROUPS.max() + 1).reshape(len(view), -1)))
+        groups = jnp.asarray(CELL_GROUPS)[view]
+        hidden = jax.nn.relu(self.first(jax.nn.one_hot(groups, CELL_GROUPS.max() + 1).reshape(len(view), -1)))
         hidden = jax.nn.relu(self.second(hidden))
         # The cell ahead is always seen: whoever knows that there is no ground does not try.
         blocked = groups[:, view.shape[1] // 2 - 1, view.shape[2] // 2] < 4

@@ -49,7 +49,7 @@ class Options:
     resume: bool = False
 
 
-class Pair(NamedTuple):
+class EpisodePair(NamedTuple):
     """One episode, both sides: what each row of `head_to_head.csv` holds.
 
     Attributes:
@@ -87,14 +87,14 @@ class Pair(NamedTuple):
 
 def pair_up(
     published: Sequence[PublishedEpisode], frontier: Sequence[EpisodeResult], dc2g: Sequence[EpisodeResult]
-) -> list[Pair]:
+) -> list[EpisodePair]:
     """Our results beside the authors', in the order of the published episodes."""
 
     def steps(result: EpisodeResult) -> int:
         return result.steps if result.success else STEP_LIMIT
 
     return [
-        Pair(
+        EpisodePair(
             house=theirs.start.house,
             x=theirs.start.x,
             y=theirs.start.y,
@@ -120,7 +120,7 @@ def run_published(dataset: HouseDataset, network: TrainedNetwork, table: Episode
     return table.run(runner, [episode.start for episode in published_episodes()], ("frontier", "dc2g"), network)
 
 
-def compare(pairs: Sequence[Pair], *, resamples: int, seed: int) -> dict[str, Any]:
+def compare(pairs: Sequence[EpisodePair], *, resamples: int, seed: int) -> dict[str, Any]:
     """The figures of one group of episodes. Intervals hold 95 % of `resamples` draws of its houses."""
     houses = [pair.house for pair in pairs]
     steps = np.array([(pair.dc2g, pair.authors_dc2g, pair.frontier, pair.authors_frontier) for pair in pairs], float)
@@ -200,7 +200,7 @@ def main(options: Options) -> None:
     ]
     print(f"\nHouses in which frontier exploration is shorter on average: {len(beaten)} of {len(by_house)}")
     rows = [pair._replace(extra=round(pair.extra, 4), authors_extra=round(pair.authors_extra, 4)) for pair in pairs]
-    write_table(out / "head_to_head.csv", Pair._fields, rows)
+    write_table(out / "head_to_head.csv", EpisodePair._fields, rows)
     facts = {
         "dataset": dataset.name,
         "resamples": options.resamples,

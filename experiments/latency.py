@@ -58,7 +58,7 @@ class Options:
     out: OutOption = None
 
 
-class Row(NamedTuple):
+class LatencyRow(NamedTuple):
     """One repeat; times in milliseconds.
 
     Attributes:
@@ -123,7 +123,7 @@ def main(options: Options) -> None:
             taken = list(itertools.islice(waits(planner, workload, options.sensing_range), options.calls))
             p50, p99 = np.percentile(taken, (50, 99))
             times = (round(1e3 * float(seconds), 2) for seconds in (taken[0], p50, p99, max(taken)))
-            rows.append(Row(cells, len(taken), *times))
+            rows.append(LatencyRow(cells, len(taken), *times))
             print("{:8d}{:8d}{:8.2f}{:8.2f}{:8.2f}{:8.2f}".format(*rows[-1]), flush=True)
     facts = {
         "planner": options.planner,

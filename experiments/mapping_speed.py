@@ -50,7 +50,7 @@ class Options:
     out: OutOption = None
 
 
-class Row(NamedTuple):
+class MappingRow(NamedTuple):
     """One case; times in milliseconds for all its robots together.
 
     Attributes:
@@ -83,7 +83,7 @@ def look(robot: Int[Array, ""], camera: Intrinsics) -> Frame:
     return Frame(depth, jnp.where(ground < _WALL, ROAD, HOUSE).astype(jnp.uint8), pose)
 
 
-def run(case: Case, repeats: int) -> Row:
+def run(case: Case, repeats: int) -> MappingRow:
     """Measure one case."""
     camera = intrinsics(90.0, *case.image)
     settings = MapSettings(rows=case.cells, columns=case.cells, cell_size=_SIDE / case.cells)
@@ -96,7 +96,7 @@ def run(case: Case, repeats: int) -> Row:
     filled = take(maps, frames, camera, settings)
     reading = measure(lambda: read(filled, settings), repeats=repeats)
     median, worst = taking.timing.median, taking.timing.worst
-    return Row(
+    return MappingRow(
         *case,
         integrate=round(1e3 * median, 2),
         worst=round(1e3 * worst, 2),

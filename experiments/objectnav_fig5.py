@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from dc2g_jax.cli.common import NetworkOption, OutOption, command_line
 from dc2g_jax.cli.outputs import output_folder
-from dc2g_jax.cli.searches import TITLES, AgentName, agent_with, costs_for
+from dc2g_jax.cli.searches import AGENT_TITLES, AgentName, agent_with, costs_for
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
@@ -36,11 +36,11 @@ from dc2g_jax.objectnav.agent import (
     site_of,
     under_way,
 )
-from dc2g_jax.objectnav.classes import CLASS_NAMES, GOALS
+from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax.objectnav.evaluation import results_of
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
-from dc2g_jax.objectnav.mapping import MapSettings
-from dc2g_jax.objectnav.searches import TIME_LIMIT, Episode, Searches, sample_episodes
+from dc2g_jax.objectnav.mapping import IndoorMapSettings
+from dc2g_jax.objectnav.searches import TIME_LIMIT, Search, Searches, sample_episodes
 from dc2g_jax.objectnav.starts import sample_starts
 from dc2g_jax.programs import jit
 
@@ -94,7 +94,7 @@ def house_of(options: Options) -> IndoorHouse:
                 f"{options.split}-0, {options.split}-1 and so on; give one of these, or another --split"
             )
         count = int(number) + 1  # there is no end of them
-    houses = indoor_houses(options.houses, options.split, count=count, cell_size=MapSettings.cell_size)
+    houses = indoor_houses(options.houses, options.split, count=count, cell_size=IndoorMapSettings.cell_size)
     for house in houses:
         if options.house in (None, house.name):
             return house
@@ -104,7 +104,7 @@ def house_of(options: Options) -> IndoorHouse:
     )
 
 
-def episode_in(house: IndoorHouse, options: Options) -> Episode:
+def episode_in(house: IndoorHouse, options: Options) -> Search:
     """The search to be made.
 
     Raises:
@@ -113,14 +113,14 @@ def episode_in(house: IndoorHouse, options: Options) -> Episode:
     if options.target is None:
         return sample_episodes([house], 1, seed=options.seed)[0]
     rng = np.random.default_rng([options.seed, *house.name.encode()])
-    starts = {CLASS_NAMES[goal]: sample_starts(house.world, goal, 1, rng=rng) for goal in GOALS}
+    starts = {OBJECT_CLASSES[goal]: sample_starts(house.world, goal, 1, rng=rng) for goal in GOALS}
     there = [name for name, drawn in starts.items() if len(drawn)]
     if options.target not in there:
         raise InputError(
             f"--target {options.target}: cannot be searched for in {house.name}; "
             f"give one of: {', '.join(there)}; or another --house"
         )
-    return Episode(house.name, options.target, *starts[options.target][0].tolist())
+    return Search(house.name, options.target, *starts[options.target][0].tolist())
 
 
 def search(robot: Robot, site: Site, agent: Agent) -> tuple[list[Robot], Robot]:
@@ -192,7 +192,7 @@ def main(options: Options) -> None:
     agent = agent_with(options.agent, costs_for([options.agent], options.network), options.samples)
     out = output_folder(options, "objectnav_fig5")
     site = site_of(house.world, house.name, agent.controller.limits.radius)
-    target = CLASS_NAMES.index(episode.target)
+    target = OBJECT_CLASSES.index(episode.target)
     start, goal = jnp.array([episode.x, episode.y, episode.yaw], jnp.float32), jnp.int32(GOALS.index(target))
     first = reset(jax.random.key(options.seed), start, goal, agent, options.limit)
     print("Compiling, half a minute or so; then it searches.", file=sys.stderr)
@@ -211,7 +211,9 @@ def main(options: Options) -> None:
     }
     write_json(out / "search.json", facts)
     came = "success" if result.success else "declared too early" if result.declared else "not found in time"
-    print(f"{house.name}, {episode.target}, {TITLES[options.agent]}: {came} after {steps} steps ({steps / 10:g} s)")
+    print(
+        f"{house.name}, {episode.target}, {AGENT_TITLES[options.agent]}: {came} after {steps} steps ({steps / 10:g} s)"
+    )
     print(f"driven {result.driven:.1f} m, shortest way {result.shortest:.1f} m, bumps {result.bumps}")
     print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from dc2g_jax.cli.common import NetworkOption, OutOption, command_line
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.cli.searches import (
-    TITLES,
+    AGENT_TITLES,
     AgentName,
     SearchOptions,
     SearchTable,
@@ -26,7 +26,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.evaluation import EpisodeResult, Summary, summarize
 
 
-class PaperLine(NamedTuple):
+class Table1Line(NamedTuple):
     """A line of Table I of the paper; see `Summary`."""
 
     success: float
@@ -38,10 +38,10 @@ class PaperLine(NamedTuple):
 
 
 #: Table I of the paper, on its own houses; "Our Approach" there is its network.
-PAPER = {
-    "true_cost": PaperLine(1.000, 0.922, 0.211, 147.459, (0.15, 2.041), (2.371, 35.006)),
-    "random": PaperLine(0.250, 0.208, 7.214, 402.795, (1.607, 8.920), (28.004, 156.095)),
-    "predicted": PaperLine(0.447, 0.329, 4.542, 327.877, (0.673, 7.318), (11.788, 128.158)),
+PAPER_TABLE1 = {
+    "true_cost": Table1Line(1.000, 0.922, 0.211, 147.459, (0.15, 2.041), (2.371, 35.006)),
+    "random": Table1Line(0.250, 0.208, 7.214, 402.795, (1.607, 8.920), (28.004, 156.095)),
+    "predicted": Table1Line(0.447, 0.329, 4.542, 327.877, (0.673, 7.318), (11.788, 128.158)),
 }
 
 
@@ -74,17 +74,17 @@ def table(summaries: Mapping[str, Summary]) -> str:
             f"{value:.3f} ({low:.3f} to {high:.3f})"
             for value, (low, high) in ((one.success, one.success_interval), (one.spl, one.spl_interval))
         ]
-        lines.append(_line(TITLES[name], (*shares, *_figures(one))))
-        lines += [_paper_line("the paper's", name)] if name in PAPER else []
+        lines.append(_line(AGENT_TITLES[name], (*shares, *_figures(one))))
+        lines += [_paper_line("the paper's", name)] if name in PAPER_TABLE1 else []
     return "\n".join(lines)
 
 
 def _paper_line(title: str, name: str) -> str:
-    one = PAPER[name]
+    one = PAPER_TABLE1[name]
     return _line(title, (f"{one.success:.3f}", f"{one.spl:.3f}", *_figures(one)))
 
 
-def _figures(one: Summary | PaperLine) -> tuple[str, ...]:
+def _figures(one: Summary | Table1Line) -> tuple[str, ...]:
     pairs = (f"{along:.2f}, {turning:.2f}" for along, turning in (one.acceleration, one.jerk))
     return f"{one.distance:.2f}", f"{one.steps:.1f}", *pairs
 
@@ -107,14 +107,14 @@ def main(options: Options) -> None:
         began = time.perf_counter()
         agent = functools.partial(agent_with, name, costs, options.samples)
         all_results[name] = searches.run(name, agent, houses, episodes, options)
-        print(f"{TITLES[name]}: {len(episodes)} searches, {time.perf_counter() - began:.0f} s", flush=True)
+        print(f"{AGENT_TITLES[name]}: {len(episodes)} searches, {time.perf_counter() - began:.0f} s", flush=True)
     summaries = {name: summarize(results, resamples=options.resamples) for name, results in all_results.items()}
     facts = {
         "agents": {name: one._asdict() for name, one in summaries.items()},
-        "paper": {name: one._asdict() for name, one in PAPER.items()},
+        "paper": {name: one._asdict() for name, one in PAPER_TABLE1.items()},
     }
     text = f"{len(episodes)} searches in {options.described}\n{table(summaries)}"
-    conclude(out, options, houses, all_results, TITLES, text, facts)
+    conclude(out, options, houses, all_results, AGENT_TITLES, text, facts)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 from dc2g_jax.objectnav.training import CostMapConfig, figures, validation_samples
 
 #: What the lines are called, by name of the ablation.
-TITLES = {"both": "both", "semantic": "only semantic map", "midlevel": "only mid-level"}
+ABLATION_TITLES = {"both": "both", "semantic": "only semantic map", "midlevel": "only mid-level"}
 
 #: Metrics of the prediction, percent.
 METRICS = ("MPA", "mF1", "mIoU", "aAP5", "aAP9")
@@ -31,7 +31,7 @@ METRICS = ("MPA", "mF1", "mIoU", "aAP5", "aAP9")
 MAPS_A_BATCH = CostMapConfig.batch_size
 
 
-class PaperLine(NamedTuple):
+class Table2Line(NamedTuple):
     """A line of Table II of the paper: `METRICS` in percent, success, SPL and distance to success in meters."""
 
     metrics: tuple[float, float, float, float, float]
@@ -41,10 +41,10 @@ class PaperLine(NamedTuple):
 
 
 #: Table II of the paper, on its own houses.
-PAPER = {
-    "semantic": PaperLine((79.17, 76.32, 63.34, 36.49, 32.47), 0.377, 0.290, 4.803),
-    "midlevel": PaperLine((79.11, 76.32, 63.47, 37.21, 33.11), 0.402, 0.287, 4.716),
-    "both": PaperLine((78.76, 75.89, 62.93, 37.45, 33.39), 0.447, 0.329, 4.542),
+PAPER_TABLE2 = {
+    "semantic": Table2Line((79.17, 76.32, 63.34, 36.49, 32.47), 0.377, 0.290, 4.803),
+    "midlevel": Table2Line((79.11, 76.32, 63.47, 37.21, 33.11), 0.402, 0.287, 4.716),
+    "both": Table2Line((78.76, 75.89, 62.93, 37.45, 33.39), 0.447, 0.329, 4.542),
 }
 
 
@@ -84,7 +84,7 @@ def open_networks(folders: tuple[Path, ...]) -> dict[str, PredictedCosts[CostMap
         costs = open_costs(folder)
         name = ablation(costs.estimator)
         if name in found:
-            raise InputError(f"--networks {folder}: another one is shown {TITLES[name]} too; give one of each")
+            raise InputError(f"--networks {folder}: another one is shown {ABLATION_TITLES[name]} too; give one of each")
         found[name] = costs
     return found
 
@@ -105,8 +105,8 @@ def table(metrics: dict[str, dict[str, float]], summaries: dict[str, Summary]) -
     lines = [_line("", ("MPA %", "mF1 %", "mIoU %", "aAP5 %", "aAP9 %", "success", "SPL", "DTS m"))]
     for name, one in summaries.items():
         values = (*metrics[name].values(), one.success, one.spl, one.distance)
-        paper = PAPER[name]
-        lines.append(_line(TITLES[name], _figures(*values)))
+        paper = PAPER_TABLE2[name]
+        lines.append(_line(ABLATION_TITLES[name], _figures(*values)))
         lines.append(_line("the paper's", _figures(*paper.metrics, paper.success, paper.spl, paper.distance)))
     return "\n".join(lines)
 
@@ -139,10 +139,10 @@ def main(options: Options) -> None:
     facts = {
         "prediction": metrics,
         "navigation": {name: one._asdict() for name, one in summaries.items()},
-        "paper": {name: one._asdict() for name, one in PAPER.items()},
+        "paper": {name: one._asdict() for name, one in PAPER_TABLE2.items()},
     }
     text = f"{options.maps} maps, {len(episodes)} searches in {options.described}\n{table(metrics, summaries)}"
-    conclude(out, options, houses, results, TITLES, text, facts)
+    conclude(out, options, houses, results, ABLATION_TITLES, text, facts)
 
 
 if __name__ == "__main__":

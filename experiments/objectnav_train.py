@@ -27,7 +27,7 @@ from dc2g_jax.files.digests import arrays_sha256
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect, random_views
 from dc2g_jax.objectnav.data import JourneySet
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses, split_file
-from dc2g_jax.objectnav.mapping import MapSettings
+from dc2g_jax.objectnav.mapping import IndoorMapSettings
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, ImageEncoder, encoder_task, load_encoder, save_encoder
 from dc2g_jax.objectnav.networks import ABLATIONS, CostMapArchitecture, CostMapEstimator, save_estimator
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE
@@ -112,8 +112,10 @@ class Options:
             )
         except InputError as error:
             raise InputError(f"--{error}") from None
-        if MapSettings.local % self.patch:
-            raise InputError(f"--patch {self.patch}: give a divisor of {MapSettings.local}, the map's sides in cells")
+        if IndoorMapSettings.local % self.patch:
+            raise InputError(
+                f"--patch {self.patch}: give a divisor of {IndoorMapSettings.local}, the map's sides in cells"
+            )
         recipe: Recipe = RECIPES[self.recipe]
         if self.learning_rate is not None:
             recipe = dataclasses.replace(recipe, peak=self.learning_rate)
@@ -177,7 +179,7 @@ def training_task(
         found = {"step": step, "training_loss": latest, **figures(estimator, batches, config)}
         card: dict[str, Any] = {
             "houses": options.houses,
-            "cell_size": MapSettings.cell_size,
+            "cell_size": IndoorMapSettings.cell_size,
             "recipe": dataclasses.asdict(config.recipe),
             "command": command_written(),
             "commit": commit(),
@@ -230,7 +232,9 @@ def main(options: Options) -> None:
     output_folder(options, "objectnav_train", free=free, inputs=house_digests(options.houses))
     count = 500 if options.count is None and options.houses == PROCEDURAL else options.count
     print(f"Houses: {count or 'all'} of {options.houses}", flush=True)
-    read = functools.partial(indoor_houses, options.houses, cell_size=MapSettings.cell_size, strict=options.strict)
+    read = functools.partial(
+        indoor_houses, options.houses, cell_size=IndoorMapSettings.cell_size, strict=options.strict
+    )
     houses = read("train", count=count)
     unknown = read("val", count=options.validation_houses if options.houses == PROCEDURAL else None)
     unknown = unknown[: options.validation_houses]

@@ -17,7 +17,7 @@ from dc2g_jax.datasets.similarity import distance_to_training, similarity_scale
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.grid.sampling import resize_nearest
-from dc2g_jax.inspection.image_figures import METRIC_LABELS, Points, plot_by_similarity
+from dc2g_jax.inspection.image_figures import METRIC_LABELS, HouseMetrics, plot_by_similarity
 from dc2g_jax.training.image_evaluation import GRID_CELLS, full_map_metrics
 
 #: Pixels a side of the maps that are compared with the training maps.
@@ -49,7 +49,7 @@ def distances(dataset: HouseDataset, houses: Sequence[House]) -> list[float]:
     return [distance_to_training(squeezed(house), scale) for house in houses]
 
 
-def points_of(distance: Sequence[float], rows: Sequence[dict[str, float]]) -> Points:
+def points_of(distance: Sequence[float], rows: Sequence[dict[str, float]]) -> HouseMetrics:
     """A network's metrics by name, with the straight line that fits each best in the least-squares sense.
 
     Houses that are all equally far from training have no such line; a house without a value has no part in it.
@@ -62,7 +62,7 @@ def points_of(distance: Sequence[float], rows: Sequence[dict[str, float]]) -> Po
         if apart.size and np.ptp(apart) > 0:
             slope, intercept = np.polyfit(apart, np.asarray(values)[known], 1)
             fits[name] = (float(slope), float(intercept))
-    return Points(distance, metrics, fits)
+    return HouseMetrics(distance, metrics, fits)
 
 
 def mean_of(values: Sequence[float]) -> float:
@@ -71,7 +71,7 @@ def mean_of(values: Sequence[float]) -> float:
     return float(np.mean(known)) if known else float("nan")
 
 
-def print_table(networks: dict[str, Points]) -> None:
+def print_table(networks: dict[str, HouseMetrics]) -> None:
     """Mean of every metric, and the slope of its line."""
     print("mean over the test houses (slope of the line)")
     print(f"{'':24}" + "".join(f"{name:>24}" for name in METRIC_LABELS))
@@ -83,7 +83,7 @@ def print_table(networks: dict[str, Points]) -> None:
         print(f"{network:24}" + "".join(f"{cell:>24}" for cell in cells))
 
 
-def write_houses(path: Path, houses: Sequence[House], networks: dict[str, Points]) -> None:
+def write_houses(path: Path, houses: Sequence[House], networks: dict[str, HouseMetrics]) -> None:
     """Write `houses.csv`: one line a network and house."""
     rows = []
     for network, points in networks.items():

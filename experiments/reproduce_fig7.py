@@ -35,7 +35,7 @@ from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.inspection import recording
 from dc2g_jax.inspection.episode_figures import plot_episode
-from dc2g_jax.inspection.figures import plot_extra_steps, plot_house_strips
+from dc2g_jax.inspection.figures import Table, plot_extra_steps, plot_house_strips
 from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.named import PLANNERS
 from dc2g_jax.planning.rules import SETTINGS
@@ -75,7 +75,7 @@ class Options:
     resume: bool = False
 
 
-class Episode(NamedTuple):
+class ExtraSteps(NamedTuple):
     """What a table is made of: one planner's extra steps in one episode of one group."""
 
     planner: str
@@ -89,12 +89,10 @@ class Episode(NamedTuple):
 PUBLISHED_GROUPS = ("train", "same_neighborhood", "new_neighborhood", "urban", "all")
 PAPER_GROUPS = ("same_neighborhood", "new_neighborhood", "urban", "test")
 
-Table = dict[str, dict[str, Summary]]
 
-
-def tabulate(episodes: Iterable[Episode], groups: tuple[str, ...]) -> Table:
+def tabulate(episodes: Iterable[ExtraSteps], groups: tuple[str, ...]) -> Table:
     """Summary by planner and group; the last of the groups holds all episodes."""
-    cells: dict[str, dict[str, list[Episode]]] = collections.defaultdict(lambda: collections.defaultdict(list))
+    cells: dict[str, dict[str, list[ExtraSteps]]] = collections.defaultdict(lambda: collections.defaultdict(list))
     for episode in episodes:
         for group in {episode.group, groups[-1]}:
             cells[episode.planner][group].append(episode)
@@ -108,13 +106,13 @@ def tabulate(episodes: Iterable[Episode], groups: tuple[str, ...]) -> Table:
     }
 
 
-def _episode(result: EpisodeResult, group: str) -> Episode:
-    return Episode(result.planner, group, result.house, result.extra, result.success)
+def _episode(result: EpisodeResult, group: str) -> ExtraSteps:
+    return ExtraSteps(result.planner, group, result.house, result.extra, result.success)
 
 
 def run_published(
     dataset: HouseDataset, planners: Sequence[str], network: TrainedNetwork | None, table: EpisodeTable
-) -> tuple[list[EpisodeResult], list[Episode]]:
+) -> tuple[list[EpisodeResult], list[ExtraSteps]]:
     """The 400 published episodes: our results, and table entries with the authors' own beside ours."""
     published = published_episodes()
     runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())
@@ -123,7 +121,7 @@ def run_published(
     for episode in published:
         for planner, steps in (("authors_frontier", episode.frontier), ("authors_dc2g", episode.dc2g)):
             extra = extra_steps(steps, episode.oracle)
-            entries.append(Episode(planner, episode.group, episode.start.house, extra, steps < STEP_LIMIT))
+            entries.append(ExtraSteps(planner, episode.group, episode.start.house, extra, steps < STEP_LIMIT))
     return results, entries
 
 
@@ -198,7 +196,7 @@ def record(
         name = f"{settings}-{start.house}-x{start.x}-y{start.y}-h{start.heading}"
         house = dataset.house(start.house)
         episodes = {
-            planner: recording.Episode(result, replay_result(result, house, rules, network))
+            planner: recording.RecordedEpisode(result, replay_result(result, house, rules, network))
             for planner, result in by_planner.items()
         }
         recording.record_frames(out / "recordings" / f"{name}.rrd", house=house, episodes=episodes)
@@ -219,7 +217,7 @@ def print_table(title: str, table: Table, groups: tuple[str, ...]) -> None:
         print(f"{planner:{width}}{cells}{100 * row[groups[-1]].success:>9.1f}%")
 
 
-def write_tables(out: Path, tables: dict[str, Table], entries: dict[str, list[Episode]]) -> None:
+def write_tables(out: Path, tables: dict[str, Table], entries: dict[str, list[ExtraSteps]]) -> None:
     """Write `summary.csv` (by planner and group) and `houses.csv` (by planner and house)."""
     groups = [
         (settings, planner, group, *(round(value, 4) for value in summary))
@@ -230,7 +228,7 @@ def write_tables(out: Path, tables: dict[str, Table], entries: dict[str, list[Ep
     write_table(out / "summary.csv", ("settings", "planner", "group", *Summary._fields), groups)
     houses = []
     for settings, episodes in entries.items():
-        by_house: dict[tuple[str, str, str], list[Episode]] = collections.defaultdict(list)
+        by_house: dict[tuple[str, str, str], list[ExtraSteps]] = collections.defaultdict(list)
         for episode in episodes:
             by_house[episode.planner, episode.house, episode.group].append(episode)
         for key, own in by_house.items():
@@ -268,7 +266,7 @@ def main(options: Options) -> None:
     table = EpisodeTable(out / "episodes.csv")
     label = "procedural houses" if dataset.source == "procedural" else dataset.name
     tables: dict[str, Table] = {}
-    entries: dict[str, list[Episode]] = {}
+    entries: dict[str, list[ExtraSteps]] = {}
     results: dict[str, list[EpisodeResult]] = {}
     ratio: dict[str, dict[str, float]] = {}
     if options.settings != "paper" and dataset.source == "published":

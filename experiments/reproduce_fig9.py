@@ -13,7 +13,7 @@ import tyro
 from tqdm import tqdm
 
 from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
-from dc2g_jax.cli.driving import TIME_LIMIT, DrivingOptions, equipment
+from dc2g_jax.cli.driving import SECONDS_LIMIT, DrivingOptions, equipment
 from dc2g_jax.cli.map_options import StartOption, start_in
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
@@ -90,7 +90,7 @@ def main(options: Options) -> None:
     pose = make_pose(start.x, start.y, start.heading)
     first = reset(jax.random.key(options.seed), pose, site, robot, pedestrians=options.pedestrians)
     print("Compiling, half a minute or so; then it drives.", file=sys.stderr)
-    drive = list(tqdm(moments(first, site, robot, TIME_LIMIT), desc="driving", unit="frame", file=sys.stderr))
+    drive = list(tqdm(moments(first, site, robot, SECONDS_LIMIT), desc="driving", unit="frame", file=sys.stderr))
     last = drive[-1].robot
     plot_moments(out / "fig9", drive, _ROWS, robot.mapping.cell_size)
     record(out / "fig9.rrd", drive, robot, house.name)

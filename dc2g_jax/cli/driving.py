@@ -31,7 +31,7 @@ from dc2g_jax.vehicles.vehicle import VehicleLimits
 _SENSING_RANGE, _FIELD_OF_VIEW_DEGREES = 8, 90.0
 
 #: Seconds after which an episode ends without success: on the published maps, one for each of the gridworld's steps.
-TIME_LIMIT = 500.0
+SECONDS_LIMIT = 500.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,7 +129,7 @@ def drive(
 
         drives = drive_all(
             robot, sites, episodes, seed=seed, pedestrians=options.pedestrians, knows_map=knows_map,
-            time_limit=TIME_LIMIT, on_progress=show,
+            time_limit=SECONDS_LIMIT, on_progress=show,
         )  # fmt: skip
     times = np.round([drives.seconds, drives.off_ground, drives.touched], 2).T.tolist()
     return [

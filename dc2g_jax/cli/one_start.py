@@ -16,7 +16,7 @@ from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax.inspection.animation import animate
 from dc2g_jax.inspection.episode_figures import plot_episode, plot_trajectories
-from dc2g_jax.inspection.recording import Episode, record_frames
+from dc2g_jax.inspection.recording import RecordedEpisode, record_frames
 from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.planners import GAVE_UP, MODE_NAMES
 from dc2g_jax.planning.rules import SETTINGS
@@ -127,7 +127,7 @@ def draw_request(
     bar = tqdm(total=len(chosen) + len(animations) + 2, desc=f"{'drawing':>16}", unit="file", file=sys.stderr)
     episodes = {}
     for planner, result in chosen.items():
-        episodes[planner] = Episode(result, replay_result(result, request.house, rules, request.network))
+        episodes[planner] = RecordedEpisode(result, replay_result(result, request.house, rules, request.network))
         bar.update()
     frames = {planner: episode.frames for planner, episode in episodes.items()}
     plot_episode(out / name, request.house, frames)

@@ -25,12 +25,12 @@ from dc2g_jax.objectnav.agent import (
     usual_camera,
 )
 from dc2g_jax.objectnav.evaluation import Difference, EpisodeResult, difference, results_of
-from dc2g_jax.objectnav.guides import Frontier, GoalReacher, NoIdea, Predicted, PromisingFrontier, TrueCost
+from dc2g_jax.objectnav.guides import GoalReacher, NearestFrontier, NoIdea, Predicted, PromisingFrontier, TrueCost
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
-from dc2g_jax.objectnav.mapping import MapSettings
+from dc2g_jax.objectnav.mapping import IndoorMapSettings
 from dc2g_jax.objectnav.networks import CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts, load_costs
-from dc2g_jax.objectnav.searches import TIME_LIMIT, Episode, sample_episodes, search_all
+from dc2g_jax.objectnav.searches import TIME_LIMIT, Search, sample_episodes, search_all
 from dc2g_jax.rollouts.results import ResumableTable
 
 #: The network that comes with the package, and its encoder.
@@ -43,7 +43,7 @@ AgentName = Literal["true_cost", "random", "frontier", "predicted", "promising"]
 ON_NETWORK = ("promising", "predicted")
 
 #: What tables call an agent.
-TITLES = {
+AGENT_TITLES = {
     "true_cost": "true cost map",
     "random": "privileged random",
     "frontier": "frontier",
@@ -97,10 +97,10 @@ class SearchOptions:
             if getattr(self, name) < 1:
                 raise InputError(f"--{name} {getattr(self, name)}: give 1 or more")
 
-    def places(self) -> tuple[list[IndoorHouse], list[Episode]]:
+    def places(self) -> tuple[list[IndoorHouse], list[Search]]:
         """The houses, and the searches to be made in them."""
         houses = indoor_houses(
-            self.houses, self.split, count=self.count, cell_size=MapSettings.cell_size, strict=self.strict
+            self.houses, self.split, count=self.count, cell_size=IndoorMapSettings.cell_size, strict=self.strict
         )
         return houses, sample_episodes(houses, self.episodes, seed=self.seed)
 
@@ -147,7 +147,7 @@ def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLE
     elif name == "random":
         guide, steering = GoalReacher(NoIdea()), RandomUntilSeen()
     elif name == "frontier":
-        guide = GoalReacher(Frontier())
+        guide = GoalReacher(NearestFrontier())
     elif costs is None:
         raise InputError(f"the agent {name} goes by a network; give one")
     else:
@@ -178,7 +178,7 @@ class SearchTable(ResumableTable[EpisodeResult]):
         name: str,
         agent: Callable[[], Agent],
         houses: Sequence[IndoorHouse],
-        episodes: Sequence[Episode],
+        episodes: Sequence[Search],
         options: SearchOptions,
     ) -> list[EpisodeResult]:
         """Results of an agent's searches, made now or earlier.

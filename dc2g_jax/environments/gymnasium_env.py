@@ -63,10 +63,10 @@ GYMNASIUM_ID = "dc2g_jax/FrontDoor-v0"
 FRAME_SIDE = 400
 
 #: Color of the robot in a frame, RGB; no class has it.
-ROBOT_COLOR = (255, 60, 200)
+RENDERED_ROBOT_COLOR = (255, 60, 200)
 
 #: Least half-length of the robot in a frame, pixels.
-ROBOT_RADIUS = 9
+RENDERED_ROBOT_RADIUS = 9
 
 _ACTIONS = "give 0 (forward), 1 (turn left) or 2 (turn right)"
 
@@ -396,7 +396,7 @@ def frame(terrain: UInt8[np.ndarray, "h w"], pose: Int[np.ndarray, "3"]) -> UInt
     aside = np.array([-ahead[1], ahead[0]])
     corners = np.array([ahead, 0.8 * aside - 0.9 * ahead, -0.8 * aside - 0.9 * ahead])
     middle = np.array([x + 0.5, y + 0.5]) * scale
-    triangle = np.rint(middle + corners * max(0.45 * scale, ROBOT_RADIUS)).astype(np.int32)
-    cv2.fillPoly(picture, [triangle], ROBOT_COLOR, lineType=cv2.LINE_AA)
+    triangle = np.rint(middle + corners * max(0.45 * scale, RENDERED_ROBOT_RADIUS)).astype(np.int32)
+    cv2.fillPoly(picture, [triangle], RENDERED_ROBOT_COLOR, lineType=cv2.LINE_AA)
     cv2.polylines(picture, [triangle], isClosed=True, color=(255, 255, 255), thickness=1, lineType=cv2.LINE_AA)
     return picture

@@ -32,7 +32,7 @@ _GROUPS = {
 }
 
 
-class Row(NamedTuple):
+class SheetRow(NamedTuple):
     """Maps side by side.
 
     Attributes:
@@ -49,17 +49,17 @@ class Row(NamedTuple):
         return (_HEADLINE if self.headline else 0.0) + _SIDE + _NAME
 
 
-def contact_pages(houses: Sequence[House]) -> list[list[Row]]:
+def contact_pages(houses: Sequence[House]) -> list[list[SheetRow]]:
     """Rows of houses on pages: group by group, each in the order of names."""
     by_group: dict[str, list[House]] = {group: [] for group in _GROUPS}
     for house in sorted(houses, key=lambda house: house.name):
         by_group.setdefault(group_of(house) or house.split, []).append(house)
     room = _PAGE_HEIGHT - _HEAD - _FOOT
-    pages: list[list[Row]] = [[]]
+    pages: list[list[SheetRow]] = [[]]
     for group, own in by_group.items():
         for first in range(0, len(own), _COLUMNS):
             headline = "" if first else f"{_GROUPS.get(group, group)}: {len(own)}"
-            row = Row(headline, own[first : first + _COLUMNS])
+            row = SheetRow(headline, own[first : first + _COLUMNS])
             if pages[-1] and sum(above.height for above in pages[-1]) + row.height > room:
                 pages.append([])
             pages[-1].append(row)
@@ -108,7 +108,7 @@ class _Page:
         """Text at inches from the upper left corner."""
         self.figure.text(x / PAGE_WIDTH, 1 - y / self._height, text, va="center", **style)
 
-    def draw(self, row: Row, y: float) -> None:
+    def draw(self, row: SheetRow, y: float) -> None:
         """Draw a row whose upper edge lies `y` inches below that of the page."""
         if row.headline:
             self._text(_MARGIN, y + 0.55 * _HEADLINE, row.headline, fontsize=8)
@@ -130,7 +130,7 @@ class _Page:
         )
 
 
-def plot_contact_page(path: str | Path, title: str, number: str, rows: Sequence[Row]) -> list[Path]:
+def plot_contact_page(path: str | Path, title: str, number: str, rows: Sequence[SheetRow]) -> list[Path]:
     """Draw a page of houses of any sizes; a star marks a door, words below a map that no episode can be run in it.
 
     Args:

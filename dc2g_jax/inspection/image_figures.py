@@ -46,7 +46,7 @@ class Example(NamedTuple):
     true: Float[np.ndarray, "s s 3"]
 
 
-class Points(NamedTuple):
+class HouseMetrics(NamedTuple):
     """A network's metrics, house by house.
 
     Attributes:
@@ -157,7 +157,7 @@ def plot_training(
     return save_figure(figure, path)
 
 
-def plot_by_similarity(path: str | Path, networks: Mapping[str, Points], caption: str) -> list[Path]:
+def plot_by_similarity(path: str | Path, networks: Mapping[str, HouseMetrics], caption: str) -> list[Path]:
     """Draw Fig. 6: each metric on every house against the house's distance from training, with a line a network.
 
     Args:

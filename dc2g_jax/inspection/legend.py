@@ -12,9 +12,9 @@ from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.inspection.figures import CLASS_COLORS
 
 #: Layers over the observed map -> name and color, RGBA. The legend names them.
-REACHABLE = ("reachable", (0, 190, 230, 60))
-FIELD_OF_VIEW = ("field of view", (255, 255, 255, 110))
-FRONTIER = ("frontier", (255, 205, 0, 255))
+REACHABLE_LAYER = ("reachable", (0, 190, 230, 60))
+FIELD_OF_VIEW_LAYER = ("field of view", (255, 255, 255, 110))
+FRONTIER_LAYER = ("frontier", (255, 205, 0, 255))
 
 EXPANDING_COLOR = (225, 90, 0)
 SUBGOAL_COLOR = (235, 0, 235)

@@ -37,7 +37,7 @@ from dc2g_jax.planning.rules import Rules
 from dc2g_jax.rollouts.evaluation import EpisodeResult
 
 
-class Episode(NamedTuple):
+class RecordedEpisode(NamedTuple):
     """An episode to record.
 
     Attributes:
@@ -55,9 +55,9 @@ def _send_maps(stream: rr.RecordingStream, entity: str, frames: Frames, scale: C
     image_style(stream, f"{entity}/map", legend.terrain_context(), 0)
     send_images(stream, f"{entity}/map", steps, frames.terrain)
     layers = (
-        ("reachable", legend.REACHABLE, frames.reachable),
-        ("field_of_view", legend.FIELD_OF_VIEW, frames.field_of_view),
-        ("frontier", legend.FRONTIER, frames.frontier),
+        ("reachable", legend.REACHABLE_LAYER, frames.reachable),
+        ("field_of_view", legend.FIELD_OF_VIEW_LAYER, frames.field_of_view),
+        ("frontier", legend.FRONTIER_LAYER, frames.frontier),
     )
     for order, (layer, (name, color), cells) in enumerate(layers, start=1):
         image_style(stream, f"{entity}/map/{layer}", legend.layer_context(name, color), order)
@@ -128,7 +128,7 @@ def _outcome(result: EpisodeResult) -> str:
     return "gave up" if result.mode == MODE_NAMES[GAVE_UP] else "step limit"
 
 
-def _status(episode: Episode) -> list[str]:
+def _status(episode: RecordedEpisode) -> list[str]:
     """One line a step: how far, what the plan is, what it has cost."""
     result, frames = episode
     extra = running_extra_steps(frames)
@@ -148,7 +148,7 @@ def _status(episode: Episode) -> list[str]:
     return lines
 
 
-def _send_mode(stream: rr.RecordingStream, entity: str, label: str, episode: Episode) -> None:
+def _send_mode(stream: rr.RecordingStream, entity: str, label: str, episode: RecordedEpisode) -> None:
     """A line of text whenever the plan mode changes, and what came of it at the end."""
     result, frames = episode
     changes = np.flatnonzero(np.diff(frames.mode, prepend=-1)).tolist()
@@ -163,7 +163,7 @@ def _send_mode(stream: rr.RecordingStream, entity: str, label: str, episode: Epi
 
 
 def _send_episode(
-    stream: rr.RecordingStream, label: str, episode: Episode, scale: CostScale, color: tuple[int, ...]
+    stream: rr.RecordingStream, label: str, episode: RecordedEpisode, scale: CostScale, color: tuple[int, ...]
 ) -> None:
     """Everything of one planner, below the entity of its label."""
     frames = episode.frames
@@ -217,7 +217,7 @@ def _check(house: House, results: Mapping[str, EpisodeResult]) -> EpisodeResult:
     return first
 
 
-def record_frames(path: str | Path, *, house: House, episodes: Mapping[str, Episode]) -> Path:
+def record_frames(path: str | Path, *, house: House, episodes: Mapping[str, RecordedEpisode]) -> Path:
     """Write one rerun file (`.rrd`) of one start from episodes that have been replayed.
 
     Args:
@@ -284,7 +284,7 @@ def record_episode(
         if (result.range, result.expanding_range) != (rules.sensing.radius, rules.expanding_range):
             raise ValueError(f"{label}: sensing range {result.range} is not that of the rules, {rules.sensing.radius}")
     episodes = {
-        label: Episode(result, replay_result(result, house, rules, estimator))
+        label: RecordedEpisode(result, replay_result(result, house, rules, estimator))
         for label, result in result_by_planner.items()
     }
     return record_frames(path, house=house, episodes=episodes)

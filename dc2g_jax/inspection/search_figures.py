@@ -20,8 +20,8 @@ from matplotlib.patches import Patch
 from dc2g_jax.inspection.driving_figures import ROBOT_ARROW
 from dc2g_jax.inspection.figures import PAGE_WIDTH, save_figure
 from dc2g_jax.inspection.sheets import DPI, FONT, cell_rim
-from dc2g_jax.objectnav.classes import CLASS_COLORS, CLASS_NAMES, NOTHING, SEMANTIC_CLASSES
-from dc2g_jax.objectnav.mapping import EXPLORED, OBSTACLE
+from dc2g_jax.objectnav.classes import NOTHING, OBJECT_CLASSES, OBJECT_COLORS, SEMANTIC_CLASSES
+from dc2g_jax.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL
 from dc2g_jax.objectnav.worlds import IndoorWorld
 
 #: Low costs are green and high ones red, as in the paper; they get darker all the way and so differ in gray as well.
@@ -145,10 +145,10 @@ def _highest(moments: Sequence[SearchMoment], extent: tuple[float, float, float,
 
 def _robots_map(cells: UInt32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
     """Colors of a robot's map. Of the classes of a cell the first one is shown, so goals before all others."""
-    bits = (cells[..., None] >> np.arange(EXPLORED + 1, dtype=np.uint32)) & 1 == 1
+    bits = (cells[..., None] >> np.arange(EXPLORED_CHANNEL + 1, dtype=np.uint32)) & 1 == 1
     own = bits[..., :SEMANTIC_CLASSES]
     classes = np.where(own.any(axis=-1), own.argmax(axis=-1) + 1, NOTHING)
-    return _map_image(classes, bits[..., EXPLORED], bits[..., OBSTACLE])
+    return _map_image(classes, bits[..., EXPLORED_CHANNEL], bits[..., OBSTACLE_CHANNEL])
 
 
 def _map_image(
@@ -157,8 +157,8 @@ def _map_image(
 ) -> UInt8[np.ndarray, "h w 3"]:  # fmt: skip
     """Colors of a map: what has a class in that one's, else walls dark, floor gray, and the rest white."""
     floor_color, wall_color = (np.round(255 * np.array(to_rgb(color))).astype(np.uint8) for color in (_FLOOR, _WALL))
-    bare = np.where(walls[..., None], wall_color, np.where(floor[..., None], floor_color, CLASS_COLORS[NOTHING]))
-    return np.where((classes != NOTHING)[..., None], CLASS_COLORS[classes], bare)
+    bare = np.where(walls[..., None], wall_color, np.where(floor[..., None], floor_color, OBJECT_COLORS[NOTHING]))
+    return np.where((classes != NOTHING)[..., None], OBJECT_COLORS[classes], bare)
 
 
 def _show(axes: Axes, image: np.ndarray, first: Sequence[int] | Int[np.ndarray, "2"], size: float) -> None:
@@ -172,8 +172,8 @@ def _legend(classes: UInt8[np.ndarray, "h w"], target: int) -> list[Any]:
     """What colors and marks mean: the classes that are in the house, and the rest."""
     found = [int(index) for index in np.unique(classes) if index not in (NOTHING, target)]
     patches = [
-        (f"target: {CLASS_NAMES[target]}", CLASS_COLORS[target] / 255, _TARGET, 1.4),
-        *((CLASS_NAMES[index], CLASS_COLORS[index] / 255, "#777777", 0.4) for index in found),
+        (f"target: {OBJECT_CLASSES[target]}", OBJECT_COLORS[target] / 255, _TARGET, 1.4),
+        *((OBJECT_CLASSES[index], OBJECT_COLORS[index] / 255, "#777777", 0.4) for index in found),
         ("wall, obstacle", _WALL, "#777777", 0.4),
         ("free floor", _FLOOR, "#777777", 0.4),
         ("unexplored", "white", "#777777", 0.4),

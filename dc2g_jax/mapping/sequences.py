@@ -56,7 +56,7 @@ _POSE_FIELDS = ("time", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 _CAMERA_FIELDS = ("focal_x", "focal_y", "center_x", "center_y", "width", "height")
 
 
-class Moment(NamedTuple):
+class FrameFiles(NamedTuple):
     """A depth image with the class image, color image and pose nearest in time.
 
     Attributes:
@@ -86,7 +86,7 @@ class ImageSequence:
     """
 
     intrinsics: Intrinsics
-    moments: tuple[Moment, ...]
+    moments: tuple[FrameFiles, ...]
     skipped: int
     palette: Palette | None
 
@@ -128,7 +128,7 @@ def read_sequence(folder: str | Path, tolerance: float = TOLERANCE) -> ImageSequ
     for time, file, class_at, picture_at, pose_at in zip(*depth, *nearest, strict=True):
         if class_at >= 0 and pose_at >= 0:
             picture = pictures.things[picture_at] if picture_at >= 0 else None
-            moments.append(Moment(float(time), file, classes.things[class_at], picture, poses.things[pose_at]))
+            moments.append(FrameFiles(float(time), file, classes.things[class_at], picture, poses.things[pose_at]))
     if not moments:
         raise InputError(
             f"{folder}: none of its {len(depth.things)} depth images has a class image and a pose within {tolerance:g} "
@@ -148,7 +148,7 @@ def frames(sequence: ImageSequence) -> Iterator[Frame]:
         yield read_frame(sequence, moment)
 
 
-def read_frame(sequence: ImageSequence, moment: Moment) -> Frame:
+def read_frame(sequence: ImageSequence, moment: FrameFiles) -> Frame:
     """Read the depth and class images of a moment; NumPy arrays on the host.
 
     Raises:
@@ -171,7 +171,7 @@ def read_frame(sequence: ImageSequence, moment: Moment) -> Frame:
     return Frame(depth=depth, classes=labels, pose=moment.pose)
 
 
-def read_picture(moment: Moment) -> bytes | None:
+def read_picture(moment: FrameFiles) -> bytes | None:
     """The encoded bytes of a moment's color image; `None` if it has none.
 
     Raises:

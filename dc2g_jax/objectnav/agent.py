@@ -26,7 +26,7 @@ from dc2g_jax.mapping.simulator import render
 from dc2g_jax.objectnav.classes import GOALS, NOTHING
 from dc2g_jax.objectnav.cost_maps import cost_lookup, dense_costs
 from dc2g_jax.objectnav.goal_reacher import STOP, distance_to_object
-from dc2g_jax.objectnav.mapping import IndoorMap, MapSettings, empty_map, grid_cell, integrate, stood_on
+from dc2g_jax.objectnav.mapping import IndoorMap, IndoorMapSettings, empty_map, grid_cell, integrate, stood_on
 from dc2g_jax.objectnav.paint import painted
 from dc2g_jax.objectnav.starts import ROBOT_RADIUS
 from dc2g_jax.objectnav.worlds import IndoorWorld, scene
@@ -40,7 +40,12 @@ from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleStat
 #: is as high as those of the usual research robots. Level, it would see no floor nearer than 1.2 m and leave a hole in
 #: the map around the start; looking down like this the floor begins at 0.6 m, and walls are in view up to 1.5 m from
 #: 2.0 m on.
-CAMERA_HEIGHT, CAMERA_PITCH, FIELD_OF_VIEW, IMAGE_SIZE = 0.9, math.radians(20), 90.0, (120, 160)
+INDOOR_CAMERA_HEIGHT, INDOOR_CAMERA_PITCH, INDOOR_FIELD_OF_VIEW, INDOOR_IMAGE_SIZE = (
+    0.9,
+    math.radians(20),
+    90.0,
+    (120, 160),
+)
 
 #: Floor this near counts as explored, meters: the camera never sees it, and robots went back to look for it.
 FOOTROOM = 0.6
@@ -131,7 +136,7 @@ class Agent:
     guide: Guide
     steering: Steering
     camera: Intrinsics
-    mapping: MapSettings = MapSettings()
+    mapping: IndoorMapSettings = IndoorMapSettings()
     controller: MPPISettings = CONTROLLER
     renewal: int = struct.field(pytree_node=False, default=5)
 
@@ -188,7 +193,7 @@ class MPC:
     @staticmethod
     def weighed(
         key: Key[Array, ""], robot: Robot, costs: CostOfPose, agent: Agent
-    ) -> tuple[Float[Array, "h 2"], mppi.Samples]:
+    ) -> tuple[Float[Array, "h 2"], mppi.SampledPlans]:
         """The next plan, and the sampled ones that it was made from."""
         settings = agent.controller
         noise = mppi.sampled_noise(key, settings)
@@ -249,7 +254,7 @@ class RandomUntilSeen:
 
 def usual_camera() -> Intrinsics:
     """The camera of all agents here."""
-    return intrinsics(FIELD_OF_VIEW, *IMAGE_SIZE)
+    return intrinsics(INDOOR_FIELD_OF_VIEW, *INDOOR_IMAGE_SIZE)
 
 
 def site_of(world: IndoorWorld, name: str, radius: float = ROBOT_RADIUS) -> Site:
@@ -311,7 +316,9 @@ def reset(key: Key[Array, ""], start: Float[Array, "3"], target: Int[Array, ""],
 
 def camera_pose(vehicle: VehicleState) -> CameraPose:
     """Where a vehicle's camera is: above its middle, looking ahead and down."""
-    return level_camera(vehicle.position[0], vehicle.position[1], CAMERA_HEIGHT, vehicle.yaw, CAMERA_PITCH)
+    return level_camera(
+        vehicle.position[0], vehicle.position[1], INDOOR_CAMERA_HEIGHT, vehicle.yaw, INDOOR_CAMERA_PITCH
+    )
 
 
 def look(robot: Robot, site: Site, agent: Agent) -> Robot:

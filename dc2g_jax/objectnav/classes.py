@@ -33,19 +33,19 @@ _PALETTE = {
 }
 
 #: Class index -> name. Index 0 stands for floor, walls and everything without class.
-CLASS_NAMES: tuple[str, ...] = tuple(_PALETTE)
+OBJECT_CLASSES: tuple[str, ...] = tuple(_PALETTE)
 
 #: Class index -> RGB color, uint8 [class 3].
-CLASS_COLORS = np.array(list(_PALETTE.values()), np.uint8)
+OBJECT_COLORS = np.array(list(_PALETTE.values()), np.uint8)
 
 #: Semantic classes, those of the map's channels: class index `1 + channel`.
-SEMANTIC_CLASSES = len(CLASS_NAMES) - 1
+SEMANTIC_CLASSES = len(OBJECT_CLASSES) - 1
 
 NOTHING = 0
 (
     BED, CHAIR, SINK, PLANT, COUCH, ARMCHAIR, TABLE, DESK, CABINET, SHELF, TELEVISION, TOILET, REFRIGERATOR, COUNTER,
     LAMP, OTHER,
-) = range(1, len(CLASS_NAMES))  # fmt: skip
+) = range(1, len(OBJECT_CLASSES))  # fmt: skip
 
 #: Class indices of the goals, in the paper's order (section III-C).
 GOALS: tuple[int, ...] = (BED, CHAIR, SINK, PLANT, COUCH)

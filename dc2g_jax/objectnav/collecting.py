@@ -14,7 +14,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.grid.ground import component_numbers
 from dc2g_jax.mapping.camera import level_camera
 from dc2g_jax.mapping.scene import Scene
-from dc2g_jax.objectnav.agent import CAMERA_HEIGHT, CAMERA_PITCH
+from dc2g_jax.objectnav.agent import INDOOR_CAMERA_HEIGHT, INDOOR_CAMERA_PITCH
 from dc2g_jax.objectnav.cost_maps import distance_for_vehicle, inflated, with_tight_cells
 from dc2g_jax.objectnav.data import (
     JourneySet,
@@ -24,7 +24,7 @@ from dc2g_jax.objectnav.data import (
 )
 from dc2g_jax.objectnav.exploring import NEVER, Journey, explore
 from dc2g_jax.objectnav.houses import IndoorHouse
-from dc2g_jax.objectnav.midlevel import ImageEncoder, View, view
+from dc2g_jax.objectnav.midlevel import CameraView, ImageEncoder, view
 from dc2g_jax.objectnav.paint import painted
 from dc2g_jax.objectnav.starts import ROBOT_RADIUS, passable
 from dc2g_jax.objectnav.worlds import IndoorWorld, pad_world, scene
@@ -153,13 +153,13 @@ def _journeys(
 
 
 @jit
-def _views(scene_and_paint: tuple[Scene, Array], cells: Int[Array, "n 2"], headings: Float[Array, "n"]) -> View:
+def _views(scene_and_paint: tuple[Scene, Array], cells: Int[Array, "n 2"], headings: Float[Array, "n"]) -> CameraView:
     """What robots' cameras see of one house."""
     house, paint = scene_and_paint
 
-    def one(pose: tuple[Array, Array]) -> View:
+    def one(pose: tuple[Array, Array]) -> CameraView:
         (row, column), heading = (pose[0] + 0.5) * house.tile_size, pose[1]
-        return view(house, paint, level_camera(column, -row, CAMERA_HEIGHT, heading, CAMERA_PITCH))
+        return view(house, paint, level_camera(column, -row, INDOOR_CAMERA_HEIGHT, heading, INDOOR_CAMERA_PITCH))
 
     return jax.lax.map(one, (cells, headings))
 
@@ -245,7 +245,9 @@ def collect(
     )
 
 
-def random_views(houses: Sequence[IndoorHouse], count: int, seed: int, largest: int = CollectionConfig.largest) -> View:
+def random_views(
+    houses: Sequence[IndoorHouse], count: int, seed: int, largest: int = CollectionConfig.largest
+) -> CameraView:
     """Pictures from random places in random directions, to train an encoder on.
 
     Args:

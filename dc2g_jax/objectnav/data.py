@@ -17,13 +17,13 @@ from jaxtyping import Array, Bool, Float, Float16, Int, Int16, UInt8, UInt16
 
 from dc2g_jax.objectnav.classes import GOALS, SEMANTIC_CLASSES
 from dc2g_jax.objectnav.cost_maps import distance_for_vehicle
-from dc2g_jax.objectnav.mapping import MapSettings, square
+from dc2g_jax.objectnav.mapping import IndoorMapSettings, square
 from dc2g_jax.objectnav.starts import ROBOT_RADIUS
 from dc2g_jax.objectnav.worlds import IndoorWorld, Leaf
 
 #: Cells along the sides of the local map and of the global one (section II-B), and how many of its cells along a side
 #: one of the network's is the mean of.
-LOCAL, GLOBAL = MapSettings.local, MapSettings.cells
+LOCAL, GLOBAL = IndoorMapSettings.local, IndoorMapSettings.cells
 POOL = GLOBAL // LOCAL
 
 #: What is known of a cell, as one number: not explored, free floor, an obstacle without class; from then on, with one.

@@ -20,10 +20,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from dc2g_jax.grid.fast_marching import geodesic_distance
-from dc2g_jax.objectnav.classes import CLASS_NAMES, NOTHING
+from dc2g_jax.objectnav.classes import NOTHING, OBJECT_CLASSES
 from dc2g_jax.objectnav.cost_maps import straight_distance, with_tight_cells
 from dc2g_jax.objectnav.houses import IndoorHouse
-from dc2g_jax.objectnav.searches import Episode, Searches
+from dc2g_jax.objectnav.searches import Search, Searches
 from dc2g_jax.objectnav.starts import REACH, passable
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.statistics import house_bootstrap
@@ -96,7 +96,7 @@ def way_there(house: IndoorHouse, target: str) -> WayThere:
     """
     world = house.world
     free, classes, cell_size = np.asarray(world.free), np.asarray(world.classes), float(world.cell_size)
-    near = _near(classes == CLASS_NAMES.index(target), ~free & (classes == NOTHING), cell_size)
+    near = _near(classes == OBJECT_CLASSES.index(target), ~free & (classes == NOTHING), cell_size)
     there = free & np.asarray(near)
     distance = np.asarray(_distance_there(free, passable(free, cell_size), there, cell_size))
     return WayThere(distance=distance, there=there)
@@ -115,7 +115,7 @@ def _distance_there(free: Array, fits: Array, region: Array, cell_size: float) -
 
 
 def results_of(
-    agent: str, houses: Sequence[IndoorHouse], episodes: Sequence[Episode], searches: Searches
+    agent: str, houses: Sequence[IndoorHouse], episodes: Sequence[Search], searches: Searches
 ) -> list[EpisodeResult]:
     """What came of each episode.
 

@@ -14,13 +14,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from dc2g_jax.objectnav.agent import CAMERA_HEIGHT, CAMERA_PITCH, FIELD_OF_VIEW, IMAGE_SIZE
-from dc2g_jax.objectnav.mapping import MapSettings
+from dc2g_jax.objectnav.agent import INDOOR_CAMERA_HEIGHT, INDOOR_CAMERA_PITCH, INDOOR_FIELD_OF_VIEW, INDOOR_IMAGE_SIZE
+from dc2g_jax.objectnav.mapping import IndoorMapSettings
 from dc2g_jax.vehicles.vehicle import wrapped
 
 #: Range of the robot's camera, meters, and angle of its image's lower edge below the horizon, radians.
-CAMERA_RANGE = MapSettings().reach
-_LOWEST_VIEW = CAMERA_PITCH + math.atan(math.tan(math.radians(FIELD_OF_VIEW) / 2) * IMAGE_SIZE[0] / IMAGE_SIZE[1])
+_CAMERA_RANGE = IndoorMapSettings().reach
+_LOWEST_VIEW = INDOOR_CAMERA_PITCH + math.atan(
+    math.tan(math.radians(INDOOR_FIELD_OF_VIEW) / 2) * INDOOR_IMAGE_SIZE[0] / INDOOR_IMAGE_SIZE[1]
+)
 
 #: Stands for the first view of a cell that no view shows.
 NEVER = 255
@@ -76,16 +78,16 @@ def visible(
       cell: cell of the camera, which is above its center.
       heading: heading of the camera.
     """
-    half = math.radians(FIELD_OF_VIEW) / 2
-    bearings = heading + jnp.linspace(-half, half, math.ceil(2 * half * CAMERA_RANGE / (0.84 * cell_size)))
-    distance = 0.7 * cell_size * (1 + jnp.arange(math.ceil(CAMERA_RANGE / (0.7 * cell_size))))
+    half = math.radians(INDOOR_FIELD_OF_VIEW) / 2
+    bearings = heading + jnp.linspace(-half, half, math.ceil(2 * half * _CAMERA_RANGE / (0.84 * cell_size)))
+    distance = 0.7 * cell_size * (1 + jnp.arange(math.ceil(_CAMERA_RANGE / (0.7 * cell_size))))
     along = jnp.stack([-jnp.sin(bearings), jnp.cos(bearings)], axis=-1)[:, None] * distance[:, None] / cell_size
     cells = jnp.floor(cell + 0.5 + along).astype(jnp.int32)
     inside = jnp.all((cells >= 0) & (cells < jnp.array(heights.shape)), axis=-1)
     top = heights.at[cells[..., 0], cells[..., 1]].get(mode="clip")
-    slope = (top - CAMERA_HEIGHT) / distance
+    slope = (top - INDOOR_CAMERA_HEIGHT) / distance
     before = jnp.pad(jax.lax.cummax(slope, axis=1)[:, :-1], ((0, 0), (1, 0)), constant_values=-jnp.inf)
-    in_view = inside & (distance <= CAMERA_RANGE) & (slope >= -math.tan(_LOWEST_VIEW))
+    in_view = inside & (distance <= _CAMERA_RANGE) & (slope >= -math.tan(_LOWEST_VIEW))
     return cells, in_view & (slope > before)
 
 

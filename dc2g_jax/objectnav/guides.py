@@ -17,7 +17,7 @@ from dc2g_jax.objectnav.agent import Agent, Guidance, Guide, Robot, Site
 from dc2g_jax.objectnav.classes import GOALS
 from dc2g_jax.objectnav.cost_maps import inflated
 from dc2g_jax.objectnav.goal_reacher import distance_to_object, without_specks
-from dc2g_jax.objectnav.mapping import EXPLORED, OBSTACLE, has, has_any_class, square, window
+from dc2g_jax.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, has, has_any_class, square, window
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 
 #: A path counts if it begins within this many cells of the robot in rows and columns: a robot that has collided stands
@@ -56,7 +56,7 @@ class NoIdea:
 
 
 @struct.dataclass
-class Frontier:
+class NearestFrontier:
     """Guide to the nearest unseen floor on the local map, or on the whole map if none is left on the local one.
 
     Small specks of unseen floor count only if nothing else is left.
@@ -92,7 +92,7 @@ class Predicted:
         """See `Guide`."""
         del key
         cells = window(robot.map, robot.local_middle, agent.mapping.local)
-        closed = inflated(has(cells, OBSTACLE), agent.controller.limits.radius, agent.mapping.cell_size)
+        closed = inflated(has(cells, OBSTACLE_CHANNEL), agent.controller.limits.radius, agent.mapping.cell_size)
         return Guidance(jnp.where(closed, jnp.inf, self.costs.of(robot, site, agent)), jnp.bool_(False))
 
 
@@ -101,7 +101,7 @@ class PromisingFrontier:
     """Guide to the unseen floor with the least sum of distance and predicted cost.
 
     This is the rule of this package's `dc2g` planner. The paper's agent instead descends the predicted costs, which
-    have local minima; distances over seen floor have none. If nothing unseen is near, this guide is `Frontier`.
+    have local minima; distances over seen floor have none. If nothing unseen is near, this guide is `NearestFrontier`.
 
     Attributes:
       costs: the prediction.
@@ -120,7 +120,7 @@ class PromisingFrontier:
         return jax.lax.cond(
             _begins_here(distance),
             lambda: Guidance(distance, jnp.bool_(False)),
-            lambda: Frontier().guide(key, robot, site, agent),
+            lambda: NearestFrontier().guide(key, robot, site, agent),
         )
 
 
@@ -140,7 +140,7 @@ class GoalReacher:
         """See `Guide`."""
         cells = window(robot.map, robot.local_middle, agent.mapping.local)
         goals = without_specks(has(cells, jnp.asarray(GOALS)[robot.target] - 1))
-        obstacles = has(cells, OBSTACLE)
+        obstacles = has(cells, OBSTACLE_CHANNEL)
 
         def to_goals() -> Float[Array, "n n"]:
             radius, cell_size = agent.controller.limits.radius, agent.mapping.cell_size
@@ -164,8 +164,8 @@ def _begins_here(distance: Float[Array, "n n"]) -> Bool[Array, ""]:
 
 def _ground(cells: UInt32[Array, "n n"], agent: Agent) -> tuple[Bool[Array, "n n"], Bool[Array, "n n"]]:
     """Seen cells in which the robot fits, and unseen cells beside them."""
-    known = has(cells, EXPLORED)
-    passable = ~inflated(has(cells, OBSTACLE), agent.controller.limits.radius, agent.mapping.cell_size)
+    known = has(cells, EXPLORED_CHANNEL)
+    passable = ~inflated(has(cells, OBSTACLE_CHANNEL), agent.controller.limits.radius, agent.mapping.cell_size)
     ground = known & passable
     beside = functools.reduce(jnp.logical_or, (shifted(ground, dx, dy, False) for dx, dy in FOUR_CONNECTED))
     return ground, beside & passable & ~known

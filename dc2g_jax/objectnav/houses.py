@@ -9,7 +9,7 @@ from dc2g_jax.datasets.houses import PROCEDURAL, tell_on_stderr
 from dc2g_jax.datasets.maps import SPLITS
 from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.floor_plans import draw_plan
-from dc2g_jax.objectnav.plan_cells import CELL_SIZE, world_from_plan
+from dc2g_jax.objectnav.plan_cells import PLAN_CELL_SIZE, world_from_plan
 from dc2g_jax.objectnav.procthor import read_procthor
 from dc2g_jax.objectnav.worlds import IndoorWorld
 
@@ -37,7 +37,7 @@ def indoor_houses(
     split: str = "train",
     *,
     count: int | None = None,
-    cell_size: float = CELL_SIZE,
+    cell_size: float = PLAN_CELL_SIZE,
     seed: int = 0,
     strict: bool = False,
     log: Callable[[str], None] = tell_on_stderr,

@@ -27,16 +27,16 @@ from dc2g_jax.objectnav.classes import SEMANTIC_CLASSES
 from dc2g_jax.vehicles.footprint import cell_at
 
 #: Channels of a map: the classes (class index 1 + channel), then obstacles, then explored cells.
-OBSTACLE, EXPLORED = SEMANTIC_CLASSES, SEMANTIC_CLASSES + 1
-CHANNELS = SEMANTIC_CLASSES + 2
-if CHANNELS > 32:
+OBSTACLE_CHANNEL, EXPLORED_CHANNEL = SEMANTIC_CLASSES, SEMANTIC_CLASSES + 1
+MAP_CHANNELS = SEMANTIC_CLASSES + 2
+if MAP_CHANNELS > 32:
     raise ValueError(
         f"{SEMANTIC_CLASSES} indoor classes: a cell of the map has 32 bits, so merge some, 30 are possible"
     )
 
 
 @struct.dataclass
-class MapSettings:
+class IndoorMapSettings:
     """Extent and thresholds of a map. Static under `jit`.
 
     Attributes:
@@ -94,7 +94,7 @@ class IndoorMap:
     origin: Int[Array, "2"]
 
 
-def empty_map(position: Float[Array, "2"], settings: MapSettings) -> IndoorMap:
+def empty_map(position: Float[Array, "2"], settings: IndoorMapSettings) -> IndoorMap:
     """A map without observations, centered on the robot's start (x and y, meters)."""
     origin = grid_cell(position, settings.cell_size) - settings.cells // 2
     return IndoorMap(cells=jnp.zeros((settings.cells, settings.cells), jnp.uint32), origin=origin)
@@ -115,7 +115,7 @@ def has_any_class(cells: UInt32[Array, "h w"]) -> Bool[Array, "h w"]:
     return cells & jnp.uint32((1 << SEMANTIC_CLASSES) - 1) > 0
 
 
-def integrate(indoor_map: IndoorMap, frame: Frame, intrinsics: Intrinsics, settings: MapSettings) -> IndoorMap:
+def integrate(indoor_map: IndoorMap, frame: Frame, intrinsics: Intrinsics, settings: IndoorMapSettings) -> IndoorMap:
     """Integrate one frame into the map. Pixels without return, or with a return out of reach, are skipped.
 
     A cell whose floor is in view, without anything that the robot could hit, loses its obstacle and classes. This
@@ -139,14 +139,14 @@ def integrate(indoor_map: IndoorMap, frame: Frame, intrinsics: Intrinsics, setti
     found = _found(frame, intrinsics, usable, corner + indoor_map.origin, settings)
     floor = _floor_in_view(frame, intrinsics, usable, corner + indoor_map.origin, settings)
     before = jax.lax.dynamic_slice(indoor_map.cells, corner, (side, side))
-    kept = jnp.where(floor & ~has(found, OBSTACLE), jnp.uint32(0), before)
-    after = kept | found | (floor.astype(jnp.uint32) << EXPLORED)
+    kept = jnp.where(floor & ~has(found, OBSTACLE_CHANNEL), jnp.uint32(0), before)
+    after = kept | found | (floor.astype(jnp.uint32) << EXPLORED_CHANNEL)
     return dataclasses.replace(indoor_map, cells=jax.lax.dynamic_update_slice(indoor_map.cells, after, corner))
 
 
 def _found(
     frame: Frame, intrinsics: Intrinsics, usable: Bool[Array, "height width"], corner: Int[Array, "2"],
-    settings: MapSettings,
+    settings: IndoorMapSettings,
 ) -> UInt32[Array, "n n"]:  # fmt: skip
     """The channels that a frame's points set in a window, given the window's first cell in the world's grid."""
     side = settings.window
@@ -167,7 +167,7 @@ def _found(
 
 
 def _booked(
-    shown: Float[Array, "height width 3"], origin: Float[Array, "3"], settings: MapSettings
+    shown: Float[Array, "height width 3"], origin: Float[Array, "3"], settings: IndoorMapSettings
 ) -> Int[Array, "2 height width"]:
     """Row and column of the cell to which each point is assigned.
 
@@ -189,7 +189,7 @@ def _booked(
 
 def _floor_in_view(
     frame: Frame, intrinsics: Intrinsics, usable: Bool[Array, "height width"], corner: Int[Array, "2"],
-    settings: MapSettings,
+    settings: IndoorMapSettings,
 ) -> Bool[Array, "n n"]:  # fmt: skip
     """Cells of the window whose center is visible floor.
 
@@ -209,7 +209,9 @@ def _floor_in_view(
     return in_view & usable[row, column] & (frame.depth[row, column] >= forward)
 
 
-def stood_on(indoor_map: IndoorMap, position: Float[Array, "2"], radius: float, settings: MapSettings) -> IndoorMap:
+def stood_on(
+    indoor_map: IndoorMap, position: Float[Array, "2"], radius: float, settings: IndoorMapSettings
+) -> IndoorMap:
     """Mark the cells around the robot as explored, whether it has seen them or not.
 
     Obstacles and classes do not change. Cells behind a nearby wall are marked as well.
@@ -231,7 +233,7 @@ def stood_on(indoor_map: IndoorMap, position: Float[Array, "2"], radius: float, 
     return dataclasses.replace(
         indoor_map,
         cells=indoor_map.cells.at[jnp.where(inside, row, settings.cells), column].set(
-            before | jnp.uint32(1 << EXPLORED), mode="drop"
+            before | jnp.uint32(1 << EXPLORED_CHANNEL), mode="drop"
         ),
     )
 
@@ -264,18 +266,18 @@ def square(grid: Shaped[Array, "h w"], first: Int[Array, "2"], side: int, beyond
 
 def channels(cells: UInt32[Array, "h w"]) -> Float[Array, "18 h w"]:
     """The 18 channels of the cells, 0 or 1: classes, obstacle, explored."""
-    return ((cells >> jnp.arange(CHANNELS, dtype=jnp.uint32)[:, None, None]) & 1).astype(jnp.float32)
+    return ((cells >> jnp.arange(MAP_CHANNELS, dtype=jnp.uint32)[:, None, None]) & 1).astype(jnp.float32)
 
 
 def local_crop(
-    indoor_map: IndoorMap, position: Float[Array, "2"], settings: MapSettings
+    indoor_map: IndoorMap, position: Float[Array, "2"], settings: IndoorMapSettings
 ) -> Float[Array, "18 local local"]:
     """The channels of the map around a robot (x and y, meters), not rotated: the paper's local map."""
     return channels(window(indoor_map, grid_cell(position, settings.cell_size), settings.local))
 
 
 def global_pooled(
-    indoor_map: IndoorMap, position: Float[Array, "2"], settings: MapSettings
+    indoor_map: IndoorMap, position: Float[Array, "2"], settings: IndoorMapSettings
 ) -> Float[Array, "18 local local"]:
     """The channels of the whole map, averaged to the size of the local one: the paper's global map.
 
@@ -284,12 +286,12 @@ def global_pooled(
     local, pool = settings.local, settings.cells // settings.local
     cells = window(indoor_map, grid_cell(position, settings.cell_size), settings.cells)
     squares = cells.reshape(local, pool, local, pool)
-    bits = (squares >> jnp.arange(CHANNELS, dtype=jnp.uint32)[:, None, None, None, None]) & 1
+    bits = (squares >> jnp.arange(MAP_CHANNELS, dtype=jnp.uint32)[:, None, None, None, None]) & 1
     return jnp.sum(bits, axis=(2, 4), dtype=jnp.uint32).astype(jnp.float32) / pool**2
 
 
 def network_input(
-    indoor_map: IndoorMap, position: Float[Array, "2"], settings: MapSettings
+    indoor_map: IndoorMap, position: Float[Array, "2"], settings: IndoorMapSettings
 ) -> Float[Array, "36 local local"]:
     """The network's input maps (section II-B): the channels of the local map, then those of the global map."""
     return jnp.concatenate([local_crop(indoor_map, position, settings), global_pooled(indoor_map, position, settings)])

@@ -24,17 +24,17 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.mapping.camera import CameraPose, intrinsics, rays
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.mapping.simulator import FACE_TOP, FACE_X, cast
-from dc2g_jax.objectnav.agent import FIELD_OF_VIEW
-from dc2g_jax.objectnav.classes import CLASS_NAMES
+from dc2g_jax.objectnav.agent import INDOOR_FIELD_OF_VIEW
+from dc2g_jax.objectnav.classes import OBJECT_CLASSES
 from dc2g_jax.objectnav.paint import NO_COLOR
 from dc2g_jax.objectnav.weights import flattened, read_safetensors, read_weights, write_safetensors
 from dc2g_jax.programs import jit
 from dc2g_jax.training.loop import Losses, Task
 
 #: Rows and columns of a picture, and of what the encoder is asked about it.
-IMAGE_SIZE = (48, 64)
+VIEW_SIZE = (48, 64)
 _BLOCK = 4
-_ASKED = (IMAGE_SIZE[0] // _BLOCK, IMAGE_SIZE[1] // _BLOCK)
+_ASKED = (VIEW_SIZE[0] // _BLOCK, VIEW_SIZE[1] // _BLOCK)
 
 #: Pixels that an object's class must have to be in a picture, and the farthest depth that is told apart, meters.
 _PRESENT, _FAR = 12, 10.0
@@ -47,7 +47,7 @@ _LIGHT = (0.82, 0.7, 1.0)
 
 
 @struct.dataclass
-class View:
+class CameraView:
     """What a camera sees.
 
     Attributes:
@@ -74,7 +74,7 @@ class ImageEncoder(Protocol):
         ...
 
 
-def view(scene: Scene, paint: UInt8[Array, "h w 3"], pose: CameraPose) -> View:
+def view(scene: Scene, paint: UInt8[Array, "h w 3"], pose: CameraPose) -> CameraView:
     """What the camera of a robot sees of a house, as far as it reaches.
 
     Args:
@@ -83,11 +83,11 @@ def view(scene: Scene, paint: UInt8[Array, "h w 3"], pose: CameraPose) -> View:
       pose: of the camera.
     """
     to_hit = jax.vmap(jax.vmap(lambda ray: cast(scene, pose.position, ray, jnp.float32(math.inf))))
-    hits = to_hit(rays(intrinsics(FIELD_OF_VIEW, *IMAGE_SIZE), pose))
+    hits = to_hit(rays(intrinsics(INDOOR_FIELD_OF_VIEW, *VIEW_SIZE), pose))
     met = hits.distance > 0
     light = jnp.asarray(_LIGHT, jnp.float32)[jnp.where(hits.face == FACE_TOP, 2, jnp.where(hits.face == FACE_X, 0, 1))]
     colors = paint.at[hits.row, hits.column].get(mode="clip") * light[..., None]
-    return View(
+    return CameraView(
         image=jnp.where(met[..., None], colors, jnp.asarray(NO_COLOR, jnp.float32)).astype(jnp.uint8),
         depth=hits.distance,
         classes=jnp.where(met, scene.classes.at[hits.row, hits.column].get(mode="clip"), 0).astype(jnp.uint8),
@@ -133,8 +133,8 @@ class SmallEncoder(nnx.Module):
         self.vector = nnx.Linear(rows * columns * third, architecture.features, rngs=rngs)
         self.widen = nnx.Linear(architecture.features, _ASKED[0] * _ASKED[1] * 8, rngs=rngs)
         self.smooth = nnx.Conv(8, 32, (3, 3), rngs=rngs)
-        self.blocks = nnx.Linear(32, len(CLASS_NAMES) + 1, rngs=rngs)
-        self.presence = nnx.Linear(architecture.features, len(CLASS_NAMES), rngs=rngs)
+        self.blocks = nnx.Linear(32, len(OBJECT_CLASSES) + 1, rngs=rngs)
+        self.presence = nnx.Linear(architecture.features, len(OBJECT_CLASSES), rngs=rngs)
 
     def encode(self, images: UInt8[Array, "b 48 64 3"]) -> Float[Array, "b f"]:
         """The features of pictures, from -1 to 1."""
@@ -202,7 +202,7 @@ class ConvolutionEncoder:
     @property
     def size(self) -> int:
         """Length of the vector."""
-        image = jax.ShapeDtypeStruct((1, *IMAGE_SIZE, 3), jnp.uint8)
+        image = jax.ShapeDtypeStruct((1, *VIEW_SIZE, 3), jnp.uint8)
         return jax.eval_shape(lambda images: self.encode(images), image).shape[1]
 
     def encode(self, images: UInt8[Array, "b h w 3"]) -> Float[Array, "b f"]:
@@ -267,11 +267,11 @@ def load_encoder(path: str | Path) -> TrainedEncoder | ConvolutionEncoder:
     return ConvolutionEncoder(kernels=kernels, biases=biases, stride=int(stride))
 
 
-def task_losses(answers: Answers, views: View) -> dict[str, Float[Array, ""]]:
+def task_losses(answers: Answers, views: CameraView) -> dict[str, Float[Array, ""]]:
     """Mean losses of the three tasks over a batch: cross entropies in nats, error of the depth in tens of meters."""
     classes = views.classes[:, _BLOCK // 2 :: _BLOCK, _BLOCK // 2 :: _BLOCK]
     depth = views.depth[:, _BLOCK // 2 :: _BLOCK, _BLOCK // 2 :: _BLOCK]
-    present = jnp.sum(jax.nn.one_hot(views.classes, len(CLASS_NAMES)), axis=(1, 2)) >= _PRESENT
+    present = jnp.sum(jax.nn.one_hot(views.classes, len(OBJECT_CLASSES)), axis=(1, 2)) >= _PRESENT
     error = jnp.abs(answers.depth - jnp.minimum(depth, _FAR) / 10)
     return {
         "segmentation": jnp.mean(optax.softmax_cross_entropy_with_integer_labels(answers.classes, classes)),
@@ -297,7 +297,7 @@ class EncoderState:
 
 def encoder_task(
     architecture: EncoderArchitecture,
-    views: View,
+    views: CameraView,
     *,
     steps: int,
     save: Callable[[TrainedEncoder, dict[str, float]], None],
@@ -320,12 +320,12 @@ def encoder_task(
         weights = init_encoder(architecture, jax.random.key(seed))
         return EncoderState(step=jnp.int32(0), weights=weights, optimizer=optimizer.init(weights))
 
-    def losses(weights: Any, views: View) -> dict[str, Float[Array, ""]]:
+    def losses(weights: Any, views: CameraView) -> dict[str, Float[Array, ""]]:
         network = build_encoder(architecture, weights)
         return task_losses(network.answer(network.encode(views.image)), views)
 
     @functools.partial(jit, donate_argnames="state")
-    def step(state: EncoderState, views: View) -> tuple[EncoderState, Float[Array, ""]]:
+    def step(state: EncoderState, views: CameraView) -> tuple[EncoderState, Float[Array, ""]]:
         key = jax.random.fold_in(jax.random.key(seed + 1), state.step)
         chosen = jax.random.randint(key, (batch_size,), 0, len(views.image))
         batch = jax.tree.map(lambda leaf: leaf[chosen], views)

@@ -25,12 +25,12 @@ from jaxtyping import Array, Bool, Float, Int, Integer, UInt8
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.networks.compact_unet import Down, Residual, Up
-from dc2g_jax.objectnav.classes import CLASS_NAMES, GOALS, SEMANTIC_CLASSES
-from dc2g_jax.objectnav.mapping import CHANNELS as MAP_CHANNELS
+from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES, SEMANTIC_CLASSES
+from dc2g_jax.objectnav.mapping import MAP_CHANNELS
 from dc2g_jax.objectnav.weights import flattened, read_safetensors, read_weights, write_safetensors
 
 #: Channels of the network's input: of the local map, then of the global one.
-CHANNELS = 2 * MAP_CHANNELS
+INPUT_CHANNELS = 2 * MAP_CHANNELS
 
 #: The directions that the robot may look in, 45 degrees each (Fig. 3).
 BINS = 8
@@ -182,7 +182,7 @@ class CostMapNetwork(nnx.Module):
     def __init__(self, architecture: CostMapArchitecture, *, rngs: nnx.Rngs):
         widths, wide = architecture.widths, architecture.feature_width
         self.architecture = architecture
-        self.embed = nnx.Linear(CHANNELS * architecture.patch**2, widths[0], rngs=rngs)
+        self.embed = nnx.Linear(INPUT_CHANNELS * architecture.patch**2, widths[0], rngs=rngs)
         self.first = Residual(widths[0], rngs=rngs)
         for level in range(len(widths) - 1):
             setattr(self, f"down{level}", Down(widths[level], widths[level + 1], rngs=rngs))
@@ -203,7 +203,7 @@ class CostMapNetwork(nnx.Module):
         """Predict for a batch; see `apply`."""
         inputs = self.architecture.inputs
         if not inputs.semantics:
-            semantic = np.arange(CHANNELS) % MAP_CHANNELS < SEMANTIC_CLASSES
+            semantic = np.arange(INPUT_CHANNELS) % MAP_CHANNELS < SEMANTIC_CLASSES
             maps = maps * jnp.asarray(~semantic, maps.dtype)[:, None, None]
         at = self.first(self.embed(_patches(maps, self.architecture.patch)))
         skipped = [at]
@@ -292,7 +292,7 @@ def save_estimator(path: str | Path, estimator: CostMapEstimator, facts: dict[st
     """
     tensors = {name: np.asarray(leaf, np.float16) for name, leaf in flattened(estimator.weights).items()}
     architecture = json.dumps(dataclasses.asdict(estimator.architecture))
-    card = json.dumps({"channels": CHANNELS, "classes": CLASS_NAMES, **facts})
+    card = json.dumps({"channels": INPUT_CHANNELS, "classes": OBJECT_CLASSES, **facts})
     write_safetensors(path, tensors, {"architecture": architecture, "card": card})
 
 
@@ -311,6 +311,6 @@ def load_estimator(path: str | Path) -> tuple[CostMapEstimator, dict[str, Any]]:
         shapes, classes = weight_shapes(architecture), tuple(card["classes"])
     except (KeyError, TypeError, ValueError):
         raise InputError(f"{path}: its metadata describe no network; {remedy}") from None
-    if classes != CLASS_NAMES:
+    if classes != OBJECT_CLASSES:
         raise InputError(f"{path}: the network was trained on another list of classes; train it anew")
     return CostMapEstimator(weights=read_weights(path, shapes, tensors), architecture=architecture), card

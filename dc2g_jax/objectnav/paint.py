@@ -7,7 +7,7 @@ by the type of room, since kitchens and bathrooms have other floors than bedroom
 import numpy as np
 from jaxtyping import UInt8
 
-from dc2g_jax.objectnav.classes import BATHROOM, BEDROOM, CLASS_COLORS, KITCHEN, LIVING_ROOM
+from dc2g_jax.objectnav.classes import BATHROOM, BEDROOM, KITCHEN, LIVING_ROOM, OBJECT_COLORS
 from dc2g_jax.objectnav.worlds import IndoorWorld
 
 #: Colors of floors by type of room, of walls, and of the outside.
@@ -22,7 +22,7 @@ def painted(world: IndoorWorld, rng: np.random.Generator) -> UInt8[np.ndarray, "
       world: one house.
       rng: random number generator of the variation between objects.
     """
-    objects = np.append(CLASS_COLORS[np.asarray(world.objects.classes)], [_WALL], axis=0)
+    objects = np.append(OBJECT_COLORS[np.asarray(world.objects.classes)], [_WALL], axis=0)
     objects = objects + rng.normal(0, 14, objects.shape)
     kinds = np.asarray(world.room_kinds)
     floors = np.array([_FLOORS.get(int(kind), NO_COLOR) for kind in kinds]) + rng.normal(0, 10, (len(kinds), 3))

@@ -17,7 +17,7 @@ from dc2g_jax.objectnav.plans import Furniture, HousePlan, Room, Segment
 from dc2g_jax.objectnav.worlds import IndoorWorld, Objects
 
 #: Side of a cell, meters: the paper's map of 420 cells is then 21 m wide.
-CELL_SIZE = 0.05
+PLAN_CELL_SIZE = 0.05
 
 #: Height of walls, and their thickness unless cells are larger; meters.
 WALL_HEIGHT = 2.5
@@ -78,7 +78,7 @@ def _span(start: float, end: float, cell_size: float, cells: int) -> slice:
     return slice(first, min(max(math.ceil(end / cell_size), first), cells))
 
 
-def world_from_plan(plan: HousePlan, cell_size: float = CELL_SIZE) -> IndoorWorld:
+def world_from_plan(plan: HousePlan, cell_size: float = PLAN_CELL_SIZE) -> IndoorWorld:
     """Rasterize a house. A cell belongs to whatever contains its center.
 
     Objects whose center is outside all rooms are left out.
@@ -91,7 +91,7 @@ def world_from_plan(plan: HousePlan, cell_size: float = CELL_SIZE) -> IndoorWorl
       InputError: the cell size is not positive, or the grid would have more than `MOST_CELLS` cells along a side.
     """
     if not (math.isfinite(cell_size) and cell_size > 0):
-        raise InputError(f"cell size {cell_size}: give the meters of a cell, such as {CELL_SIZE}")
+        raise InputError(f"cell size {cell_size}: give the meters of a cell, such as {PLAN_CELL_SIZE}")
     grid = _Grid.over(plan, cell_size)
     floor = _floor(grid, plan.rooms)
     walls = _walls(grid, plan)

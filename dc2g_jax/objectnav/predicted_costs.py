@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.agent import Agent, Robot, Site, camera_pose
-from dc2g_jax.objectnav.mapping import MapSettings, network_input
+from dc2g_jax.objectnav.mapping import IndoorMapSettings, network_input
 from dc2g_jax.objectnav.midlevel import ImageEncoder, load_encoder, view
 from dc2g_jax.objectnav.networks import CostMapEstimator, fused_cost, load_estimator
 
@@ -88,10 +88,10 @@ def load_costs(folder: Path) -> PredictedCosts[CostMapEstimator]:
         if not (folder / name).is_file():
             raise InputError(f"{folder}: has no {name}; give a folder that experiments.objectnav_train has written")
     (estimator, card), encoder = load_estimator(folder / NETWORK_FILE), load_encoder(folder / ENCODER_FILE)
-    if card.get("cell_size", MapSettings.cell_size) != MapSettings.cell_size:
+    if card.get("cell_size", IndoorMapSettings.cell_size) != IndoorMapSettings.cell_size:
         raise InputError(
             f"{folder}: the network was trained on cells of {card['cell_size']:g} m, maps here have "
-            f"{MapSettings.cell_size:g} m; train one anew"
+            f"{IndoorMapSettings.cell_size:g} m; train one anew"
         )
     if encoder.size != estimator.architecture.features:
         raise InputError(

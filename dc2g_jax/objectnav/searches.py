@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.agent import DECLARED, Agent, Robot, Site, leg, reset, site_of, under_way
-from dc2g_jax.objectnav.classes import CLASS_NAMES, GOALS
+from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.starts import sample_starts
 from dc2g_jax.objectnav.worlds import pad_world
@@ -29,7 +29,7 @@ TIME_LIMIT = 500
 _FIRST_LEGS = 5
 
 
-class Episode(NamedTuple):
+class Search(NamedTuple):
     """A search to be made.
 
     Attributes:
@@ -64,7 +64,7 @@ class Searches:
     bumps: Int[np.ndarray, "episodes"]
 
 
-def sample_episodes(houses: Sequence[IndoorHouse], per_house: int, *, seed: int = 0) -> list[Episode]:
+def sample_episodes(houses: Sequence[IndoorHouse], per_house: int, *, seed: int = 0) -> list[Search]:
     """Random starts with a random target each, of the classes that can be reached in the house (section III-C).
 
     Houses in which no object of any class can be reached are passed over.
@@ -77,14 +77,14 @@ def sample_episodes(houses: Sequence[IndoorHouse], per_house: int, *, seed: int 
     Raises:
       InputError: there is no episode at all.
     """
-    episodes: list[Episode] = []
+    episodes: list[Search] = []
     for house in houses:
         rng = np.random.default_rng([seed, *house.name.encode()])
         drawn = {goal: sample_starts(house.world, goal, per_house, rng=rng) for goal in GOALS}
         goals = [goal for goal in GOALS if len(drawn[goal])]
         for number, goal in enumerate(rng.choice(goals, per_house).tolist() if goals else []):
             x, y, yaw = drawn[goal][number].tolist()
-            episodes.append(Episode(house.name, CLASS_NAMES[goal], x, y, yaw))
+            episodes.append(Search(house.name, OBJECT_CLASSES[goal], x, y, yaw))
     if not episodes:
         raise InputError(f"no object can be searched for in {len(houses)} houses; give others, or more of them")
     return episodes
@@ -93,7 +93,7 @@ def sample_episodes(houses: Sequence[IndoorHouse], per_house: int, *, seed: int 
 def search_all(
     agent: Agent,
     houses: Sequence[IndoorHouse],
-    episodes: Sequence[Episode],
+    episodes: Sequence[Search],
     *,
     limit: int = TIME_LIMIT,
     seed: int = 0,
@@ -116,7 +116,7 @@ def search_all(
     keys = jax.random.split(jax.random.key(seed), len(episodes))
     where = np.array([site_numbers[episode.house] for episode in episodes], np.int32)
     starts = np.array([(episode.x, episode.y, episode.yaw) for episode in episodes], np.float32)
-    targets = np.array([GOALS.index(CLASS_NAMES.index(episode.target)) for episode in episodes], np.int32)
+    targets = np.array([GOALS.index(OBJECT_CLASSES.index(episode.target)) for episode in episodes], np.int32)
 
     def serve(device: jax.Device, own: Int[np.ndarray, "own"], report: Report) -> Searches:
         on_device = functools.partial(jax.device_put, device=device)

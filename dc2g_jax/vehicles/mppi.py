@@ -74,7 +74,7 @@ class MPPISettings:
 
 
 @struct.dataclass
-class Samples:
+class SampledPlans:
     """The sampled copies of a plan.
 
     Attributes:
@@ -101,7 +101,7 @@ def plan(
     state: VehicleState,
     cost_of_pose: CostOfPose,
     settings: MPPISettings,
-) -> tuple[Float[Array, "h 2"], Samples]:
+) -> tuple[Float[Array, "h 2"], SampledPlans]:
     """Improve a plan by one step of IT-MPC. Apply its first command, then `shift` it for the next call.
 
     Args:
@@ -140,7 +140,7 @@ def improved(
     state: VehicleState,
     cost_of_pose: CostOfPose,
     settings: MPPISettings,
-) -> tuple[Float[Array, "h 2"], Samples]:
+) -> tuple[Float[Array, "h 2"], SampledPlans]:
     """The plan moved by the weighted mean of its noise (equation 6).
 
     The noise is first clipped by the vehicle's limits on velocities and accelerations in every copy, so the new plan
@@ -160,7 +160,7 @@ def improved(
     # exp(-(S - min S) / lambda) / eta: softmax subtracts the largest exponent, that of the least cost, first.
     weights = jax.nn.softmax(-costs / settings.temperature)
     new = controls + jnp.einsum("k,khi->hi", weights, commands - controls)
-    return new, Samples(path=path, commands=commands, costs=costs, weights=weights)
+    return new, SampledPlans(path=path, commands=commands, costs=costs, weights=weights)
 
 
 def _driven(state: VehicleState, commands: Float[Array, "k h 2"], settings: MPPISettings) -> VehicleState:

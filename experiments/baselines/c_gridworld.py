@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from .problem import (
-    PLANNERS,
+    BASELINES,
+    BaselineName,
     BaselineUnavailable,
-    Offsets,
+    HeadingOffsets,
     Outcome,
-    PlannerName,
     Problem,
     empty_outcome,
 )
@@ -73,11 +73,11 @@ def _address(array: np.ndarray) -> ctypes.c_void_p:
     return array.ctypes.data_as(ctypes.c_void_p)
 
 
-def _addresses(offsets: Offsets) -> list[ctypes.c_void_p]:
+def _addresses(offsets: HeadingOffsets) -> list[ctypes.c_void_p]:
     return [_address(array) for array in offsets]
 
 
-def _run(problem: Problem, planner: PlannerName) -> Outcome:
+def _run(problem: Problem, planner: BaselineName) -> Outcome:
     """Run every episode, one after another."""
     outcome = empty_outcome(problem)
     _, height, width = problem.traversable.shape
@@ -92,7 +92,7 @@ def _run(problem: Problem, planner: PlannerName) -> Outcome:
         *_addresses(problem.sensing),
         *_addresses(problem.expanding),
         int(problem.complete),
-        PLANNERS.index(planner),
+        BASELINES.index(planner),
         problem.step_limit,
         _address(outcome.steps),
         _address(outcome.success),
@@ -103,7 +103,7 @@ def _run(problem: Problem, planner: PlannerName) -> Outcome:
     return outcome
 
 
-def run_episodes(problem: Problem, planner: PlannerName, *, threads: int = 1) -> Outcome:
+def run_episodes(problem: Problem, planner: BaselineName, *, threads: int = 1) -> Outcome:
     """Run every episode: one after another on one core, or dealt out to several, each of which does the same.
 
     Args:

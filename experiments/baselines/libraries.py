@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 Cells = npt.NDArray[np.bool_]
-Grid = npt.NDArray[np.float64]
+CostGrid = npt.NDArray[np.float64]
 
 
 def reachable_scipy(free: Cells, x: int, y: int) -> Cells:
@@ -25,7 +25,7 @@ def reachable_scipy(free: Cells, x: int, y: int) -> Cells:
     return labels == labels[y, x]
 
 
-def cost_to_go_skimage(traversable: Cells, goals: Cells) -> Grid:
+def cost_to_go_skimage(traversable: Cells, goals: Cells) -> CostGrid:
     """Least travel cost to the nearest goal cell, 8-connected: the answer of `search.cost_to_go`.
 
     Args:

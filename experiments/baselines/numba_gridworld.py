@@ -9,7 +9,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from .problem import PLANNERS, Offsets, Outcome, PlannerName, Problem, empty_outcome
+from .problem import BASELINES, BaselineName, HeadingOffsets, Outcome, Problem, empty_outcome
 
 _Cells = npt.NDArray[np.uint8]  # 0 or 1, [h w]
 _Poses = npt.NDArray[np.uint8]  # [4 h w]
@@ -20,7 +20,7 @@ _Robot = tuple[_Cells, _Cells, _Cells, _Poses, _Poses, _Poses, _Queue]
 _FORWARD_X = np.array([1, 0, -1, 0])
 _FORWARD_Y = np.array([0, 1, 0, -1])
 _NO_PLAN = -1
-_ORACLE, _FRONTIER_LAZY = PLANNERS.index("oracle"), PLANNERS.index("frontier_lazy")
+_ORACLE, _FRONTIER_LAZY = BASELINES.index("oracle"), BASELINES.index("frontier_lazy")
 _NEAREST, _NEAREST_SMALLEST, _LAZY = 0, 1, 2
 
 
@@ -43,7 +43,9 @@ def _moved(x: int, y: int, heading: int, action: int, height: int, width: int) -
 
 
 @_compiled
-def _observe(seen: _Cells, free: _Cells, traversable: _Cells, sensing: Offsets, x: int, y: int, heading: int) -> None:
+def _observe(
+    seen: _Cells, free: _Cells, traversable: _Cells, sensing: HeadingOffsets, x: int, y: int, heading: int
+) -> None:
     """Add what is seen from a pose."""
     height, width = seen.shape
     for i in range(sensing.first[heading], sensing.first[heading + 1]):
@@ -95,7 +97,9 @@ def _wanted(seen: _Cells, reachable: _Cells, complete: bool, x: int, y: int) -> 
 
 
 @_compiled
-def _target_frontier_expanding(robot: _Robot, kernel: Offsets, complete: bool, x: int, y: int, heading: int) -> None:
+def _target_frontier_expanding(
+    robot: _Robot, kernel: HeadingOffsets, complete: bool, x: int, y: int, heading: int
+) -> None:
     """Target the frontier-expanding poses: reachable, not the current one, covering a wanted cell."""
     seen, _, reachable, targets, _, _, queue = robot
     height, width = seen.shape
@@ -116,7 +120,7 @@ def _target_frontier_expanding(robot: _Robot, kernel: Offsets, complete: bool, x
 
 
 @_compiled
-def _covers_wanted(robot: _Robot, kernel: Offsets, complete: bool, x: int, y: int, heading: int) -> bool:
+def _covers_wanted(robot: _Robot, kernel: HeadingOffsets, complete: bool, x: int, y: int, heading: int) -> bool:
     """Does a pose cover a wanted cell?"""
     seen, _, reachable, _, _, _, _ = robot
     height, width = seen.shape
@@ -129,7 +133,7 @@ def _covers_wanted(robot: _Robot, kernel: Offsets, complete: bool, x: int, y: in
 
 @_compiled
 def _first_action(
-    robot: _Robot, ground: _Cells, kernel: Offsets, complete: bool, x: int, y: int, heading: int, choice: int
+    robot: _Robot, ground: _Cells, kernel: HeadingOffsets, complete: bool, x: int, y: int, heading: int, choice: int
 ) -> int:
     """First action of the plan to the nearest target, `_NO_PLAN` where there is none. See `gridworld.c`."""
     _, _, _, targets, found, first, queue = robot
@@ -186,7 +190,7 @@ def _plan(
     robot: _Robot,
     traversable: _Cells,
     goals: _Cells,
-    kernel: Offsets,
+    kernel: HeadingOffsets,
     complete: bool,
     planner: int,
     x: int,
@@ -216,8 +220,8 @@ def _run_episodes(
     goals: npt.NDArray[np.uint8],
     world: npt.NDArray[np.int32],
     start: npt.NDArray[np.int32],
-    sensing: Offsets,
-    kernel: Offsets,
+    sensing: HeadingOffsets,
+    kernel: HeadingOffsets,
     complete: bool,
     planner: int,
     step_limit: int,
@@ -249,7 +253,7 @@ def _run_episodes(
         success[episode] = doors[y, x]
 
 
-def run_episodes(problem: Problem, planner: PlannerName) -> Outcome:
+def run_episodes(problem: Problem, planner: BaselineName) -> Outcome:
     """Run every episode, one after another on one core."""
     outcome = empty_outcome(problem)
     _run_episodes(
@@ -260,7 +264,7 @@ def run_episodes(problem: Problem, planner: PlannerName) -> Outcome:
         problem.sensing,
         problem.sensing if problem.complete else problem.expanding,
         problem.complete,
-        PLANNERS.index(planner),
+        BASELINES.index(planner),
         problem.step_limit,
         outcome,
     )

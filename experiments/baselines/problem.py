@@ -12,16 +12,16 @@ from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
 
 #: `frontier_lazy` takes the same actions as `frontier` without the whole set of frontier-expanding poses at hand: it
 #: searches outward from the robot and looks at each pose only when the search comes to it.
-PlannerName = Literal["oracle", "frontier", "frontier_lazy"]
+BaselineName = Literal["oracle", "frontier", "frontier_lazy"]
 RulesName = Literal["reference", "complete"]
-PLANNERS: tuple[PlannerName, ...] = ("oracle", "frontier", "frontier_lazy")
+BASELINES: tuple[BaselineName, ...] = ("oracle", "frontier", "frontier_lazy")
 
 
 class BaselineUnavailable(Exception):
     """A program to compare with cannot run here; the message says why."""
 
 
-class Offsets(NamedTuple):
+class HeadingOffsets(NamedTuple):
     """Offsets from the robot's cell for each heading.
 
     Attributes:
@@ -65,8 +65,8 @@ class Problem:
     goals: npt.NDArray[np.uint8]
     world: npt.NDArray[np.int32]
     start: npt.NDArray[np.int32]
-    sensing: Offsets
-    expanding: Offsets
+    sensing: HeadingOffsets
+    expanding: HeadingOffsets
     complete: bool
     step_limit: int
 
@@ -111,8 +111,8 @@ def make_problem(
         goals=np.ascontiguousarray((terrain == FRONT_DOOR).astype(np.uint8)),
         world=np.ascontiguousarray(world, np.int32),
         start=np.ascontiguousarray(start, np.int32).reshape(-1, 3),
-        sensing=Offsets.of(field_of_view(sensing_range).offsets),
-        expanding=Offsets.of(expanding_kernel(expanding_range or sensing_range).offsets),
+        sensing=HeadingOffsets.of(field_of_view(sensing_range).offsets),
+        expanding=HeadingOffsets.of(expanding_kernel(expanding_range or sensing_range).offsets),
         complete=rules == "complete",
         step_limit=step_limit,
     )

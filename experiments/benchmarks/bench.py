@@ -5,6 +5,7 @@ import functools
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from dc2g_jax.environments.functional import SENSING_RANGE
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.planners import Planner
@@ -15,9 +16,6 @@ from .rows import Row
 from .timing import Measured, Timing, measure
 from .work import count_work
 from .workload import Robots, Workload, robots_under_way, taken_over
-
-#: Reach of the field of view where it is not what varies, in cells.
-SENSING_RANGE = 8
 
 #: Robots in the middle of their episodes that batches are made of.
 _POOL = 2048

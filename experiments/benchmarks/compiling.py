@@ -17,11 +17,11 @@ from dc2g_jax.training.cost_to_go import TrainingConfig, init_state
 from dc2g_jax.training.cost_to_go_data import DataConfig
 
 from .bench import SENSING_RANGE, Bench, own
-from .programs import Program, compile_program, nothing_kept
+from .programs import CompiledProgram, compile_program, nothing_kept
 from .rows import Row
 
 
-def _reset_and_step(bench: Bench, batch: int) -> dict[str, Callable[[], Program]]:
+def _reset_and_step(bench: Bench, batch: int) -> dict[str, Callable[[], CompiledProgram]]:
     robots, sensing = bench.robots("frontier").batch(batch), bench.rules().sensing
     belief, world = robots.belief, robots.world
     actions = jnp.zeros(batch, jnp.int32)
@@ -33,14 +33,14 @@ def _reset_and_step(bench: Bench, batch: int) -> dict[str, Callable[[], Program]
     }
 
 
-def _plan(bench: Bench, planner: str, batch: int) -> Callable[[], Program]:
+def _plan(bench: Bench, planner: str, batch: int) -> Callable[[], CompiledProgram]:
     robots, chosen = bench.robots(planner).batch(batch), bench.planner(planner)
     return lambda: compile_program(
         lambda planner, belief, state: planner.plan(belief, state), chosen, robots.belief, robots.state
     )
 
 
-def _rollout(bench: Bench, planner: str, slots: int) -> Callable[[], Program]:
+def _rollout(bench: Bench, planner: str, slots: int) -> Callable[[], CompiledProgram]:
     """The loop of a rollout with so many slots."""
     workload, chosen, sensing = bench.workload, bench.planner(planner), bench.rules().sensing
     first_state, run = rollout_module._programs(jax.local_devices()[0].platform)
@@ -53,7 +53,7 @@ def _rollout(bench: Bench, planner: str, slots: int) -> Callable[[], Program]:
     return lambda: compile_program(run, state, queue, chosen, steps, sensing=sensing, step_limit=STEP_LIMIT)
 
 
-def _train_step(bench: Bench) -> Callable[[], Program]:
+def _train_step(bench: Bench) -> Callable[[], CompiledProgram]:
     """One optimizer step. Shapes are enough to compile it."""
     config = TrainingConfig(batch_size=_training_batch(bench))
     worlds = bench.workload.worlds
@@ -79,7 +79,7 @@ def _training_batch(bench: Bench) -> int:
     return 8 if bench.quick else TrainingConfig.batch_size
 
 
-def _row(bench: Bench, what: str, batch: int, program: Callable[[], Program]) -> Row:
+def _row(bench: Bench, what: str, batch: int, program: Callable[[], CompiledProgram]) -> Row:
     made = []
     for _ in range(1 if bench.quick else min(3, bench.repeats)):
         with nothing_kept():
@@ -104,7 +104,7 @@ def _row(bench: Bench, what: str, batch: int, program: Callable[[], Program]) ->
 def program_rows(bench: Bench) -> Iterator[Row]:
     """Reset, step, every planner's plan and rollout, and the training step."""
     batch = 16 if bench.quick else 64
-    programs: dict[str, Callable[[], Program]] = _reset_and_step(bench, batch)
+    programs: dict[str, Callable[[], CompiledProgram]] = _reset_and_step(bench, batch)
     planners = ("frontier",) if bench.quick else ("oracle", "frontier", "dc2g")
     programs |= {f"plan, {planner}": _plan(bench, planner, batch) for planner in planners}
     programs |= {f"rollout, {planner}": _rollout(bench, planner, batch) for planner in planners}

@@ -25,7 +25,7 @@ from .machine import BANDWIDTH, FLOAT_ARITHMETIC
 from .programs import compile_program
 from .rows import Row, attempt
 
-UNIT = "maps"
+KERNEL_UNIT = "maps"
 
 
 def reachable_cells(belief: Belief) -> bitboard.Board:
@@ -150,7 +150,7 @@ def _peers(bench: Bench, maps: _Maps) -> Iterator[Row]:
         ),
     ]
     for what, by, function, expected in cases:
-        row = Row("kernels", what, by=by, unit=UNIT, batch=1, cells=bench.workload.cells, cores=1)
+        row = Row("kernels", what, by=by, unit=KERNEL_UNIT, batch=1, cells=bench.workload.cells, cores=1)
         yield attempt(row, functools.partial(_peer, bench, row, maps.count, function, expected, 1e-5))
 
 
@@ -162,7 +162,7 @@ def kernel_rows(bench: Bench) -> Iterator[Row]:
         compiled = jit(function)
         measured = bench.measure(functools.partial(compiled, *arguments))
         shares = bench.shares(measured.timing, function, *arguments)
-        yield own("kernels", what, UNIT, **case).with_figures(measured, float(batch), shares=shares)
+        yield own("kernels", what, KERNEL_UNIT, **case).with_figures(measured, float(batch), shares=shares)
     yield from _peers(bench, _Maps(bench, 4 if bench.quick else 64))
 
 
@@ -178,7 +178,7 @@ def network_row(bench: Bench, section: str, batch: int) -> Row:
         BANDWIDTH: least_bytes / seconds / bench.peaks[BANDWIDTH],
         FLOAT_ARITHMETIC: program.flops / seconds / bench.peaks[FLOAT_ARITHMETIC],
     }
-    row = own(section, "network", UNIT, batch=batch, cells=bench.workload.cells)
+    row = own(section, "network", KERNEL_UNIT, batch=batch, cells=bench.workload.cells)
     return row.with_figures(measured, float(batch), shares=shares, facts={"operations/map": program.flops / batch})
 
 
@@ -192,7 +192,9 @@ def network_pace_row(bench: Bench) -> Row:
     placed = [jax.device_put((weights, terrain), device) for device in devices]
     with ThreadPoolExecutor(len(devices)) as pool:
         measured = bench.measure(lambda: list(pool.map(lambda inputs: jax.block_until_ready(program(*inputs)), placed)))
-    row = own("network", "network, every core at once", UNIT, batch=batch * len(devices), cells=bench.workload.cells)
+    row = own(
+        "network", "network, every core at once", KERNEL_UNIT, batch=batch * len(devices), cells=bench.workload.cells
+    )
     return row.with_figures(measured, float(batch * len(devices)))
 
 

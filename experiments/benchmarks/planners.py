@@ -22,14 +22,14 @@ from dc2g_jax.rollouts.devices import cores
 from dc2g_jax.rollouts.rollout import STEP_LIMIT, rollout
 
 from ..baselines import c_gridworld
-from ..baselines.problem import Outcome, PlannerName, Problem, empty_outcome
+from ..baselines.problem import BaselineName, Outcome, Problem, empty_outcome
 from .bench import SENSING_RANGE, Bench, own
 from .kernels import network_pace_row
 from .rows import Row, attempt
 from .timing import Measured
 from .workload import Workload
 
-UNIT = "planner steps"
+PLANNER_UNIT = "planner steps"
 
 
 def with_episodes(row: Row, measured: Measured, reference: Any = None, every: int = 1) -> Row:
@@ -74,7 +74,7 @@ def own_episodes(
 
 
 def plain_programs(
-    bench: Bench, row: Row, problem: Problem, planner: PlannerName, reference: np.ndarray, *, all_cores: bool = False
+    bench: Bench, row: Row, problem: Problem, planner: BaselineName, reference: np.ndarray, *, all_cores: bool = False
 ) -> Iterator[Row]:
     """The same episodes in C and Numba, on one core and, in C, on all of them."""
 
@@ -93,7 +93,7 @@ def plain_programs(
     yield attempt(numba_row, in_numba)
 
 
-def _in_numpy(bench: Bench, row: Row, planner: PlannerName, reference: np.ndarray) -> Row:
+def _in_numpy(bench: Bench, row: Row, planner: BaselineName, reference: np.ndarray) -> Row:
     """Some of the episodes with the plain NumPy program the tests check everything against."""
     oracle = importlib.import_module("tests.oracles.gridworld_oracle")
     workload = bench.workload
@@ -158,16 +158,16 @@ def planner_rows(bench: Bench) -> Iterator[Row]:
     on_cpu = jax.local_devices()[0].platform == "cpu"
     problem = workload.problem(sensing_range=SENSING_RANGE, step_limit=STEP_LIMIT)
     case = {"cells": workload.cells, "sensing_range": SENSING_RANGE}
-    plain: dict[str, tuple[PlannerName, ...]] = {"oracle": ("oracle",), "frontier": ("frontier", "frontier_lazy")}
+    plain: dict[str, tuple[BaselineName, ...]] = {"oracle": ("oracle",), "frontier": ("frontier", "frontier_lazy")}
     for planner in ("oracle", "frontier", "dc2g"):
         # The network's convolutions use every core, whoever asks for them.
         alone = on_cpu and not bench.quick and planner != "dc2g"
         for threads in sorted({1, cores()}) if alone else [cores() if on_cpu else None]:
-            row = own("planners", planner, UNIT, cores=threads, **case)
+            row = own("planners", planner, PLANNER_UNIT, cores=threads, **case)
             row, actions = own_episodes(bench, row, workload, planner)
             yield _with_network_pace(bench, row) if planner == "dc2g" else row
         for variant in plain.get(planner, ()):
-            row = own("planners", variant, UNIT, **case)
+            row = own("planners", variant, PLANNER_UNIT, **case)
             yield from plain_programs(bench, row, problem, variant, actions, all_cores=True)
             if variant == planner:
                 row = dataclasses.replace(row, by="NumPy", cores=1)

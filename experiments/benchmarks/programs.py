@@ -21,7 +21,7 @@ class TooLarge(Exception):
     """A program needs more memory than there is to spare."""
 
 
-class Program(NamedTuple):
+class CompiledProgram(NamedTuple):
     """A compiled program.
 
     Attributes:
@@ -62,7 +62,7 @@ def nothing_kept() -> Iterator[None]:
         compilation_cache.reset_cache()
 
 
-def compile_program(function: Callable[..., Any], *arguments: Any, **static: Any) -> Program:
+def compile_program(function: Callable[..., Any], *arguments: Any, **static: Any) -> CompiledProgram:
     """Trace and compile a function for its arguments.
 
     Args:
@@ -84,7 +84,7 @@ def compile_program(function: Callable[..., Any], *arguments: Any, **static: Any
     memory = analysis.temp_size_in_bytes + analysis.argument_size_in_bytes + analysis.output_size_in_bytes
     if memory > _MOST_MEMORY * device_memory():
         raise TooLarge(f"needs {memory / 2**30:.1f} GiB of memory")
-    return Program(
+    return CompiledProgram(
         call=compiled,
         equations=equations(traced.jaxpr.jaxpr),
         trace_seconds=traced_at - start,

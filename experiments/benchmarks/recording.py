@@ -7,7 +7,7 @@ from pathlib import Path
 from rerun.chunk import RrdReader
 
 from dc2g_jax.datasets.houses import HouseDataset
-from dc2g_jax.inspection.recording import Episode, record_frames
+from dc2g_jax.inspection.recording import RecordedEpisode, record_frames
 from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
@@ -34,8 +34,8 @@ def recording_rows(bench: Bench) -> Iterator[Row]:
     results = Runner(dataset, settings).run([start], _PLANNERS, bench.network)
     house = dataset.house(start.house)
 
-    def replayed(result: EpisodeResult) -> Episode:
-        return Episode(result, replay_result(result, house, rules, bench.network))
+    def replayed(result: EpisodeResult) -> RecordedEpisode:
+        return RecordedEpisode(result, replay_result(result, house, rules, bench.network))
 
     episodes = {result.planner: replayed(result) for result in results}
     with tempfile.TemporaryDirectory() as folder:

@@ -23,7 +23,7 @@ from .bench import SENSING_RANGE, Bench, own
 from .programs import compile_program
 from .rows import Row, attempt, growing
 
-UNIT = "environment steps"
+ENVIRONMENT_UNIT = "environment steps"
 
 #: Steps of every environment in one call, after a reset that is timed with them and not counted: so the others are
 #: usually measured, and so the compiler sees what is the same in all environments of a batch.
@@ -94,7 +94,7 @@ def peers(bench: Bench, section: str, batches: Sequence[int]) -> Iterator[Row]:
         "NAVIX (no observation)": functools.partial(environments.navix, observed=False),
     }
     for name, make in made.items():
-        row = Row(section, "random actions", by=name, unit=UNIT, cells=cells)
+        row = Row(section, "random actions", by=name, unit=ENVIRONMENT_UNIT, cells=cells)
         yield from growing(batches, row, functools.partial(_peer_steps, bench, make))
 
 
@@ -102,7 +102,7 @@ def environment_rows(bench: Bench) -> Iterator[Row]:
     """Environment steps a second, side by side."""
     batch = 64 if bench.quick else 1024
     row = own(
-        "environment", "random actions", UNIT,
+        "environment", "random actions", ENVIRONMENT_UNIT,
         batch=batch, cells=bench.workload.cells, sensing_range=SENSING_RANGE, cores=cores(),
     )  # fmt: skip
     yield own_steps(bench, row, batch)

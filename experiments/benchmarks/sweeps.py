@@ -10,11 +10,10 @@ from dc2g_jax.rollouts.devices import cores
 
 from .bench import SENSING_RANGE, Bench, own
 from .kernels import network_row
-from .planners import UNIT, own_episodes, plain_programs
+from .planners import PLANNER_UNIT, own_episodes, plain_programs
 from .programs import compile_program
 from .rows import Row, growing
-from .stepping import UNIT as ENVIRONMENT_UNIT
-from .stepping import own_steps, peers
+from .stepping import ENVIRONMENT_UNIT, own_steps, peers
 from .workload import Workload, cycles, resized
 
 #: Planner steps of every robot in one call of the batch sweep.
@@ -47,10 +46,10 @@ def batch_rows(bench: Bench) -> Iterator[Row]:
     batches = (4,) if bench.quick else tuple(4**power for power in range(9))
     case = {"cells": bench.workload.cells, "sensing_range": SENSING_RANGE}
     for planner in ("frontier",) if bench.quick else ("oracle", "frontier", "dc2g"):
-        row = own("batch", f"{planner}, in the middle of episodes", UNIT, **case)
+        row = own("batch", f"{planner}, in the middle of episodes", PLANNER_UNIT, **case)
         yield from growing(batches, row, functools.partial(_planner_steps, bench, planner))
     if not bench.quick:
-        row = own("batch", "frontier, whole episodes by slots", UNIT, **case)
+        row = own("batch", "frontier, whole episodes by slots", PLANNER_UNIT, **case)
         yield from growing([size for size in batches if size <= 256], row, functools.partial(_slots, bench))
     row = own("batch", "environment, random actions", ENVIRONMENT_UNIT, **case)
     yield from growing(batches, row, lambda row, batch: own_steps(bench, row, batch))
@@ -62,7 +61,7 @@ def batch_rows(bench: Bench) -> Iterator[Row]:
 def _side_by_side(bench: Bench, section: str, workload: Workload, sensing_range: int) -> Iterator[Row]:
     """Frontier exploration: this package on all cores, C and Numba on one, the same episodes."""
     own_cores = cores() if jax.local_devices()[0].platform == "cpu" else None
-    row = own(section, "frontier", UNIT, cells=workload.cells, sensing_range=sensing_range, cores=own_cores)
+    row = own(section, "frontier", PLANNER_UNIT, cells=workload.cells, sensing_range=sensing_range, cores=own_cores)
     mine, actions = own_episodes(
         bench, row, workload, "frontier", sensing_range=sensing_range, step_limit=_STEP_LIMIT
     )  # fmt: skip

@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode  # noqa: E402
 from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
 
 from dc2g_jax.datasets.houses import HouseDataset, save_dataset  # noqa: E402
-from dc2g_jax.environments.gymnasium_env import GYMNASIUM_ID, ROBOT_COLOR, FrontDoorEnv, FrontDoorVectorEnv  # noqa: E402
+from dc2g_jax.environments.gymnasium_env import GYMNASIUM_ID, RENDERED_ROBOT_COLOR, FrontDoorEnv, FrontDoorVectorEnv  # noqa: E402
 from dc2g_jax.grid.terrain import CLASS_COLORS  # noqa: E402
 from tests.oracles import gridworld_oracle as oracle  # noqa: E402
 from tests.support.houses import DATASET, STREET, YARD, house, start_poses  # noqa: E402
@@ -182,9 +182,9 @@ def test_pictures_show_what_is_observed_and_the_robot():
         if (x, y) != (5, 4):
             assert np.all(cells[y, :, x] == CLASS_COLORS[observation["terrain"][y, x]])
     middle = cells[4, scale // 2, 5, scale // 2]
-    assert tuple(middle) == ROBOT_COLOR
+    assert tuple(middle) == RENDERED_ROBOT_COLOR
     # The robot looks up: its color reaches further up in the middle column than at the sides, below only there.
-    colored = np.all(cells[4, :, 5] == ROBOT_COLOR, axis=-1)
+    colored = np.all(cells[4, :, 5] == RENDERED_ROBOT_COLOR, axis=-1)
     assert colored[: scale // 4].sum() < colored[-scale // 2 :].sum()
     silent = make()
     silent.reset()

@@ -4,11 +4,13 @@ import pytest
 
 from dc2g_jax.datasets.starts import published_episodes
 from dc2g_jax.rollouts.evaluation import EpisodeResult
-from experiments.head_to_head import Pair, compare, pair_up
+from experiments.head_to_head import EpisodePair, compare, pair_up
 
 
-def pair(house: str, *, dc2g: int, authors: int, frontier: int, authors_frontier: int = 300, oracle: int = 50) -> Pair:
-    return Pair(
+def pair(
+    house: str, *, dc2g: int, authors: int, frontier: int, authors_frontier: int = 300, oracle: int = 50
+) -> EpisodePair:
+    return EpisodePair(
         house=house,
         x=0,
         y=0,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax.inspection import image_figures
-from dc2g_jax.inspection.image_figures import METRIC_LABELS, Example, Points
+from dc2g_jax.inspection.image_figures import METRIC_LABELS, Example, HouseMetrics
 
 
 def check(files) -> None:
@@ -39,5 +39,8 @@ def test_the_moving_average():
 def test_figure_6(tmp_path):
     metrics = {name: [0.5, 0.7, 1.0] for name in METRIC_LABELS}
     fits = dict.fromkeys(METRIC_LABELS, (0.1, 0.5))
-    networks = {"one": Points([0.1, 0.2, 0.4], metrics, fits), "other": Points([0.1, 0.1, 0.1], metrics, {})}
+    networks = {
+        "one": HouseMetrics([0.1, 0.2, 0.4], metrics, fits),
+        "other": HouseMetrics([0.1, 0.1, 0.1], metrics, {}),
+    }
     check(image_figures.plot_by_similarity(tmp_path / "fig6", networks, "caption"))

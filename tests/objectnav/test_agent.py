@@ -23,15 +23,15 @@ from dc2g_jax.objectnav.agent import (
 )
 from dc2g_jax.objectnav.classes import BED, GOALS, PLANT
 from dc2g_jax.objectnav.guides import (
-    Frontier,
     GoalReacher,
+    NearestFrontier,
     NoIdea,
     Predicted,
     PromisingFrontier,
     TrueCost,
     true_distance,
 )
-from dc2g_jax.objectnav.mapping import EXPLORED, OBSTACLE, MapSettings
+from dc2g_jax.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, IndoorMapSettings
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 from dc2g_jax.vehicles.footprint import Ground
 from dc2g_jax.vehicles.mppi import MPPISettings
@@ -54,7 +54,7 @@ def agent_with(guide, steering=None):
         guide=guide,
         steering=steering or MPC(),
         camera=intrinsics(90.0, 30, 40),
-        mapping=MapSettings(cells=120, local=60),
+        mapping=IndoorMapSettings(cells=120, local=60),
         controller=MPPISettings(limits=LIMITS, samples=32, horizon=30),
     )
 
@@ -118,7 +118,7 @@ def test_the_map_of_a_robot_is_that_of_the_house(journey):
     last, world = journey[-1], two_rooms().world
     row, column = -np.asarray(last.map.origin)
     cells = np.asarray(last.map.cells)[row : row + world.free.shape[0], column : column + world.free.shape[1]]
-    explored, obstacle = (cells >> EXPLORED) & 1 == 1, (cells >> OBSTACLE) & 1 == 1
+    explored, obstacle = (cells >> EXPLORED_CHANNEL) & 1 == 1, (cells >> OBSTACLE_CHANNEL) & 1 == 1
     assert (explored & world.free).sum() > 0.5 * world.free.sum()
     assert (obstacle & ~world.obstacle).sum() <= 0.02 * obstacle.sum()
 
@@ -145,10 +145,10 @@ def with_cells(robot, **channels):
     cells = np.zeros(robot.map.cells.shape, np.uint32)
     down, right = -np.asarray(robot.map.origin)
     for name, places in channels.items():
-        bit = {"floor": 0, "wall": 1 << OBSTACLE, "plant": (1 << OBSTACLE) | (1 << PLANT - 1)}[name]
+        bit = {"floor": 0, "wall": 1 << OBSTACLE_CHANNEL, "plant": (1 << OBSTACLE_CHANNEL) | (1 << PLANT - 1)}[name]
         for rows, columns in places:
             place = slice(down + rows[0], down + rows[1]), slice(right + columns[0], right + columns[1])
-            cells[place] |= np.uint32(bit | (1 << EXPLORED))
+            cells[place] |= np.uint32(bit | (1 << EXPLORED_CHANNEL))
     return dataclasses.replace(robot, map=robot.map.replace(cells=jnp.asarray(cells)))
 
 
@@ -190,7 +190,7 @@ def test_the_frontier_is_the_nearest_floor_that_has_not_been_seen(guided):
     # A room without a gap but for the right end of a corridor.
     walls = [((9, 10), (5, 29)), ((24, 25), (5, 29)), ((9, 25), (4, 5)), ((9, 13), (28, 29)), ((20, 25), (28, 29))]
     known = with_cells(robot, floor=[((10, 24), (5, 30))], wall=walls)
-    found = guided(known, Frontier())
+    found = guided(known, NearestFrontier())
     assert not bool(found.to_goal)
     distance = np.asarray(found.distance)
     # Row 16 of the world is row 31 here; column 30 is the first that has not been seen.
@@ -199,9 +199,9 @@ def test_the_frontier_is_the_nearest_floor_that_has_not_been_seen(guided):
     # Nothing is left nearby, but 45 cells further on.
     far = with_cells(robot, floor=[((10, 24), (5, 30)), ((13, 20), (30, 66))], wall=[*walls, ((12, 13), (28, 67)),
                      ((20, 21), (28, 67))])  # fmt: skip
-    np.testing.assert_allclose(np.asarray(guided(far, Frontier()).distance)[31, 30], 4.6, atol=0.2)
+    np.testing.assert_allclose(np.asarray(guided(far, NearestFrontier()).distance)[31, 30], 4.6, atol=0.2)
     closed = with_cells(robot, floor=[((10, 24), (5, 28))], wall=[*walls, ((9, 25), (28, 29))])
-    assert np.isinf(np.asarray(guided(closed, Frontier()).distance)).all()
+    assert np.isinf(np.asarray(guided(closed, NearestFrontier()).distance)).all()
 
 
 class Flat:
@@ -248,7 +248,7 @@ def test_the_promising_frontier_weighs_the_way_and_what_is_predicted_behind_it(g
     robot = with_cells(robot_at(2.05, -1.55), floor=[((13, 20), (7, 45))], wall=walls)
     near = np.asarray(guided(robot, PromisingFrontier(PredictedCosts(Flat(), Mean()))).distance)
     far = np.asarray(guided(robot, PromisingFrontier(PredictedCosts(Eastward(), Mean()))).distance)
-    np.testing.assert_allclose(near, np.asarray(guided(robot, Frontier()).distance))
+    np.testing.assert_allclose(near, np.asarray(guided(robot, NearestFrontier()).distance))
     # Row 16, column 20 of the world are row 31, column 30 here: one falls to the west, the other to the east.
     assert near[31, 28] < near[31, 30] < near[31, 32]
     assert far[31, 28] > far[31, 30] > far[31, 32]

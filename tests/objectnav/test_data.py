@@ -10,7 +10,7 @@ import pytest
 from dc2g_jax.mapping.camera import level_camera
 from dc2g_jax.mapping.simulator import cast
 from dc2g_jax.objectnav import mapping
-from dc2g_jax.objectnav.agent import CAMERA_HEIGHT
+from dc2g_jax.objectnav.agent import INDOOR_CAMERA_HEIGHT
 from dc2g_jax.objectnav.classes import BED, GOALS, PLANT, TABLE
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect
 from dc2g_jax.objectnav.data import (
@@ -66,7 +66,7 @@ def test_robots_see_what_rays_meet(world):
     cells, seen = jax.jit(visible, static_argnums=1)(jnp.asarray(world.heights), size, jnp.asarray(cell), heading)
     ours = np.zeros(world.free.shape, bool)
     ours[tuple(np.asarray(cells)[np.asarray(seen)].T)] = True
-    pose = level_camera((cell[1] + 0.5) * size, -(cell[0] + 0.5) * size, CAMERA_HEIGHT, 0.0)
+    pose = level_camera((cell[1] + 0.5) * size, -(cell[0] + 0.5) * size, INDOOR_CAMERA_HEIGHT, 0.0)
     bearing, pitch = np.meshgrid(np.linspace(-0.78, 0.78, 150) + heading, np.linspace(-1.4, 0.25, 400))
     rays = np.stack([np.cos(bearing), np.sin(bearing), pitch], axis=-1).reshape(-1, 3)
     # No farther than the floor is in view.
@@ -138,7 +138,7 @@ def test_the_network_is_shown_what_the_robots_map_would_show(world):
     channels = np.asarray(map_channels(jnp.asarray(codes)))
     bits = sum(channel.astype(np.uint32) << number for number, channel in enumerate(channels))
     cell = np.array([14, 40])
-    settings = mapping.MapSettings(cells=GLOBAL, local=LOCAL, cell_size=0.1)
+    settings = mapping.IndoorMapSettings(cells=GLOBAL, local=LOCAL, cell_size=0.1)
     position = jnp.asarray([cell[1] + 0.5, -(cell[0] + 0.5)], jnp.float32) * 0.1
     theirs = mapping.network_input(mapping.IndoorMap(jnp.asarray(bits), jnp.zeros(2, jnp.int32)), position, settings)
     around = mapping.square(jnp.asarray(codes), jnp.asarray(cell - GLOBAL // 2), GLOBAL, UNEXPLORED)

@@ -5,7 +5,7 @@ import pytest
 
 from dc2g_jax.objectnav.classes import GOALS
 from dc2g_jax.objectnav.evaluation import difference, results_of, summarize, way_there
-from dc2g_jax.objectnav.searches import Episode, Searches, sample_episodes
+from dc2g_jax.objectnav.searches import Search, Searches, sample_episodes
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 
@@ -32,7 +32,7 @@ def judged(house, start, end, *, declared=True, target="plant", steps=10):
         steps=np.array([steps]),
         bumps=np.array([3]),
     )
-    (result,) = results_of("someone", [house], [Episode(house.name, target, *start, 0.0)], searches)
+    (result,) = results_of("someone", [house], [Search(house.name, target, *start, 0.0)], searches)
     return result
 
 

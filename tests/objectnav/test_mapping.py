@@ -11,12 +11,12 @@ from dc2g_jax.mapping.camera import intrinsics, level_camera, points
 from dc2g_jax.mapping.simulator import render
 from dc2g_jax.objectnav import mapping
 from dc2g_jax.objectnav.classes import BED
-from dc2g_jax.objectnav.mapping import EXPLORED, OBSTACLE, MapSettings
+from dc2g_jax.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, IndoorMapSettings
 from dc2g_jax.objectnav.worlds import scene
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 
-SETTINGS = MapSettings(cells=90, local=30, cell_size=0.1, reach=4.0)
+SETTINGS = IndoorMapSettings(cells=90, local=30, cell_size=0.1, reach=4.0)
 CAMERA = intrinsics(90.0, 48, 64)
 START = jnp.array([2.61, -1.78], jnp.float32)
 
@@ -44,7 +44,9 @@ def in_world(indoor_map, world, channel):
 
 def test_the_map_shows_what_stands_in_the_house_and_no_more(view, world):
     _, seen, _ = view
-    obstacle, explored, bed = (in_world(seen, world, channel) for channel in (OBSTACLE, EXPLORED, BED - 1))
+    obstacle, explored, bed = (
+        in_world(seen, world, channel) for channel in (OBSTACLE_CHANNEL, EXPLORED_CHANNEL, BED - 1)
+    )
     assert bed.sum() >= 20
     assert not np.any(bed & (world.classes != BED))
     assert not np.any(obstacle & ~world.obstacle)
@@ -73,7 +75,7 @@ def test_points_are_booked_like_in_a_plain_loop(view, world):
         if depth > 0:
             expected[0, row, column] |= 0.1 < z < 1.5
             expected[1, row, column] |= label == BED
-    for truth, channel in zip(expected, (OBSTACLE, BED - 1), strict=True):
+    for truth, channel in zip(expected, (OBSTACLE_CHANNEL, BED - 1), strict=True):
         found = in_world(seen, world, channel)
         np.testing.assert_array_equal(found[~doubtful], truth[~doubtful])
 
@@ -81,11 +83,13 @@ def test_points_are_booked_like_in_a_plain_loop(view, world):
 def test_what_the_floor_shows_to_be_wrong_is_forgotten(view):
     frame, seen, integrate = view
     row, column = np.array([18, 19]) - np.asarray(seen.origin)
-    wrong = seen.replace(cells=seen.cells.at[row, column].set((1 << OBSTACLE) | 1).at[0, 0].set(1 << OBSTACLE))
+    wrong = seen.replace(
+        cells=seen.cells.at[row, column].set((1 << OBSTACLE_CHANNEL) | 1).at[0, 0].set(1 << OBSTACLE_CHANNEL)
+    )
     after = integrate(wrong, frame)
-    assert int(after.cells[row, column]) == 1 << EXPLORED
+    assert int(after.cells[row, column]) == 1 << EXPLORED_CHANNEL
     # Far from what is in view everything stays.
-    assert int(after.cells[0, 0]) == 1 << OBSTACLE
+    assert int(after.cells[0, 0]) == 1 << OBSTACLE_CHANNEL
     assert jax.tree.map(lambda leaf: (leaf.dtype, leaf.weak_type), after) == jax.tree.map(
         lambda leaf: (leaf.dtype, leaf.weak_type), mapping.empty_map(START, SETTINGS)
     )
@@ -95,7 +99,7 @@ def test_a_robot_knows_the_floor_it_stands_on():
     position = jnp.array([2.61, -1.78])
     stand = jax.jit(lambda place: mapping.stood_on(mapping.empty_map(START, SETTINGS), place, 0.2, SETTINGS))
     stood = stand(position)
-    known = np.argwhere(np.asarray(mapping.has(stood.cells, EXPLORED))) + np.asarray(stood.origin)
+    known = np.argwhere(np.asarray(mapping.has(stood.cells, EXPLORED_CHANNEL))) + np.asarray(stood.origin)
     expected = [
         (row, column)
         for row in range(10, 25)
@@ -131,4 +135,4 @@ def test_crops_are_centered_on_the_robot_and_empty_off_the_map():
     ],
 )
 def test_settings_without_sense_are_refused(wrong, mentions):
-    refusal(lambda: MapSettings(**wrong), mentions, "give")
+    refusal(lambda: IndoorMapSettings(**wrong), mentions, "give")

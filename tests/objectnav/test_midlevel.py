@@ -7,13 +7,13 @@ import pytest
 
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.mapping.camera import level_camera
-from dc2g_jax.objectnav.classes import BED, CLASS_COLORS
+from dc2g_jax.objectnav.classes import BED, OBJECT_COLORS
 from dc2g_jax.objectnav.midlevel import (
-    IMAGE_SIZE,
+    VIEW_SIZE,
     Answers,
+    CameraView,
     EncoderArchitecture,
     TrainedEncoder,
-    View,
     encoder_task,
     load_encoder,
     save_encoder,
@@ -32,7 +32,7 @@ ARCHITECTURE = EncoderArchitecture(widths=(4, 6, 8), features=5)
 
 
 @pytest.fixture(scope="module")
-def views() -> View:
+def views() -> CameraView:
     """From the middle of a room: toward the bed, and away from it. Pictures of one house."""
     world = world_from_plan(plan(BED_BOX), 0.1)
     house, paint = scene(world), jnp.asarray(painted(world, np.random.default_rng(0)))
@@ -44,22 +44,22 @@ def views() -> View:
 
 
 def test_a_picture_shows_what_stands_there(views):
-    assert views.image.shape == (2, *IMAGE_SIZE, 3)
+    assert views.image.shape == (2, *VIEW_SIZE, 3)
     bed = np.asarray(views.classes[0] == BED)
     assert bed.mean() > 0.1
     assert not np.asarray(views.classes[1]).any()
     color = np.asarray(views.image)[0][bed].mean(axis=0)
-    assert np.abs(color - CLASS_COLORS[BED]).max() < 60
+    assert np.abs(color - OBJECT_COLORS[BED]).max() < 60
     # The camera is half a meter away from the wall behind it, and the bed's near side 0.7 m ahead.
     assert 0.65 < float(views.depth[0][bed].min()) < 0.75
-    assert float(views.depth[1, IMAGE_SIZE[0] // 2, IMAGE_SIZE[1] // 2]) < 1.0
+    assert float(views.depth[1, VIEW_SIZE[0] // 2, VIEW_SIZE[1] // 2]) < 1.0
 
 
 def test_losses_of_the_three_tasks():
     rng = np.random.default_rng(0)
-    classes = rng.integers(0, 17, (1, *IMAGE_SIZE)).astype(np.uint8)
+    classes = rng.integers(0, 17, (1, *VIEW_SIZE)).astype(np.uint8)
     classes[classes == 3] = 0
-    depth = rng.uniform(0.5, 12, (1, *IMAGE_SIZE)).astype(np.float32)
+    depth = rng.uniform(0.5, 12, (1, *VIEW_SIZE)).astype(np.float32)
     depth[0, :20] = 0
     logits, presence = rng.normal(size=(1, 12, 16, 17)), rng.normal(size=(1, 17))
     answered = rng.uniform(0, 1, (1, 12, 16))
@@ -75,7 +75,7 @@ def test_losses_of_the_three_tasks():
         there = np.sum(classes == index) >= 12
         expected["presence"] += np.log1p(np.exp(-presence[0, index] if there else presence[0, index])) / 17
     expected["depth"] = np.mean(expected["depth"])
-    views = View(jnp.zeros((1, *IMAGE_SIZE, 3), jnp.uint8), jnp.asarray(depth), jnp.asarray(classes))
+    views = CameraView(jnp.zeros((1, *VIEW_SIZE, 3), jnp.uint8), jnp.asarray(depth), jnp.asarray(classes))
     answers = Answers(*(jnp.asarray(part, jnp.float32) for part in (logits, presence, answered)))
     losses = jax.jit(task_losses)(answers, views)
     for name, value in expected.items():
@@ -132,7 +132,7 @@ def test_an_encoder_of_others_is_read(tmp_path):
     tensors = layers(rng, 2, 4)
     write_safetensors(path, tensors, {"stride": "4"})
     encoder = load_encoder(path)
-    image = rng.integers(0, 256, (1, *IMAGE_SIZE, 3)).astype(np.uint8)
+    image = rng.integers(0, 256, (1, *VIEW_SIZE, 3)).astype(np.uint8)
     at = np.moveaxis(image[0] / 127.5 - 1, -1, 0)
     for layer in (0, 1):
         padded = np.pad(at, ((0, 0), (1, 1), (1, 1)))

@@ -8,19 +8,19 @@ import pytest
 from dc2g_jax.mapping.camera import intrinsics
 from dc2g_jax.objectnav import searches
 from dc2g_jax.objectnav.agent import LIMITS, MPC, Agent, site_of
-from dc2g_jax.objectnav.classes import CLASS_NAMES, GOALS
-from dc2g_jax.objectnav.guides import Frontier, GoalReacher
-from dc2g_jax.objectnav.mapping import MapSettings
+from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
+from dc2g_jax.objectnav.guides import GoalReacher, NearestFrontier
+from dc2g_jax.objectnav.mapping import IndoorMapSettings
 from dc2g_jax.objectnav.searches import sample_episodes, search_all
 from dc2g_jax.vehicles.mppi import MPPISettings
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 
 AGENT = Agent(
-    guide=GoalReacher(Frontier()),
+    guide=GoalReacher(NearestFrontier()),
     steering=MPC(),
     camera=intrinsics(90.0, 30, 40),
-    mapping=MapSettings(cells=120, local=60),
+    mapping=IndoorMapSettings(cells=120, local=60),
     controller=MPPISettings(limits=LIMITS, samples=8, horizon=20),
 )
 
@@ -49,7 +49,7 @@ def test_robots_in_a_batch_do_what_they_do_one_by_one(found):
     house, episodes, made, _ = found
     sites = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], site_of(house.world, house.name))
     starts = jnp.array([(one.x, one.y, one.yaw) for one in episodes], jnp.float32)
-    targets = jnp.array([GOALS.index(CLASS_NAMES.index(one.target)) for one in episodes])
+    targets = jnp.array([GOALS.index(OBJECT_CLASSES.index(one.target)) for one in episodes])
     keys = jax.random.split(jax.random.key(0), len(episodes))
     robots = searches._reset(keys, starts, targets, AGENT, limit=12)
     where = jnp.zeros(len(episodes), jnp.int32)
@@ -60,5 +60,5 @@ def test_robots_in_a_batch_do_what_they_do_one_by_one(found):
 
 def test_cells_of_another_size_are_refused(found):
     house, episodes, _, _ = found
-    fine = AGENT.replace(mapping=MapSettings(cells=120, local=60, cell_size=0.05))
+    fine = AGENT.replace(mapping=IndoorMapSettings(cells=120, local=60, cell_size=0.05))
     refusal(lambda: search_all(fine, [house], episodes), house.name, "0.1 m", "0.05 m", "make them alike")

@@ -6,7 +6,7 @@ import pytest
 from dc2g_jax.errors import InputError
 from dc2g_jax.mapping.camera import level_camera
 from dc2g_jax.mapping.simulator import cast
-from dc2g_jax.objectnav.classes import BED, CHAIR, CLASS_COLORS, CLASS_NAMES, GOALS, PLANT, TABLE
+from dc2g_jax.objectnav.classes import BED, CHAIR, GOALS, OBJECT_CLASSES, OBJECT_COLORS, PLANT, TABLE
 from dc2g_jax.objectnav.plan_cells import world_from_plan
 from dc2g_jax.objectnav.plans import Furniture
 from dc2g_jax.objectnav.starts import approaches, rooms_cut_off, sample_starts, start_cells
@@ -15,8 +15,10 @@ from tests.support.plans import BED_BOX, PLANT_BOX, plan
 
 
 def test_classes_are_named_and_colored_once():
-    assert len(CLASS_NAMES) == 17 == len(set(CLASS_NAMES)) == len({tuple(color) for color in CLASS_COLORS.tolist()})
-    assert [CLASS_NAMES[goal] for goal in GOALS] == ["bed", "chair", "sink", "plant", "couch"]
+    assert (
+        len(OBJECT_CLASSES) == 17 == len(set(OBJECT_CLASSES)) == len({tuple(color) for color in OBJECT_COLORS.tolist()})
+    )
+    assert [OBJECT_CLASSES[goal] for goal in GOALS] == ["bed", "chair", "sink", "plant", "couch"]
 
 
 def test_stacked_houses_keep_their_places():

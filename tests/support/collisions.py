@@ -190,7 +190,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
             of_estimator,
         ),
         "fleet": (lambda cls: drive(cls(test_drive.RULES)), of_planner),
-        "searches, guide": (lambda cls: search(cls()), variants(guides.Frontier, "guide")),
+        "searches, guide": (lambda cls: search(cls()), variants(guides.NearestFrontier, "guide")),
         "training": (train, variants(Drawer, "pairs")),
         "sweep": (sweep, variants(Drawer, "pairs")),
         "translator": (translate, variants(Drawer, "pairs")),

@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 
 from dc2g_jax.datasets.procedural.drawing import (
-    Frame,
-    Shape,
+    PictureFrame,
+    Placement,
+    Polygons,
     Sketch,
-    View,
     choose,
     jitter,
     left_normals,
@@ -25,7 +25,7 @@ from dc2g_jax.datasets.procedural.streets import Curb, Sidewalks, Streets, lay_s
 from dc2g_jax.grid.sampling import ClassImage
 
 #: Layer -> shape in a building's frame: the sidewalk's inner edge is y = 0, the street toward negative y.
-Building = dict[str, Shape]
+Building = dict[str, Polygons]
 
 _STREETS = {"straight": 0.3, "curved": 0.08, "tee": 0.15, "corner": 0.25, "crossing": 0.22}
 
@@ -64,16 +64,16 @@ def draw_city(rng: np.random.Generator) -> ClassImage | None:
     return sketch.classes()
 
 
-def _look(rng: np.random.Generator, streets: Streets, margin: float) -> View:
+def _look(rng: np.random.Generator, streets: Streets, margin: float) -> PictureFrame:
     """A view of a stretch of the first street, with a random part of the block beside and behind it."""
     road = 2 * float(streets.roads[0][1].mean())
     window = streets.curbs[0].at(0.0).place(rectangle(-8, -road * uniform(rng, (0.4, 1.0)), 8, margin + 12))
     return view_around(rng, [window], _turn(rng), (4, uniform(rng, (16, 38))), (7, 12))
 
 
-def _curb_crossings(rng: np.random.Generator, streets: Streets, verge: float) -> Shape:
+def _curb_crossings(rng: np.random.Generator, streets: Streets, verge: float) -> Polygons:
     """Short walkways across the grass between sidewalk and curb."""
-    shape: Shape = []
+    shape: Polygons = []
     spacing, width = uniform(rng, (12, 30)), uniform(rng, (1.2, 2.0))
     for curb in streets.curbs:
         for along in np.arange(-60, 60, spacing):
@@ -112,7 +112,7 @@ def _line_with_buildings(
         width = uniform(rng, (9, 38))
         kind = choose(rng, weights)
         frame = edge.at(along + width / 2)
-        stand = Frame(frame.place((0.0, margin)), frame.angle, bool(rng.random() < 0.5))
+        stand = Placement(frame.place((0.0, margin)), frame.angle, bool(rng.random() < 0.5))
         if _in_view(sketch, stand, width):
             building = _BUILDINGS[kind](rng, width, max(setback + rng.normal(0, 0.5), 0.1))
             placed = {layer: stand.place_all(shape) for layer, shape in building.items()}
@@ -123,7 +123,7 @@ def _line_with_buildings(
         along += width + float(rng.choice((0.0, uniform(rng, (0.5, 5))), p=(0.6, 0.4)))
 
 
-def _in_view(sketch: Sketch, stand: Frame, width: float) -> bool:
+def _in_view(sketch: Sketch, stand: Placement, width: float) -> bool:
     pixels = sketch.view.to_pixels(stand.place([(0.0, 10.0)]))[0]
     slack = (width + 15) * sketch.view.scale
     return bool((pixels > -slack).all() and (pixels < np.array([sketch.view.width, sketch.view.height]) + slack).all())
@@ -316,7 +316,7 @@ _WEIGHTS = {
 }
 
 
-def _parked_cars(rng: np.random.Generator, streets: Streets, density: float) -> Shape:
+def _parked_cars(rng: np.random.Generator, streets: Streets, density: float) -> Polygons:
     """Cars along the curbs, bumper to bumper or with gaps, except at junctions."""
     cars = []
     for curb in streets.curbs:
@@ -337,11 +337,11 @@ def _on_other_road(streets: Streets, curb: Curb, point: np.ndarray) -> bool:
     return False
 
 
-def _crossing(rng: np.random.Generator, streets: Streets) -> Shape:
+def _crossing(rng: np.random.Generator, streets: Streets) -> Polygons:
     """A pedestrian crossing over the side street, next to the main street."""
     line, half_widths = streets.roads[1]
     off = float(streets.roads[0][1].mean()) + uniform(rng, (1.5, 4))
     index = int(np.searchsorted(traveled(line), off))
     half = float(half_widths[index]) + 0.5
     ahead = line[index + 1] - line[index]
-    return [Frame(line[index], float(np.arctan2(ahead[1], ahead[0]))).place(rectangle(-1.2, -half, 1.2, half))]
+    return [Placement(line[index], float(np.arctan2(ahead[1], ahead[0]))).place(rectangle(-1.2, -half, 1.2, half))]

@@ -1,7 +1,7 @@
 """Drawing tools of the procedural neighborhoods: geometry in meters and a layered sketch in pixels.
 
-Shapes lie in a plane measured in meters. A shape is a list of polygons, each float [k 2] (x, y). A `View` selects the
-rotated rectangle of the plane that becomes the image. A `Sketch` fills polygons into masks, one per layer.
+Shapes lie in a plane measured in meters. A shape is a list of polygons, each float [k 2] (x, y). A `PictureFrame`
+selects the rotated rectangle of the plane that becomes the image. A `Sketch` fills polygons into masks, one per layer.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,7 +15,7 @@ from dc2g_jax.grid.sampling import ClassImage
 from dc2g_jax.grid.terrain import CAR, DRIVEWAY, FRONT_DOOR, GRASS, HOUSE, PATH, ROAD, SIDEWALK
 
 Points = npt.NDArray[np.float64]
-Shape = list[Points]
+Polygons = list[Points]
 Range = tuple[float, float]
 
 #: Layer -> terrain class, in painting order: later layers cover earlier ones. Pavement minus verge is sidewalk.
@@ -47,7 +47,7 @@ def choose(rng: np.random.Generator, weights: Mapping[str, float]) -> str:
 
 
 @dataclass(frozen=True)
-class Frame:
+class Placement:
     """A coordinate frame: local points are optionally mirrored (x -> -x), rotated by `angle` and translated."""
 
     origin: Points
@@ -61,7 +61,7 @@ class Frame:
         cosine, sine = np.cos(self.angle), np.sin(self.angle)
         return np.stack([x * cosine - y * sine, x * sine + y * cosine], axis=-1) + self.origin
 
-    def place_all(self, shape: Iterable[Points]) -> Shape:
+    def place_all(self, shape: Iterable[Points]) -> Polygons:
         """Every polygon of a shape in the parent coordinates."""
         return [self.place(polygon) for polygon in shape]
 
@@ -119,7 +119,7 @@ def left_normals(line: Points) -> Points:
     return np.stack([-direction[:, 1] / length, direction[:, 0] / length], axis=-1)
 
 
-def ribbon(line: Points, left: npt.ArrayLike, right: npt.ArrayLike) -> Shape:
+def ribbon(line: Points, left: npt.ArrayLike, right: npt.ArrayLike) -> Polygons:
     """The strip from `left` to `right` meters beside a polyline [n 2], as quadrilaterals that share edges.
 
     Offsets are positive to the left and negative to the right; each is one number or [n].
@@ -129,7 +129,7 @@ def ribbon(line: Points, left: npt.ArrayLike, right: npt.ArrayLike) -> Shape:
     return [np.array([sides[0][i], sides[0][i + 1], sides[1][i + 1], sides[1][i]]) for i in range(len(line) - 1)]
 
 
-def stroke(line: Points, width: npt.ArrayLike) -> Shape:
+def stroke(line: Points, width: npt.ArrayLike) -> Polygons:
     """A polyline drawn with a pen of the given full width, one number or [n]."""
     half = np.asarray(width) / 2
     return ribbon(line, half, -half)
@@ -142,7 +142,7 @@ def wobble(rng: np.random.Generator, count: int, amount: float) -> Points:
 
 
 @dataclass(frozen=True)
-class View:
+class PictureFrame:
     """The frame of the image: points are rotated by `angle`, translated by -`corner` and scaled to pixels."""
 
     angle: float
@@ -153,19 +153,19 @@ class View:
 
     def to_pixels(self, points: Points) -> npt.NDArray[np.int32]:
         """Points in meters [k 2] as pixels (column, row), int32 [k 2]."""
-        turned = Frame(-self.corner, self.angle).place(points)
+        turned = Placement(-self.corner, self.angle).place(points)
         return np.clip(np.rint(turned * self.scale), -30000, 30000).astype(np.int32)
 
 
 def view_around(
     rng: np.random.Generator, shape: Sequence[Points], angle: float, margins: Range, pixels_per_meter: Range
-) -> View:
+) -> PictureFrame:
     """The view that contains a shape, with a random margin in meters on each side.
 
     The sides of the image have 200 to 930 pixels. No side is more than `longest` times the other, a ratio drawn for
     each image from 1.25 to 2.4.
     """
-    turned = Frame(np.zeros(2), angle).place(np.concatenate(list(shape)))
+    turned = Placement(np.zeros(2), angle).place(np.concatenate(list(shape)))
     low = turned.min(axis=0) - rng.uniform(*margins, 2)
     high = turned.max(axis=0) + rng.uniform(*margins, 2)
     extent = high - low
@@ -175,14 +175,14 @@ def view_around(
     scale = uniform(rng, pixels_per_meter)
     scale = min(max(scale, 205 / extent.min()), 925 / extent.max())
     width, height = (round(float(side) * scale) for side in extent)
-    return View(angle, corner, scale, height, width)
+    return PictureFrame(angle, corner, scale, height, width)
 
 
 @dataclass
 class Sketch:
     """An unfinished image: one mask per layer of `LAYERS`, and the mask `verge`, which removes sidewalk."""
 
-    view: View
+    view: PictureFrame
     masks: dict[str, ClassImage] = field(default_factory=dict)
 
     def mask(self, shape: Iterable[Points]) -> ClassImage:

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from dc2g_jax.datasets.procedural.drawing import (
-    Frame,
+    Placement,
     Points,
+    Polygons,
     Range,
-    Shape,
     choose,
     jitter,
     rectangle,
@@ -41,7 +41,7 @@ class LotStyle:
 
 
 @dataclass(frozen=True)
-class House:
+class HouseOutline:
     """A house in its own frame: blocks, ends, the garage's (x, front y, width), the front door's (x, y)."""
 
     blocks: list[Points]
@@ -55,8 +55,8 @@ class House:
 class Lot:
     """The content of one lot: layer -> shape in the plane, and the shape that an image of the lot must contain."""
 
-    shapes: dict[str, Shape]
-    essentials: Shape
+    shapes: dict[str, Polygons]
+    essentials: Polygons
 
 
 def front_at(blocks: list[Points], x: float) -> float:
@@ -64,7 +64,7 @@ def front_at(blocks: list[Points], x: float) -> float:
     return min(float(b[:, 1].min()) for b in blocks if b[:, 0].min() <= x <= b[:, 0].max())
 
 
-def build_house(rng: np.random.Generator, style: LotStyle) -> House:
+def build_house(rng: np.random.Generator, style: LotStyle) -> HouseOutline:
     """A house as a union of rectangles: body, garage, bays, wings, some with corners cut off."""
     width, depth = uniform(rng, style.house_width), uniform(rng, style.house_depth)
     garage_width = min(uniform(rng, (4.5, 7.5)), 0.55 * width)
@@ -90,7 +90,7 @@ def build_house(rng: np.random.Generator, style: LotStyle) -> House:
     door_x = uniform(rng, (inner + 1.2, max(right - 1.5, inner + 1.3)))
     door = (door_x, front_at(blocks, door_x))
     blocks = [_cut_corner(rng, jitter(rng, block, 0.12)) for block in blocks]
-    return House(blocks, left, right, (left + garage_width / 2, garage_front, garage_width), door)
+    return HouseOutline(blocks, left, right, (left + garage_width / 2, garage_front, garage_width), door)
 
 
 def _cut_corner(rng: np.random.Generator, block: Points) -> Points:
@@ -111,7 +111,7 @@ def build_lot(rng: np.random.Generator, style: LotStyle, curb: Curb, has_sidewal
     setback = uniform(rng, style.setback) + max(-house.garage[1], 0.0)
     turn = rng.normal(0, style.turn)
     sideways = uniform(rng, (-0.12, 0.12)) * style.width[0]
-    stand = Frame(at_curb.place((sideways, setback)), at_curb.angle + turn, bool(rng.random() < 0.5))
+    stand = Placement(at_curb.place((sideways, setback)), at_curb.angle + turn, bool(rng.random() < 0.5))
     lot = Lot({"house": stand.place_all(house.blocks)}, stand.place_all(house.blocks))
     drive = _DRIVEWAYS[choose(rng, style.driveways)](rng, style, house, stand, curb)
     lot.shapes["driveway"] = drive.shape
@@ -131,13 +131,13 @@ def build_lot(rng: np.random.Generator, style: LotStyle, curb: Curb, has_sidewal
 class Driveway:
     """A driveway: shape, center line from road to house [n 2], width, where walkways may begin [m 2]."""
 
-    shape: Shape
+    shape: Polygons
     line: Points
     width: float
     walk_from: Points
 
 
-def _tapered(rng: np.random.Generator, line: Points, at_road: float, at_house: float, flare: float) -> Shape:
+def _tapered(rng: np.random.Generator, line: Points, at_road: float, at_house: float, flare: float) -> Polygons:
     """The strip of a driveway: its width varies from road to house, and flares over its first meters."""
     distance = traveled(line)
     width = np.interp(distance, (0, distance[-1]), (at_road, at_house))
@@ -145,7 +145,9 @@ def _tapered(rng: np.random.Generator, line: Points, at_road: float, at_house: f
     return stroke(line, width + (flare - 1) * at_road * np.clip(1 - (distance - 1.0) / mouth, 0, 1))
 
 
-def _front_driveway(rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, curb: Curb) -> Driveway:
+def _front_driveway(
+    rng: np.random.Generator, style: LotStyle, house: HouseOutline, stand: Placement, curb: Curb
+) -> Driveway:
     """A short driveway from the road straight, bent or skewed to a garage door that faces the street."""
     x, y, garage_width = house.garage
     at_house = garage_width * uniform(rng, (0.7, 1.0))
@@ -160,7 +162,7 @@ def _front_driveway(rng: np.random.Generator, style: LotStyle, house: House, sta
     return Driveway(shape, line, at_house, walk)
 
 
-def _court(rng: np.random.Generator, house: House, width: float) -> tuple[Shape, Points, Points]:
+def _court(rng: np.random.Generator, house: HouseOutline, width: float) -> tuple[Polygons, Points, Points]:
     """Paved ground beside a garage that opens sideways, in the house's frame: shape, entry, middle."""
     reach, back = uniform(rng, (5.0, 8.0)), uniform(rng, (4.5, 7.0))
     front = house.garage[1] + uniform(rng, (-0.5, 1.5))
@@ -177,7 +179,9 @@ def _court(rng: np.random.Generator, house: House, width: float) -> tuple[Shape,
     return shape, entry, np.array([house.left - reach / 2, front + back / 2])
 
 
-def _winding_driveway(rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, curb: Curb) -> Driveway:
+def _winding_driveway(
+    rng: np.random.Generator, style: LotStyle, house: HouseOutline, stand: Placement, curb: Curb
+) -> Driveway:
     """A long driveway, straight or winding, to a paved court beside the house."""
     width = uniform(rng, style.driveway_width)
     court, entry, middle = _court(rng, house, width)
@@ -198,7 +202,9 @@ def _winding_driveway(rng: np.random.Generator, style: LotStyle, house: House, s
     return Driveway([*shape, *stand.place_all(court)], line, width, walk)
 
 
-def _horseshoe_driveway(rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, curb: Curb) -> Driveway:
+def _horseshoe_driveway(
+    rng: np.random.Generator, style: LotStyle, house: HouseOutline, stand: Placement, curb: Curb
+) -> Driveway:
     """A driveway with two entries that passes in front of the front door, with a spur to the garage."""
     width = uniform(rng, style.driveway_width) * 0.9
     court, entry, middle = _court(rng, house, width)
@@ -235,7 +241,9 @@ def _horseshoe_driveway(rng: np.random.Generator, style: LotStyle, house: House,
     return Driveway([*shape, *stand.place_all(court)], np.concatenate([line, spur]), width, closest[None])
 
 
-def _side_driveway(rng: np.random.Generator, style: LotStyle, house: House, stand: Frame, curb: Curb) -> Driveway:
+def _side_driveway(
+    rng: np.random.Generator, style: LotStyle, house: HouseOutline, stand: Placement, curb: Curb
+) -> Driveway:
     """A narrow driveway along the side of the house to its back, sometimes to a separate garage."""
     width = uniform(rng, style.driveway_width) * 0.85
     x = house.left - width * uniform(rng, (0.5, 0.9))
@@ -251,8 +259,13 @@ def _side_driveway(rng: np.random.Generator, style: LotStyle, house: House, stan
 
 
 def _walkway_starts(
-    rng: np.random.Generator, house: House, stand: Frame, at_curb: Frame, drive: Driveway, has_sidewalk: bool
-) -> Shape:
+    rng: np.random.Generator,
+    house: HouseOutline,
+    stand: Placement,
+    at_curb: Placement,
+    drive: Driveway,
+    has_sidewalk: bool,
+) -> Polygons:
     """The starts of walkways to the front door: one or two points [2] on the driveway or at the street."""
     from_drive = drive.walk_from[int(rng.integers(len(drive.walk_from)))]
     door = stand.place((house.door[0], house.door[1]))
@@ -267,7 +280,7 @@ def _walkway_starts(
     return [from_drive, from_street] if near and draw > 1 - both else [from_drive]
 
 
-def _walkway(rng: np.random.Generator, house: House, stand: Frame, start: Points, width: float) -> Shape:
+def _walkway(rng: np.random.Generator, house: HouseOutline, stand: Placement, start: Points, width: float) -> Polygons:
     """A bent, slanted or curved walkway in front of the house, from a point of the plane to the front door."""
     door_x, door_y = house.door
     cosine, sine = np.cos(stand.angle), np.sin(stand.angle)
@@ -300,7 +313,7 @@ def _door(rng: np.random.Generator, door: tuple[float, float], style: LotStyle) 
     return jitter(rng, corners, 0.12)
 
 
-def _add_side_door(rng: np.random.Generator, lot: Lot, house: House, stand: Frame, width: float) -> None:
+def _add_side_door(rng: np.random.Generator, lot: Lot, house: HouseOutline, stand: Placement, width: float) -> None:
     """Add a second door or a patio at the side of the house, with a walkway around the corner."""
     depth = max(float(block[:, 1].max()) for block in house.blocks[:1])
     beside, side_y = house.right + width * uniform(rng, (0.6, 1.2)), uniform(rng, (0.3, 0.8)) * depth
@@ -321,10 +334,10 @@ def car(rng: np.random.Generator, center: Points, angle: float) -> Points:
     """A car's outline, [4 2]."""
     length, width = uniform(rng, (3.9, 5.2)), uniform(rng, (1.7, 2.2))
     body = rectangle(-length / 2, -width / 2, length / 2, width / 2)
-    return Frame(center, angle).place(jitter(rng, body, 0.12))
+    return Placement(center, angle).place(jitter(rng, body, 0.12))
 
 
-def _park(rng: np.random.Generator, drive: Driveway) -> Shape:
+def _park(rng: np.random.Generator, drive: Driveway) -> Polygons:
     """One or two cars beside a driveway's center line, so that wide driveways stay passable."""
     cars = []
     for _ in range(1 + int(rng.random() < 0.25)):
@@ -332,7 +345,7 @@ def _park(rng: np.random.Generator, drive: Driveway) -> Shape:
         ahead = drive.line[index + 1] - drive.line[index - 1]
         angle = float(np.arctan2(ahead[1], ahead[0]))
         aside = max(drive.width / 2 - uniform(rng, (0.9, 1.4)), 0.0) * float(rng.choice((-1, 1)))
-        cars.append(car(rng, Frame(drive.line[index], angle).place((0.0, aside)), angle + rng.normal(0, 0.08)))
+        cars.append(car(rng, Placement(drive.line[index], angle).place((0.0, aside)), angle + rng.normal(0, 0.08)))
     return cars
 
 

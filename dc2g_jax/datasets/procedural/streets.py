@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dc2g_jax.datasets.procedural.drawing import (
-    Frame,
+    Placement,
     Points,
     Range,
     Sketch,
@@ -30,14 +30,14 @@ class Curb:
     line: Points
     position: float
 
-    def at(self, offset: float) -> Frame:
+    def at(self, offset: float) -> Placement:
         """The frame on the curb `offset` meters beyond the lot: x along the curb, y away from the road."""
         distance = traveled(self.line)
         place = min(max(self.position + offset, 0.0), float(distance[-1]))
         index = min(int(np.searchsorted(distance, place, side="right")) - 1, len(self.line) - 2)
         step = self.line[index + 1] - self.line[index]
         share = (place - distance[index]) / max(float(distance[index + 1] - distance[index]), 1e-9)
-        return Frame(self.line[index] + share * step, float(np.arctan2(step[1], step[0])))
+        return Placement(self.line[index] + share * step, float(np.arctan2(step[1], step[0])))
 
 
 @dataclass(frozen=True)

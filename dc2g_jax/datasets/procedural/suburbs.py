@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from dc2g_jax.datasets.procedural.drawing import (
-    Frame,
+    PictureFrame,
+    Placement,
+    Polygons,
     Range,
-    Shape,
     Sketch,
-    View,
     choose,
     rectangle,
     traveled,
@@ -185,12 +185,12 @@ def draw_row(rng: np.random.Generator, suburb: Suburb, cells: int, doors: int) -
     return sketch.classes()
 
 
-def _widened(view: View, cells: int) -> View:
+def _widened(view: PictureFrame, cells: int) -> PictureFrame:
     """A square around the middle of a view, with cells as large as those of the view on a 50 x 50 grid."""
     sides = np.array([view.width, view.height]) / view.scale
     cell = float(np.sqrt(sides.prod())) / _HOUSE_CELLS
     corner = view.corner + (sides - cells * cell) / 2
-    return View(view.angle, corner, _PIXELS_A_CELL / cell, cells * _PIXELS_A_CELL, cells * _PIXELS_A_CELL)
+    return PictureFrame(view.angle, corner, _PIXELS_A_CELL / cell, cells * _PIXELS_A_CELL, cells * _PIXELS_A_CELL)
 
 
 def _add_side_streets(rng: np.random.Generator, streets: Streets, apart: float, reach: float) -> None:
@@ -240,13 +240,13 @@ def _choose_sidewalks(rng: np.random.Generator, suburb: Suburb) -> Sidewalks | N
     )
 
 
-def _view(rng: np.random.Generator, suburb: Suburb, streets: Streets, lot: Lot) -> View:
+def _view(rng: np.random.Generator, suburb: Suburb, streets: Streets, lot: Lot) -> PictureFrame:
     """The frame of a picture around one lot."""
     framing = _framing(rng, suburb, streets, lot.essentials)
     return view_around(rng, framing, _turn(rng), suburb.margins, suburb.pixels_per_meter)
 
 
-def _framing(rng: np.random.Generator, suburb: Suburb, streets: Streets, essentials: Shape) -> Shape:
+def _framing(rng: np.random.Generator, suburb: Suburb, streets: Streets, essentials: Polygons) -> Polygons:
     """The shape that the image must contain: the lot, some or all of the road in front, sometimes more beside it."""
     curb = streets.curbs[0].at(0.0)
     depth = 2 * float(streets.roads[0][1].mean()) + uniform(rng, suburb.beyond_road)
@@ -254,7 +254,7 @@ def _framing(rng: np.random.Generator, suburb: Suburb, streets: Streets, essenti
     return [*essentials, curb.place(rectangle(-left, -max(depth, 3.0), right, 0.0))]
 
 
-def _fits(sketch: Sketch, shapes: dict[str, Shape]) -> bool:
+def _fits(sketch: Sketch, shapes: dict[str, Polygons]) -> bool:
     """Whether a lot fits: its house is clear of roads, driveways and houses, and its driveway is clear of houses."""
     house, driveway = sketch.mask(shapes["house"]), sketch.mask(shapes["driveway"])
     if sketch.overlap(house, "road", "driveway", "house", "pavement", "pavement_over_driveway", "path") > 0:
@@ -278,11 +278,11 @@ def _lots_along(rng: np.random.Generator, streets: Streets, lot_width: float, re
     return [curb for _, curb in sorted(places, key=lambda place: place[0])]
 
 
-def _street_cars(rng: np.random.Generator, streets: Streets) -> Shape:
+def _street_cars(rng: np.random.Generator, streets: Streets) -> Polygons:
     """Cars parked along the curbs, a few on each."""
     cars = []
     for curb in streets.curbs:
         for _ in range(int(rng.integers(0, 4))):
-            frame: Frame = curb.at(rng.normal(0, 18))
+            frame: Placement = curb.at(rng.normal(0, 18))
             cars.append(car(rng, frame.place((0.0, -uniform(rng, (1.2, 1.8)))), frame.angle + rng.normal(0, 0.05)))
     return cars
