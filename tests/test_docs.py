@@ -16,7 +16,7 @@ import tyro
 from dc2g_jax.datasets import houses
 from tests.support.places import ROOT
 
-PAGES = [ROOT / "README.md", ROOT / "BENCHMARKS.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "BENCHMARKS.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 #: Packages of extras: examples that need them are run where they are installed.
 OPTIONAL = ("gymnasium",)
@@ -24,7 +24,7 @@ OPTIONAL = ("gymnasium",)
 #: A Python example and, where a block of text follows it, what it prints.
 _EXAMPLE = re.compile(r"^```python\n(.*?)^```\n(?:\s*^```text\n(.*?)^```\n)?", flags=re.S | re.M)
 _SHELL = re.compile(r"^```bash\n(.*?)^```", flags=re.S | re.M)
-_COMMAND = re.compile(r"python (-m experiments\.\w+|examples/\w+\.py)([^`\n|&#]*)")
+_COMMAND = re.compile(r"python (-m experiments\.\w+\b(?!\.)|examples/\w+\.py)([^`\n|&#]*)")
 _NAME = re.compile(r"\bdc2g_jax(?:\.\w+)+")
 
 
