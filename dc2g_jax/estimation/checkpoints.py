@@ -1,4 +1,4 @@
-"""Networks and training states on disk, saved with Orbax and checked before they are believed."""
+"""Networks (safetensors and a card) and training states (Orbax) on disk, checked before they are believed."""
 
 import contextlib
 import dataclasses
@@ -6,7 +6,6 @@ import functools
 import json
 import logging
 import os
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +19,7 @@ from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.networks import compact_unet, pix2pix
 from dc2g_jax.estimation.networks.compact_unet import Architecture
 from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
+from dc2g_jax.estimation.weights import flattened, read_safetensors, read_weights, write_safetensors
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.digests import arrays_sha256
 from dc2g_jax.files.resources import resource
@@ -29,7 +29,8 @@ from dc2g_jax.grid.terrain import CLASS_NAMES
 SHIPPED_NETWORK, SHIPPED_NOISY_NETWORK = "weights/compact_unet", "weights/compact_unet_noisy"
 
 _CARD = "network.json"
-_WEIGHTS = "weights"
+_WEIGHTS = "weights.safetensors"
+_ORBAX_WEIGHTS = "weights"
 _CONFIG = "config.json"
 _STATES = "states"
 
@@ -84,7 +85,7 @@ def _reason(error: Exception) -> str:
 
 
 def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, Any] | None = None) -> Path:
-    """Save a network: `network.json` (what it is) and `weights/` (Orbax). Replaces a network already there.
+    """Save a network: `network.json` (what it is) and `weights.safetensors`. Replaces a network already there.
 
     Args:
       folder: where to save.
@@ -93,17 +94,8 @@ def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, An
     """
     folder = Path(folder).absolute()
     folder.mkdir(parents=True, exist_ok=True)
-    partial = folder / f".{_WEIGHTS}.partial"
-    shutil.rmtree(partial, ignore_errors=True)
-    with _quiet(), ocp.StandardCheckpointer() as checkpointer:
-        checkpointer.save(partial, jax.tree.map(np.asarray, network.weights))
-    # A note by Orbax that names the folder on this machine; nothing reads it.
-    (partial / "commit_success.txt").unlink(missing_ok=True)
-    old = folder / f".{_WEIGHTS}.old"
-    shutil.rmtree(old, ignore_errors=True)
-    with contextlib.suppress(FileNotFoundError):
-        (folder / _WEIGHTS).rename(old)
-    partial.rename(folder / _WEIGHTS)
+    tensors = {name: np.asarray(leaf) for name, leaf in flattened(network.weights).items()}
+    write_safetensors(folder / _WEIGHTS, tensors, {})
     facts = {
         "network": next(name for name, kind in _KINDS.items() if isinstance(network, kind.estimator)),
         "architecture": dataclasses.asdict(network.architecture),
@@ -112,7 +104,6 @@ def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, An
         **(card or {}),
     }
     write_json(folder / _CARD, facts)
-    shutil.rmtree(old, ignore_errors=True)
     return folder
 
 
@@ -154,8 +145,13 @@ def _read_card(folder: Path) -> tuple[_Kind, Any, str | None]:
     return kind, known, facts.get("sha256")
 
 
-def _shapes(tree: Any) -> dict[str, tuple[int, ...]]:
-    return {jax.tree_util.keystr(path): tuple(leaf.shape) for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
+def _read_orbax_weights(path: Path, shapes: dict[str, Any]) -> dict[str, Any]:
+    """Weights in a folder of Orbax, as version 0.1 wrote them and the package ships them."""
+    try:
+        with _quiet(), ocp.StandardCheckpointer() as checkpointer:
+            return checkpointer.restore(path, shapes)
+    except Exception as error:  # Orbax raises many kinds for a damaged checkpoint
+        raise InputError(f"{path}: cannot be read ({_reason(error)}); save or copy the network again") from None
 
 
 def load_network(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork:
@@ -169,37 +165,19 @@ def load_network(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork
     """
     folder = Path(resource(SHIPPED_NETWORK) if folder is None else folder).absolute()
     kind, architecture, digest = _read_card(folder)
-    wanted = kind.weight_shapes(architecture)
-    if not (folder / _WEIGHTS / "_CHECKPOINT_METADATA").is_file():
-        raise InputError(f"{folder / _WEIGHTS}: holds no weights; save or copy the network again")
-    try:
-        with _quiet(), ocp.StandardCheckpointer() as checkpointer:
-            metadata = checkpointer.metadata(folder / _WEIGHTS).item_metadata
-            if metadata is None:
-                raise ValueError("its list of arrays is missing or damaged")
-            found = metadata.tree
-            differing = sorted(set(_shapes(wanted).items()) ^ set(_shapes(found).items()))
-            if differing:
-                name = differing[0][0]
-                raise InputError(
-                    f"{folder / _WEIGHTS}: weights of another architecture: {name} has shape "
-                    f"{_shapes(found).get(name, 'none')}, but {_CARD} asks for {_shapes(wanted).get(name, 'none')}; "
-                    "keep the two files of one training together"
-                )
-            weights = checkpointer.restore(folder / _WEIGHTS, wanted)
-    except InputError:
-        raise
-    except Exception as error:  # Orbax raises many kinds for a damaged checkpoint
-        raise InputError(
-            f"{folder / _WEIGHTS}: cannot be read ({_reason(error)}); save or copy the network again"
-        ) from None
+    shapes, path = kind.weight_shapes(architecture), folder / _WEIGHTS
+    if not path.exists() and (folder / _ORBAX_WEIGHTS / "_CHECKPOINT_METADATA").is_file():
+        path = folder / _ORBAX_WEIGHTS
+        weights = _read_orbax_weights(path, shapes)
+    else:
+        weights = read_weights(path, shapes, read_safetensors(path)[0])
     if digest not in (None, arrays_sha256(weights)):
         raise InputError(
-            f"{folder / _WEIGHTS}: the SHA-256 of the weights is not {digest}, as {_CARD} says; "
+            f"{path}: the SHA-256 of the weights is not {digest}, as {_CARD} says; "
             "keep the two files of one training together"
         )
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(weights)):
-        raise InputError(f"{folder / _WEIGHTS}: holds weights that are not finite; train the network anew")
+        raise InputError(f"{path}: holds weights that are not finite; train the network anew")
     return kind.estimator(weights=weights, architecture=architecture)
 
 

@@ -21,13 +21,13 @@ from flax import nnx, struct
 from jaxtyping import Array, Float, Int, UInt8
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.weights import flattened, read_safetensors, read_weights, write_safetensors
 from dc2g_jax.mapping.camera import CameraPose, intrinsics, rays
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.mapping.simulator import FACE_TOP, FACE_X, cast
 from dc2g_jax.objectnav.agent import INDOOR_FIELD_OF_VIEW
 from dc2g_jax.objectnav.classes import OBJECT_CLASSES
 from dc2g_jax.objectnav.paint import NO_COLOR
-from dc2g_jax.objectnav.weights import flattened, read_safetensors, read_weights, write_safetensors
 from dc2g_jax.programs import jit
 from dc2g_jax.training.loop import Losses, Task
 

@@ -25,9 +25,9 @@ from jaxtyping import Array, Bool, Float, Int, Integer, UInt8
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.networks.compact_unet import Down, Residual, Up
+from dc2g_jax.estimation.weights import flattened, read_safetensors, read_weights, write_safetensors
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES, SEMANTIC_CLASSES
 from dc2g_jax.objectnav.mapping import MAP_CHANNELS
-from dc2g_jax.objectnav.weights import flattened, read_safetensors, read_weights, write_safetensors
 
 #: Channels of the network's input: of the local map, then of the global one.
 INPUT_CHANNELS = 2 * MAP_CHANNELS

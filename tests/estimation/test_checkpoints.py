@@ -7,6 +7,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+import orbax.checkpoint as ocp
 import pytest
 
 from dc2g_jax.errors import InputError
@@ -66,7 +67,7 @@ def test_round_trip(tmp_path):
     card = json.loads((folder / "network.json").read_text())
     assert (card["seed"], card["command"]) == (7, "train")
     assert card["classes"] == list(CLASS_NAMES)
-    assert not [path for path in folder.iterdir() if path.name not in {"network.json", "weights"}]
+    assert not [path for path in folder.iterdir() if path.name not in {"network.json", "weights.safetensors"}]
 
 
 def test_the_digest_of_a_network_tells_weights_and_architectures_apart(folder):
@@ -94,15 +95,14 @@ def test_weights_that_are_not_numbers_of_the_usual_kind_come_back_too(tmp_path):
 @pytest.mark.parametrize("number", [np.nan, np.inf])
 def test_weights_that_are_not_finite_are_refused(number, tmp_path):
     folder = save_network(tmp_path / "network", with_bias(number))
-    assert str(folder / "weights") in refusal(folder, "not finite", "train the network anew")
+    assert str(folder / "weights.safetensors") in refusal(folder, "not finite", "train the network anew")
 
 
 def test_weights_of_another_training_are_refused(tmp_path):
     save_network(tmp_path / "one", network())
     save_network(tmp_path / "other", network(seed=1))
-    shutil.rmtree(tmp_path / "one" / "weights")
-    shutil.copytree(tmp_path / "other" / "weights", tmp_path / "one" / "weights")
-    with pytest.raises(InputError, match=r"one/weights: the SHA-256 of the weights is not [0-9a-f]{64}"):
+    shutil.copy(tmp_path / "other" / "weights.safetensors", tmp_path / "one")
+    with pytest.raises(InputError, match=r"one/weights\.safetensors: the SHA-256 of the weights is not [0-9a-f]{64}"):
         load_network(tmp_path / "one")
     card = tmp_path / "one" / "network.json"
     facts = json.loads(card.read_text())
@@ -117,8 +117,9 @@ def test_saving_again_replaces(folder):
     assert_equal(load_network(folder), other)
 
 
-def test_saving_goes_on_where_another_save_was_interrupted(folder):
-    shutil.copytree(folder / "weights", folder / ".weights.partial")
+def test_saving_replaces_weights_that_are_damaged(folder):
+    truncated(folder / "weights.safetensors")
+    refusal(folder, "weights.safetensors", "cannot be read")
     other = network(seed=3)
     save_network(folder, other)
     assert_equal(load_network(folder), other)
@@ -211,8 +212,29 @@ def test_weights_of_another_architecture(folder, tmp_path):
 
 
 def test_no_weights(folder):
-    shutil.rmtree(folder / "weights")
-    refusal(folder, "weights")
+    (folder / "weights.safetensors").unlink()
+    refusal(folder, "weights.safetensors", "No such file")
+
+
+@pytest.fixture
+def orbax_folder(folder) -> Path:
+    """The network as version 0.1 saved it."""
+    with ocp.StandardCheckpointer() as checkpointer:
+        checkpointer.save(folder / "weights", jax.tree.map(np.asarray, network().weights))
+    (folder / "weights.safetensors").unlink()
+    return folder
+
+
+def test_a_network_of_version_0_1_is_loaded_and_replaced(orbax_folder):
+    assert_equal(load_network(orbax_folder), network())
+    save_network(orbax_folder, network(seed=3))
+    assert_equal(load_network(orbax_folder), network(seed=3))
+
+
+def test_weights_of_another_architecture_in_version_0_1(orbax_folder, tmp_path):
+    other = save_network(tmp_path / "other", network(width=6))
+    shutil.copy(other / "network.json", orbax_folder / "network.json")
+    refusal(orbax_folder, "weights")
 
 
 def weight_files(folder: Path) -> list[Path]:
@@ -233,12 +255,12 @@ def truncated(path: Path) -> None:
 # Orbax leaves reads under way behind when one of them fails; they end with "Event loop is closed".
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize("damage", [deleted, truncated])
-def test_every_damaged_weight_file_is_noticed_or_does_not_matter(folder, tmp_path, damage):
-    saved = load_network(folder)
+def test_every_damaged_weight_file_is_noticed_or_does_not_matter(orbax_folder, tmp_path, damage):
+    saved = load_network(orbax_folder)
     noticed = {}
-    for number, name in enumerate(path.relative_to(folder) for path in weight_files(folder)):
+    for number, name in enumerate(path.relative_to(orbax_folder) for path in weight_files(orbax_folder)):
         copy = tmp_path / f"copy{number}"
-        shutil.copytree(folder, copy)
+        shutil.copytree(orbax_folder, copy)
         damage(copy / name)
         try:
             loaded = load_network(copy)

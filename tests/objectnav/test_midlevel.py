@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax.estimation.weights import read_safetensors, write_safetensors
 from dc2g_jax.mapping.camera import level_camera
 from dc2g_jax.objectnav.classes import BED, OBJECT_COLORS
 from dc2g_jax.objectnav.midlevel import (
@@ -22,7 +23,6 @@ from dc2g_jax.objectnav.midlevel import (
 )
 from dc2g_jax.objectnav.paint import painted
 from dc2g_jax.objectnav.plan_cells import world_from_plan
-from dc2g_jax.objectnav.weights import read_safetensors, write_safetensors
 from dc2g_jax.objectnav.worlds import scene
 from dc2g_jax.training.loop import Pauses, train
 from tests.support.plans import BED_BOX, plan

@@ -150,7 +150,7 @@ def test_a_network_comes_back_from_its_file(weights, question, tmp_path):
 
 
 def test_files_that_are_no_network_are_refused(weights, tmp_path):
-    from dc2g_jax.objectnav.weights import read_safetensors, write_safetensors
+    from dc2g_jax.estimation.weights import read_safetensors, write_safetensors
 
     path = tmp_path / "network.safetensors"
     refusal(lambda: load_estimator(path), path, "cannot be read")

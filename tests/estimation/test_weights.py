@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.objectnav.weights import flattened, read_safetensors, write_safetensors
+from dc2g_jax.estimation.weights import flattened, read_safetensors, write_safetensors
 from tests.support.refusals import refusal
 
 

@@ -66,8 +66,8 @@ def read_weights(path: str | Path, shapes: Mapping[str, Any], tensors: Mapping[s
     for name in sorted({**wanted, **found}):
         if wanted.get(name) != found.get(name):
             raise InputError(
-                f"{path}: {name} has shape {found.get(name, 'none')}, but the network needs "
-                f"{wanted.get(name, 'none')}; give a file that was written for it"
+                f"{path}: weights of another architecture: {name} has shape {found.get(name, 'none')}, but the "
+                f"network needs {wanted.get(name, 'none')}; keep the files of one training together"
             )
 
     def nested(shape: Any, prefix: str) -> Any:
