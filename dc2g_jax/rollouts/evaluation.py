@@ -90,7 +90,7 @@ class Results(tuple[EpisodeResult, ...]):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write `episodes.csv`: one line an episode and planner, `success` as 0 or 1, `extra` in percent."""
-        write_rows(Path(path), self)
+        write_rows(Path(path), EpisodeResult, self)
 
     def __str__(self) -> str:
         """A table: extra steps beyond the oracle and success, a line for each planner."""

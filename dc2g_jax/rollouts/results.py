@@ -14,10 +14,10 @@ from dc2g_jax.files.tables import read_table, write_table
 Row = TypeVar("Row", bound=tuple)
 
 
-def write_rows(path: Path, rows: Sequence[tuple]) -> None:
-    """Write rows of one type, at least one: yes and no as 1 and 0, `None` as nothing."""
+def write_rows(path: Path, kind: type[Row], rows: Sequence[Row]) -> None:
+    """Write rows of one type: yes and no as 1 and 0, `None` as nothing."""
     cells = [[int(value) if isinstance(value, bool) else value for value in row] for row in rows]
-    write_table(path, [*get_type_hints(type(rows[0]))], cells)
+    write_table(path, [*get_type_hints(kind)], cells)
 
 
 def read_rows(path: Path, kind: type[Row]) -> list[Row]:
@@ -67,7 +67,7 @@ class ResumableTable(Generic[Row]):
     """
 
     def __init__(self, path: Path, kind: type[Row]):
-        self._path = path
+        self._path, self._kind = path, kind
         self._rows = read_rows(path, kind) if path.exists() else []
         self._given = 0
 
@@ -84,7 +84,7 @@ class ResumableTable(Generic[Row]):
         first, after = self._given, self._given + len(asked)
         if asked and first == len(self._rows):
             self._rows += make()
-            write_rows(self._path, self._rows)
+            write_rows(self._path, self._kind, self._rows)
         rows = self._rows[first:after]
         for row, values in itertools.zip_longest(rows, asked):
             found = () if row is None else row[: len(values)]

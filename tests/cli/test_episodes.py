@@ -44,7 +44,7 @@ def results(dataset):
 def test_episodes_are_read_as_they_were_written(results, tmp_path):
     path = tmp_path / "episodes.csv"
     mixed = [*results, results[0]._replace(expanding_range=None, actions="", success=False, mode="gave_up")]
-    write_rows(path, mixed)
+    write_rows(path, EpisodeResult, mixed)
     assert read_rows(path, EpisodeResult) == mixed
     assert [file.name for file in tmp_path.iterdir()] == ["episodes.csv"]
 
@@ -54,7 +54,7 @@ def test_episodes_are_read_as_they_were_written(results, tmp_path):
 )
 def test_a_damaged_table_is_refused(results, tmp_path, old, new, mention):
     path = tmp_path / "episodes.csv"
-    write_rows(path, results)
+    write_rows(path, EpisodeResult, results)
     path.write_text(path.read_text().replace(old, new, 1))
     with pytest.raises(InputError, match=mention):
         EpisodeTable(path)
@@ -87,7 +87,7 @@ def test_parts_of_a_run_are_kept_one_after_the_other(dataset, results, tmp_path)
 
 def test_episodes_of_the_range_asked_for_are_kept(dataset, results, tmp_path):
     path = tmp_path / "episodes.csv"
-    write_rows(path, results)
+    write_rows(path, EpisodeResult, results)
     starts = [start._replace(sensing_range=results[0].range) for start in STARTS]
     runner = Interrupted(dataset)
     assert EpisodeTable(path).run(runner, starts, ["oracle"]) == results[:2]
@@ -105,7 +105,7 @@ def test_episodes_of_the_range_asked_for_are_kept(dataset, results, tmp_path):
 )
 def test_other_episodes_are_refused_and_stay(dataset, results, tmp_path, kept, starts):
     path = tmp_path / "episodes.csv"
-    write_rows(path, [result._replace(**kept) for result in results])
+    write_rows(path, EpisodeResult, [result._replace(**kept) for result in results])
     before, runner = path.read_text(), Interrupted(dataset)
     refusal(lambda: EpisodeTable(path).run(runner, starts, ["oracle"]), path, "where this run has", "remove the file")
     assert runner.asked == []
@@ -114,7 +114,7 @@ def test_other_episodes_are_refused_and_stay(dataset, results, tmp_path, kept, s
 
 def test_episodes_that_end_in_the_middle_of_a_planner_are_refused(dataset, results, tmp_path):
     path = tmp_path / "episodes.csv"
-    write_rows(path, results[:1])
+    write_rows(path, EpisodeResult, results[:1])
     refusal(
         lambda: EpisodeTable(path).run(Interrupted(dataset), STARTS, ["oracle"]), "has nothing where", "right,9,5,2"
     )
