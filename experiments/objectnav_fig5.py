@@ -27,8 +27,8 @@ from dc2g_jax.objectnav.agent import (
     DECLARED,
     MPC,
     Agent,
-    Robot,
-    Site,
+    IndoorRobot,
+    IndoorSite,
     act_on,
     cost_of_pose,
     look_and_decide,
@@ -123,7 +123,7 @@ def episode_in(house: IndoorHouse, options: Options) -> Search:
     return Search(house.name, options.target, *starts[options.target][0].tolist())
 
 
-def search(robot: Robot, site: Site, agent: Agent) -> tuple[list[Robot], Robot]:
+def search(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> tuple[list[IndoorRobot], IndoorRobot]:
     """Search to the end.
 
     Returns:
@@ -157,7 +157,7 @@ def chosen(to_goal: Bool[np.ndarray, " leg"], count: int) -> list[int]:
 
 
 @jit
-def sampled_plans(robot: Robot, agent: Agent) -> tuple[Float[Array, "k h 2"], Bool[Array, ""]]:
+def sampled_plans(robot: IndoorRobot, agent: Agent) -> tuple[Float[Array, "k h 2"], Bool[Array, ""]]:
     """Where the plans lead that the controller samples in the robot's next period, and whether it drives by them."""
     _, key = jax.random.split(robot.key)
     costs = cost_of_pose(robot, agent)
@@ -165,7 +165,7 @@ def sampled_plans(robot: Robot, agent: Agent) -> tuple[Float[Array, "k h 2"], Bo
     return samples.path.position, jnp.allclose(plan, agent.steering.plan(key, robot, costs, agent), atol=1e-3)
 
 
-def moment_of(robot: Robot, agent: Agent, name: str) -> SearchMoment:
+def moment_of(robot: IndoorRobot, agent: Agent, name: str) -> SearchMoment:
     """What the figure shows of a robot that is about to act; `name` is the agent's."""
     paths, used = sampled_plans(robot, agent)
     plans = np.asarray(paths) if used else np.zeros((0, *paths.shape[1:]), np.float32)

@@ -23,11 +23,11 @@ from dc2g_jax.cli.searches import (
     digests,
 )
 from dc2g_jax.errors import InputError
-from dc2g_jax.objectnav.evaluation import EpisodeResult, Summary, summarize
+from dc2g_jax.objectnav.evaluation import SearchResult, SearchSummary, summarize
 
 
 class Table1Line(NamedTuple):
-    """A line of Table I of the paper; see `Summary`."""
+    """A line of Table I of the paper; see `SearchSummary`."""
 
     success: float
     spl: float
@@ -65,7 +65,7 @@ class Options(SearchOptions):
     resume: bool = False
 
 
-def table(summaries: Mapping[str, Summary]) -> str:
+def table(summaries: Mapping[str, SearchSummary]) -> str:
     """Table I as text: a line an agent, and the paper's below it where it has one."""
     columns = ("success (95 %)", "SPL (95 %)", "DTS m", "steps", "acc m/s2, rad/s2", "jerk m/s3, rad/s3")
     lines = [_line("", columns)]
@@ -84,7 +84,7 @@ def _paper_line(title: str, name: str) -> str:
     return _line(title, (f"{one.success:.3f}", f"{one.spl:.3f}", *_figures(one)))
 
 
-def _figures(one: Summary | Table1Line) -> tuple[str, ...]:
+def _figures(one: SearchSummary | Table1Line) -> tuple[str, ...]:
     pairs = (f"{along:.2f}, {turning:.2f}" for along, turning in (one.acceleration, one.jerk))
     return f"{one.distance:.2f}", f"{one.steps:.1f}", *pairs
 
@@ -102,7 +102,7 @@ def main(options: Options) -> None:
     costs = costs_for(options.agents, options.network)
     houses, episodes = options.places()
     out = output_folder(options, "objectnav_table1", inputs=digests(houses, network=costs))
-    searches, all_results = SearchTable(out / "episodes.csv"), dict[str, list[EpisodeResult]]()
+    searches, all_results = SearchTable(out / "episodes.csv"), dict[str, list[SearchResult]]()
     for name in options.agents:
         began = time.perf_counter()
         agent = functools.partial(agent_with, name, costs, options.samples)

@@ -15,7 +15,7 @@ from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.cli.searches import ON_NETWORK, SearchOptions, SearchTable, agent_with, conclude, digests, open_costs
 from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect
-from dc2g_jax.objectnav.evaluation import EpisodeResult, Summary, summarize
+from dc2g_jax.objectnav.evaluation import SearchResult, SearchSummary, summarize
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.networks import ABLATIONS, CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
@@ -100,7 +100,7 @@ def prediction_metrics(
     return {name: found[name] for name in METRICS}
 
 
-def table(metrics: dict[str, dict[str, float]], summaries: dict[str, Summary]) -> str:
+def table(metrics: dict[str, dict[str, float]], summaries: dict[str, SearchSummary]) -> str:
     """Table II as text, the paper's line below each of ours."""
     lines = [_line("", ("MPA %", "mF1 %", "mIoU %", "aAP5 %", "aAP9 %", "success", "SPL", "DTS m"))]
     for name, one in summaries.items():
@@ -129,7 +129,7 @@ def main(options: Options) -> None:
     networks = open_networks(options.networks)
     houses, episodes = options.places()
     out = output_folder(options, "objectnav_table2", inputs=digests(houses, networks=networks))
-    searches, results = SearchTable(out / "episodes.csv"), dict[str, list[EpisodeResult]]()
+    searches, results = SearchTable(out / "episodes.csv"), dict[str, list[SearchResult]]()
     metrics = {}
     for name, costs in networks.items():
         metrics[name] = prediction_metrics(costs, houses, options)

@@ -24,7 +24,7 @@ from dc2g_jax.objectnav.agent import (
     Steering,
     usual_camera,
 )
-from dc2g_jax.objectnav.evaluation import Difference, EpisodeResult, difference, results_of
+from dc2g_jax.objectnav.evaluation import Difference, SearchResult, difference, results_of
 from dc2g_jax.objectnav.guides import GoalReacher, NearestFrontier, NoIdea, Predicted, PromisingFrontier, TrueCost
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
@@ -160,7 +160,7 @@ def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLE
     )
 
 
-class SearchTable(ResumableTable[EpisodeResult]):
+class SearchTable(ResumableTable[SearchResult]):
     """`episodes.csv`: one line a search and agent, written anew whenever an agent has made all of its searches.
 
     Args:
@@ -171,7 +171,7 @@ class SearchTable(ResumableTable[EpisodeResult]):
     """
 
     def __init__(self, path: Path):
-        super().__init__(path, EpisodeResult)
+        super().__init__(path, SearchResult)
 
     def run(
         self,
@@ -180,7 +180,7 @@ class SearchTable(ResumableTable[EpisodeResult]):
         houses: Sequence[IndoorHouse],
         episodes: Sequence[Search],
         options: SearchOptions,
-    ) -> list[EpisodeResult]:
+    ) -> list[SearchResult]:
         """Results of an agent's searches, made now or earlier.
 
         Args:
@@ -195,7 +195,7 @@ class SearchTable(ResumableTable[EpisodeResult]):
         """
         progress = EpisodeProgress()
 
-        def search() -> list[EpisodeResult]:
+        def search() -> list[SearchResult]:
             searches = search_all(
                 agent(), houses, episodes, limit=options.limit, seed=options.seed,
                 on_progress=lambda finished: progress(name, finished, len(episodes)),
@@ -209,7 +209,7 @@ def conclude(
     out: Path,
     options: SearchOptions,
     houses: Sequence[IndoorHouse],
-    results: Mapping[str, Sequence[EpisodeResult]],
+    results: Mapping[str, Sequence[SearchResult]],
     titles: Mapping[str, str],
     table: str,
     facts: Mapping[str, Any],

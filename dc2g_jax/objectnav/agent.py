@@ -74,7 +74,7 @@ TRACK = ("x", "y", "yaw", "speed", "turn_rate")
 
 
 @struct.dataclass
-class Site:
+class IndoorSite:
     """A house as it is. Sites of one size can be stacked.
 
     Attributes:
@@ -107,15 +107,15 @@ class Guidance:
 class Guide(Protocol):
     """Says where to go: a pytree."""
 
-    def guide(self, key: Key[Array, ""], robot: "Robot", site: Site, agent: "Agent") -> Guidance:
-        """Costs of the cells of the robot's local map, see `Robot.local_middle`."""
+    def guide(self, key: Key[Array, ""], robot: "IndoorRobot", site: IndoorSite, agent: "Agent") -> Guidance:
+        """Costs of the cells of the robot's local map, see `IndoorRobot.local_middle`."""
         ...
 
 
 class Steering(Protocol):
     """Makes commands of costs: a pytree."""
 
-    def plan(self, key: Key[Array, ""], robot: "Robot", costs: CostOfPose, agent: "Agent") -> Float[Array, "h 2"]:
+    def plan(self, key: Key[Array, ""], robot: "IndoorRobot", costs: CostOfPose, agent: "Agent") -> Float[Array, "h 2"]:
         """The robot's next plan, whose first command is driven."""
         ...
 
@@ -142,7 +142,7 @@ class Agent:
 
 
 @struct.dataclass
-class Robot:
+class IndoorRobot:
     """A robot on its way.
 
     Attributes:
@@ -186,13 +186,13 @@ class MPC:
     run into the wall ahead.
     """
 
-    def plan(self, key: Key[Array, ""], robot: Robot, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
+    def plan(self, key: Key[Array, ""], robot: IndoorRobot, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
         """See `Steering`."""
         return self.weighed(key, robot, costs, agent)[0]
 
     @staticmethod
     def weighed(
-        key: Key[Array, ""], robot: Robot, costs: CostOfPose, agent: Agent
+        key: Key[Array, ""], robot: IndoorRobot, costs: CostOfPose, agent: Agent
     ) -> tuple[Float[Array, "h 2"], mppi.SampledPlans]:
         """The next plan, and the sampled ones that it was made from."""
         settings = agent.controller
@@ -226,7 +226,7 @@ class LookAround:
 
     steering: Steering
 
-    def plan(self, key: Key[Array, ""], robot: Robot, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
+    def plan(self, key: Key[Array, ""], robot: IndoorRobot, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
         """See `Steering`."""
         limits = agent.controller.limits
         looks = ~robot.to_goal & (robot.periods * CONTROL_PERIOD * limits.max_turn_rate < 2 * math.pi)
@@ -241,7 +241,7 @@ class RandomUntilSeen:
     The paper's privileged random agent (section IV-A): speed and turn rate are drawn anew in each period.
     """
 
-    def plan(self, key: Key[Array, ""], robot: Robot, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
+    def plan(self, key: Key[Array, ""], robot: IndoorRobot, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
         """See `Steering`."""
         limits = agent.controller.limits
 
@@ -257,7 +257,7 @@ def usual_camera() -> Intrinsics:
     return intrinsics(INDOOR_FIELD_OF_VIEW, *INDOOR_IMAGE_SIZE)
 
 
-def site_of(world: IndoorWorld, name: str, radius: float = ROBOT_RADIUS) -> Site:
+def site_of(world: IndoorWorld, name: str, radius: float = ROBOT_RADIUS) -> IndoorSite:
     """A house for robots to drive in.
 
     Args:
@@ -265,7 +265,7 @@ def site_of(world: IndoorWorld, name: str, radius: float = ROBOT_RADIUS) -> Site
       name: of the house; it is painted by chance, but always alike.
       radius: of the robots, meters.
     """
-    return Site(
+    return IndoorSite(
         scene=scene(world),
         paint=jnp.asarray(painted(world, np.random.default_rng([*name.encode()]))),
         free=jnp.asarray(world.free),
@@ -283,7 +283,9 @@ def _distances(free: Array, classes: Array, radius: float, cell_size: float) -> 
     )
 
 
-def reset(key: Key[Array, ""], start: Float[Array, "3"], target: Int[Array, ""], agent: Agent, limit: int) -> Robot:
+def reset(
+    key: Key[Array, ""], start: Float[Array, "3"], target: Int[Array, ""], agent: Agent, limit: int
+) -> IndoorRobot:
     """A robot at its start, which has seen nothing.
 
     Args:
@@ -296,7 +298,7 @@ def reset(key: Key[Array, ""], start: Float[Array, "3"], target: Int[Array, ""],
     vehicle = at_rest(start[:2], start[2])
     side, image = agent.mapping.local, (agent.camera.height, agent.camera.width)
     nothing = jnp.int32(0)
-    return Robot(
+    return IndoorRobot(
         key=key,
         target=jnp.asarray(target, jnp.int32),
         vehicle=vehicle,
@@ -321,7 +323,7 @@ def camera_pose(vehicle: VehicleState) -> CameraPose:
     )
 
 
-def look(robot: Robot, site: Site, agent: Agent) -> Robot:
+def look(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
     """Take what the camera shows into the map."""
     frame = render(site.scene, agent.camera, camera_pose(robot.vehicle), agent.mapping.reach)
     seen = integrate(robot.map, frame, agent.camera, agent.mapping)
@@ -329,7 +331,7 @@ def look(robot: Robot, site: Site, agent: Agent) -> Robot:
     return dataclasses.replace(robot, map=known, frame=frame)
 
 
-def decide(robot: Robot, site: Site, agent: Agent) -> Robot:
+def decide(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
     """Ask the guide for new costs around the robot."""
     key, own_key = jax.random.split(robot.key)
     robot = dataclasses.replace(robot, key=key, local_middle=grid_cell(robot.vehicle.position, agent.mapping.cell_size))
@@ -358,7 +360,7 @@ def filled_costs(distance: Float[Array, "n n"], cell_size: float) -> Float[Array
     return jnp.where(known, distance, jnp.where(jnp.isfinite(around), around + _MARGIN, rest))
 
 
-def act(robot: Robot, site: Site, agent: Agent) -> Robot:
+def act(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
     """One control period: plan, drive, and see whether that was the way."""
     key, own_key = jax.random.split(robot.key)
     size, limits = agent.mapping.cell_size, agent.controller.limits
@@ -381,7 +383,7 @@ def act(robot: Robot, site: Site, agent: Agent) -> Robot:
     )
 
 
-def cost_of_pose(robot: Robot, agent: Agent) -> CostOfPose:
+def cost_of_pose(robot: IndoorRobot, agent: Agent) -> CostOfPose:
     """What a place costs the controller: the guide's distance, bilinear between cells, and a price on collisions.
 
     That one has its edge on the borders of cells: bilinear too, it would close gaps of a single cell, which the robot
@@ -399,28 +401,28 @@ def cost_of_pose(robot: Robot, agent: Agent) -> CostOfPose:
     return cost
 
 
-def leg(robot: Robot, site: Site, agent: Agent) -> Robot:
+def leg(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
     """From one look to the next: a robot that is under way looks, decides, and acts for `Agent.renewal` periods."""
     return act_on(look_and_decide(robot, site, agent), site, agent)
 
 
-def look_and_decide(robot: Robot, site: Site, agent: Agent) -> Robot:
+def look_and_decide(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
     """The first part of a leg: what its actions are based on."""
     return decide(look(robot, site, agent), site, agent)
 
 
-def act_on(robot: Robot, site: Site, agent: Agent) -> Robot:
+def act_on(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
     """The second part of a leg: its actions."""
     begun = robot.periods
     limit = robot.track.shape[0] - 1
 
-    def goes_on(robot: Robot) -> Bool[Array, ""]:
+    def goes_on(robot: IndoorRobot) -> Bool[Array, ""]:
         return (robot.status == UNDER_WAY) & (robot.periods < jnp.minimum(begun + agent.renewal, limit))
 
     return jax.lax.while_loop(goes_on, lambda robot: act(robot, site, agent), robot)
 
 
-def under_way(robot: Robot) -> Bool[Array, ""]:
+def under_way(robot: IndoorRobot) -> Bool[Array, ""]:
     """Has the robot neither declared that it is there nor run out of time?"""
     return (robot.status == UNDER_WAY) & (robot.periods < robot.track.shape[0] - 1)
 

@@ -31,7 +31,7 @@ from dc2g_jax.vehicles.footprint import cell_at
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD
 
 
-class EpisodeResult(NamedTuple):
+class SearchResult(NamedTuple):
     """What came of a search.
 
     Attributes:
@@ -116,7 +116,7 @@ def _distance_there(free: Array, fits: Array, region: Array, cell_size: float) -
 
 def results_of(
     agent: str, houses: Sequence[IndoorHouse], episodes: Sequence[Search], searches: Searches
-) -> list[EpisodeResult]:
+) -> list[SearchResult]:
     """What came of each episode.
 
     Args:
@@ -138,7 +138,7 @@ def results_of(
         success = declared and bool(way.there[last])
         acceleration, jerk = (_mean_rate(track[:, 3:], order) for order in (1, 2))
         results.append(
-            EpisodeResult(
+            SearchResult(
                 **episode._asdict(),
                 agent=agent,
                 declared=declared,
@@ -165,7 +165,7 @@ def _mean_rate(speeds: Float[np.ndarray, "time 2"], order: int) -> tuple[float, 
     return along, turning
 
 
-class Summary(NamedTuple):
+class SearchSummary(NamedTuple):
     """A line of Table I: means over episodes, and intervals that hold 95 % of the means of resampled houses.
 
     Attributes:
@@ -195,7 +195,7 @@ class Summary(NamedTuple):
     bumps: float
 
 
-def summarize(results: Sequence[EpisodeResult], *, resamples: int = 10_000, seed: int = 0) -> Summary:
+def summarize(results: Sequence[SearchResult], *, resamples: int = 10_000, seed: int = 0) -> SearchSummary:
     """The means of some episodes.
 
     Args:
@@ -212,7 +212,7 @@ def summarize(results: Sequence[EpisodeResult], *, resamples: int = 10_000, seed
         values = [float(getattr(result, name)) for result in results]
         return house_bootstrap(values, houses, resamples=resamples, seed=seed)
 
-    return Summary(
+    return SearchSummary(
         episodes=len(results),
         success=mean("success"),
         success_interval=interval("success"),
@@ -228,7 +228,7 @@ def summarize(results: Sequence[EpisodeResult], *, resamples: int = 10_000, seed
 
 
 class Difference(NamedTuple):
-    """By how much one agent is better than another in the same searches; intervals as in `Summary`.
+    """By how much one agent is better than another in the same searches; intervals as in `SearchSummary`.
 
     Attributes:
       success: of the shares.
@@ -244,7 +244,7 @@ class Difference(NamedTuple):
 
 
 def difference(
-    better: Sequence[EpisodeResult], worse: Sequence[EpisodeResult], *, resamples: int = 10_000, seed: int = 0
+    better: Sequence[SearchResult], worse: Sequence[SearchResult], *, resamples: int = 10_000, seed: int = 0
 ) -> Difference:
     """Compare two agents search by search.
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Key, UInt32
 from dc2g_jax.grid.fast_marching import geodesic_distance, travel_cost
 from dc2g_jax.grid.search import FOUR_CONNECTED
 from dc2g_jax.grid.shifting import shifted
-from dc2g_jax.objectnav.agent import Agent, Guidance, Guide, Robot, Site
+from dc2g_jax.objectnav.agent import Agent, Guidance, Guide, IndoorRobot, IndoorSite
 from dc2g_jax.objectnav.classes import GOALS
 from dc2g_jax.objectnav.cost_maps import inflated
 from dc2g_jax.objectnav.goal_reacher import distance_to_object, without_specks
@@ -32,13 +32,13 @@ class TrueCost:
     The paper's agent with exact costs ends an episode when the goal is visible.
     """
 
-    def guide(self, key: Key[Array, ""], robot: Robot, site: Site, agent: Agent) -> Guidance:
+    def guide(self, key: Key[Array, ""], robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Guidance:
         """See `Guide`."""
         del key
         return Guidance(true_distance(robot, site, agent), jnp.bool_(True))
 
 
-def true_distance(robot: Robot, site: Site, agent: Agent) -> Float[Array, "n n"]:
+def true_distance(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Float[Array, "n n"]:
     """Exact distance to the nearest object from each cell of the local map, meters."""
     side = agent.mapping.local
     return square(site.distances[robot.target], robot.local_middle - side // 2, side, jnp.inf)
@@ -48,7 +48,7 @@ def true_distance(robot: Robot, site: Site, agent: Agent) -> Float[Array, "n n"]
 class NoIdea:
     """Guide without information, for steering that does not use a guide."""
 
-    def guide(self, key: Key[Array, ""], robot: Robot, site: Site, agent: Agent) -> Guidance:
+    def guide(self, key: Key[Array, ""], robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Guidance:
         """See `Guide`."""
         del key, robot, site
         side = agent.mapping.local
@@ -62,7 +62,7 @@ class NearestFrontier:
     Small specks of unseen floor count only if nothing else is left.
     """
 
-    def guide(self, key: Key[Array, ""], robot: Robot, site: Site, agent: Agent) -> Guidance:
+    def guide(self, key: Key[Array, ""], robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Guidance:
         """See `Guide`."""
         del key, site
         side, cells = agent.mapping.local, robot.map.cells.shape[0]
@@ -88,7 +88,7 @@ class Predicted:
 
     costs: PredictedCosts
 
-    def guide(self, key: Key[Array, ""], robot: Robot, site: Site, agent: Agent) -> Guidance:
+    def guide(self, key: Key[Array, ""], robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Guidance:
         """See `Guide`."""
         del key
         cells = window(robot.map, robot.local_middle, agent.mapping.local)
@@ -111,7 +111,7 @@ class PromisingFrontier:
     costs: PredictedCosts
     weight: float = 2.0
 
-    def guide(self, key: Key[Array, ""], robot: Robot, site: Site, agent: Agent) -> Guidance:
+    def guide(self, key: Key[Array, ""], robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Guidance:
         """See `Guide`."""
         ground, beyond = _ground(window(robot.map, robot.local_middle, agent.mapping.local), agent)
         promised = jnp.where(without_specks(beyond), self.weight * self.costs.of(robot, site, agent), jnp.inf)
@@ -136,7 +136,7 @@ class GoalReacher:
 
     explorer: Guide
 
-    def guide(self, key: Key[Array, ""], robot: Robot, site: Site, agent: Agent) -> Guidance:
+    def guide(self, key: Key[Array, ""], robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Guidance:
         """See `Guide`."""
         cells = window(robot.map, robot.local_middle, agent.mapping.local)
         goals = without_specks(has(cells, jnp.asarray(GOALS)[robot.target] - 1))

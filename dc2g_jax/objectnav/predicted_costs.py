@@ -8,7 +8,7 @@ from flax import struct
 from jaxtyping import Array, Float, Int
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.objectnav.agent import Agent, Robot, Site, camera_pose
+from dc2g_jax.objectnav.agent import Agent, IndoorRobot, IndoorSite, camera_pose
 from dc2g_jax.objectnav.mapping import IndoorMapSettings, network_input
 from dc2g_jax.objectnav.midlevel import ImageEncoder, load_encoder, view
 from dc2g_jax.objectnav.networks import CostMapEstimator, fused_cost, load_estimator
@@ -61,7 +61,7 @@ class PredictedCosts(Generic[_Estimator]):
     meters: float = 10.0
     threshold: float = 0.5
 
-    def of(self, robot: Robot, site: Site, agent: Agent) -> Float[Array, "n n"]:
+    def of(self, robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Float[Array, "n n"]:
         """Cost of each cell of the local map relative to the best cell, meters.
 
         Infinite where a cell is predicted to be occupied.

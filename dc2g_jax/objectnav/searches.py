@@ -14,13 +14,13 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.objectnav.agent import DECLARED, Agent, Robot, Site, leg, reset, site_of, under_way
+from dc2g_jax.objectnav.agent import DECLARED, Agent, IndoorRobot, IndoorSite, leg, reset, site_of, under_way
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.starts import sample_starts
 from dc2g_jax.objectnav.worlds import pad_world
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import Report, every_device, serve_paced, share_out
+from dc2g_jax.rollouts.devices import Report, every_device, fold_of, serve_paced, share_out
 
 #: Control periods of an episode: 50 s (section III-C).
 TIME_LIMIT = 500
@@ -52,7 +52,7 @@ class Searches:
     """What robots did, in the order of the episodes.
 
     Attributes:
-      track: see `dc2g_jax.objectnav.agent.Robot`.
+      track: see `dc2g_jax.objectnav.agent.IndoorRobot`.
       declared: did the robot say that it was there?
       steps: control periods.
       bumps: of these, those in which it ran into something.
@@ -121,9 +121,8 @@ def search_all(
     def serve(device: jax.Device, own: Int[np.ndarray, "own"], report: Report) -> Searches:
         on_device = functools.partial(jax.device_put, device=device)
         own_agent, own_sites, own_where = on_device((agent, sites, where[own]))
-        one_by_one = device.platform == "cpu"
         robots = _reset(*on_device((keys[own], starts[own], targets[own])), own_agent, limit=limit)
-        go_on = functools.partial(_go_on, own_where, own_sites, own_agent, one_by_one=one_by_one)
+        go_on = functools.partial(_go_on, own_where, own_sites, own_agent, fold=fold_of(device))
         robots = serve_paced(robots, go_on, _ended, len(own), report, first_steps=_FIRST_LEGS)
         return Searches(
             track=np.asarray(robots.track),
@@ -135,7 +134,7 @@ def search_all(
     return share_out(len(episodes), every_device()[: len(episodes)], serve, on_progress)
 
 
-def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[Site, dict[str, int]]:
+def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[IndoorSite, dict[str, int]]:
     """Houses of one size as sites, stacked, and the number of each by its name."""
     size = agent.mapping.cell_size
     for house in houses:
@@ -152,29 +151,26 @@ def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[Site, dict[str,
 
 
 @functools.partial(jit, static_argnames=("limit",))
-def _reset(keys: Array, starts: Array, targets: Array, agent: Agent, *, limit: int) -> Robot:
+def _reset(keys: Array, starts: Array, targets: Array, agent: Agent, *, limit: int) -> IndoorRobot:
     return jax.vmap(lambda key, start, target: reset(key, start, target, agent, limit))(keys, starts, targets)
 
 
 @jit
-def _ended(robots: Robot) -> Int[Array, ""]:
+def _ended(robots: IndoorRobot) -> Int[Array, ""]:
     return jnp.sum(~jax.vmap(under_way)(robots))
 
 
-@functools.partial(jit, static_argnames=("one_by_one",), donate_argnums=(3,))
-def _go_on(where: Array, sites: Site, agent: Agent, robots: Robot, legs: Array, *, one_by_one: bool) -> Robot:
-    """Every robot that is under way some legs later.
+@functools.partial(jit, static_argnames=("fold",), donate_argnums=(3,))
+def _go_on(
+    where: Array, sites: IndoorSite, agent: Agent, robots: IndoorRobot, legs: Array, *, fold: Callable
+) -> IndoorRobot:
+    """Every robot that is under way some legs later."""
 
-    On a CPU one robot after the other, so that a branch not taken is not computed; on accelerators all together.
-    """
-
-    def one(number: Int[Array, ""], robot: Robot) -> Robot:
+    def one(number: Int[Array, ""], robot: IndoorRobot) -> IndoorRobot:
         site = jax.tree.map(lambda leaf: leaf[number], sites)
         until = robot.periods + legs * agent.renewal
         return jax.lax.while_loop(
             lambda robot: under_way(robot) & (robot.periods < until), lambda robot: leg(robot, site, agent), robot
         )
 
-    if one_by_one:
-        return jax.lax.map(lambda args: one(*args), (where, robots))
-    return jax.vmap(one)(where, robots)
+    return fold(one, where, robots)

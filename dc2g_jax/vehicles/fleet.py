@@ -14,7 +14,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.mapping.scene import CELL_SIZE, scene_from_terrain
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import Report, every_device, serve_paced, share_out
+from dc2g_jax.rollouts.devices import Report, every_device, fold_of, serve_paced, share_out
 from dc2g_jax.rollouts.rollout import Episodes
 from dc2g_jax.vehicles.drive import ARRIVED, UNDER_WAY, Equipment, Robot, Site, reset, step
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD
@@ -94,7 +94,7 @@ def drive_all(
         some = jax.tree.map(lambda leaf: leaf[own], (episodes, keys))
         on_device = functools.partial(jax.device_put, device=device)
         own_equipment, own_sites, (own_episodes, own_keys) = on_device((equipment, sites, some))
-        fold = _one_by_one if device.platform == "cpu" else _side_by_side
+        fold = fold_of(device)
         robots = _reset(
             own_keys, own_episodes, own_sites, own_equipment, fold=fold, pedestrians=pedestrians, knows_map=knows_map
         )
@@ -106,16 +106,6 @@ def drive_all(
         return _drives(serve_paced(robots, go_on, ended, len(own), report, first_steps=_FIRST_PERIODS))
 
     return share_out(len(episodes), every_device()[: len(episodes)], serve, on_progress)
-
-
-def _one_by_one(one: Callable, *batch: object) -> Robot:
-    """One robot after the other: on a CPU, where a branch not taken is not computed, nine times as fast."""
-    return jax.lax.map(lambda args: one(*args), batch)
-
-
-def _side_by_side(one: Callable, *batch: object) -> Robot:
-    """All robots together: for accelerators."""
-    return jax.vmap(one)(*batch)
 
 
 @functools.partial(jit, static_argnames=("fold", "pedestrians"))

@@ -6,7 +6,7 @@ import json
 import pytest
 
 from dc2g_jax.cli import searches
-from dc2g_jax.objectnav.evaluation import EpisodeResult
+from dc2g_jax.objectnav.evaluation import SearchResult
 from dc2g_jax.rollouts.results import read_rows
 from experiments.objectnav_table1 import Options, main
 from tests.support.refusals import refusal
@@ -26,7 +26,7 @@ def test_it_writes_tables_and_resumes(houses, tmp_path, capsys, monkeypatch):
     printed = capsys.readouterr().out
     for words in ("privileged random", "the paper's", "0.208", "The paper's houses differ"):
         assert words in printed
-    results = read_rows(options.out / "episodes.csv", EpisodeResult)
+    results = read_rows(options.out / "episodes.csv", SearchResult)
     assert [(one.house, one.agent, one.steps) for one in results] == [("two_rooms", "random", 10)] * 2
     facts = json.loads((options.out / "results.json").read_text())
     assert facts["agents"]["random"]["episodes"] == 2
@@ -35,7 +35,7 @@ def test_it_writes_tables_and_resumes(houses, tmp_path, capsys, monkeypatch):
 
     monkeypatch.setattr(searches, "search_all", lambda *args, **options: pytest.fail("searched again"))
     main(dataclasses.replace(options, resume=True))
-    assert read_rows(options.out / "episodes.csv", EpisodeResult) == results
+    assert read_rows(options.out / "episodes.csv", SearchResult) == results
 
     other = two_rooms()
     other.world.heights[0, 0] += 1
@@ -45,9 +45,9 @@ def test_it_writes_tables_and_resumes(houses, tmp_path, capsys, monkeypatch):
 
 def test_a_broken_table_is_named_with_its_line(tmp_path):
     path = tmp_path / "episodes.csv"
-    fields = EpisodeResult._fields
+    fields = SearchResult._fields
     path.write_text(",".join(fields) + "\n" + ",".join(["x"] * len(fields)) + "\n")
-    refusal(lambda: read_rows(path, EpisodeResult), path, "line 2", "repair")
+    refusal(lambda: read_rows(path, SearchResult), path, "line 2", "repair")
 
 
 @pytest.mark.parametrize("wrong", [{"count": 0}, {"samples": 0}, {"agents": ()}, {"agents": ("random", "random")}])

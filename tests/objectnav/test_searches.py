@@ -12,6 +12,7 @@ from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax.objectnav.guides import GoalReacher, NearestFrontier
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
 from dc2g_jax.objectnav.searches import sample_episodes, search_all
+from dc2g_jax.rollouts.devices import side_by_side
 from dc2g_jax.vehicles.mppi import MPPISettings
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
@@ -53,7 +54,7 @@ def test_robots_in_a_batch_do_what_they_do_one_by_one(found):
     keys = jax.random.split(jax.random.key(0), len(episodes))
     robots = searches._reset(keys, starts, targets, AGENT, limit=12)
     where = jnp.zeros(len(episodes), jnp.int32)
-    robots = searches._go_on(where, sites, AGENT, robots, legs=jnp.int32(3), one_by_one=False)
+    robots = searches._go_on(where, sites, AGENT, robots, legs=jnp.int32(3), fold=side_by_side)
     np.testing.assert_allclose(robots.track, made.track, atol=1e-3)
     np.testing.assert_array_equal(robots.periods, made.steps)
 
