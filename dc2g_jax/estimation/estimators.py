@@ -1,6 +1,5 @@
 """The interface planners see: a partial map in, costs-to-go of every cell out, lower is better."""
 
-import dataclasses
 import functools
 from collections.abc import Callable
 from typing import Any, ClassVar, Protocol
@@ -44,8 +43,8 @@ class Estimator(Protocol):
         ...
 
 
-class Extent(Protocol):
-    """Which part of the map an estimator is asked about, where it is not to be asked about the whole of it.
+class Extent:
+    """Which part of the map an estimator is asked about: all of it (the paper's planner), or what a subclass says.
 
     An estimator may have one as its attribute `extent`; a planner that knows where its robot is then asks through it.
     Hashable, so a static value under `jit`.
@@ -54,35 +53,20 @@ class Extent(Protocol):
     @property
     def prior(self) -> float:
         """What a cell costs of which no estimate has ever been made."""
-        ...
+        return 0.0
 
     def part(self, terrain: UInt8[Array, "h w *batch"], pose: Pose) -> UInt8[Array, "h2 w2 *batch"]:
         """The part of the observed class indices (0 = not observed) to ask about, where the robot is in this pose."""
-        ...
-
-    def merged(self, answer: Float[Array, "kept h2 w2 *batch"], pose: Pose, before: Estimates) -> Estimates:
-        """The new estimates of every cell: the answer to the part, and the old estimates elsewhere."""
-        ...
-
-
-@dataclasses.dataclass(frozen=True)
-class WholeMap:
-    """All of it: what an estimator without an extent of its own is asked about (the paper's planner)."""
-
-    prior: float = 0.0
-
-    def part(self, terrain: UInt8[Array, "h w *batch"], pose: Pose) -> UInt8[Array, "h w *batch"]:
-        """The whole map."""
         del pose
         return terrain
 
-    def merged(self, answer: Estimates, pose: Pose, before: Estimates) -> Estimates:
-        """The answer."""
+    def merged(self, answer: Float[Array, "kept h2 w2 *batch"], pose: Pose, before: Estimates) -> Estimates:
+        """The new estimates of every cell: the answer to the part, and the old estimates elsewhere."""
         del pose, before
         return answer
 
 
-WHOLE_MAP = WholeMap()
+WHOLE_MAP = Extent()
 
 
 def extent_of(estimator: Estimator) -> Extent:
@@ -90,7 +74,7 @@ def extent_of(estimator: Estimator) -> Extent:
     return getattr(estimator, "extent", WHOLE_MAP)
 
 
-def answers_in_cells(estimator: Estimator) -> bool:
+def answers_in_cells(estimator: Estimator | None) -> bool:
     """Are its costs in cells, so that a distance can be added? They are, unless it says otherwise."""
     return getattr(estimator, "in_cells", True)
 

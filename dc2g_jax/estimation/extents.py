@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt8
 
-from dc2g_jax.estimation.estimators import Estimates, Estimator, answers_in_cells
+from dc2g_jax.estimation.estimators import Estimates, Estimator, Extent, answers_in_cells
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.sampling import nearest_pixel
 from dc2g_jax.grid.terrain import UNKNOWN
@@ -104,7 +104,7 @@ class CroppedEstimator:
 
 
 @dataclasses.dataclass(frozen=True)
-class Window:
+class Window(Extent):
     """A square with the robot in its middle. Beyond it, the estimates made when cells last were inside are kept.
 
     Whatever a robot can head for it has seen, and what it sees lies inside while the field of view reaches no further

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from flax import nnx, struct
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt8
 
-from dc2g_jax.estimation.estimators import Estimator, Extent, NetworkCostToGo, answers_in_cells, extent_of
+from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.estimation.networks import compact_unet
 from dc2g_jax.grid.terrain import OUTSIDE
 from dc2g_jax.grid.world import World
@@ -79,65 +79,18 @@ class PaddedNetwork:
         return jnp.moveaxis(network(grid[None])[0], -1, 0).reshape(-1, *terrain.shape)
 
 
-def ready_for_any_size(estimator: Estimator) -> Estimator:
-    """An estimator that one program serves on maps of many sizes, where there is one."""
-    return PaddedNetwork(estimator) if isinstance(estimator, NetworkCostToGo) else estimator
-
-
-def _mirrored(
-    cells: Shaped[Array, "..."], inside: Bool[Array, "h w *batch"], axes: tuple[int, ...], first: int
+def mirrored(
+    cells: Shaped[Array, "..."], axes: tuple[int, ...], inside: Bool[Array, "h w *batch"], first: int
 ) -> Shaped[Array, "..."]:
     """Cells of a grid with the map's part of it mirrored along axes of the grid and left where it is.
 
     Args:
       cells: whose rows are the axis `first`.
-      inside: cells of the map.
       axes: axes of the grid, 0 for rows and 1 for columns.
+      inside: cells of the map.
       first: number of axes before the rows.
     """
     for axis in axes:
         size = jnp.sum(jnp.any(inside, axis=[other for other in range(inside.ndim) if other != axis]), dtype=jnp.int32)
         cells = jnp.roll(jnp.flip(cells, first + axis), size - inside.shape[axis], first + axis)
     return cells
-
-
-@struct.dataclass
-class EveryView:
-    """The mean of an estimator's answers to several views of a map, all asked about at once, one map at a time.
-
-    Attributes:
-      estimator: what is asked.
-      views: axes that the map is mirrored along, a tuple a view.
-    """
-
-    estimator: Estimator
-    views: tuple[tuple[int, ...], ...] = struct.field(pytree_node=False)
-    fewest_maps: ClassVar[int] = 1
-
-    @property
-    def extent(self) -> Extent:
-        """The estimator's."""
-        return extent_of(self.estimator)
-
-    @property
-    def in_cells(self) -> bool:
-        """Are the estimator's own costs?"""
-        return answers_in_cells(self.estimator)
-
-    @property
-    def knows_outside(self) -> bool:
-        """Does the estimator?"""
-        return getattr(self.estimator, "knows_outside", False)
-
-    def init(self, world: World) -> Any:
-        """The estimator's own state."""
-        return self.estimator.init(world)
-
-    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "outcomes h w *batch"]:
-        """The mean of the answers, each turned back."""
-        inside = terrain != OUTSIDE
-        answers = [
-            _mirrored(self.estimator.estimate(_mirrored(terrain, inside, axes, 0), state), inside, axes, 1)
-            for axes in self.views
-        ]
-        return jnp.mean(jnp.stack(answers).astype(jnp.float32), axis=0)

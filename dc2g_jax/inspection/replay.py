@@ -1,16 +1,16 @@
 """Episodes taken once more, noting at every step what the planner saw and wanted; for recordings and figures."""
 
 import functools
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jaxtyping import Array, Bool, Float, Float32, Int, Int8, UInt8, UInt32
+from jaxtyping import Array, Bool, Float, Float32, Int, Int8, UInt8
 
 from dc2g_jax.datasets.houses import House
-from dc2g_jax.estimation.estimators import Estimator
+from dc2g_jax.estimation.estimators import Estimator, answers_in_cells
 from dc2g_jax.grid import bitboard, gridworld, poses, search
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import ACTION_LETTERS, Pose, every_heading, make_pose
@@ -50,8 +50,8 @@ class Frames:
       frontier: frontier cells, whatever the rules count: reachable, with an unobserved 4-neighbor (paper, section
         III-D).
       score: while exploring, what the planner compares on the cells it chooses from, the lowest wins: cost-to-go plus
-        weighted distance and what `DC2G.surcharge` adds, or the distance alone for one that has no score. NaN on all
-        other cells.
+        weighted distance, patience lost, less information to be gained, or the distance alone for one that has no
+        score. NaN on all other cells.
       path: the plan as poses from the robot's own to the subgoal, both included: columns, rows, headings; none where
         there is no way.
       in_cells: is `cost_to_go` in cells? Otherwise in parts of the highest cost, 0 to 1.
@@ -79,21 +79,12 @@ class Frames:
         return len(self.mode)
 
 
-class _Carry(NamedTuple):
-    """What goes from one step of the replay to the next."""
-
-    belief: Belief
-    reachable: UInt32[Array, "n_words h"]
-    planner_state: Any
-
-
-def _frame(carry: _Carry, world: World, planner: Planner, rules: Rules) -> tuple[_Carry, dict[str, Any]]:
-    """One frame, and the carry with the planner's new state."""
-    belief = carry.belief
+def _frame(belief: Belief, state: Any, world: World, planner: Planner, rules: Rules) -> tuple[dict[str, Any], Any]:
+    """One frame, and the planner's new state."""
     width = belief.width
     pose = belief.pose
-    reachable = reachable_cells(belief, carry.reachable)
-    assessment, planner_state = assess(planner, belief, carry.planner_state, rules)
+    reachable = reachable_cells(belief, jnp.zeros_like(belief.seen))
+    assessment, state = assess(planner, belief, state, rules)
     plan = assessment.plan
     way_home = search.first_action(pose, every_heading(world.goals), world.traversable)
     distance, score = measured(belief, assessment)
@@ -118,33 +109,32 @@ def _frame(carry: _Carry, world: World, planner: Planner, rules: Rules) -> tuple
         "length": plan.length,
         "to_goal": jnp.where(way_home.found, way_home.length, -1),
         "distance": distance,
-        "score": jnp.where((plan.mode == EXPLORE) & (score < jnp.inf), score, jnp.nan),
+        "score": jnp.where(plan.mode == EXPLORE, score, jnp.nan),
         "cost_to_go": assessment.cost_to_go,
     }
-    return carry._replace(reachable=reachable, planner_state=planner_state), frame
+    return frame, state
 
 
 @functools.partial(jit, static_argnames=("rules",))
-def _first_carry(world: World, start: Pose, planner: Planner, *, rules: Rules) -> _Carry:
-    belief = gridworld.reset(world, start, rules.sensing)
-    return _Carry(belief, jnp.zeros_like(world.traversable), planner.init(world))
+def _first_carry(world: World, start: Pose, planner: Planner, *, rules: Rules) -> tuple[Belief, Any]:
+    return gridworld.reset(world, start, rules.sensing), planner.init(world)
 
 
 @functools.partial(jit, static_argnames=("rules",))
 def _replay_chunk(
-    carry: _Carry, actions: Int8[Array, "chunk"], world: World, planner: Planner, *, rules: Rules
-) -> tuple[_Carry, dict[str, Any]]:
+    carry: tuple[Belief, Any], actions: Int8[Array, "chunk"], world: World, planner: Planner, *, rules: Rules
+) -> tuple[tuple[Belief, Any], dict[str, Any]]:
     """One frame before each action."""
 
-    def cycle(carry: _Carry, action: Array) -> tuple[_Carry, dict[str, Any]]:
-        carry, frame = _frame(carry, world, planner, rules)
-        belief = gridworld.step(world, carry.belief, action.astype(jnp.int32), rules.sensing)
-        return carry._replace(belief=belief), frame
+    def cycle(carry: tuple[Belief, Any], action: Array) -> tuple[tuple[Belief, Any], dict[str, Any]]:
+        belief, state = carry
+        frame, state = _frame(belief, state, world, planner, rules)
+        return (gridworld.step(world, belief, action.astype(jnp.int32), rules.sensing), state), frame
 
     carry, frames = jax.lax.scan(cycle, carry, actions)
     if hasattr(planner, "told"):
         # What it would be told where it does not explore: all steps of the chunk in one batch.
-        told = jax.vmap(planner.told, in_axes=(0, None))(frames["terrain"], carry.planner_state.estimator)
+        told = jax.vmap(planner.told, in_axes=(0, None))(frames["terrain"], carry[1].estimator)
         exploring = (frames["mode"] == EXPLORE)[:, None, None]
         frames["cost_to_go"] = jnp.where(exploring, frames["cost_to_go"], jnp.mean(told, axis=1))
     return carry, frames
@@ -188,7 +178,8 @@ def replay(
         path += map(_path, fetched.pop("distance"), fetched["subgoals"])
         chunks.append(fetched)
     whole = jax.tree.map(lambda *parts: np.concatenate(parts)[:n_frames], *chunks)
-    return Frames(**whole, path=tuple(path[:n_frames]), in_cells=getattr(planner, "in_cells", True))
+    in_cells = answers_in_cells(getattr(planner, "estimator", None))
+    return Frames(**whole, path=tuple(path[:n_frames]), in_cells=in_cells)
 
 
 def actions_from_letters(letters: str) -> Int8[np.ndarray, "actions"]:

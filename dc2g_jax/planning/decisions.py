@@ -110,14 +110,19 @@ def decide(view: View, left: int, top: int) -> Decision:
       InputError: if a score is not a number.
     """
     mode = MODE_NAMES[int(view.mode)]
-    if np.isnan(view.score[view.candidates.any(axis=0)]).any() and view.mode != TO_GOAL:
+    chosen_from = np.any(view.candidates & (view.distance >= 0), axis=0)
+    if view.mode != TO_GOAL and np.isnan(view.score[chosen_from]).any():
         raise InputError("the estimated cost-to-go is not a number (NaN) in some cell; check the estimator's weights")
     if view.mode == GAVE_UP:
         why = "gave up: no door is reachable, and nothing unobserved can be seen from anywhere reachable"
         return Decision(None, mode, None, (), "", (), why)
     plan, actions = shortest_plan(view.distance, view.subgoals)
     path = tuple(RobotPose(left + x, top + y, heading) for x, y, heading in plan)
-    ranked = _ranked(view, plan[-1], left, top) if view.mode == EXPLORE else ()
+    if view.mode == EXPLORE:
+        ranked = _ranked(view, plan[-1], left, top)
+        why = _why_explore(path[-1], len(actions), ranked)
+    else:
+        ranked, why = (), _why_to_goal(path[-1], len(actions))
     return Decision(
         action=actions[0] if actions else None,
         mode=mode,
@@ -125,7 +130,7 @@ def decide(view: View, left: int, top: int) -> Decision:
         path=path,
         actions=actions,
         candidates=ranked,
-        why=_why_explore(ranked) if ranked else _why_to_goal(path[-1], len(actions)),
+        why=why,
     )
 
 
@@ -185,20 +190,23 @@ def _actions(number: int) -> str:
     return "1 action" if number == 1 else f"{number} actions"
 
 
-def _why_explore(ranked: Sequence[Candidate]) -> str:
-    """The reason to explore from the first of the candidates."""
+def _why_explore(subgoal: RobotPose, length: int, ranked: Sequence[Candidate]) -> str:
+    """The reason to explore from the subgoal, most often the first of the candidates."""
+    place = f"explore: ({subgoal.x}, {subgoal.y}) facing {HEADING_NAMES[subgoal.heading]}"
+    details = f"{_actions(length)} away"
+    if not ranked or ranked[0][:2] != subgoal[:2]:
+        return f"{place} is the planner's choice, {details}"
     best, *others = ranked
-    place = f"explore: ({best.x}, {best.y}) facing {HEADING_NAMES[best.heading]}"
-    what, details, digits = "is the nearest", f"{_actions(best.distance)} away", 0
+    what, digits = "is the nearest", 0
     if best.cost_to_go is not None:
         details = f"predicted cost-to-go {best.cost_to_go:.1f}, {details}"
-    if best.score != best.distance or best.cost_to_go is not None:
-        what, details, digits = "has the lowest score", f"{best.score:.1f}: {details}", 1
-    if any(other.score < best.score for other in others):
-        what = "is chosen"
+    if best.cost_to_go is not None or best.score != best.distance:
+        what, digits, details = "has the lowest score", 1, f"{best.score:.1f}: {details}"
     if not others:
         return f"{place} is the only candidate, {details}"
     second = others[0]
+    if second.score < best.score:
+        what = "is the planner's choice"
     next_best = f"next best {second.score:.{digits}f} at ({second.x}, {second.y})"
     return f"{place} {what} of {len(ranked)} candidates, {details}; {next_best}"
 

@@ -47,14 +47,7 @@ _OPEN_MARGIN = 24
 
 @functools.partial(jit, static_argnames=("rules",))
 def _look(planner: Planner, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"], *, rules: Rules) -> tuple[Any, ...]:
-    """The fields of a `View`.
-
-    Args:
-      planner: who decides.
-      terrain: observed class indices, `OUTSIDE` beyond the map.
-      pose: column, row and heading.
-      rules: what counts as frontier, where the planner does not say.
-    """
+    """The fields of a `View`, given class indices that are `OUTSIDE` beyond the map, and column, row and heading."""
     width = terrain.shape[1]
     observed = jnp.where(terrain == OUTSIDE, jnp.uint8(UNKNOWN), terrain)
     belief = dataclasses.replace(belief_from_map(observed, Pose(*pose)), outside=bitboard.pack(terrain == OUTSIDE))
@@ -118,7 +111,7 @@ class OnlinePlanner:
         self._planner = getattr(planner, "memoryless", lambda: planner)()
         self._largest = rows, columns
         self._margin = max(_OPEN_MARGIN, reach) if open_ended else 0
-        self._laid_into_larger = getattr(self._planner, "knows_outside", False)
+        self._laid_into_larger = getattr(getattr(self._planner, "estimator", self._planner), "knows_outside", False)
         frame = 2 * self._margin
         shapes = _shapes_up_to(rows + frame, columns + frame, larger_than=frame)
         self._shapes = shapes if self._laid_into_larger else shapes[-1:]

@@ -17,12 +17,13 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float, Int, UInt8
 
-from dc2g_jax.estimation.estimators import Estimates, Estimator, answers_in_cells, extent_of, update_estimates
-from dc2g_jax.estimation.padding import EveryView, ready_for_any_size
+from dc2g_jax.estimation.estimators import Estimates, Estimator, NetworkCostToGo, extent_of, update_estimates
+from dc2g_jax.estimation.padding import PaddedNetwork, mirrored
 from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import Pose, PoseSet, every_heading
+from dc2g_jax.grid.terrain import OUTSIDE
 from dc2g_jax.grid.world import World
 from dc2g_jax.planning import frontiers
 from dc2g_jax.planning.rules import Rules
@@ -161,15 +162,13 @@ def assess(planner: Planner, belief: Belief, state: Any, rules: Rules) -> tuple[
 def measured(
     belief: Belief, assessment: Assessment
 ) -> tuple[Int[Array, "heading h w *batch"], Float[Array, "h w *batch"]]:
-    """Actions from the robot to every pose, -1 where there is no way; and the score of every cell.
-
-    The score is infinite on cells without candidates.
-    """
+    """Actions from the robot to every pose, -1 where there is no way; and scores, NaN on cells without candidates."""
     distance = search.distances(belief.pose, assessment.ground, belief.width)
     candidates = poses.unpack(assessment.candidates, belief.width) & (distance >= 0)
-    nearest = jnp.min(jnp.where(candidates, distance.astype(jnp.float32), jnp.inf), axis=0)
-    score = nearest if assessment.score is None else jnp.where(jnp.any(candidates, axis=0), assessment.score, jnp.inf)
-    return distance, score
+    score = assessment.score
+    if score is None:
+        score = jnp.min(distance, axis=0, where=candidates, initial=distance.size).astype(jnp.float32)
+    return distance, jnp.where(jnp.any(candidates, axis=0), score, jnp.nan)
 
 
 def _explore_or_finish(belief: Belief, reachable: Board, subgoals: PoseSet, rules: Rules) -> Plan:
@@ -216,6 +215,32 @@ def any_heading(belief: Belief, nearest: PoseSet) -> PoseSet:
     return nearest
 
 
+#: Axes that the map is mirrored along, a tuple a view; and what asks about them.
+Views = tuple[tuple[int, ...], ...]
+Ask = Callable[[UInt8[Array, "h w *batch"]], Estimates]
+
+
+def in_turn(ask: Ask, terrain: UInt8[Array, "h w *batch"], views: Views, view: Int[Array, "*batch"]) -> Estimates:
+    """The answer to the map in the view that is next."""
+
+    def in_view(cells: Array, first: int) -> Array:
+        seen_as = cells
+        for number, axes in enumerate(views):
+            turned = jnp.flip(cells, [first + axis for axis in axes])
+            seen_as = jnp.where(view == number, turned, seen_as) if axes else seen_as
+        return seen_as
+
+    return in_view(ask(in_view(terrain, 0)), 1)
+
+
+def at_once(ask: Ask, terrain: UInt8[Array, "h w *batch"], views: Views, view: Int[Array, "*batch"]) -> Estimates:
+    """The mean of the answers to the map in all views. The map may fill a part of the grid only."""
+    del view
+    inside = terrain != OUTSIDE
+    answers = [mirrored(ask(mirrored(terrain, axes, inside, 0)), axes, inside, 1) for axes in views]
+    return jnp.mean(jnp.stack(answers).astype(jnp.float32), axis=0)
+
+
 @struct.dataclass
 class DC2G(AssessingPlanner):
     """Deep Cost-to-Go (Algorithm 2): to the frontier-expanding pose that the estimated cost-to-go speaks for.
@@ -241,37 +266,29 @@ class DC2G(AssessingPlanner):
       headings: of headings that a cell is reached in as soon, those to take, where distance counts: all of them, or
         those that `dc2g_jax.planning.frontiers.facing_most`.
       patience: with places that go on promising a goal.
+      asking: `in_turn`, or `at_once` for all views at every question.
+      fewest_maps: the estimator is asked about at a time; the last bits of an answer may depend on it.
     """
 
     estimator: Estimator
     rules: Rules = struct.field(pytree_node=False)
     selection: Selection = struct.field(pytree_node=False, default=ExpectedCost(distance_weight=0.0))
     rim_width: int = struct.field(pytree_node=False, default=0)
-    views: tuple[tuple[int, ...], ...] = struct.field(pytree_node=False, default=((),))
+    views: Views = struct.field(pytree_node=False, default=((),))
     gain_weight: float = struct.field(pytree_node=False, default=0.0)
     headings: Callable[[Belief, PoseSet], PoseSet] = struct.field(pytree_node=False, default=any_heading)
     patience: Patience = struct.field(pytree_node=False, default=ENDLESS)
+    asking: Callable[[Ask, Array, Views, Array], Estimates] = struct.field(pytree_node=False, default=in_turn)
+    fewest_maps: int = struct.field(pytree_node=False, default=4)
     #: A network answers many maps at once in less time each.
     robots_a_core: ClassVar[int] = 64
     robots_on_large_maps: ClassVar[int] = 16
 
-    @property
-    def knows_outside(self) -> bool:
-        """Can the map fill a part of the grid only, see `Belief.outside`? For that the estimator has to know."""
-        return getattr(self.estimator, "knows_outside", False)
-
-    @property
-    def in_cells(self) -> bool:
-        """Are costs-to-go in cells?"""
-        return answers_in_cells(self.estimator)
-
     def memoryless(self) -> "DC2G":
-        """This planner for one robot whose state is new at every step, on maps of any size.
-
-        So the estimator is asked about all views each time, and patience has no end.
-        """
-        every_view = EveryView(ready_for_any_size(self.estimator), self.views)
-        return dataclasses.replace(self, estimator=every_view, views=((),), patience=ENDLESS)
+        """This planner for one robot, on maps of any size, whose state is new at every step."""
+        network = self.estimator
+        estimator = PaddedNetwork(network) if isinstance(network, NetworkCostToGo) else network
+        return dataclasses.replace(self, estimator=estimator, asking=at_once, fewest_maps=1, patience=ENDLESS)
 
     def init(self, world: World) -> "ExplorationState":
         """Nothing is reachable before the first observation; the estimator sets itself up."""
@@ -306,35 +323,16 @@ class DC2G(AssessingPlanner):
             )
         return self.selection.summary(costs)
 
-    def estimate(
-        self,
-        terrain: UInt8[Array, "h w *batch"],
-        pose: Pose,
-        before: Estimates,
-        state: tuple[Int[Array, "*batch"], Any],
+    def _estimate(
+        self, terrain: UInt8[Array, "h w *batch"], pose: Pose, before: Estimates, state: tuple[Array, Any]
     ) -> Estimates:
-        """New estimates: the answer to one of the views of the estimator's extent.
-
-        Args:
-          terrain: observed class indices.
-          pose: where the robot is.
-          before: the old estimates.
-          state: which of the views to ask about, and the estimator's state.
-        """
-        view, estimator_state = state
-        extent = extent_of(self.estimator)
+        """New estimates of what the estimator is asked about, given which of the views is next and its state."""
+        (view, estimator_state), extent = state, extent_of(self.estimator)
         part = extent.part(terrain, pose)
-        seen_as = part
-        for number, axes in enumerate(self.views):
-            seen_as = jnp.where(view == number, jnp.flip(part, axes), seen_as) if axes else seen_as
-        answer = self.told(seen_as, estimator_state)
-        summary = answer
-        for number, axes in enumerate(self.views):
-            back = jnp.flip(answer, [1 + axis for axis in axes])
-            summary = jnp.where(view == number, back, summary) if axes else summary
-        return extent.merged(summary, pose, before)
+        answer = self.asking(lambda seen_as: self.told(seen_as, estimator_state), part, self.views, view)
+        return extent.merged(answer, pose, before)
 
-    def candidates(self, belief: Belief, reachable: Board) -> PoseSet:
+    def _candidates(self, belief: Belief, reachable: Board) -> PoseSet:
         """Poses to choose a subgoal from (Algorithm 2, lines 6 to 8)."""
         revealing = frontiers.complete(belief, reachable, self.rules.sensing)
         preferred = self.rules.frontier_expanding(belief, reachable) & revealing
@@ -344,16 +342,10 @@ class DC2G(AssessingPlanner):
             candidates = jnp.where(poses.is_empty(opening), candidates, opening)
         return candidates
 
-    def surcharge(
+    def _surcharge(
         self, belief: Belief, candidates: PoseSet, decided_near: Int[Array, "h w *batch"]
     ) -> Float[Array, "h w *batch"]:
-        """What is added to the selection rule's score of each cell: patience lost, less information to be gained.
-
-        Args:
-          belief: what the robot knows.
-          candidates: poses to choose from.
-          decided_near: decisions made near every cell.
-        """
+        """What is added to the selection rule's score of each cell: patience lost, less information to be gained."""
         surcharge = jnp.zeros(decided_near.shape, jnp.float32)
         if self.patience.price:
             surcharge += self.patience.cost(decided_near)
@@ -366,13 +358,14 @@ class DC2G(AssessingPlanner):
     def assess(self, belief: Belief, state: "ExplorationState") -> "tuple[Assessment, ExplorationState]":
         """Head for the most promising frontier-expanding pose, or for the goal once it is reachable."""
         reachable = reachable_cells(belief, state.reachable)
-        candidates = self.candidates(belief, reachable)
+        candidates = self._candidates(belief, reachable)
         undecided = ~poses.is_empty(candidates) & ~bitboard.intersects(reachable, belief.goals)
         # An estimate stands until something new is seen; robots that do not explore ask for none.
         outdated = undecided & ~bitboard.is_empty(belief.seen ^ state.estimated_from)
         asked_about = state.view, state.estimator
-        fewest = getattr(self.estimator, "fewest_maps", 4)
-        latest = update_estimates(self.estimate, outdated, belief, asked_about, state.estimates[0], fewest=fewest)[None]
+        latest = update_estimates(
+            self._estimate, outdated, belief, asked_about, state.estimates[0], fewest=self.fewest_maps
+        )[None]
         first = bitboard.is_empty(state.estimated_from)
         estimates = jnp.where(outdated, jnp.concatenate([latest, state.estimates[:-1]]), state.estimates)
         # The first answer stands for all views.
@@ -388,7 +381,7 @@ class DC2G(AssessingPlanner):
         if self.patience.price:
             decided_near = decided_near + self.patience.near(belief.pose, belief.height, belief.width)
         # What subgoals are compared by, the lowest wins (Algorithm 2, line 11).
-        score = self.selection(jnp.mean(estimates, axis=0), lengths) + self.surcharge(belief, candidates, decided_near)
+        score = self.selection(jnp.mean(estimates, axis=0), lengths) + self._surcharge(belief, candidates, decided_near)
         # Without a current estimate all candidates are equal, and of equal ones the plan goes to the nearest.
         subgoals = jnp.where(undecided, nearest & _lowest(score, poses.occupied(nearest), belief.width), candidates)
         plan = _explore_or_finish(belief, reachable, subgoals, self.rules)
