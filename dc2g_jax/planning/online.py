@@ -19,9 +19,7 @@ import numpy.typing as npt
 from jaxtyping import Array, Int, UInt8
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.estimation.estimators import Estimator
-from dc2g_jax.files.resources import resource
 from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.gridworld import belief_from_map
 from dc2g_jax.grid.poses import HEADINGS, Pose
@@ -29,7 +27,7 @@ from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax.grid.terrain import CLASS_NAMES, OUTSIDE, TRAVERSABLE, UNKNOWN
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.decisions import Decision, RobotPose, View, decide
-from dc2g_jax.planning.named import NETWORK_PLANNERS, make_planner
+from dc2g_jax.planning.named import NETWORK_PLANNERS, make
 from dc2g_jax.planning.planners import Planner, assess, measured
 from dc2g_jax.planning.rules import Rules, complete_rules
 from dc2g_jax.programs import jit
@@ -104,7 +102,9 @@ class OnlinePlanner:
         if reach > MAX_SENSING_RANGE:
             raise InputError(f"sensing_range {reach}: give one of at most {MAX_SENSING_RANGE}")
         if isinstance(planner, str):
-            planner = _planner_by_name(planner, complete_rules(reach), network)
+            if planner not in PLANNERS and ":" not in planner:
+                raise InputError(f"planner {planner!r}: use one of {', '.join(PLANNERS)}, or give one of your own")
+            planner = make(planner, network=network, sensing_range=reach)
         self._rules: Rules = getattr(planner, "rules", complete_rules(reach))
         if self._rules.sensing.radius != reach:
             raise InputError(f"sensing_range {reach}: the planner's rules say {self._rules.sensing.radius}; give that")
@@ -156,17 +156,6 @@ class OnlinePlanner:
         """What to decide from, in one call of the device."""
         looked = _look(self._planner, terrain, np.array(robot, np.int32), rules=self._rules)
         return View(*jax.device_get(looked))
-
-
-def _planner_by_name(name: str, rules: Rules, network: Estimator | str | Path | None) -> Planner:
-    """One of `PLANNERS`, with the estimator that it needs."""
-    if name not in PLANNERS:
-        raise InputError(f"planner {name!r}: use one of {', '.join(PLANNERS)}, or give one of your own")
-    if name not in NETWORK_PLANNERS:
-        return make_planner(name, rules)
-    if network is None or isinstance(network, str | Path):
-        network = load_network(network or resource("weights/compact_unet"))
-    return make_planner(name, rules, network)
 
 
 def _shapes_up_to(rows: int, columns: int, *, larger_than: int) -> list[tuple[int, int]]:

@@ -1,5 +1,6 @@
 """Recordings hold what the replay says, and the replay says what the rollout did."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from dc2g_jax.planning.selection import ExpectedCost, Patience
 from dc2g_jax.rollouts.evaluation import EpisodeResult
 from dc2g_jax.rollouts.statistics import extra_steps
 from tests.oracles import gridworld_oracle as oracle
+from tests.support.exploration import LowestColumn, PlanAlone
 from tests.support.recordings import read
 
 _LETTERS = {"r": "road", "g": "grass", "d": "driveway", "F": "front_door", "h": "house"}
@@ -233,6 +235,16 @@ def test_scores_are_those_the_planner_goes_by():
         np.testing.assert_allclose(found.score[step][chosen], np.nanmin(score), atol=1e-4)
     assert np.any(found.seen[1:] != found.seen[:-1], axis=(1, 2)).sum() > 5
     assert decided_near.max() > 10
+
+
+def test_a_planner_of_ones_own_is_shown_with_its_own_scores(results, frames):
+    wanted, result = frames["frontier"], results["frontier"]
+    world, start, actions = world_from_terrain(_TERRAIN), make_pose(*_START[1:4]), actions_from_letters(result.actions)
+    alone = replay(world, start, actions, planner=PlanAlone(_RULES), rules=_RULES)
+    jax.tree.map(np.testing.assert_array_equal, alone, wanted)
+    lowest = replay(world, start, actions, planner=LowestColumn(_RULES), rules=_RULES)
+    columns = np.broadcast_to(np.arange(_TERRAIN.shape[1]), lowest.score.shape)
+    np.testing.assert_array_equal(lowest.score, np.where(np.isnan(wanted.score), np.nan, columns))
 
 
 def test_plans_of_the_oracle_lead_over_ground_that_nobody_has_seen(results):

@@ -24,7 +24,15 @@ from dc2g_jax.planning.planners import MODE_NAMES, Frontier
 from dc2g_jax.planning.rules import complete_rules
 from tests.oracles import gridworld_oracle as oracle
 from tests.support import maps
-from tests.support.exploration import SENSING, STEP_LIMIT, Scattered, random_moment, random_worlds
+from tests.support.exploration import (
+    SENSING,
+    STEP_LIMIT,
+    LowestColumn,
+    PlanAlone,
+    Scattered,
+    random_moment,
+    random_worlds,
+)
 from tests.support.networks import random_network
 
 #: Maps, and the largest that planners are made for: one program, three, and one for maps that go on beyond their edges.
@@ -209,6 +217,30 @@ def test_reasons(street):
     assert why == "explore: (0, 0) facing east is the nearest of 4 candidates, 1 action away; next best 2 at (1, 0)"
     why = planner.plan(corridor[:, 3:], (0, 0, 1)).why
     assert why == "explore: (0, 0) facing east is the only candidate, 1 action away"
+
+
+def test_a_planner_of_ones_own_shows_its_own_candidates_and_scores():
+    rules = complete_rules(SENSING)
+    alone, lowest = (
+        OnlinePlanner(planner, sensing_range=SENSING, largest=SHAPE)
+        for planner in (PlanAlone(rules), LowestColumn(rules))
+    )
+    explored = 0
+    for seed in range(12):
+        terrain, seen, pose = random_moment(seed, SHAPE, 0.8)
+        grid = observed(np.where(terrain == FRONT_DOOR, 3, terrain).astype(np.uint8), seen)
+        wanted = planner_of("frontier").plan(grid, pose)
+        assert alone.plan(grid, pose) == wanted
+        found = lowest.plan(grid, pose)
+        assert found.mode == wanted.mode
+        assert sorted(each[:2] for each in found.candidates) == sorted(each[:2] for each in wanted.candidates)
+        for each in found.candidates:
+            assert (each.score, each.cost_to_go) == (each.x, None)
+        if found.mode == "explore":
+            explored += 1
+            assert found.subgoal.x == min(each.x for each in wanted.candidates)
+            assert found.subgoal == found.candidates[0][:3]
+    assert explored > 5
 
 
 def test_an_estimator_with_an_extent_is_asked_about_it_alone():

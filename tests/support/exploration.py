@@ -6,10 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from dc2g_jax.grid import bitboard
+from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.planning.planners import EXPLORE, AssessingPlanner, Frontier
+from dc2g_jax.planning.rules import Rules
 from tests.oracles import gridworld_oracle as oracle
 from tests.support import maps
 
@@ -59,6 +61,40 @@ def random_worlds(shape, first_seed: int, doors: int = 1, episodes: int = EPISOD
         terrains.append(terrain)
         starts.append(maps.random_pose(seed, ground))
     return np.stack(terrains), starts
+
+
+@struct.dataclass
+class PlanAlone:
+    """A planner of a user's own that has nothing but a plan, that of frontier exploration."""
+
+    rules: Rules = struct.field(pytree_node=False)
+
+    def init(self, world):
+        return Frontier(self.rules).init(world)
+
+    def plan(self, belief, state):
+        return Frontier(self.rules).plan(belief, state)
+
+
+@struct.dataclass
+class LowestColumn(AssessingPlanner):
+    """A planner of a user's own that explores from the candidates farthest to the left and tells so."""
+
+    rules: Rules = struct.field(pytree_node=False)
+
+    def init(self, world):
+        return Frontier(self.rules).init(world)
+
+    def assess(self, belief, state):
+        assessment, state = Frontier(self.rules).assess(belief, state)
+        cells = poses.occupied(assessment.candidates)
+        column = jnp.broadcast_to(jnp.arange(belief.width, dtype=jnp.float32), (belief.height, belief.width))
+        score = jnp.where(bitboard.unpack(cells, belief.width), column, jnp.inf)
+        best = assessment.candidates & bitboard.pack(score == jnp.min(score))
+        subgoals = jnp.where(assessment.plan.mode == EXPLORE, best, assessment.plan.subgoals)
+        first = search.first_action(belief.pose, subgoals, assessment.ground)
+        plan = assessment.plan.replace(action=first.action, length=first.length, subgoals=subgoals)
+        return assessment.replace(plan=plan, score=column), state
 
 
 @struct.dataclass
