@@ -1,5 +1,6 @@
 """The package's front door: public names, imported when they are asked for."""
 
+import re
 import subprocess
 import sys
 import tomllib
@@ -44,6 +45,13 @@ def test_editors_are_told_the_same_names():
     for name, module in dc2g_jax._MODULES.items():
         assert f"    from dc2g_jax.{module} import {name} as {name}\n" in text
     assert text.count(" import ") - text.count("import version") == len(dc2g_jax._MODULES) + 1
+
+
+def test_the_reference_lists_every_name():
+    page = (ROOT / "docs" / "reference" / "public_names.md").read_text()
+    assert [f"[dc2g_jax.{module}.{name}]" for name, module in dc2g_jax._MODULES.items()] == re.findall(
+        r"\[dc2g_jax[\w.]+\]", page
+    )
 
 
 def test_the_version_is_that_of_the_package():
