@@ -10,13 +10,13 @@ import gc
 import itertools
 import time
 from collections.abc import Iterator
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, check_planners, command_line, network_for
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
@@ -41,7 +41,7 @@ class Options:
       cells: sides of the maps, in cells.
       calls: decisions to time on each.
       repeats: how many times, the same decisions each time.
-      planner: which planner.
+      planner: `frontier`, `dc2g` or `dc2g_uncertain`; one of your own as package.module:Class.
       sensing_range: reach of the field of view, in cells.
       dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
       network: folder of a trained network; the shipped one where not given.
@@ -51,7 +51,7 @@ class Options:
     cells: tuple[int, ...] = (50, 100)
     calls: int = 500
     repeats: int = 3
-    planner: Literal["frontier", "dc2g", "dc2g_uncertain"] = "dc2g"
+    planner: str = "dc2g"
     sensing_range: int = 8
     dataset: DatasetOption = None
     network: NetworkOption = None
@@ -105,7 +105,8 @@ def main(options: Options) -> None:
     if min(options.cells, default=0) < 1:
         raise InputError(f"--cells {' '.join(map(str, options.cells))}: give one side at least, each of 1 or more")
     houses = make_workload(open_dataset(options.dataset), per_house=1)
-    network = None if options.planner == "frontier" else open_network(options.network)
+    check_planners([options.planner])
+    network = network_for([options.planner], options.network)
     out = output_folder(options, "latency")
     machine = describe()
     print(f"{options.planner} on {machine['cpu']}, {machine['cores']} cores, load {machine['load']}, times in ms")

@@ -437,3 +437,12 @@ def test_an_estimate_that_is_no_number_is_refused():
     grid[2, 2] = 0
     with pytest.raises(InputError, match="weights"):
         OnlinePlanner(network=broken, sensing_range=SENSING, largest=LARGEST).plan(grid, (0, 0, 0))
+
+
+def test_a_class_of_ones_own_is_named_by_its_module():
+    by_name, by_class = (
+        OnlinePlanner(name, largest=(8, 8)) for name in ("frontier", f"{Frontier.__module__}:Frontier")
+    )
+    assert by_class.plan(ROAD, (2, 3, 0)).action == by_name.plan(ROAD, (2, 3, 0)).action
+    with pytest.raises(InputError, match="'no_such_module:Mine': cannot be imported"):
+        OnlinePlanner("no_such_module:Mine", largest=(8, 8))
