@@ -1,1 +1,1 @@
-"""Looking inside: figures and rerun recordings."""
+"""Figures, animations and rerun recordings."""

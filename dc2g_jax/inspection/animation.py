@@ -1,4 +1,4 @@
-"""Episodes as moving pictures: planners side by side, step by step, as GIF or MP4."""
+"""Animations of episodes as GIF or MP4: planners side by side, step by step."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -29,35 +29,35 @@ from dc2g_jax.inspection.replay import Frames, running_extra_steps
 from dc2g_jax.inspection.video import Picture, frequent_colors, write_gif, write_mp4
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
 
-#: Pixels: the most that all panels may take, wide and high, and the same where cells would have fewer than three; the
-#: least width of a panel's column, and what lies between and above.
+#: Pixels: largest width and height of all panels together, and the same if cells would have fewer than three pixels;
+#: least width of a panel's column; then the gap between panels and the space above them.
 _ROOM, _LARGE_ROOM, _LEAST_WIDE = (790, 600), (960, 640), 220
 _GAP, _CAPTION, _FONT = 14, 38, 13
 
-#: Pixels of the legend: a line, what lies between a sign and its word, and between one entry and the next; a patch.
+#: Pixels of the legend: height of a line, gap between a symbol and its label, gap between entries, side of a patch.
 _LINE, _SIGN_GAP, _ENTRY_GAP, _PATCH = 22, 6, 18, 13
 
-#: Pictures of an episode at most; of a longer one only every second, third ... step is shown.
+#: Largest number of pictures of an episode; of a longer one only every second, third ... step is shown.
 _MOST_PICTURES = 250
 
 #: Pictures from which the colors of a GIF are chosen.
 _SAMPLE = 12
 
-#: Seconds that the last picture stays.
+#: Duration of the last picture, seconds.
 _LAST_SECONDS = 2.5
 
-#: Colors of the predicted cost-to-go; few, so that pictures stay small.
+#: Number of colors of the predicted cost-to-go; few, so that files stay small.
 _COST_LEVELS = 40
 
 _MARK, _ROBOT, _SUBGOAL = "#ffffff", "#f0e442", "#ff6ec7"
 _INK, _PALE_INK, _FRAME = "#222222", "#666666", "#bbbbbb"
 
-#: Rims of what has been seen, and of what is in view.
+#: Colors of the outlines of seen cells and of the field of view.
 _SEEN_RIM, _VIEW_RIM = to_rgb("#4d4d4d"), to_rgb("#e69f00")
 
-# Marks as outlines around the origin, in units of half a mark.
+# Outlines of marks around the origin, in units of half a mark.
 _TRIANGLES = [[(1, 0), (-0.8, -0.85), (-0.8, 0.85)]]
-for _ in range(3):  # one a heading: a right turn takes (x, y) to (-y, x)
+for _ in range(3):  # one per heading: a right turn takes (x, y) to (-y, x)
     _TRIANGLES.append([(-y, x) for x, y in _TRIANGLES[-1]])
 _CIRCLE = [(math.cos(angle), math.sin(angle)) for angle in np.linspace(0, 2 * np.pi, 24, endpoint=False)]
 _STAR = [
@@ -69,12 +69,12 @@ _CROSS += [(-x, -y) for x, y in _CROSS]
 
 
 class _Panel(NamedTuple):
-    """What one panel shows.
+    """Content of a panel.
 
     Attributes:
-      planner: whose.
+      planner: name of the planner.
       frames: its episode.
-      cost: does it show the predicted cost-to-go, or else the map?
+      cost: whether the panel shows the predicted cost-to-go instead of the map.
     """
 
     planner: str
@@ -83,14 +83,14 @@ class _Panel(NamedTuple):
 
 
 class _Layout(NamedTuple):
-    """Where panels lie, in pixels.
+    """Layout of the panels, in pixels.
 
     Attributes:
-      columns: panels in a row.
+      columns: number of panels in a row.
       scale: side of a cell.
-      width: of the map in a panel.
-      height: of the map in a panel.
-      n_panels: how many there are.
+      width: width of the map in a panel.
+      height: height of the map in a panel.
+      n_panels: number of panels.
     """
 
     columns: int
@@ -101,7 +101,7 @@ class _Layout(NamedTuple):
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of a picture; even, as video codecs want it."""
+        """Width and height of a picture; even, as video codecs require."""
         rows = -(-self.n_panels // self.columns)
         width = self.columns * (self._column + _GAP) + _GAP
         height = rows * (_CAPTION + self.height + _GAP) + _GAP
@@ -119,7 +119,7 @@ class _Layout(NamedTuple):
 
 
 def _layout(n_panels: int, height: int, width: int) -> _Layout:
-    """The columns for which panels fill most of the room."""
+    """The layout whose number of columns makes the panels largest."""
     for room in (_ROOM, _LARGE_ROOM):
         best = (0.0, 0, 1)
         for columns in range(1, n_panels + 1):
@@ -133,12 +133,12 @@ def _layout(n_panels: int, height: int, width: int) -> _Layout:
 
 
 def _font(name: str) -> ImageFont.FreeTypeFont:
-    """One of the fonts that come with matplotlib."""
+    """One of matplotlib's fonts."""
     return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / f"{name}.ttf", _FONT)
 
 
 def _mark(outline: Sequence[tuple[float, float]], color: str, side: int) -> Image.Image:
-    """A mark with a black edge and soft corners, on a clear ground."""
+    """A mark with a black edge and rounded corners on a transparent background."""
     fine = 8 * side
     image = Image.new("RGBA", (fine, fine), (0, 0, 0, 0))
     points = [(fine * (0.5 + 0.43 * x), fine * (0.5 + 0.43 * y)) for x, y in outline]
@@ -154,14 +154,14 @@ def _enlarged(cells: np.ndarray, scale: int) -> np.ndarray:
 
 
 def _rim(pixels: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
-    """Those pixels of a set that have a neighbor outside it, on the picture."""
+    """The pixels of a set that have a neighbor outside it within the picture."""
     framed = np.pad(pixels, 1, mode="edge")
     inner = framed[:-2, 1:-1] & framed[2:, 1:-1] & framed[1:-1, :-2] & framed[1:-1, 2:]
     return pixels & ~inner
 
 
 def _patch(color: Sequence[float], rim: Sequence[float]) -> Image.Image:
-    """A square of a color, RGB from 0 to 1, within a rim."""
+    """A square of a color with an outline, both RGB from 0 to 1."""
     pixels = np.broadcast_to(np.asarray(rim), (_PATCH, _PATCH, 3)).copy()
     pixels[1:-1, 1:-1] = color
     return _image(pixels).convert("RGBA")
@@ -175,7 +175,7 @@ def _image(pixels: Float[np.ndarray, "height width 3"]) -> Image.Image:
 def _with_legend(
     size: tuple[int, int], entries: Mapping[str, Image.Image], font: ImageFont.FreeTypeFont
 ) -> Image.Image:
-    """An empty picture of a size, and below it what signs mean, in lines from the left; its height is even too."""
+    """An empty picture of the given size with a legend below it, in left-aligned lines. Its height is even too."""
     places, x, line = [], _GAP, 0
     for word, sign in entries.items():
         length = sign.width + _SIGN_GAP + math.ceil(font.getlength(word))
@@ -195,9 +195,9 @@ class _Painter:
     """Paints the pictures of one start.
 
     Args:
-      house: where the episodes took place.
-      panels: what to show.
-      layout: where.
+      house: house of the episodes.
+      panels: panels to paint.
+      layout: layout of the panels.
     """
 
     def __init__(self, house: House, panels: Sequence[_Panel], layout: _Layout):
@@ -215,7 +215,7 @@ class _Painter:
         self._paper = _with_legend(layout.size, self._entries(bool(estimates)), self._font)
 
     def _entries(self, estimates: bool) -> dict[str, Image.Image]:
-        """What the legend says: classes, the largest first, what is pale or framed, and marks."""
+        """The legend: classes, the most frequent first, pale and framed cells, and marks."""
         frame, classes = to_rgb(_FRAME), present_classes(self._terrain)
         names = [CLASS_NAMES[index] for index in classes]
         entries = {name.replace("_", " "): _patch(to_rgb(CLASS_COLORS[name]), frame) for name in names}
@@ -248,7 +248,7 @@ class _Painter:
         return cost_image(share, seen & ground, seen & ~ground)
 
     def _ground(self, panel: _Panel, frame: int) -> Image.Image:
-        """The map or the costs, cells as squares of pixels, with rims around what has been seen and what is in view."""
+        """The map or the costs: cells as squares of pixels, with outlines of the seen cells and the field of view."""
         frames, scale = panel.frames, self._layout.scale
         seen = frames.seen[frame]
         cells = self._costs(frames, frame) if panel.cost else map_image(self._terrain, seen)
@@ -264,7 +264,7 @@ class _Painter:
     def _draw_robot(
         self, picture: Image.Image, draw: ImageDraw.ImageDraw, corner: tuple[int, int], panel: _Panel, frame: int
     ) -> None:
-        """Goals, the way so far, the subgoal of the plan, and the robot."""
+        """Draw the goals, the path so far, the subgoal of the plan, and the robot."""
         frames, scale = panel.frames, self._layout.scale
 
         def put(mark: Image.Image, places: list[tuple[int, int]]) -> None:
@@ -288,12 +288,12 @@ class _Painter:
         put(self._robots[frames.pose.heading[frame]], way[-1:])
 
     def _middles(self, corner: tuple[int, int], x: Any, y: Any) -> list[tuple[int, int]]:
-        """Where the middles of cells lie on the picture."""
+        """Pixels of the centers of cells."""
         places = np.stack([x, y], axis=-1).reshape(-1, 2) * self._layout.scale + self._layout.scale // 2 + corner
         return [(column, row) for column, row in places.tolist()]
 
     def _write(self, draw: ImageDraw.ImageDraw, corner: tuple[int, int], number: int, frame: int) -> None:
-        """Two lines above a panel."""
+        """Write two lines above a panel."""
         panel = self._panels[number]
         style = planner_style(panel.planner)
         x, upper, lower = corner[0], corner[1] - _CAPTION + 2, corner[1] - _CAPTION + 19
@@ -309,7 +309,7 @@ class _Painter:
             draw.text((right, lower), f"{extra:+.0f} %", _PALE_INK, self._font, anchor="ra")
 
     def _draw_scale(self, draw: ImageDraw.ImageDraw, x: int, y: int, *, in_cells: bool) -> None:
-        """The colors of costs, from 0 to the highest."""
+        """Draw the color scale of costs, from 0 to the highest."""
         draw.text((x, y), "0", _PALE_INK, self._font)
         for level in range(_COST_LEVELS):
             color = tuple(int(255 * value) for value in colormaps[COST_COLORS](level / _COST_LEVELS)[:3])
@@ -324,27 +324,27 @@ class _Painter:
 
 
 def _doing(frames: Frames, frame: int) -> str:
-    """What the robot is doing, in few words."""
+    """The robot's current activity in a few words."""
     if frame == len(frames) - 1:
         return outcome(frames)
     return {EXPLORE: "exploring", TO_GOAL: "goal seen", GAVE_UP: "gave up"}[int(frames.mode[frame])]
 
 
 def steps_shown(frames_by_planner: Mapping[str, Frames]) -> list[int]:
-    """The steps that have a picture: all, or every second, third ... of a long episode; the last one always."""
+    """The steps with a picture: all, or every second, third ... step of a long episode, and always the last."""
     last = max(len(frames) for frames in frames_by_planner.values()) - 1
     return [*range(0, last, -(-max(last, 1) // _MOST_PICTURES)), last]
 
 
 def pictures(house: House, frames_by_planner: Mapping[str, Frames], steps: Iterable[int]) -> Iterator[Picture]:
-    """Pictures of planners from one start: RGB, all of one size, with an even width and height.
+    """Pictures of planners from one start: RGB, of equal size, with an even width and height.
 
-    Each planner has a panel with its map, and one with the cost-to-go it predicts where it does.
+    Each planner has a panel with its map, and another with its predicted cost-to-go if it predicts one.
 
     Args:
       house: the house.
       frames_by_planner: planner name -> its replayed episode, all from one start.
-      steps: which ones; planners that have arrived wait.
+      steps: steps to show; planners that have arrived wait.
     """
     panels = []
     for planner, frames in frames_by_planner.items():
@@ -362,20 +362,20 @@ def animate(
     """Write an animation of planners from one start, side by side, see `pictures` and `steps_shown`.
 
     Args:
-      path: file to write; its ending decides the format, `.gif` or `.mp4`.
+      path: file to write; its ending gives the format, `.gif` or `.mp4`.
       house: the house.
       frames_by_planner: planner name -> its replayed episode, all from one start.
-      frames_per_second: pictures shown in a second.
+      frames_per_second: pictures per second.
 
     Returns:
       The path.
 
     Raises:
-      InputError: for another ending, a file that cannot be written, or an OpenCV that cannot write MP4.
+      InputError: the ending is not known, the file cannot be written, or OpenCV cannot write MP4.
     """
     path = Path(path)
     if path.suffix.lower() not in (".gif", ".mp4"):
-        raise InputError(f"{path}: is no animation; give a name that ends in .gif or .mp4")
+        raise InputError(f"{path}: is not an animation; give a name that ends in .gif or .mp4")
     steps = steps_shown(frames_by_planner)
     shown = pictures(house, frames_by_planner, steps)
     try:

@@ -1,4 +1,4 @@
-"""Recordings for the rerun viewer of a camera whose images become a map: images, points, voxels, map and way."""
+"""Recordings of mapping for the rerun viewer: camera images, points, voxels, the map and the camera's path."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,20 +18,20 @@ from dc2g_jax.mapping.semantic_map import MapSettings, SemanticMap
 from dc2g_jax.mapping.sequences import DEPTH_UNITS, depth_steps
 from dc2g_jax.programs import jit
 
-#: Steps that are sent together. Until then they are kept in memory.
+#: Number of steps that are sent together. Until then they are kept in memory.
 _CHUNK = 32
 
-#: The points that are shown in the end, and the fewest of a frame.
+#: Total number of points shown at the end, and least number per frame.
 _POINTS, _FEWEST_POINTS = 200_000, 200
 
-#: Share of its size that a voxel is drawn in: the gaps tell one from the next.
+#: Drawn size of a voxel relative to its true size: the gaps separate neighbors.
 _DRAWN = 0.94
 
-#: Entities: what is in the camera's image hangs below the camera, so that it is shown in the world as well.
+#: Entities. Images are children of the camera, so that they are shown in the world as well.
 _CAMERA, _IMAGE = "world/camera", "world/camera/image"
 _PICTURE, _DEPTH, _CLASSES = f"{_IMAGE}/picture", f"{_IMAGE}/depth", f"{_IMAGE}/classes"
 
-#: The way of the camera up to the moment shown.
+#: The path of the camera up to the moment shown.
 _SO_FAR = rrb.VisibleTimeRanges(
     timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
 )
@@ -40,12 +40,12 @@ _points = jit(points)
 
 
 class MappedFrame(NamedTuple):
-    """A frame, and the map after it; arrays on the host.
+    """A frame and the map after it; arrays on the host.
 
     Attributes:
-      frame: what the camera delivered.
-      picture: its color image as a PNG or JPEG file has it, if there is one.
-      voxels: the map.
+      frame: the camera's frame.
+      picture: encoded color image (PNG or JPEG), if there is one.
+      voxels: the voxel map.
       terrain: the map as seen from above.
     """
 
@@ -59,11 +59,11 @@ class CameraRecording:
     """A recording that grows while a sequence is mapped. `close` it, or use it in a `with` statement.
 
     Args:
-      file: to write.
-      camera: that takes the frames.
-      settings: of the map.
-      way: where the camera will be, for the first view, meters in the world.
-      name: what the viewer calls the recording.
+      file: file to write.
+      camera: intrinsics of the camera.
+      settings: settings of the map.
+      way: positions of the camera in the whole sequence, meters in the world, to frame the first view.
+      name: name of the recording in the viewer.
 
     Raises:
       InputError: the file cannot be written.
@@ -88,20 +88,20 @@ class CameraRecording:
         self.close()
 
     def add(self, mapped: MappedFrame) -> None:
-        """One more step."""
+        """Add a step."""
         self._waiting.append(mapped)
         if len(self._waiting) == _CHUNK:
             self._send()
 
     def close(self) -> None:
-        """Write what is left."""
+        """Write the remaining steps."""
         if self._waiting:
             self._send()
         self._stream.flush()
         self._stream.disconnect()
 
     def _describe(self) -> None:
-        """What stays the same: colors, frames of reference, the camera, and how things are drawn."""
+        """Send static data: colors, frames of reference, the camera, and styles."""
         stream, camera = self._stream, self._camera
 
         def style(entity: str, look: Any) -> None:
@@ -142,7 +142,7 @@ class CameraRecording:
         style("legend/names", rr.Points2D(places, radii=0.0, colors=(255, 255, 255), labels=names, show_labels=True))
 
     def _send(self) -> None:
-        """Send the steps that wait."""
+        """Send the pending steps."""
         mapped, self._waiting = self._waiting, []
         steps = self._sent + np.arange(len(mapped))
         self._sent += len(mapped)
@@ -154,7 +154,7 @@ class CameraRecording:
         self._send_way(steps, frames)
 
     def _send_images(self, steps: np.ndarray, mapped: list[MappedFrame]) -> None:
-        """What the camera delivers."""
+        """Send the camera's images."""
         stream = self._stream
         seen = [(step, one.picture) for step, one in zip(steps, mapped, strict=True) if one.picture is not None]
         if seen:
@@ -169,7 +169,7 @@ class CameraRecording:
         send_images(stream, _CLASSES, steps, np.stack([np.asarray(one.frame.classes) for one in mapped]))
 
     def _send_points(self, steps: np.ndarray, frames: list[Frame]) -> None:
-        """The points of each frame in the world, thinned out evenly."""
+        """Send the points of each frame in the world, evenly subsampled."""
         clouds, classes = [], []
         for frame in frames:
             kept = np.zeros((self._camera.height, self._camera.width), bool)
@@ -182,7 +182,7 @@ class CameraRecording:
         send(self._stream, "world/points", steps, cloud.partition(counts))
 
     def _send_voxels(self, steps: np.ndarray, maps: list[SemanticMap]) -> None:
-        """The occupied voxels as boxes in the colors of their classes."""
+        """Send the occupied voxels as boxes in the colors of their classes."""
         cell, level_height = self._settings.cell_size, self._settings.level_height
         centers, classes = [], []
         for voxels in jax.tree.map(jnp.asarray, maps):
@@ -196,7 +196,7 @@ class CameraRecording:
         send(self._stream, "world/voxels", steps, boxes.partition(counts))
 
     def _send_way(self, steps: np.ndarray, frames: list[Frame]) -> None:
-        """Where the camera is, where it looks, and the way it came: a piece a step, which the viewer adds up."""
+        """Send the camera's pose and path: one segment of the path per step, which the viewer accumulates."""
         stream = self._stream
         here = np.stack([np.asarray(frame.pose.position) for frame in frames])
         turns = np.stack([np.asarray(frame.pose.rotation) for frame in frames])

@@ -1,4 +1,4 @@
-"""Contact sheets: every house of a dataset as a small map, by group, on as many pages as it takes."""
+"""Contact sheets: every house of a dataset as a small map, by group, on one or more pages."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,8 +14,7 @@ from dc2g_jax.grid.ground import pieces
 from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.inspection.figures import PAGE_WIDTH, class_patch, map_image, save_figure, whole_pixels
 
-#: Inches: the height of a page, its margin, the side of a map's place, what lies between and below maps, a headline,
-#: head and foot.
+#: Inches: height of a page, its margin, side of a map's space, gaps between and below maps, headline, head and foot.
 _PAGE_HEIGHT, _MARGIN = 9.6, 0.05
 _SIDE, _BETWEEN, _NAME, _HEADLINE, _HEAD, _FOOT = 0.837, 0.05, 0.24, 0.24, 0.26, 0.42
 _COLUMNS = int((PAGE_WIDTH - 2 * _MARGIN + _BETWEEN) / (_SIDE + _BETWEEN))
@@ -33,11 +32,11 @@ _GROUPS = {
 
 
 class SheetRow(NamedTuple):
-    """Maps side by side.
+    """A row of maps.
 
     Attributes:
-      headline: what stands above them, empty in the further rows of a group.
-      houses: as many as fit.
+      headline: headline above the row, empty except in the first row of a group.
+      houses: houses of the row.
     """
 
     headline: str
@@ -45,12 +44,12 @@ class SheetRow(NamedTuple):
 
     @property
     def height(self) -> float:
-        """Inches that the row takes."""
+        """Height of the row, inches."""
         return (_HEADLINE if self.headline else 0.0) + _SIDE + _NAME
 
 
 def contact_pages(houses: Sequence[House]) -> list[list[SheetRow]]:
-    """Rows of houses on pages: group by group, each in the order of names."""
+    """Rows of houses by page. Houses are ordered by group and name."""
     by_group: dict[str, list[House]] = {group: [] for group in _GROUPS}
     for house in sorted(houses, key=lambda house: house.name):
         by_group.setdefault(group_of(house) or house.split, []).append(house)
@@ -67,7 +66,7 @@ def contact_pages(houses: Sequence[House]) -> list[list[SheetRow]]:
 
 
 def _draw_house(axes: Axes, house: House) -> None:
-    """A house, with a mark a door."""
+    """Draw a house, with one mark per door."""
     terrain = house.terrain
     axes.imshow(map_image(terrain, np.ones(terrain.shape, bool)), interpolation="nearest", aspect="auto")
     doors = pieces(terrain == FRONT_DOOR)
@@ -83,7 +82,7 @@ def _draw_house(axes: Axes, house: House) -> None:
 
 
 def _doubt(house: House) -> str:
-    """Why no episode can be run in a house, in the words that fit below a map; empty where one can."""
+    """A short reason why no episode can be run in a house; empty if one can."""
     if why_no_episode(house) is None:
         return ""
     return "door cut off" if np.any(house.terrain == FRONT_DOOR) else "no front door"
@@ -93,9 +92,9 @@ class _Page:
     """An empty page with its head.
 
     Args:
-      title: what stands at its head on the left.
-      number: what stands there on the right.
-      height: inches of its rows.
+      title: text at the left of the head.
+      number: text at the right of the head.
+      height: height of all rows, inches.
     """
 
     def __init__(self, title: str, number: str, height: float):
@@ -105,11 +104,11 @@ class _Page:
         self._text(PAGE_WIDTH - _MARGIN, _HEAD / 2, number, ha="right", fontsize=7.5, color="#555555")
 
     def _text(self, x: float, y: float, text: str, **style: Any) -> None:
-        """Text at inches from the upper left corner."""
+        """Draw text at a position in inches from the upper left corner."""
         self.figure.text(x / PAGE_WIDTH, 1 - y / self._height, text, va="center", **style)
 
     def draw(self, row: SheetRow, y: float) -> None:
-        """Draw a row whose upper edge lies `y` inches below that of the page."""
+        """Draw a row whose upper edge is `y` inches below that of the page."""
         if row.headline:
             self._text(_MARGIN, y + 0.55 * _HEADLINE, row.headline, fontsize=8)
             y += _HEADLINE
@@ -120,7 +119,7 @@ class _Page:
             self._text(middle, y + _SIDE + 0.175, _doubt(house), ha="center", fontsize=7, color="#b03000")
 
     def _map_axes(self, house: House, x: float, y: float) -> Axes:
-        """Axes around a point, as large as a map may be; on whole pixels, so that all its cells have one size."""
+        """Axes of a map around a point, as large as possible, at whole pixels so that all cells have the same size."""
         height, width = house.terrain.shape
         cell = whole_pixels(_SIDE / max(height, width), _DPI)
         left = round((x - cell * width / 2) * _DPI) / _DPI
@@ -131,13 +130,13 @@ class _Page:
 
 
 def plot_contact_page(path: str | Path, title: str, number: str, rows: Sequence[SheetRow]) -> list[Path]:
-    """Draw a page of houses of any sizes; a star marks a door, words below a map that no episode can be run in it.
+    """Draw a page of houses of any sizes. A star marks a door; text below a map says why no episode can be run in it.
 
     Args:
-      path: where to write, without an ending.
-      title: what the houses are.
-      number: which page it is.
-      rows: what `contact_pages` put on the page.
+      path: output path without ending.
+      title: description of the houses.
+      number: description of the page, such as its number.
+      rows: one page of `contact_pages`.
 
     Returns:
       The files written: PNG and SVG.

@@ -1,4 +1,4 @@
-"""Costs-to-go in the figure and the animation of an episode: what is exact, where the colors end, and the colors."""
+"""Costs-to-go in figures and animations of episodes: exact costs, range of the color scale, and colors."""
 
 from collections.abc import Mapping
 
@@ -14,10 +14,10 @@ from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.inspection.replay import Frames
 from dc2g_jax.programs import jit
 
-#: Colors of the cost-to-go, from the goal on; the ends differ in gray.
+#: Color map of the cost-to-go, starting at the goal; its ends differ in grayscale.
 COST_COLORS = "viridis_r"
 
-#: Where there is no cost-to-go to show: not observed, and observed but not traversable.
+#: Colors of cells without cost-to-go: not observed, and observed but not traversable.
 UNSEEN_COLOR, BLOCKED_COLOR = "#ffffff", "#ececf1"
 
 _solve = jit(world_cost_to_go)
@@ -29,7 +29,7 @@ def exact_cost_to_go(house: House) -> Float[np.ndarray, "h w"]:
 
 
 def highest_cost(house: House, frames_by_planner: Mapping[str, Frames], exact: Float[np.ndarray, "h w"]) -> float:
-    """The cost in cells at the end of the colors: nearly all that is shown of what robots had observed lies below.
+    """The cost at the end of the colors, in cells: nearly all costs of observed cells are lower.
 
     Args:
       house: the house.
@@ -46,7 +46,7 @@ def highest_cost(house: House, frames_by_planner: Mapping[str, Frames], exact: F
 
 
 def cost_shares(frames: Frames, high: float) -> Float[np.ndarray, "t h w"]:
-    """Predicted costs in parts of the one at the end of the colors; those that are not in cells are such parts."""
+    """Predicted costs relative to the cost at the end of the colors; costs that are not in cells are so already."""
     assert frames.cost_to_go is not None
     return frames.cost_to_go / (high if frames.in_cells else 1.0)
 
@@ -57,9 +57,9 @@ def cost_image(
     """Colors of costs, RGB from 0 to 1.
 
     Args:
-      share: costs in parts of the one at the end of the colors.
-      shown: where a cost is shown.
-      blocked: what is known not to be traversable; the rest has not been observed.
+      share: costs relative to the cost at the end of the colors.
+      shown: cells whose cost is shown.
+      blocked: cells known not to be traversable; the remaining cells have not been observed.
     """
     colors = colormaps[COST_COLORS](np.clip(np.where(shown, share, 0), 0, 1))[..., :3]
     image = np.where(shown[..., None], colors, np.array(to_rgb(UNSEEN_COLOR)))

@@ -1,4 +1,4 @@
-"""Figures of the whole loop: what a robot with a camera saw, expected and planned, and what noise costs."""
+"""Figures of the drive from camera to door: images, maps, predictions and paths, and the effect of noise."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path as FilePath
@@ -32,13 +32,13 @@ ROBOT_ARROW = Path([(1, 0), (-0.8, 0.65), (-0.4, 0), (-0.8, -0.65), (1, 0)], clo
 def plot_noise(
     path: str | FilePath, levels: Sequence[float], results: Mapping[str, Mapping[str, float]], caption: str
 ) -> list[FilePath]:
-    """Draw extra time and success over the level of noise, a curve for each network.
+    """Draw extra time and success over the level of noise, with one curve per network.
 
     Args:
-      path: where to write, without an ending.
-      levels: of noise.
+      path: output path without ending.
+      levels: levels of noise.
       results: `trained NETWORK, noise LEVEL` and `gridworld, SETTINGS` -> results, as in `experiments.noisy_mapping`.
-      caption: what was driven where.
+      caption: description of drives and houses.
 
     Returns:
       The files written: PNG and SVG.
@@ -70,14 +70,14 @@ def plot_noise(
 
 
 def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_size: float) -> list[FilePath]:
-    """Draw moments of a drive (Fig. 9): what the camera sees, the map, the predicted cost-to-go, and the planned path.
+    """Draw moments of a drive (Fig. 9): the camera image, the map, the predicted cost-to-go, and the planned path.
 
-    The map is the robot's own; its way, the path planned and the robot are drawn where it takes them to be.
+    The map is the robot's own. Its path, its planned path and the robot are drawn at their estimated positions.
 
     Args:
-      path: where to write, without an ending.
-      drive: its moments, in order.
-      rows: how many of them are shown, evenly over the drive, the first and the last among them.
+      path: output path without ending.
+      drive: moments of the drive, in order.
+      rows: number of moments to show, evenly spaced, including the first and the last.
       cell_size: side of a cell, meters.
 
     Returns:
@@ -122,7 +122,7 @@ def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_
         scale, ax=panels[:, 2], location="bottom", label="cost-to-go (cells)", shrink=0.9, extend="max", aspect=30
     )
     classes = present_classes(np.stack([moment.robot.terrain for moment in chosen]))
-    # The robot's own cell, before it has looked at it, is ground of no particular class.
+    # The robot's own cell is ground without class until it has been observed.
     entries: list[Any] = [class_patch(index) for index in classes if CLASS_NAMES[index] != "traversable"]
     for label, color in (("nothing predicted", UNSEEN_COLOR), ("not traversable", BLOCKED_COLOR)):
         entries.append(Patch(facecolor=color, edgecolor="#777777", linewidth=0.4, label=label))
@@ -133,5 +133,5 @@ def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_
 
 
 def _in_cells(position: Float[Any, "2"], cell_size: float) -> tuple[float, float]:
-    """Where a place lies on a map's picture."""
+    """Coordinates of a position on the image of a map, in cells."""
     return float(position[0]) / cell_size - 0.5, -float(position[1]) / cell_size - 0.5

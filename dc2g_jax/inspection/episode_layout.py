@@ -1,4 +1,4 @@
-"""The first view of an episode's recording."""
+"""The initial view of an episode's recording."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -8,18 +8,18 @@ import rerun.blueprint as rrb
 
 from dc2g_jax.inspection.columns import TIMELINE
 
-#: The way of the robot up to the moment shown.
+#: The path of the robot up to the moment shown.
 _SO_FAR = rrb.VisibleTimeRanges(
     timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
 )
 
 
 def episode_layout(shape: tuple[int, ...], estimates: Mapping[str, bool]) -> rrb.Blueprint:
-    """What is hidden on the left, then one column a planner; legend, curves and plan modes on the right.
+    """The true map on the left, then one column per planner; legend, curves and plan modes on the right.
 
     Args:
       shape: rows and columns of the map.
-      estimates: planner -> does it estimate the cost-to-go?
+      estimates: planner -> whether it estimates the cost-to-go.
     """
     height, width = shape
     bounds = rrb.VisualBounds2D(x_range=[-0.5, width + 0.5], y_range=[-0.5, height + 0.5])

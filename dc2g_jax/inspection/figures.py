@@ -1,4 +1,4 @@
-"""Figures to put in a paper: drawn off screen, readable in gray and by the color-blind, as PNG and SVG."""
+"""Figures for publication as PNG and SVG, readable in grayscale and with color blindness."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,18 +21,18 @@ from dc2g_jax.rollouts.statistics import Summary
 
 Table = Mapping[str, Mapping[str, Summary]]
 
-#: Inches: the width of a page's two columns, which figures take, so that their text has its size on paper.
+#: Width of figures, inches: the two columns of a page, so that text has its final size.
 PAGE_WIDTH = 7.16
 
 
 class PlannerStyle(NamedTuple):
-    """How a planner looks, in every figure.
+    """Style of a planner in all figures.
 
     Attributes:
-      label: what to call it.
-      color: of Okabe and Ito.
-      hatch: of its bars.
-      marker: of its points.
+      label: name in legends.
+      color: a color of Okabe and Ito.
+      hatch: hatch of bars.
+      marker: marker of points.
     """
 
     label: str
@@ -52,14 +52,12 @@ PLANNER_STYLES = {
     "true_cost_to_go": PlannerStyle("DC2G, exact cost-to-go", "#009e73", hatch="xxx", marker="^"),
 }
 
-#: Colors, hatches and markers of planners of other names, each in turn: 20 pass before a bar comes again, and 28
-#: before a line does.
+#: Colors, hatches and markers of other planners, each used in turn: bars repeat after 20 planners, lines after 28.
 _OTHER_COLORS = ("#777777", "#aaaaaa", "#4d4d4d", "#909090")
 _OTHER_HATCHES = ("", "\\\\\\", "...", "+++", "ooo")
 _OTHER_MARKERS = ("P", "X", "v", "h", "<", "p", ">")
 
-#: Class -> color on maps. Ground is pale and the rest is dark, so that they differ in gray as well; unknown lies
-#: between.
+#: Class -> color on maps. Ground is pale and the rest is dark, so that they differ in grayscale; unknown is between.
 CLASS_COLORS = {
     "__ignore__": "#a79bb5",
     "front_door": "#d55e00",
@@ -98,7 +96,7 @@ _TITLES = {
 
 
 def _compared_styles(planners: Iterable[str]) -> dict[str, PlannerStyle]:
-    """How planners that are compared with the oracle look side by side: in the order of their styles, others last."""
+    """Styles of the planners compared with the oracle, in the order of `PLANNER_STYLES`, other planners last."""
     present = dict.fromkeys(planner for planner in planners if planner != "oracle")
     known = {name: style for name, style in PLANNER_STYLES.items() if name in present}
     others = [name for name in present if name not in known]
@@ -106,13 +104,13 @@ def _compared_styles(planners: Iterable[str]) -> dict[str, PlannerStyle]:
 
 
 def _other_style(name: str, n: int) -> PlannerStyle:
-    """How a planner of another name looks, the n-th of these in a figure: a class without its module."""
+    """The style of the n-th planner in a figure that is not in `PLANNER_STYLES`, named without its module."""
     color, hatch, marker = (styles[n % len(styles)] for styles in (_OTHER_COLORS, _OTHER_HATCHES, _OTHER_MARKERS))
     return PlannerStyle(name.rpartition(":")[2], color, hatch, marker)
 
 
 def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, PlannerStyle]) -> None:
-    """Grouped bars of the mean, with a tick at the median."""
+    """Draw grouped bars of the mean, with a line at the median."""
     planners = [planner for planner in styles if planner in table]
     width = 0.92 / len(planners)
     for place, planner in enumerate(planners):
@@ -142,9 +140,9 @@ def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, 
 
 
 def save_figure(figure: Figure, path: str | Path, dpi: int = 160) -> list[Path]:
-    """Write a figure as PNG, of `dpi` pixels by the inch, and as SVG; `path` is their name without an ending.
+    """Write a figure as PNG with `dpi` pixels per inch and as SVG; `path` is the file name without ending.
 
-    Text in the SVG is text: it can be searched and edited, and is shown in DejaVu Sans, or else in the viewer's own.
+    Text in the SVG stays text: it can be searched and edited. Viewers show it in DejaVu Sans if they have it.
     """
     FigureCanvasAgg(figure)
     written = [Path(f"{path}{ending}") for ending in (".png", ".svg")]
@@ -155,12 +153,12 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = 160) -> list[Path]:
 
 
 def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], caption: str) -> list[Path]:
-    """Draw the bars of Fig. 7: mean extra steps beyond the oracle by planner and group, a panel for each setting.
+    """Draw the bars of Fig. 7: mean extra steps beyond the oracle by planner and group, with a panel per setting.
 
     Args:
-      path: where to write, without an ending.
+      path: output path without ending.
       tables: setting -> planner -> group -> summary.
-      caption: what was run: houses, network.
+      caption: description of the runs, such as houses and network.
 
     Returns:
       The files written: PNG and SVG.
@@ -196,12 +194,12 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], caption: str
     return save_figure(figure, path, dpi=300)
 
 
-#: What `_scale_extra_steps` does, for captions.
+#: Description of `_scale_extra_steps` for captions.
 _SCALE_NOTE = "logarithmic beyond 10 %"
 
 
 def _scale_extra_steps(axes: Axes, direction: str, ends: tuple[float, float]) -> None:
-    """Linear up to 10 % and logarithmic beyond, so that episodes without extra steps can be shown."""
+    """Scale an axis linearly up to 10 % and logarithmically beyond, so that episodes without extra steps are shown."""
     ticks = [tick for tick in (0, 10, 30, 100, 300, 1000, 3000) if tick < ends[1]]
     getattr(axes, f"set_{direction}scale")("symlog", linthresh=10, linscale=0.6)
     getattr(axes, f"set_{direction}lim")(*ends)
@@ -210,10 +208,10 @@ def _scale_extra_steps(axes: Axes, direction: str, ends: tuple[float, float]) ->
 
 
 def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float, float]]]) -> list[Path]:
-    """Draw a point an episode: the authors' extra steps across, ours up; a panel for each group of houses.
+    """Draw one point per episode, the authors' extra steps along x, ours along y, with a panel per group of houses.
 
     Args:
-      path: where to write, without an ending.
+      path: output path without ending.
       extra: group -> (authors', ours) of each episode, in percent.
 
     Returns:
@@ -254,17 +252,17 @@ def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float
     return save_figure(figure, path, dpi=200)
 
 
-#: Pixels from which on it shows if not all cells have the same.
+#: From this cell size on, unequal numbers of pixels per cell are hard to see.
 _EVEN_PIXELS = 4
 
 
 def planner_style(name: str) -> PlannerStyle:
-    """How a planner looks; a plain style for one of another name."""
+    """The style of a planner; a plain style for planners that are not in `PLANNER_STYLES`."""
     return PLANNER_STYLES.get(name, _other_style(name, 0))
 
 
 def present_classes(terrain: UInt8[np.ndarray, "*cells"]) -> list[int]:
-    """The classes of a map, those of most cells first."""
+    """The classes of a map, the most frequent first."""
     cells = np.bincount(terrain.ravel(), minlength=len(CLASS_NAMES))
     return np.argsort(-cells, kind="stable")[: np.count_nonzero(cells)].tolist()
 
@@ -276,29 +274,29 @@ def map_image(terrain: UInt8[np.ndarray, "h w"], seen: Bool[np.ndarray, "h w"]) 
 
 
 def whole_pixels(inches: float, dpi: int) -> float:
-    """A cell's side, in inches, cut to whole pixels, so that all cells look alike; a very small one as it is."""
+    """The side of a cell in inches, rounded down to whole pixels so that cells look alike; unchanged if very small."""
     return math.floor(inches * dpi) / dpi if inches * dpi >= _EVEN_PIXELS else inches
 
 
 def class_patch(index: int) -> Patch:
-    """What a legend says of a class."""
+    """The legend entry of a class."""
     label = CLASS_NAMES[index].replace("_", " ") if index else "unknown"
     return Patch(facecolor=CLASS_COLORS[CLASS_NAMES[index]], edgecolor="#777777", linewidth=0.4, label=label)
 
 
 def hidden_color(index: int) -> tuple[float, float, float]:
-    """Of a class where it has not been observed."""
+    """The color of a class where it has not been observed, RGB from 0 to 1."""
     red, green, blue = map_image(np.full((1, 1), index, np.uint8), np.zeros((1, 1), bool))[0, 0].tolist()
     return red, green, blue
 
 
 def hidden_patch(index: int) -> Patch:
-    """What a legend says of ground that has not been observed, in the color of a class."""
+    """The legend entry of unobserved ground, in the color of a class."""
     return Patch(facecolor=hidden_color(index), edgecolor="#777777", linewidth=0.4, label="not seen yet")
 
 
 def plain_axes(axes: Axes) -> None:
-    """A grid behind the data, and no frame above and to the right."""
+    """Draw a grid behind the data, and no frame above and on the right."""
     axes.grid(True, color="#dddddd", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=8)
@@ -307,28 +305,28 @@ def plain_axes(axes: Axes) -> None:
 
 
 def bare_axes(axes: Axes, title: str) -> None:
-    """A title, and no ticks."""
+    """Set a title and remove the ticks."""
     axes.set_title(title, fontsize=9)
     axes.set_xticks([])
     axes.set_yticks([])
 
 
-#: Inches of the strips: a planner's lane, the space between houses, and a group's headline.
+#: Heights in strip plots, inches: a planner's lane, the space between houses, and a group's headline.
 _LANE, _BETWEEN, _HEADLINE = 0.075, 0.06, 0.2
 
-#: Houses up to which strips stand in one column.
+#: Largest number of houses in a single column of strips.
 _ONE_COLUMN = 20
 
 
 def plot_house_strips(
     path: str | Path, results: Iterable[EpisodeResult], group_by_house: Mapping[str, str]
 ) -> list[Path]:
-    """Draw a strip a house: every episode's extra steps as a point, each planner in a lane of its own with its mean.
+    """Draw one strip per house: the extra steps of episodes as points, with a lane and a mean for each planner.
 
     Args:
-      path: where to write, without an ending.
-      results: episodes of any number of planners; the oracle's are left out.
-      group_by_house: house -> its group; houses are in the order of groups and names.
+      path: output path without ending.
+      results: episodes of any number of planners; those of the oracle are left out.
+      group_by_house: house -> group; houses are ordered by group and name.
 
     Returns:
       The files written: PNG and SVG.
@@ -390,7 +388,7 @@ def plot_results(results: Iterable[EpisodeResult], path: str | Path) -> list[Pat
 
 
 def _group_place(group: str) -> tuple[int, str]:
-    """Where a group stands among others."""
+    """Sort key of a group."""
     order = list(_GROUP_LABELS)
     return (order.index(group) if group in order else len(order)), group
 
@@ -399,7 +397,7 @@ Sections = list[tuple[str, list[str]]]
 
 
 def _columns_of_houses(sections: Sections, count: int) -> list[Sections]:
-    """Groups of houses in columns of about equal length, groups cut where need be."""
+    """Groups of houses in columns of about equal length; groups are split if necessary."""
     room = -(-sum(len(houses) for _, houses in sections) // count)
     columns: list[Sections] = [[]]
     for group, houses in sections:
@@ -416,7 +414,7 @@ def _columns_of_houses(sections: Sections, count: int) -> list[Sections]:
 def _draw_strips(
     axes: Axes, page: Sections, extra: Mapping[str, Mapping[str, Sequence[float]]], styles: Mapping[str, PlannerStyle]
 ) -> None:
-    """One column of strips, from the top down in inches."""
+    """Draw one column of strips, from the top down in inches."""
     names: list[tuple[float, str]] = []
     y, lanes = 0.0, _LANE * len(styles)
     for group, houses in page:

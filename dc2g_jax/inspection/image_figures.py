@@ -1,4 +1,4 @@
-"""Figures 4 to 6 of the paper: what a network draws, how that changed in training, and how it fares house by house."""
+"""Figures 4 to 6 of the paper: a network's predictions, its metrics during training, and its metrics by house."""
 
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -14,8 +14,8 @@ from matplotlib.patches import Patch
 from dc2g_jax.inspection.figures import PAGE_WIDTH, bare_axes, plain_axes, save_figure
 from dc2g_jax.inspection.training_figures import draw_band
 
-#: Colors (Okabe and Ito; the first three as in the paper: L1, GAN, both), markers and line styles of networks and
-#: losses, in the order they are given.
+#: Colors (of Okabe and Ito; the first three as in the paper: L1, GAN, both), markers and line styles of networks and
+#: losses, in the order in which these are given.
 _COLORS = ("#009e73", "#cc79a7", "#0072b2", "#d55e00", "#e69f00", "#56b4e9")
 _MARKERS = ("o", "^", "s", "D", "v", "P")
 _LINES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
@@ -31,13 +31,13 @@ METRIC_LABELS = {
 
 
 class Example(NamedTuple):
-    """One map, what a network makes of it, and the truth.
+    """An image pair with a prediction.
 
     Attributes:
-      name: of the house.
-      image: picture of the map.
-      predicted: the network's picture of its cost-to-go.
-      true: the true picture.
+      name: name of the house.
+      image: image of the map.
+      predicted: predicted image of its cost-to-go.
+      true: true image of its cost-to-go.
     """
 
     name: str
@@ -47,12 +47,12 @@ class Example(NamedTuple):
 
 
 class HouseMetrics(NamedTuple):
-    """A network's metrics, house by house.
+    """Metrics of a network by house.
 
     Attributes:
-      distance: each house's distance from the training houses.
+      distance: distance of each house from the training houses.
       metrics: metric -> value of each house.
-      fits: metric -> slope and intercept of the best straight line; a metric without a fit is not in it.
+      fits: metric -> slope and intercept of the regression line, without metrics that have none.
     """
 
     distance: Sequence[float]
@@ -61,7 +61,7 @@ class HouseMetrics(NamedTuple):
 
 
 def _plain(axes: Axes, metric: str) -> None:
-    """A panel of one metric: an error from 0 on, or a share from 0 to 1."""
+    """Set up the panel of a metric: an error from 0, or a share from 0 to 1."""
     if metric == "l1":
         axes.set_ylim(bottom=0)
     else:
@@ -72,13 +72,13 @@ def _plain(axes: Axes, metric: str) -> None:
 def plot_translations(
     path: str | Path, full: Sequence[Example], partial: Sequence[Example], caption: str
 ) -> list[Path]:
-    """Draw Fig. 4: input, prediction and truth, of whole maps on the left and of partial ones on the right.
+    """Draw Fig. 4: input, prediction and truth, for whole maps on the left and partial maps on the right.
 
     Args:
-      path: where to write, without an ending.
-      full: examples on fully observed maps.
-      partial: as many on partially observed ones.
-      caption: what network and which houses.
+      path: output path without ending.
+      full: examples with fully observed maps.
+      partial: equally many examples with partially observed maps.
+      caption: description of network and houses.
 
     Returns:
       The files written: PNG and SVG.
@@ -107,7 +107,7 @@ def plot_translations(
 
 
 def _moving_average(values: Float[np.ndarray, "n"], window: int) -> Float[np.ndarray, "n"]:
-    """Mean over the last `window` values, or over as many as there are; values that are no number do not count."""
+    """Mean over the last `window` values, or over all if there are fewer; NaN values are ignored."""
     known = np.isfinite(values)
 
     def last(counted: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
@@ -126,16 +126,16 @@ def plot_training(
     *,
     window: int,
 ) -> list[Path]:
-    """Draw Fig. 5: validation metrics throughout training, one curve a loss.
+    """Draw Fig. 5: validation metrics during training, one curve per loss.
 
-    Each run is smoothed by a moving average; curves are the mean over a loss's runs that have a value, bands one
-    standard deviation.
+    Each run is smoothed by a moving average. Curves are the mean over the runs of a loss that have a value; bands are
+    one standard deviation.
 
     Args:
-      path: where to write, without an ending.
+      path: output path without ending.
       runs: loss -> runs -> step -> metrics; all runs of a loss were validated at the same steps.
-      caption: what was trained on what.
-      window: validations in the moving average.
+      caption: description of networks and data.
+      window: number of validations in the moving average.
 
     Returns:
       The files written: PNG and SVG.
@@ -158,12 +158,12 @@ def plot_training(
 
 
 def plot_by_similarity(path: str | Path, networks: Mapping[str, HouseMetrics], caption: str) -> list[Path]:
-    """Draw Fig. 6: each metric on every house against the house's distance from training, with a line a network.
+    """Draw Fig. 6: each metric by house over the house's distance from training, with one line per network.
 
     Args:
-      path: where to write, without an ending.
-      networks: name -> its points.
-      caption: which houses.
+      path: output path without ending.
+      networks: name -> points.
+      caption: description of the houses.
 
     Returns:
       The files written: PNG and SVG.

@@ -1,4 +1,4 @@
-"""Colors of the viewer, and the words that go with them."""
+"""Colors of the viewer, and their legends."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from matplotlib.colors import to_rgb
 from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.inspection.figures import CLASS_COLORS
 
-#: Layers over the observed map -> name and color, RGBA. The legend names them.
+#: Layers over the observed map: name and color, RGBA. The legend names them.
 REACHABLE_LAYER = ("reachable", (0, 190, 230, 60))
 FIELD_OF_VIEW_LAYER = ("field of view", (255, 255, 255, 110))
 FRONTIER_LAYER = ("frontier", (255, 205, 0, 255))
@@ -23,7 +23,7 @@ ROBOT_COLOR = (235, 30, 30)
 GOAL_COLOR = (235, 30, 30)
 FRAME_COLOR = (120, 120, 128)
 
-#: Colors of curves, in turn.
+#: Colors of curves, used in turn.
 CURVE_COLORS = ((255, 150, 0), (0, 200, 255), (120, 220, 90), (220, 120, 255), (255, 235, 59), (255, 90, 90))
 
 #: Class index -> its color in words.
@@ -32,15 +32,15 @@ _COLOR_WORDS = (
     "ochre", "yellow-green", "brown", "black", "white",
 )  # fmt: skip
 
-#: Costs are drawn in classes, so that the viewer names the value under the pointer: not shown, no way, then costs.
+#: Costs are drawn as classes, so that the viewer names the value under the pointer: not shown, no path, then costs.
 NOT_SHOWN, NO_WAY, FIRST_COST, LAST_COST = 0, 1, 2, 255
 _NOT_SHOWN_COLOR, _NO_WAY_COLOR = (32, 33, 38), (82, 83, 90)
 
-#: The part of the colors of costs that is used: the dark end hides what is drawn over it.
+#: Used part of the color map of costs: its dark end would hide marks drawn over it.
 _BRIGHT = 0.88
 
-#: Differences are drawn in classes too: this one says that there is none, those below and above it come from
-#: `-FARTHEST_OFF` to `FARTHEST_OFF` cells.
+#: Differences are drawn as classes too: class `NO_DIFFERENCE` is 0, and the others reach from `-FARTHEST_OFF` to
+#: `FARTHEST_OFF` cells.
 NO_DIFFERENCE, FARTHEST_OFF = 128, 40
 
 _EPISODE_LEGEND = """\
@@ -78,17 +78,17 @@ def terrain_context() -> rr.AnnotationContext:
 
 
 def layer_context(name: str, color: tuple[int, ...]) -> rr.AnnotationContext:
-    """Class 1 in a see-through color, class 0 not drawn at all."""
+    """Class 1 in a translucent color; class 0 is not drawn."""
     return rr.AnnotationContext([(0, "", (0, 0, 0, 0)), (1, name, color)])
 
 
 class CostScale(NamedTuple):
-    """How costs-to-go become classes of an image.
+    """Mapping from costs-to-go to classes of an image.
 
     Attributes:
-      farthest: largest exact cost to be shown; where the colors end.
-      step: cost of one class.
-      words: what to say of a cost.
+      farthest: largest exact cost to show, at the end of the colors.
+      step: cost per class.
+      words: format of the label of a cost.
     """
 
     farthest: float
@@ -97,7 +97,7 @@ class CostScale(NamedTuple):
 
     @classmethod
     def of(cls, exact: Float[np.ndarray, "*n h w"]) -> "CostScale":
-        """The scale of exact costs, with a quarter of the classes left for estimates beyond them."""
+        """The scale of exact costs, with a quarter of the classes reserved for larger estimates."""
         farthest = float(np.max(exact, where=np.isfinite(exact), initial=1.0))
         return cls(farthest, int(np.ceil(farthest / (0.75 * (LAST_COST - FIRST_COST)))))
 
@@ -121,7 +121,7 @@ class CostScale(NamedTuple):
         return rr.AnnotationContext([*none, *known])
 
 
-#: Costs in parts of the highest one, 0 to 1.
+#: Scale of costs relative to the highest one, 0 to 1.
 RELATIVE = CostScale(1.0, 1 / (LAST_COST - FIRST_COST), "{:.0%} of the highest cost")
 
 
@@ -145,7 +145,7 @@ def difference_context() -> rr.AnnotationContext:
 
 
 def score_colors(rank: Float[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
-    """Colors of candidates, from white for the lowest score of a step, 0, over red to black for the highest, 1."""
+    """Colors of candidates: white for the lowest score of a step (0), over red, to black for the highest (1)."""
     return _colors("hot_r", rank)
 
 
@@ -155,7 +155,7 @@ def _colors(colormap: str, values: Float[np.ndarray, "n"]) -> UInt8[np.ndarray, 
 
 
 def episode_legend(terrain: UInt8[np.ndarray, "h w"], scale: CostScale) -> str:
-    """The words that go with the colors, for the classes that occur in a house."""
+    """The text of the legend, with the classes that occur in a house."""
     present = [index for index in np.unique(terrain).tolist() if index]
     classes = ", ".join(f"{_COLOR_WORDS[index]}: {CLASS_NAMES[index].replace('_', ' ')}" for index in present)
     return _EPISODE_LEGEND.format(farthest=round(scale.farthest), classes=classes)

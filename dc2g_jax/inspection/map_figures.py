@@ -1,4 +1,4 @@
-"""What a planner makes of a map: its classes, the ground that leads to a goal, and the way there."""
+"""The figure of a map: its classes, the ground that leads to a goal, and the exact cost-to-go."""
 
 from pathlib import Path
 from typing import Any
@@ -23,14 +23,14 @@ _MARKER: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "black", "mar
 _GOAL: dict[str, Any] = {"marker": "*", "color": "#f0e442", "markersize": 12, **_MARKER}
 _LOST_GOAL: dict[str, Any] = {"marker": "X", "color": "white", "markersize": 9, **_MARKER}
 
-#: Islands whose sizes are written on them, the largest first.
+#: Number of islands, the largest first, that are labeled with their size.
 _LABELED_ISLANDS = 6
 
-#: How much wider than high a map is whose panels lie below each other.
+#: Aspect ratio from which on panels are stacked vertically.
 _WIDE = 2.0
 
-#: Inches: the longer side of a panel, beside others and below them, and the least width of its legend; what is left
-#: free to the left, to the right, above and below a panel; a line of a legend, and the space over the panels' titles.
+#: Inches: longer side of a panel, beside other panels and stacked, and least width of its legend; free space to the
+#: left, to the right, above and below a panel; a line of a legend, and the space above the panels' titles.
 _PANEL_SIDE, _WIDE_PANEL_SIDE, _LEGEND_WIDTH = 4.4, 7.0, 3.7
 _LEFT, _RIGHT, _ABOVE, _BELOW = 0.6, 0.2, 0.3, 0.65
 _LINE, _HEAD = 0.19, 0.4
@@ -41,11 +41,11 @@ _LEGEND_COLUMNS = 3
 def plot_map(
     path: str | Path, title: str, terrain: UInt8[np.ndarray, "h w"], cost_to_go: Float[np.ndarray, "h w"]
 ) -> list[Path]:
-    """Draw a map's classes, what of its ground leads to a goal, and how far that is.
+    """Draw a map's classes, the ground that leads to a goal, and the distance to the goal.
 
     Args:
-      path: where to write, without an ending.
-      title: what map it is.
+      path: output path without ending.
+      title: description of the map.
       terrain: class indices.
       cost_to_go: exact cost-to-go; shown on ground that is connected to a goal.
 
@@ -62,7 +62,7 @@ def plot_map(
 
 
 def _panels(title: str, terrain: UInt8[np.ndarray, "h w"]) -> list[Axes]:
-    """Three panels of the map's shape, side by side, or below each other where the map is wide."""
+    """Three panels with the map's aspect ratio, side by side, or stacked if the map is wide."""
     height, width = terrain.shape
     rows, columns = (3, 1) if width > _WIDE * height else (1, 3)
     scale = (_PANEL_SIDE if columns == 3 else _WIDE_PANEL_SIDE) / max(width, height)
@@ -125,7 +125,7 @@ def _draw_ground(axes: Axes, terrain: UInt8[np.ndarray, "h w"]) -> None:
 
 
 def _draw_goals(axes: Axes, terrain: UInt8[np.ndarray, "h w"]) -> list[Line2D]:
-    """Mark the goals, one mark a door; what the legend says of them."""
+    """Mark the goals, with one mark per door. Returns their legend entries."""
 
     def draw(goals: Bool[np.ndarray, "h w"], style: dict[str, Any], label: str) -> list[Line2D]:
         places = pieces(goals)
@@ -140,7 +140,7 @@ def _draw_distance(axes: Axes, terrain: UInt8[np.ndarray, "h w"], cost_to_go: Fl
     axes.set_facecolor("#e6e6e6")
     axes.set_title("exact cost-to-go", fontsize=10)
     image = axes.imshow(np.where(leading, cost_to_go, np.nan), cmap="viridis_r", vmin=0, interpolation="nearest")
-    # In gray, ground near a goal looks like what cannot be reached: a line parts them.
+    # In grayscale, ground near a goal looks like unreachable ground: a line separates them.
     axes.add_collection(LineCollection(cell_rim(leading), colors="#444444", linewidths=0.5), autolim=False)
     _draw_goals(axes, terrain)
     if not np.any(leading):

@@ -1,4 +1,4 @@
-"""The figure of a search for an object: moments of it side by side, on the true map, the robot's map and its costs."""
+"""The figure of an object search: moments side by side, on the true map, the robot's map and its costs."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,28 +24,28 @@ from dc2g_jax.objectnav.classes import NOTHING, OBJECT_CLASSES, OBJECT_COLORS, S
 from dc2g_jax.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL
 from dc2g_jax.objectnav.worlds import IndoorWorld
 
-#: Low costs are green and high ones red, as in the paper; they get darker all the way and so differ in gray as well.
+#: Low costs are green and high costs red, as in the paper. Brightness decreases too, so they also differ in grayscale.
 _COSTS = LinearSegmentedColormap.from_list("costs", ["#a8e6a1", "#f5e663", "#f4a13a", "#d3411e", "#7d0d12"])
 
 _FLOOR, _WALL, _PATH, _ROBOT, _TARGET, _PLANS = "#d9d9d9", "#4d4d57", "#0000ff", "#e8000b", "#d400a8", "#0026c8"
 
-#: Inches beside the panels, and above and below them; meters around the house.
+#: Space beside the panels, and above and below them, inches; margin around the house, meters.
 _BESIDE, _AROUND, _MARGIN = 0.55, 1.35, 0.3
 
 _ROWS = ("true map", "robot's map", "cost map")
 
 
 class SearchMoment(NamedTuple):
-    """A robot that has looked and decided where to go, and is about to act.
+    """The state of a search between an observation and the next action.
 
     Attributes:
-      step: control periods since it set out.
-      doing: what it is doing, in words.
-      cells: its map, see `dc2g_jax.objectnav.mapping.IndoorMap`.
+      step: control periods since the start.
+      doing: current activity in words.
+      cells: the robot's map, see `dc2g_jax.objectnav.mapping.IndoorMap`.
       origin: row and column of the map's first cell in the world's grid.
-      costs: around the robot, meters; infinite where it must not be.
-      corner: row and column of the first of these in the world's grid.
-      plans: x and y of the vehicle along each plan that the controller weighs, meters; none where it does not plan.
+      costs: costs around the robot, meters; infinite where it must not be.
+      corner: row and column of the first cell of the costs in the world's grid.
+      plans: x and y of the vehicle along each sampled plan of the controller, meters; empty without plans.
     """
 
     step: int
@@ -64,17 +64,17 @@ def plot_search(
     track: Float[np.ndarray, "time 5"],
     moments: Sequence[SearchMoment],
 ) -> list[Path]:
-    """Draw moments of a search (Fig. 5 of the paper on dense cost maps), a column each.
+    """Draw moments of a search (Fig. 5 of the paper on dense cost maps), one per column.
 
-    Above the house as it is with the way so far, then the robot's map of it, below the costs that its controller drives
-    by and the plans that it samples.
+    The rows show the true map with the path so far, the robot's map, and the costs of the controller with its sampled
+    plans.
 
     Args:
-      path: where to write, without an ending.
+      path: output path without ending.
       world: the house.
-      target: class index of what is looked for.
-      track: the robot's, see `dc2g_jax.objectnav.agent.TRACK`, from step 0 on.
-      moments: of the search, at least one.
+      target: class index of the wanted object.
+      track: the robot's track, see `dc2g_jax.objectnav.agent.TRACK`, from step 0 on.
+      moments: moments of the search, at least one.
 
     Returns:
       The files written: PNG and SVG.
@@ -122,14 +122,14 @@ def plot_search(
 
 
 def _extent(house: Bool[np.ndarray, "h w"], size: float) -> tuple[float, float, float, float]:
-    """Least and greatest x, then y, of a house with a margin around it, meters."""
+    """Smallest and largest x, then y, of a house with its margin, meters."""
     rows, columns = np.nonzero(house)
     x, y = (columns.min(), columns.max() + 1), (-rows.max() - 1, -rows.min())
     return x[0] * size - _MARGIN, x[1] * size + _MARGIN, y[0] * size - _MARGIN, y[1] * size + _MARGIN
 
 
 def _highest(moments: Sequence[SearchMoment], extent: tuple[float, float, float, float], size: float) -> float:
-    """The cost at the end of the colors, meters: nearly all that the panels show lies below."""
+    """The cost at the end of the colors, meters: nearly all costs in the panels are lower."""
     left, right, bottom, top = extent
     shown = []
     for moment in moments:
@@ -144,7 +144,7 @@ def _highest(moments: Sequence[SearchMoment], extent: tuple[float, float, float,
 
 
 def _robots_map(cells: UInt32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
-    """Colors of a robot's map. Of the classes of a cell the first one is shown, so goals before all others."""
+    """Colors of a robot's map. A cell with several classes shows the first one, so goals take precedence."""
     bits = (cells[..., None] >> np.arange(EXPLORED_CHANNEL + 1, dtype=np.uint32)) & 1 == 1
     own = bits[..., :SEMANTIC_CLASSES]
     classes = np.where(own.any(axis=-1), own.argmax(axis=-1) + 1, NOTHING)
@@ -155,21 +155,21 @@ def _map_image(
     classes: Int[np.ndarray, "h w"] | UInt8[np.ndarray, "h w"], floor: Bool[np.ndarray, "h w"],
     walls: Bool[np.ndarray, "h w"],
 ) -> UInt8[np.ndarray, "h w 3"]:  # fmt: skip
-    """Colors of a map: what has a class in that one's, else walls dark, floor gray, and the rest white."""
+    """Colors of a map: the color of the class if a cell has one, else dark walls, gray floor, and white elsewhere."""
     floor_color, wall_color = (np.round(255 * np.array(to_rgb(color))).astype(np.uint8) for color in (_FLOOR, _WALL))
     bare = np.where(walls[..., None], wall_color, np.where(floor[..., None], floor_color, OBJECT_COLORS[NOTHING]))
     return np.where((classes != NOTHING)[..., None], OBJECT_COLORS[classes], bare)
 
 
 def _show(axes: Axes, image: np.ndarray, first: Sequence[int] | Int[np.ndarray, "2"], size: float) -> None:
-    """An image of cells where these lie in the world; `first` is row and column of its first one."""
+    """Show an image of cells at their position in the world; `first` is row and column of the first cell."""
     (row, column), (height, width) = (int(number) for number in first), image.shape[:2]
     extent = (column * size, (column + width) * size, -(row + height) * size, -row * size)
     axes.imshow(image, extent=extent, interpolation="nearest")
 
 
 def _legend(classes: UInt8[np.ndarray, "h w"], target: int) -> list[Any]:
-    """What colors and marks mean: the classes that are in the house, and the rest."""
+    """The entries of the legend: the classes that occur in the house, lines and marks."""
     found = [int(index) for index in np.unique(classes) if index not in (NOTHING, target)]
     patches = [
         (f"target: {OBJECT_CLASSES[target]}", OBJECT_COLORS[target] / 255, _TARGET, 1.4),

@@ -1,4 +1,4 @@
-"""Figures of panels that all show a map, placed to the pixel, and lines around cells."""
+"""Figures of map panels placed at whole pixels, and outlines of cells."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -12,28 +12,28 @@ from matplotlib.textpath import TextPath
 
 from dc2g_jax.inspection.figures import PAGE_WIDTH, whole_pixels
 
-#: Inches: the largest height of a panel; the space left of the panels, between them and between their titles, above
-#: them for a title and for its second line, for the color bars and a line of the legend. And pixels by the inch.
+#: Inches: largest height of a panel; the space left of the panels, between them and between their titles, above them
+#: for a title and for its second line, for the color bars and a line of the legend. And pixels per inch.
 _TALLEST = 2.2
 _LEFT, _GAP, _TITLE_GAP, _TITLE, _TITLE_LINE, _BARS, _LINE = 0.3, 0.06, 0.14, 0.17, 0.12, 0.48, 0.15
 DPI = 300
 
-#: Inches that an entry of the legend takes.
+#: Width of an entry of the legend, inches.
 _ENTRY = 0.8
 
 FONT, _SMALL = 7.5, 7.0
 
 
 class Sheet(NamedTuple):
-    """A figure of panels that all show a map, placed to the pixel so that every cell has the same size.
+    """A figure of map panels, placed at whole pixels so that every cell has the same size.
 
     Attributes:
       figure: the figure.
-      width: of a panel, in inches.
-      height: of a panel, in inches.
-      rows: rows of panels.
-      column: inches from one column of panels to the next.
-      lines: of the panels' titles, see `_title_lines`.
+      width: width of a panel, inches.
+      height: height of a panel, inches.
+      rows: number of rows of panels.
+      column: distance from one column of panels to the next, inches.
+      lines: number of lines of the panels' titles, see `_title_lines`.
     """
 
     figure: Figure
@@ -45,12 +45,12 @@ class Sheet(NamedTuple):
 
     @property
     def _row(self) -> float:
-        """Inches from one row of panels to the next."""
+        """Distance from one row of panels to the next, inches."""
         return self.height + self._title
 
     @property
     def _title(self) -> float:
-        """Inches that titles take."""
+        """Height of titles, inches."""
         return _TITLE + (self.lines - 1) * _TITLE_LINE
 
     def panel(self, row: int, column: int, title: str = "", color: str = "black") -> Axes:
@@ -66,7 +66,7 @@ class Sheet(NamedTuple):
         return axes
 
     def bar(self, place: float, colors: ScalarMappable, title: str, **options: Any) -> None:
-        """A color bar below the panels, in the left half of the page (`place` 0) or in the right one (1)."""
+        """Add a color bar below the panels, in the left half of the page (`place` 0) or in the right half (1)."""
         width = float(self.figure.get_figwidth())
         length = min(2.2, 0.38 * width)
         x = (0.25 + 0.5 * place) * width - length / 2
@@ -77,14 +77,14 @@ class Sheet(NamedTuple):
         axes.set_xlabel(title, fontsize=_SMALL, labelpad=1)
 
     def _axes(self, x: float, y: float, width: float, height: float) -> Axes:
-        """Axes at a place in inches from the upper left corner, moved to whole pixels."""
+        """Axes at a position in inches from the upper left corner, moved to whole pixels."""
         x, y = round(x * DPI) / DPI, round(y * DPI) / DPI
         total_width, total_height = self.figure.get_size_inches()
         rectangle = (x / total_width, 1 - (y + height) / total_height, width / total_width, height / total_height)
         return self.figure.add_axes(rectangle)
 
     def legend(self, entries: Sequence[Any], columns: int) -> None:
-        """What colors and marks mean, at the foot of the page."""
+        """Add the legend at the foot of the page."""
         self.figure.legend(
             handles=list(entries), loc="lower center", bbox_to_anchor=(0.5, 0), borderaxespad=0.1, ncols=columns,
             frameon=False, fontsize=_SMALL, handlelength=1.1, handletextpad=0.5, columnspacing=1.2, labelspacing=0.35,
@@ -97,21 +97,21 @@ def _title_lines(title: str, count: int) -> list[str]:
 
 
 def _inches(text: str) -> float:
-    """How wide a title is."""
+    """Width of a title, inches."""
     return float(TextPath((0, 0), text, size=FONT).get_extents().width) / 72 if text else 0.0
 
 
 def empty_sheet(
     shape: tuple[int, ...], rows: int, columns: int, entries: Sequence[Any], titles: Sequence[str]
 ) -> Sheet:
-    """An empty sheet with its legend. Titles of neighbors do not touch: those that would are broken after the colon.
+    """An empty sheet with its legend. Titles that would touch their neighbors are broken after the colon.
 
     Args:
-      shape: rows and columns of the map that all panels show.
-      rows: of panels.
-      columns: of panels.
-      entries: what the legend says.
-      titles: of all panels.
+      shape: rows and columns of the map in the panels.
+      rows: rows of panels.
+      columns: columns of panels.
+      entries: entries of the legend.
+      titles: titles of all panels.
     """
     height, width = shape
     room = (PAGE_WIDTH - _LEFT - columns * _GAP) / columns
@@ -131,7 +131,7 @@ def empty_sheet(
 
 
 def cell_rim(cells: Bool[np.ndarray, "h w"] | Int[np.ndarray, "h w"]) -> list[Any]:
-    """The edges between cells of different kinds, each as its two ends."""
+    """The edges between cells of different values, each as its two ends."""
     y, x = np.nonzero(cells[:, 1:] != cells[:, :-1])
     upright = np.stack([np.stack([x + 0.5, y - 0.5], -1), np.stack([x + 0.5, y + 0.5], -1)], 1)
     y, x = np.nonzero(cells[1:] != cells[:-1])

@@ -1,4 +1,4 @@
-"""Figures of training: how validation went, a curve for each kind of run."""
+"""Figures of training: validation curves for each kind of run."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,13 +17,13 @@ _LINES = ("-", "--", "-.", ":")
 
 
 def draw_band(axes: Axes, steps: Int[np.ndarray, "n"], curves: Float[np.ndarray, "runs n"], **style: Any) -> None:
-    """The mean of several runs as a curve, one standard deviation as a band.
+    """Draw the mean of several runs as a curve, with one standard deviation as a band.
 
     Args:
-      axes: where to draw.
+      axes: axes to draw on.
       steps: training steps.
-      curves: a row a run.
-      style: of the curve, as matplotlib has it.
+      curves: one row per run.
+      style: matplotlib's properties of the curve.
     """
     mean, deviation = curves.mean(axis=0), curves.std(axis=0)
     (line,) = axes.plot(steps, mean, linewidth=1.7, **style)
@@ -36,16 +36,16 @@ def plot_sweep(
     extra: Mapping[str, Sequence[float]],
     caption: str,
 ) -> list[Path]:
-    """Draw a sweep: validation errors over training steps, and what the planner made of the networks.
+    """Draw a sweep: validation errors over training steps, and extra steps of planners with the networks.
 
-    A curve for each kind of run, the mean over its seeds, with a band of one standard deviation; beside them a point a
-    run, its extra steps, with the mean of each kind.
+    Each kind of run has a curve, the mean over its seeds, with a band of one standard deviation. A second panel shows
+    the extra steps of each run as a point, with the mean of each kind.
 
     Args:
-      path: where to write, without an ending.
+      path: output path without ending.
       runs: kind -> runs -> step -> error in cells; all runs of a kind were validated at the same steps.
       extra: kind -> extra steps of each run in percent; empty where no episodes were run.
-      caption: what was validated on what.
+      caption: description of networks and validation data.
 
     Returns:
       The files written: PNG and SVG.

@@ -1,4 +1,4 @@
-"""Recordings of training for the rerun viewer: curves, and what the network makes of a few fixed maps meanwhile."""
+"""Recordings of training for the rerun viewer: curves, and predictions for a few fixed maps."""
 
 import contextlib
 import itertools
@@ -30,16 +30,16 @@ from dc2g_jax.training.cost_to_go import TrainingConfig, learning_rate_schedule
 from dc2g_jax.training.cost_to_go_data import training_set, usable
 from dc2g_jax.training.mask_collection import Masks, collect_masks
 
-#: Columns between two maps that are shown side by side.
+#: Gap between two maps side by side, columns.
 _GAP = 2
 
-#: Reach of the field of view of the robots whose maps are shown, in cells.
+#: Range of the field of view of the robots whose maps are shown, cells.
 _SENSING_RANGE = 8
 
-#: Steps from one prediction to the next, at least.
+#: Least number of steps between two predictions.
 _STEPS_PER_PREDICTION = 100
 
-#: Entities of the maps, top to bottom, and what they are called.
+#: Entities of the maps from top to bottom, with their names.
 _ROWS = {
     "known": "observed parts of validation houses, always the same",
     "predicted": "predicted cost-to-go",
@@ -47,7 +47,7 @@ _ROWS = {
     "difference": "predicted less exact: blue too low, red too high",
 }
 
-#: Entities of the curves, top to bottom, and what they are called and their share of the height.
+#: Entities of the curves from top to bottom, with their names and shares of the height.
 _CURVES = {
     "loss": ("loss", 2),
     "learning_rate": ("learning rate", 2),
@@ -68,14 +68,14 @@ def learning_rates(config: TrainingConfig) -> Float[np.ndarray, "steps"]:
 
 
 def maps_to_watch(dataset: HouseDataset, count: int) -> Pair:
-    """What exploring robots had seen of the dataset's validation houses: the same maps in every run.
+    """Partial maps of the dataset's validation houses by exploring robots, the same in every run.
 
     Args:
-      dataset: whose validation houses.
+      dataset: dataset with validation houses.
       count: number of maps.
 
     Raises:
-      InputError: if there is no such map.
+      InputError: there are no such maps.
     """
     houses = usable(dataset, "val")
     rules = complete_rules(_SENSING_RANGE)
@@ -96,7 +96,7 @@ def maps_to_watch(dataset: HouseDataset, count: int) -> Pair:
 
 
 def next_file(folder: Path) -> Path:
-    """The file for the recording of a run that begins or is taken up: `training-001.rrd`, then `training-002.rrd`."""
+    """The file for the recording of a new or resumed run: `training-001.rrd`, then `training-002.rrd`, and so on."""
     files = (folder / f"training-{number:03d}.rrd" for number in itertools.count(1))
     return next(file for file in files if not file.exists())
 
@@ -137,20 +137,20 @@ def _layout(shape: tuple[int, int], steps: int) -> rrb.Blueprint:
 
 
 class TrainingRecording:
-    """A recording that grows while a network trains. Looks at the network alone: training goes on as it would anyway.
+    """A recording that grows while a network trains. It reads the network only and does not affect training.
 
-    What has been logged is in the file a moment later, and stays readable when the process is killed. The files of one
-    folder are one recording, so that the viewer joins a run that was interrupted: `rerun FOLDER/training-*.rrd`.
+    Logged data reach the file within moments and stay readable if the process is killed. The files of one folder form
+    one recording, so the viewer joins the parts of an interrupted run: `rerun FOLDER/training-*.rrd`.
 
     Args:
-      folder: of the run.
-      config: how it trains.
-      maps: what to show predictions on, a few pairs; always the same.
-      file: to write; none where `None`.
-      viewer: address of a running viewer to send everything to, as `rerun --help` names it; none where `None`.
+      folder: folder of the run.
+      config: configuration of the run.
+      maps: a few fixed pairs on which to show predictions.
+      file: file to write; `None` for no file.
+      viewer: address of a running viewer, as in `rerun --help`; `None` for no viewer.
 
     Raises:
-      InputError: if the file cannot be written or the address is none.
+      InputError: the file cannot be written or the address is invalid.
     """
 
     def __init__(self, folder: Path, config: TrainingConfig, maps: Pair, *, file: Path | None, viewer: str | None):
@@ -181,24 +181,24 @@ class TrainingRecording:
             self._stream.log(f"maps/{row}", rr.SegmentationImage(image), static=True)
 
     def look(self, step: int, loss: float, network: NetworkCostToGo) -> None:
-        """Add to the curves, and now and then what the network makes of the maps.
+        """Add a point to the curves and, now and then, predictions for the maps.
 
         Args:
           step: optimizer steps taken.
-          loss: mean of the last of them.
-          network: as it is now.
+          loss: mean loss of the latest steps.
+          network: current network.
         """
         self._add(step, {"loss": loss, "learning_rate": float(self._rates[step - 1])})
         if self._predicted is None or step >= self._predicted + _STEPS_PER_PREDICTION:
             self.predict(step, network)
 
     def validate(self, step: int, figures: Mapping[str, float], network: NetworkCostToGo) -> None:
-        """Add the figures of a validation, and what the network makes of the maps.
+        """Add the results of a validation, and predictions for the maps.
 
         Args:
           step: optimizer steps taken.
           figures: name -> value.
-          network: as it is now.
+          network: current network.
         """
         kinds = {name: "median" if "median" in name else "mean" for name in figures}
         self._add(step, {f"validation/{kinds[name]}/{name}": value for name, value in figures.items()})
@@ -206,11 +206,11 @@ class TrainingRecording:
             self.predict(step, network)
 
     def predict(self, step: int, network: NetworkCostToGo) -> None:
-        """Show what the network makes of the maps.
+        """Add predictions for the maps.
 
         Args:
           step: optimizer steps taken.
-          network: as it is now.
+          network: current network.
         """
         self._predicted = step
         predicted = np.asarray(_expected_cost(network, self._terrain))
@@ -224,7 +224,7 @@ class TrainingRecording:
             self._stream.log(f"maps/{row}", rr.SegmentationImage(_side_by_side(classes)))
 
     def _add(self, step: int, values: Mapping[str, float]) -> None:
-        """Add a point to each of some curves, entity -> value."""
+        """Add a point to each of the curves, entity -> value."""
         self._stream.set_time(TIMELINE, sequence=step)
         for curve, value in values.items():
             if curve not in self._curves:
@@ -236,7 +236,7 @@ class TrainingRecording:
             self._stream.log(curve, rr.Scalars(value))
 
     def close(self) -> None:
-        """Write what is left."""
-        with contextlib.suppress(RuntimeError):  # a viewer that is gone
+        """Write the remaining data."""
+        with contextlib.suppress(RuntimeError):  # the viewer has been closed
             self._stream.flush(timeout_sec=5)
         self._stream.disconnect()

@@ -1,4 +1,4 @@
-"""Pictures in a row as files: GIF, with one table of colors, and MP4."""
+"""Writers of GIF files with one color table, and of MP4 files."""
 
 import collections
 from collections.abc import Iterable, Iterator, Sequence
@@ -13,15 +13,15 @@ from dc2g_jax.errors import InputError
 
 Picture = UInt8[np.ndarray, "height width 3"]
 
-#: Codecs of an MP4 file, the first that OpenCV has is taken: VP9 is sharper and smaller, MPEG-4 is everywhere.
+#: Codecs of MP4 files, of which the first that OpenCV supports is used: VP9 is sharper and smaller, MPEG-4 is common.
 _CODECS = ("vp09", "mp4v")
 
-#: Colors in the table of a GIF; the last place stays free, for what does not change from one picture to the next.
+#: Colors in the table of a GIF; the last entry stays free for pixels that do not change from one picture to the next.
 _MOST_COLORS = 255
 
 
 def _codes(picture: Picture) -> Int[np.ndarray, "height width"]:
-    """A number a color."""
+    """The color of each pixel as one integer."""
     return picture.astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
 
 
@@ -30,14 +30,14 @@ def _rgb(codes: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n 3"]:
 
 
 def frequent_colors(shown: Iterable[Picture], always: Sequence[str]) -> Int[np.ndarray, "n"]:
-    """The most frequent colors of pictures, at most as many as a GIF has.
+    """The most frequent colors of pictures, at most as many as a GIF can have.
 
     Args:
       shown: the pictures.
-      always: colors, as `#rrggbb`, that are taken however rare they are.
+      always: colors, as `#rrggbb`, that are included even if they are rare.
 
     Returns:
-      A number a color, sorted.
+      The colors as sorted integers.
     """
     counts: collections.Counter[int] = collections.Counter()
     marks = [int(color[1:], 16) for color in always]
@@ -49,13 +49,13 @@ def frequent_colors(shown: Iterable[Picture], always: Sequence[str]) -> Int[np.n
 
 
 def write_gif(path: Path, shown: Iterator[Picture], colors: Int[np.ndarray, "n"], durations: Sequence[float]) -> None:
-    """Write a GIF that repeats. One table of colors serves all pictures, and only what changes is stored.
+    """Write a GIF that repeats. All pictures share one color table, and only changes are stored.
 
     Args:
       path: file to write.
       shown: the pictures.
-      colors: the table, from `frequent_colors`; others are shown as the nearest of them.
-      durations: seconds of each picture.
+      colors: the color table, from `frequent_colors`; other colors are replaced by the nearest of them.
+      durations: duration of each picture, seconds.
     """
     table = _rgb(np.pad(colors, (0, _MOST_COLORS + 1 - len(colors)))).astype(np.uint8).tobytes()
 
@@ -84,11 +84,11 @@ def write_mp4(path: Path, shown: Iterator[Picture], frames_per_second: int, last
     Args:
       path: file to write.
       shown: the pictures, of even width and height.
-      frames_per_second: pictures shown in a second.
-      last_seconds: seconds that the last picture stays.
+      frames_per_second: pictures per second.
+      last_seconds: duration of the last picture, seconds.
 
     Raises:
-      InputError: if OpenCV cannot write MP4, or not there.
+      InputError: OpenCV cannot write MP4 or cannot write to the path.
     """
     picture = next(shown)
     height, width, _ = picture.shape

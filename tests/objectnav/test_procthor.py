@@ -115,9 +115,9 @@ def changed(value: object, *path: str | int) -> dict:
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("{'rooms'", "no JSON"),
+        ("{'rooms'", "not JSON"),
         ("[]", "list"),
-        ("[" * 100_000, "no JSON"),
+        ("[" * 100_000, "not JSON"),
         (without("rooms"), "'rooms'"),
         (without("rotation", 0), "'rotation'"),
         (changed([], "rooms"), "0 rooms"),
