@@ -23,7 +23,7 @@ from optax import softmax_cross_entropy_with_integer_labels as cross_entropy
 from tqdm import tqdm
 
 from dc2g_jax.datasets.houses import House, stack_worlds
-from dc2g_jax.datasets.procedural import STYLES, draw_house, extra_house_seed
+from dc2g_jax.datasets.procedural import STYLES, draw_house, training_house_seed
 from dc2g_jax.datasets.starts import sample_starts, why_no_episode
 from dc2g_jax.environments.functional import FrontDoor, Observation, Params, State, egocentric, front_door, observe
 from dc2g_jax.errors import InputError
@@ -246,7 +246,7 @@ def play(
 def small_houses(count: int, cells: int, seed: int, split: str) -> list[House]:
     """Procedural houses squeezed into few cells; those in which no episode can be run then are left out."""
     numbers = tqdm(range(count), desc=f"{split} maps", unit="map", file=sys.stderr)
-    pictures = (draw_house(extra_house_seed(seed, number), STYLES[number % len(STYLES)]) for number in numbers)
+    pictures = (draw_house(training_house_seed(seed, number), STYLES[number % len(STYLES)]) for number in numbers)
     houses = [House(f"{split}{n}", split, sample_grid(picture, cells)) for n, picture in enumerate(pictures)]
     if not (kept := [house for house in houses if why_no_episode(house) is None]):
         raise InputError(f"no {split} map of {count} keeps a way to its door in {cells} cells; give more --cells")

@@ -7,7 +7,7 @@ import numpy as np
 from dc2g_jax.cli.common import OutOption, command_line
 from dc2g_jax.cli.map_options import MapOptions, doubts_about, terrain_of
 from dc2g_jax.cli.outputs import output_folder
-from dc2g_jax.datasets.maps import require_way_to_goal
+from dc2g_jax.datasets.maps import require_path_to_goal
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.grid.ground import Piece, connected_to_goal, goals_without_ground, pieces
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE, UNKNOWN
@@ -78,7 +78,7 @@ def main(options: Options) -> None:
     print("\n".join([title, *lines]))
     files = plot_map(out / options.map.stem, title, terrain, cost_to_go)
     print(f"Written: {', '.join(str(file) for file in files)}")
-    require_way_to_goal(str(options.map), terrain)
+    require_path_to_goal(str(options.map), terrain)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from dc2g_jax.cli.map_options import MapOptions, StartOption, doubts_about, star
 from dc2g_jax.cli.one_start import Animation, draw_request, make_request, require_sensing_range, run_request, tell_files
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import House
-from dc2g_jax.datasets.maps import require_way_to_goal
+from dc2g_jax.datasets.maps import require_path_to_goal
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,7 +44,7 @@ def main(options: Options) -> None:
     """Read, run, draw."""
     sensing_range = require_sensing_range(options.sensing_range)
     terrain = terrain_of(options)
-    require_way_to_goal(str(options.map), terrain)
+    require_path_to_goal(str(options.map), terrain)
     house = House(options.map.stem, "test", terrain)
     start = start_in(str(options.map), house, options.start, options.seed)._replace(sensing_range=sensing_range)
     request = make_request(house, start, options.planner, options.network, options.step_limit)

@@ -114,9 +114,9 @@ def map_sequence(sequence: ImageSequence, settings: MapSettings, out: Path, name
     take = jit(integrate, static_argnums=3)
     read = jit(terrain_map, static_argnums=1)
     voxels, wrong = empty_map(settings), 0
-    way = np.stack([moment.pose.position for moment in sequence.moments])
+    path = np.stack([moment.pose.position for moment in sequence.moments])
     file = out / "recording.rrd"
-    with CameraRecording(file, camera=sequence.intrinsics, settings=settings, way=way, name=name) as recording:
+    with CameraRecording(file, camera=sequence.intrinsics, settings=settings, path=path, name=name) as recording:
         for moment in tqdm(sequence.moments, desc="mapping", unit="frame", file=sys.stderr):
             frame = sequences.read_frame(sequence, moment)
             try:

@@ -14,7 +14,7 @@ from dc2g_jax.datasets.occupancy import YAML_ENDINGS, OccupancyMap, read_occupan
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import PALETTE_FILE, Palette, check_classes, read_class_image, read_palette
 from dc2g_jax.files.tables import read_table
-from dc2g_jax.grid.ground import why_no_way
+from dc2g_jax.grid.ground import why_no_path
 from dc2g_jax.grid.sampling import ClassImage, sample_grid
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
 
@@ -69,7 +69,7 @@ def read_map(
       InputError: the map cannot be read, a goal is not on traversable ground, or no goal can be reached.
     """
     terrain = draw_map(path, palette=palette, goals=goals, cells=cells)
-    require_way_to_goal(str(path), terrain)
+    require_path_to_goal(str(path), terrain)
     return terrain
 
 
@@ -82,7 +82,7 @@ def map_from_classes(
 ) -> UInt8[np.ndarray, "h w"]:
     """A map from an array of class indices in memory, like `read_map`. Messages call it `name`."""
     terrain = _with_goals(name, _sampled_with_doors(name, check_classes(name, classes), cells, goals), goals)
-    require_way_to_goal(name, terrain)
+    require_path_to_goal(name, terrain)
     return terrain
 
 
@@ -216,9 +216,9 @@ def _nearest_ground(ground: np.ndarray, column: int, row: int) -> str:
     return f"the nearest cell that is lies at column {columns[nearest]}, row {rows[nearest]}"
 
 
-def require_way_to_goal(where: str, terrain: UInt8[np.ndarray, "h w"]) -> None:
+def require_path_to_goal(where: str, terrain: UInt8[np.ndarray, "h w"]) -> None:
     """Raise `InputError` if no ground of the map leads to a goal; `where` begins the message."""
-    if reason := why_no_way(terrain):
+    if reason := why_no_path(terrain):
         raise InputError(f"{where}: {reason}; {_GOAL_REMEDY}")
 
 

@@ -15,7 +15,7 @@ from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.resources import resource
 from dc2g_jax.files.tables import read_table
-from dc2g_jax.grid.ground import connected_to_goal, why_no_way
+from dc2g_jax.grid.ground import connected_to_goal, why_no_path
 from dc2g_jax.grid.poses import HEADINGS
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax.grid.terrain import FRONT_DOOR, ROAD
@@ -84,7 +84,7 @@ def start_cells(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 def why_no_episode(house: House) -> str | None:
     """The reason why no episode can be run in a house; `None` if one can."""
-    if reason := why_no_way(house.terrain):
+    if reason := why_no_path(house.terrain):
         return reason
     if not np.any(start_cells(house.terrain)):
         return "no front door can be reached from any of its road cells"

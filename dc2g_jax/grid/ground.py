@@ -54,7 +54,7 @@ def goals_without_ground(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, 
     return np.asarray(goals & ~np.isin(labels, labels[TRAVERSABLE[terrain] & ~goals]))
 
 
-def why_no_way(terrain: UInt8[np.ndarray, "h w"]) -> str | None:
+def why_no_path(terrain: UInt8[np.ndarray, "h w"]) -> str | None:
     """The reason why no ground of a map leads to a goal; `None` if some ground does."""
     goals = terrain == FRONT_DOOR
     if not np.any(TRAVERSABLE[terrain] & ~goals):

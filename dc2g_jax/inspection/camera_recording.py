@@ -62,7 +62,7 @@ class CameraRecording:
       file: file to write.
       camera: intrinsics of the camera.
       settings: settings of the map.
-      way: positions of the camera in the whole sequence, meters in the world, to frame the first view.
+      path: positions of the camera in the whole sequence, meters in the world, to frame the first view.
       name: name of the recording in the viewer.
 
     Raises:
@@ -70,12 +70,12 @@ class CameraRecording:
     """
 
     def __init__(
-        self, file: Path, *, camera: Intrinsics, settings: MapSettings, way: Float[np.ndarray, "n 3"], name: str
+        self, file: Path, *, camera: Intrinsics, settings: MapSettings, path: Float[np.ndarray, "n 3"], name: str
     ):
         self._camera, self._settings = camera, settings
-        pixels_a_point = camera.height * camera.width * len(way) / max(_POINTS, _FEWEST_POINTS * len(way))
+        pixels_a_point = camera.height * camera.width * len(path) / max(_POINTS, _FEWEST_POINTS * len(path))
         self._stride = max(1, round(pixels_a_point**0.5))
-        self._stream = open_recording(file, name=name, blueprint=_layout(settings, way))
+        self._stream = open_recording(file, name=name, blueprint=_layout(settings, path))
         self._waiting: list[MappedFrame] = []
         self._sent = 0
         self._last: np.ndarray | None = None
@@ -128,10 +128,10 @@ class CameraRecording:
         style(_DEPTH, rr.DepthImage.from_fields(format=steps, meter=DEPTH_UNITS, colormap="Turbo", depth_range=reach))
         style("world/points", rr.Points3D.from_fields(radii=-2.0))
         style("world/voxels", rr.Boxes3D.from_fields(fill_mode="solid"))
-        style("world/way", rr.LineStrips3D.from_fields(radii=-2.5, colors=legend.ROBOT_COLOR))
+        style("world/path", rr.LineStrips3D.from_fields(radii=-2.5, colors=legend.ROBOT_COLOR))
         image_style(stream, _CLASSES, legend.terrain_context(), 0)
         image_style(stream, "map", legend.terrain_context(), 0)
-        style("map/way", rr.LineStrips2D.from_fields(radii=0.16, colors=legend.TRAJECTORY_COLOR, draw_order=30))
+        style("map/path", rr.LineStrips2D.from_fields(radii=0.16, colors=legend.TRAJECTORY_COLOR, draw_order=30))
         style("map/robot", rr.Points2D.from_fields(radii=0.8, colors=legend.ROBOT_COLOR, draw_order=60))
         style("map/robot/view", rr.Arrows2D.from_fields(radii=0.3, colors=legend.ROBOT_COLOR, draw_order=61))
         classes = np.arange(len(CLASS_NAMES), dtype=np.uint8)
@@ -151,7 +151,7 @@ class CameraRecording:
         self._send_points(steps, frames)
         self._send_voxels(steps, [one.voxels for one in mapped])
         send_images(self._stream, "map", steps, np.stack([one.terrain for one in mapped]))
-        self._send_way(steps, frames)
+        self._send_path(steps, frames)
 
     def _send_images(self, steps: np.ndarray, mapped: list[MappedFrame]) -> None:
         """Send the camera's images."""
@@ -195,7 +195,7 @@ class CameraRecording:
         boxes = rr.Boxes3D.columns(centers=np.concatenate(centers), half_sizes=sizes, class_ids=np.concatenate(classes))
         send(self._stream, "world/voxels", steps, boxes.partition(counts))
 
-    def _send_way(self, steps: np.ndarray, frames: list[Frame]) -> None:
+    def _send_path(self, steps: np.ndarray, frames: list[Frame]) -> None:
         """Send the camera's pose and path: one segment of the path per step, which the viewer accumulates."""
         stream = self._stream
         here = np.stack([np.asarray(frame.pose.position) for frame in frames])
@@ -210,14 +210,14 @@ class CameraRecording:
         moving = np.flatnonzero(np.any(here != before, axis=1))
         if len(moving):
             pieces = np.stack([before[moving], here[moving]], axis=1)
-            send(stream, "world/way", steps[moving], rr.LineStrips3D.columns(strips=pieces))
+            send(stream, "world/path", steps[moving], rr.LineStrips3D.columns(strips=pieces))
             flat = (pieces[..., :2] * (1, -1) / self._settings.cell_size).astype(np.float32)
-            send(stream, "map/way", steps[moving], rr.LineStrips2D.columns(strips=flat))
+            send(stream, "map/path", steps[moving], rr.LineStrips2D.columns(strips=flat))
 
 
-def _layout(settings: MapSettings, way: Float[np.ndarray, "n 3"]) -> rrb.Blueprint:
+def _layout(settings: MapSettings, path: Float[np.ndarray, "n 3"]) -> rrb.Blueprint:
     """The first view: the camera's images on the left, voxels in the middle, map, points and legend on the right."""
-    low, high = way.min(axis=0), way.max(axis=0)
+    low, high = path.min(axis=0), path.max(axis=0)
     x, y, _ = (low + high) / 2
     size = float(max(high - low)) + settings.reach
     eye = rrb.EyeControls3D(
@@ -230,12 +230,12 @@ def _layout(settings: MapSettings, way: Float[np.ndarray, "n 3"]) -> rrb.Bluepri
     def world(name: str, contents: list[str], so_far: list[str]) -> rrb.Spatial3DView:
         return rrb.Spatial3DView(
             origin="/world",
-            contents=["/world/way", f"/{_CAMERA}", f"/{_IMAGE}", *contents],
+            contents=["/world/path", f"/{_CAMERA}", f"/{_IMAGE}", *contents],
             name=name,
             eye_controls=eye,
             background=legend.FRAME_COLOR,
             line_grid=False,
-            overrides=dict.fromkeys(("world/way", *so_far), _SO_FAR),
+            overrides=dict.fromkeys(("world/path", *so_far), _SO_FAR),
         )
 
     images = [
@@ -245,7 +245,7 @@ def _layout(settings: MapSettings, way: Float[np.ndarray, "n 3"]) -> rrb.Bluepri
     bounds = rrb.VisualBounds2D(x_range=[-0.5, settings.columns + 0.5], y_range=[-0.5, settings.rows + 0.5])
     names = rrb.VisualBounds2D(x_range=[-0.5, 1.5], y_range=[-0.3, len(CLASS_NAMES) + 0.3])
     seen_from_above = rrb.Spatial2DView(
-        origin="/map", name="map as seen from above", visual_bounds=bounds, overrides={"map/way": _SO_FAR}
+        origin="/map", name="map as seen from above", visual_bounds=bounds, overrides={"map/path": _SO_FAR}
     )
     return rrb.Blueprint(
         rrb.Horizontal(

@@ -342,18 +342,18 @@ class DC2G(AssessingPlanner):
             candidates = jnp.where(poses.is_empty(opening), candidates, opening)
         return candidates
 
-    def _surcharge(
+    def _penalty(
         self, belief: Belief, candidates: PoseSet, decided_near: Int[Array, "h w *batch"]
     ) -> Float[Array, "h w *batch"]:
         """What is added to the selection rule's score of each cell: patience lost, less information to be gained."""
-        surcharge = jnp.zeros(decided_near.shape, jnp.float32)
+        penalty = jnp.zeros(decided_near.shape, jnp.float32)
         if self.patience.price:
-            surcharge += self.patience.cost(decided_near)
+            penalty += self.patience.cost(decided_near)
         if self.gain_weight:
             sensing = self.rules.sensing
             of_one_cell = self.gain_weight / len(sensing.offsets[0])
-            surcharge -= of_one_cell * frontiers.information_gain(belief, candidates, sensing)
-        return surcharge
+            penalty -= of_one_cell * frontiers.information_gain(belief, candidates, sensing)
+        return penalty
 
     def assess(self, belief: Belief, state: "ExplorationState") -> "tuple[Assessment, ExplorationState]":
         """Head for the most promising frontier-expanding pose, or for the goal once it is reachable."""
@@ -381,7 +381,7 @@ class DC2G(AssessingPlanner):
         if self.patience.price:
             decided_near = decided_near + self.patience.near(belief.pose, belief.height, belief.width)
         # What subgoals are compared by, the lowest wins (Algorithm 2, line 11).
-        score = self.selection(jnp.mean(estimates, axis=0), lengths) + self._surcharge(belief, candidates, decided_near)
+        score = self.selection(jnp.mean(estimates, axis=0), lengths) + self._penalty(belief, candidates, decided_near)
         # Without a current estimate all candidates are equal, and of equal ones the plan goes to the nearest.
         subgoals = jnp.where(undecided, nearest & _lowest(score, poses.occupied(nearest), belief.width), candidates)
         plan = _explore_or_finish(belief, reachable, subgoals, self.rules)

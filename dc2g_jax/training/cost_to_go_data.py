@@ -12,7 +12,7 @@ from jaxtyping import Array, UInt8
 
 from dc2g_jax.datasets.houses import SPLIT_FILES, House, HouseDataset, stack_worlds
 from dc2g_jax.datasets.pairs import Pair, TrainingSet, draw_pairs
-from dc2g_jax.datasets.procedural import extra_training_houses
+from dc2g_jax.datasets.procedural import procedural_training_houses
 from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, world_cost_to_go
@@ -108,7 +108,7 @@ class DataConfig:
 
 def drawn_houses(prefix: str, split: str, count: int, seed: int, cells: int) -> list[House]:
     """Procedural houses on a grid of `cells` x `cells`."""
-    images = extra_training_houses(count, seed)
+    images = procedural_training_houses(count, seed)
     return [House(f"{prefix}{index:05d}", split, sample_grid(image, cells)) for index, image in enumerate(images)]
 
 

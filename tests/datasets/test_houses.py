@@ -543,7 +543,7 @@ def test_procedural_houses_are_sampled_like_images_and_survive_saving(tmp_path, 
     refusal(lambda: procedural_dataset(cells=56), "p004m000h000", "wrong grid size", "55 x 90")
 
 
-def test_the_drawn_houses_have_the_published_split_and_all_groups():
+def test_the_procedural_houses_have_the_published_split_and_all_groups():
     dataset = open_dataset("procedural")
     assert [len(dataset.split(split)) for split in ("train", "val", "test")] == [31, 4, 42]
     assert len({house.name for house in dataset.houses}) == 77

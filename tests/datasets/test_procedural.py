@@ -12,11 +12,11 @@ from dc2g_jax.datasets.procedural import (
     PROCEDURAL_SPLIT,
     STYLES,
     draw_house,
-    extra_house_seed,
-    extra_training_houses,
     house_seed,
     is_usable,
     procedural_houses,
+    procedural_training_houses,
+    training_house_seed,
 )
 from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.grid.terrain import (
@@ -141,7 +141,7 @@ def test_the_split_counts_are_those_of_the_published_files():
 
 def test_extra_houses_share_no_seed_with_the_dataset():
     dataset = {house_seed(seed, index) for seed in (0, 1, 2**32 - 1) for index in range(200)}
-    extra = {extra_house_seed(seed, index) for seed in (0, 1, 2**32 - 1) for index in range(200)}
+    extra = {training_house_seed(seed, index) for seed in (0, 1, 2**32 - 1) for index in range(200)}
     assert len(dataset) == len(extra) == 600  # no two alike
     assert not dataset & extra
     assert all(seed % 2 == 0 for seed in dataset)
@@ -149,9 +149,9 @@ def test_extra_houses_share_no_seed_with_the_dataset():
 
 
 def test_extra_houses_go_through_all_styles_and_are_new(houses):
-    extra = extra_training_houses(8, seed=0)
+    extra = procedural_training_houses(8, seed=0)
     for index, classes in enumerate(extra):
-        np.testing.assert_array_equal(classes, draw_house(extra_house_seed(0, index), STYLES[index % 4]))
+        np.testing.assert_array_equal(classes, draw_house(training_house_seed(0, index), STYLES[index % 4]))
     known = {(classes.shape, classes.tobytes()) for _, _, classes in houses}
     assert not known & {(classes.shape, classes.tobytes()) for classes in extra}
 
@@ -187,7 +187,7 @@ def test_bad_requests_are_refused(monkeypatch):
     with pytest.raises(ValueError, match="seed"):
         procedural_houses(seed=-1)
     with pytest.raises(ValueError, match="seed"):
-        extra_training_houses(1, seed=2**32)
+        procedural_training_houses(1, seed=2**32)
     monkeypatch.setattr(procedural, "is_usable", lambda classes: False)
     monkeypatch.setattr(procedural, "draw_suburb", lambda rng, suburb: None)
     with pytest.raises(RuntimeError, match="100 drawings"):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dc2g_jax.grid.ground import Piece, connected_to_goal, goals_without_ground, pieces, why_no_way
+from dc2g_jax.grid.ground import Piece, connected_to_goal, goals_without_ground, pieces, why_no_path
 from dc2g_jax.grid.terrain import FRONT_DOOR
 from tests.oracles import gridworld_oracle as oracle
 from tests.support import maps
@@ -44,5 +44,5 @@ def test_goals_without_ground():
         ("DD", "it has no traversable ground"),
     ],
 )
-def test_why_no_way(picture, reason):
-    assert why_no_way(maps.drawn(picture)) == reason
+def test_why_no_path(picture, reason):
+    assert why_no_path(maps.drawn(picture)) == reason

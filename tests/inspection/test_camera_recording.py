@@ -54,7 +54,7 @@ def logged(tmp_path_factory):
     file = tmp_path_factory.mktemp("recordings") / "new" / "camera.rrd"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(camera_recording, "_CHUNK", 3)
-        with CameraRecording(file, camera=CAMERA, settings=SETTINGS, way=PLACES, name="yard") as recording:
+        with CameraRecording(file, camera=CAMERA, settings=SETTINGS, path=PLACES, name="yard") as recording:
             for number in range(4):
                 recording.add(mapped(number))
     return read(file)
@@ -114,15 +114,15 @@ def test_the_map_and_the_way_are_seen_from_above(logged):
         assert logged["/map/robot", "Points2D:positions"][number] == [[x / 2, -y / 2]]
         assert logged["/map/robot/view", "Arrows2D:vectors"][number][0] == pytest.approx([2.5, 0])
     # A piece a move, also from one batch of steps to the next.
-    assert logged["/world/way", "LineStrips3D:strips"] == {1: [PLACES[:2].tolist()], 3: [PLACES[2:].tolist()]}
-    assert logged["/map/way", "LineStrips2D:strips"] == {1: [[[0.5, 0.5], [1.5, 0.5]]], 3: [[[1.5, 0.5], [1.5, 2.5]]]}
+    assert logged["/world/path", "LineStrips3D:strips"] == {1: [PLACES[:2].tolist()], 3: [PLACES[2:].tolist()]}
+    assert logged["/map/path", "LineStrips2D:strips"] == {1: [[[0.5, 0.5], [1.5, 0.5]]], 3: [[[1.5, 0.5], [1.5, 2.5]]]}
 
 
 def test_large_images_and_long_ways_are_thinned_out(tmp_path, monkeypatch):
     monkeypatch.setattr(camera_recording, "_POINTS", 12)
     monkeypatch.setattr(camera_recording, "_FEWEST_POINTS", 1)
     file = tmp_path / "camera.rrd"
-    with CameraRecording(file, camera=CAMERA, settings=SETTINGS, way=PLACES[:2], name="yard") as recording:
+    with CameraRecording(file, camera=CAMERA, settings=SETTINGS, path=PLACES[:2], name="yard") as recording:
         recording.add(mapped(1))
     # Every second row and column, and the first pixel has no depth.
     assert len(read(file)["/world/points", "Points3D:positions"][0]) == 5
@@ -131,4 +131,4 @@ def test_large_images_and_long_ways_are_thinned_out(tmp_path, monkeypatch):
 def test_files_that_cannot_be_written_are_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
-        CameraRecording(tmp_path / "file" / "x.rrd", camera=CAMERA, settings=SETTINGS, way=PLACES, name="yard")
+        CameraRecording(tmp_path / "file" / "x.rrd", camera=CAMERA, settings=SETTINGS, path=PLACES, name="yard")

@@ -126,7 +126,7 @@ def test_bad_seeds_and_splits_are_refused():
         indoor_houses(count=0)
 
 
-def test_the_embedded_houses_are_the_default():
+def test_the_procedural_houses_are_the_default():
     houses = indoor_houses(split="val", count=2, cell_size=0.1)
     assert [house.name for house in houses] == ["val-0", "val-1"]
     np.testing.assert_array_equal(houses[1].world.classes, world_from_plan(draw_plan(0, "val", 1), 0.1).classes)

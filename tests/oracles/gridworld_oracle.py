@@ -353,7 +353,7 @@ def facing_most_unseen(poses: Array, seen: Array) -> Array:
     return poses & (ahead == np.where(poses, ahead, -1).max(axis=0))
 
 
-def surcharges(been: list[Pose], shape: tuple[int, int], radius: int, decisions: int, price: float) -> Array:
+def penalties(been: list[Pose], shape: tuple[int, int], radius: int, decisions: int, price: float) -> Array:
     """What each cell [h w] costs more after decisions in these poses."""
     near = np.zeros(shape, int)
     for x, y, _ in been:
@@ -413,7 +413,7 @@ def run_episode(
                 observed = np.where(seen, terrain, 0)
                 costs = cost_to_go(seen, observed) if callable(cost_to_go) else cost_to_go
                 if patience:
-                    costs = costs + surcharges(been, terrain.shape, *patience)
+                    costs = costs + penalties(been, terrain.shape, *patience)
                 if new_cell:
                     costs = costs - new_cell * newly_seen(poses, seen, sensing_radius)
                 poses = lowest_cost_poses(poses, costs)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.procedural import extra_training_houses
+from dc2g_jax.datasets.procedural import procedural_training_houses
 from dc2g_jax.datasets.starts import start_cells
 from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.grid.terrain import GRASS, TRAVERSABLE
@@ -56,7 +56,7 @@ def standing(cell: tuple[int, int], heads_for: tuple[int, int]) -> Pedestrians:
 @pytest.fixture(scope="module")
 def maps() -> np.ndarray:
     """Houses, a start each; then the narrow way, then the broad road."""
-    houses = [sample_grid(house) for house in extra_training_houses(HOUSES, seed=5)]
+    houses = [sample_grid(house) for house in procedural_training_houses(HOUSES, seed=5)]
     return np.stack([house for house in houses for _ in range(STARTS)] + [framed(NARROW), framed(BROAD)])
 
 

@@ -49,8 +49,8 @@ def house_seed(seed: int, index: int) -> int:
     return 2 * _paired(seed, index)
 
 
-def extra_house_seed(seed: int, index: int) -> int:
-    """The seed that `draw_house` gets for house `index` of `extra_training_houses`: an odd number."""
+def training_house_seed(seed: int, index: int) -> int:
+    """The seed that `draw_house` gets for house `index` of `procedural_training_houses`: an odd number."""
     return 2 * _paired(seed, index) + 1
 
 
@@ -142,7 +142,7 @@ def procedural_houses(seed: int = 0) -> list[tuple[str, str, ClassImage]]:
     ]
 
 
-def extra_training_houses(count: int, seed: int) -> list[ClassImage]:
+def procedural_training_houses(count: int, seed: int) -> list[ClassImage]:
     """Further houses for training, in all four styles in turn. None shares its seed with a house of the dataset.
 
     Args:
@@ -155,4 +155,4 @@ def extra_training_houses(count: int, seed: int) -> list[ClassImage]:
     Raises:
         ValueError: if the seed is not in [0, 2^32).
     """
-    return [draw_house(extra_house_seed(seed, index), STYLES[index % len(STYLES)]) for index in range(count)]
+    return [draw_house(training_house_seed(seed, index), STYLES[index % len(STYLES)]) for index in range(count)]
