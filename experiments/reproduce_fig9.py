@@ -56,8 +56,8 @@ class Options(DrivingOptions):
 
 def record(file: Path, drive: list[Moment], robot: Equipment, name: str) -> None:
     """Write the recording."""
-    way = np.stack([np.asarray(moment.frame.pose.position) for moment in drive])
-    with CameraRecording(file, camera=robot.camera, settings=robot.mapping, way=way, name=name) as recording:
+    path = np.stack([np.asarray(moment.frame.pose.position) for moment in drive])
+    with CameraRecording(file, camera=robot.camera, settings=robot.mapping, path=path, name=name) as recording:
         for moment in tqdm(drive, desc="recording", unit="frame", file=sys.stderr):
             _, encoded = cv2.imencode(".png", moment.picture[..., ::-1])
             recording.add(MappedFrame(moment.frame, encoded.tobytes(), moment.robot.map, moment.robot.terrain))
