@@ -76,7 +76,7 @@ def check_pose(pose: CameraPose, settings: MapSettings) -> None:
     error = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if error > _ROTATION_TOLERANCE:
         raise InputError(
-            f"rotation is none: its rows are off by {error:.2g} from being of unit length and at right angles; give an "
+            f"rotation is not orthonormal: its rows are off by {error:.2g} from unit length and right angles; give an "
             "orthonormal matrix"
         )
     if np.linalg.det(rotation) < 0:
