@@ -1,5 +1,6 @@
 """Sweeps: the grid, what can be trained together, and that together is like alone."""
 
+import contextlib
 import dataclasses
 import functools
 
@@ -10,6 +11,7 @@ import pytest
 
 from dc2g_jax.datasets.pairs import TrainingSet, draw_pairs
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.estimation.networks.compact_unet import Architecture
 from dc2g_jax.grid import bitboard
@@ -17,6 +19,7 @@ from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.training.cost_to_go import TrainingConfig, first_state, mean_loss, train_step
 from dc2g_jax.training.losses import parse_losses
 from dc2g_jax.training.sweeps import (
+    StackedCheckpoints,
     group_by_shape,
     init_states,
     runs_of_grid,
@@ -184,3 +187,20 @@ def test_a_run_that_diverges_keeps_its_weights_and_leaves_the_others_alone(way, 
         np.testing.assert_allclose(both[0], one[0], rtol=1e-3, atol=1e-5)
     first = init_states(configs[0].recipe, stacked_hyperparameters(configs)).weights
     jax.tree.map(lambda one, other: np.testing.assert_array_equal(one[1], other[1]), states.weights, first)
+
+
+def test_runs_go_on_from_the_newest_step_that_all_have_a_state_of(tmp_path):
+    configs = list(grid(seeds=[0, 1]).values())
+    states = init_states(configs[0].recipe, stacked_hyperparameters(configs))
+    of_runs = [
+        TrainingCheckpoints(tmp_path / str(run), config, first_state=first_state) for run, config in enumerate(configs)
+    ]
+    checkpoints = StackedCheckpoints(of_runs)
+    with contextlib.closing(checkpoints):
+        of_runs[1].save(first_state(configs[1]))
+        assert checkpoints.restore() is None
+        assert of_runs[1].steps() == []
+        checkpoints.save(states.replace(step=states.step + 2))
+        of_runs[0].save(first_state(configs[0]).replace(step=jnp.int32(4)))  # killed before the other was saved
+        jax.tree.map(np.testing.assert_array_equal, checkpoints.restore(), states.replace(step=states.step + 2))
+        assert [each.steps() for each in of_runs] == [[2], [2]]
