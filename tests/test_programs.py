@@ -21,6 +21,7 @@ BOUNDARIES = (
     "masks",
     "replay",
     "replay, estimator",
+    "online, planner",
     "online, estimator",
     "fleet",
     "searches, guide",

@@ -151,9 +151,15 @@ def assess(planner: Planner, belief: Belief, state: Any, rules: Rules) -> tuple[
     """What a planner decides, and what from.
 
     Of a planner without `assess`, the candidates are those of the rules, over reachable ground, and the nearest wins.
+    So it is where a subclass has a `plan` of its own and inherits `assess`, which then speaks of another plan.
     """
-    if hasattr(planner, "assess"):
-        return planner.assess(belief, state)
+    classes = type(planner).__mro__
+    own_assess, own_plan = (
+        next((depth for depth, kind in enumerate(classes) if name in vars(kind)), len(classes))
+        for name in ("assess", "plan")
+    )
+    if own_assess <= own_plan:
+        return planner.assess(belief, state)  # type: ignore[attr-defined]
     plan, state = planner.plan(belief, state)
     reachable = reachable_cells(belief, jnp.zeros_like(belief.seen))
     return Assessment(plan, reachable, rules.frontier_expanding(belief, reachable)), state

@@ -183,8 +183,12 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
             ),
             of_planner,
         ),
-        "replay": (lambda cls: replayed(cls(rules)), variants(Frontier, "assess")),
+        "replay": (lambda cls: replayed(cls(rules)), of_planner),
         "replay, estimator": (lambda cls: replayed(DC2G(cls(), rules)), of_estimator),
+        "online, planner": (
+            lambda cls: OnlinePlanner(cls(rules), sensing_range=4, largest=STREET.shape).plan(shown, (0, 4, 0)),
+            of_planner,
+        ),
         "online, estimator": (
             lambda cls: OnlinePlanner(network=cls(), sensing_range=4, largest=STREET.shape).plan(shown, (0, 4, 0)),
             of_estimator,
