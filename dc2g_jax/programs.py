@@ -12,8 +12,9 @@ from typing import Any
 
 import jax
 
-#: Programs that each function keeps, by the classes they were traced for; the oldest one is dropped.
-_KEPT = 256
+#: Programs that each function keeps, by the classes they were traced for; the oldest one is dropped. A process can map
+#: only so much memory: on a CPU, rollout programs of some 200 classes exhausted it.
+_KEPT = 64
 
 #: Classes of a tree's nodes, in depth-first order.
 NodeTypes = tuple[type, ...]
