@@ -6,10 +6,11 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Literal
 
-from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 
 from .benchmarks import figures, machine, report
@@ -102,7 +103,7 @@ def main(options: Options) -> None:
         per_house=1 if options.quick else options.starts_per_house,
         most_houses=4 if options.quick else None,
     )
-    network = open_network(options.network)
+    network = load_network(options.network)
     if not isinstance(network, NetworkCostToGo):
         raise InputError(f"{options.network}: is no compact network; the benchmark measures that kind alone")
     out = output_folder(options, "benchmark")

@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line, digests, open_network
+from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line, digests
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import PublishedEpisode, published_episodes
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import TrainedNetwork
+from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.inspection.figures import plot_head_to_head
@@ -186,7 +186,7 @@ def main(options: Options) -> None:
         raise InputError(
             f"{dataset.name}: the authors' episodes are in the published houses; give --dataset with a copy of them"
         )
-    network = open_network(options.network)
+    network = load_network(options.network)
     out = output_folder(options, "head_to_head", inputs=digests(dataset, network=network))
     published = published_episodes()
     results = run_published(dataset, network, EpisodeTable(out / "episodes.csv"))

@@ -8,16 +8,17 @@ from typing import Literal
 
 import numpy as np
 
-from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line, digests, open_network
+from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line, digests
 from dc2g_jax.cli.driving import DriveResult, DrivingOptions, drive, equipment
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import sample_starts
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import SHIPPED_NOISY_NETWORK
+from dc2g_jax.estimation.checkpoints import SHIPPED_NOISY_NETWORK, load_network
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.files.atomic import write_json
+from dc2g_jax.files.resources import resource
 from dc2g_jax.inspection.driving_figures import plot_noise
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import Runner
@@ -91,7 +92,7 @@ def main(options: Options) -> None:
     if not options.levels or not all(0 <= level < math.inf for level in options.levels):
         raise InputError(f"--levels {' '.join(map(str, options.levels))}: give one at least, all of them from 0 on")
     dataset = open_dataset(options.dataset)
-    clean, noisy = open_network(options.network), open_network(options.noisy_network, SHIPPED_NOISY_NETWORK)
+    clean, noisy = load_network(options.network), load_network(options.noisy_network or resource(SHIPPED_NOISY_NETWORK))
     networks: dict[str, Estimator] = {"clean": clean, "noisy": noisy}
     houses = dataset.split(options.split)
     starts = sample_starts(houses, options.starts_per_house, seed=options.seed)

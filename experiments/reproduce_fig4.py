@@ -8,12 +8,13 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.drawn_masks import VARIANTS, drawn_masks
 from dc2g_jax.datasets.houses import House, open_dataset
 from dc2g_jax.datasets.image_pairs import houses_with_door
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.inspection.image_figures import Example, plot_translations
 from dc2g_jax.training.image_data import MASK_SEEDS
@@ -52,7 +53,7 @@ def main(options: Options) -> None:
         raise InputError(f"rows: {options.rows} houses make no figure; ask for at least 1")
     dataset = open_dataset(options.dataset, cells=None)
     houses = houses_with_door(dataset, "test")
-    network = open_network(options.network)
+    network = load_network(options.network)
     out = output_folder(options, "reproduce_fig4")
     chosen = [houses[place] for place in np.linspace(0, len(houses) - 1, 2 * options.rows).round().astype(int)]
     everything = np.ones((256, 256), bool)

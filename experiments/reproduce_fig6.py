@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from dc2g_jax.cli.common import DatasetOption, OutOption, command_line, open_network
+from dc2g_jax.cli.common import DatasetOption, OutOption, command_line
 from dc2g_jax.cli.outputs import number_or_null, output_folder
 from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset
 from dc2g_jax.datasets.image_pairs import houses_with_door
 from dc2g_jax.datasets.similarity import distance_to_training, similarity_scale
+from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.grid.sampling import resize_nearest
@@ -98,7 +99,7 @@ def main(options: Options) -> None:
     """Measure, tabulate, draw."""
     dataset = open_dataset(options.dataset, cells=None)
     houses = houses_with_door(dataset, "test")
-    chosen = {str(folder): open_network(folder) for folder in options.network} or {"shipped": open_network(None)}
+    chosen = {str(folder): load_network(folder) for folder in options.network} or {"shipped": load_network()}
     out = output_folder(options, "reproduce_fig6")
     distance = distances(dataset, houses)
     images = [house.terrain for house in houses]

@@ -12,14 +12,15 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line, open_network
+from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line
 from dc2g_jax.cli.driving import SECONDS_LIMIT, DrivingOptions, equipment
 from dc2g_jax.cli.map_options import StartOption, start_in
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import why_no_episode
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import SHIPPED_NOISY_NETWORK
+from dc2g_jax.estimation.checkpoints import SHIPPED_NOISY_NETWORK, load_network
+from dc2g_jax.files.resources import resource
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.inspection.camera_recording import CameraRecording, MappedFrame
 from dc2g_jax.inspection.driving_figures import plot_moments
@@ -83,7 +84,11 @@ def main(options: Options) -> None:
     house = first_house(dataset) if options.house is None else dataset.house(options.house)
     start = start_in(house.name, house, options.start, options.seed)
     robot = equipment(
-        "dc2g", open_network(options.network, SHIPPED_NOISY_NETWORK), house.terrain.shape, options.noise, options
+        "dc2g",
+        load_network(options.network or resource(SHIPPED_NOISY_NETWORK)),
+        house.terrain.shape,
+        options.noise,
+        options,
     )
     out = output_folder(options, "reproduce_fig9")
     site = jax.tree.map(lambda leaf: leaf[0], sites_of([house.terrain]))

@@ -13,9 +13,8 @@ from dc2g_jax.cli.outputs import RUN_FILE, folder_in_use, program
 from dc2g_jax.datasets.download import cache_folder
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import SHIPPED_NETWORK, TrainedNetwork, load_network
+from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network
 from dc2g_jax.files.digests import tree_sha256
-from dc2g_jax.files.resources import resource
 from dc2g_jax.planning.named import NETWORK_PLANNERS, check_names
 
 _Options = TypeVar("_Options")
@@ -55,10 +54,10 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
 
 
 def check_seed(seed: int, option: str = "seed") -> None:
-    """Refuse a seed that is none.
+    """Reject a seed that random numbers cannot start from.
 
     Raises:
-      InputError: it is negative, or has more than 32 bits, of which random numbers would leave some out.
+      InputError: it is negative or has more than 32 bits.
     """
     if not 0 <= seed < 2**32:
         raise InputError(f"--{option} {seed}: give a number from 0 to {2**32 - 1}")
@@ -85,12 +84,7 @@ def keep_compiled_programs() -> None:
 
 def network_for(planners: Iterable[str], folder: Path | None) -> TrainedNetwork | None:
     """The network in a folder, or the shipped one, if any of the planners runs on a network."""
-    return open_network(folder) if NETWORK_PLANNERS.keys() & set(planners) else None
-
-
-def open_network(folder: Path | None, otherwise: str = SHIPPED_NETWORK) -> TrainedNetwork:
-    """The network in a folder, or one that comes with the package."""
-    return load_network(resource(otherwise) if folder is None else folder)
+    return load_network(folder) if NETWORK_PLANNERS.keys() & set(planners) else None
 
 
 def digests(dataset: HouseDataset, **networks: TrainedNetwork | None) -> dict[str, str]:

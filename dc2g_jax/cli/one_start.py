@@ -76,7 +76,7 @@ def require_sensing_range(cells: int) -> int:
 
 
 def run_request(request: Request, table: EpisodeTable) -> dict[str, EpisodeResult]:
-    """Run the oracle and the planners, and print what came of it.
+    """Run the oracle and the planners, and print their results.
 
     Returns:
       Planner -> its episode, the oracle first.

@@ -24,7 +24,7 @@ from dc2g_jax.inspection.costs import (
     highest_cost,
 )
 from dc2g_jax.inspection.episode_figures import goal_marks, outcome
-from dc2g_jax.inspection.figures import CLASS_COLORS, hidden_color, map_image, planner_style, present_classes
+from dc2g_jax.inspection.figures import FIGURE_COLORS, hidden_color, map_image, planner_style, present_classes
 from dc2g_jax.inspection.replay import Frames, running_extra_steps
 from dc2g_jax.inspection.video import Picture, frequent_colors, write_gif, write_mp4
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
@@ -218,7 +218,7 @@ class _Painter:
         """The legend: classes, the most frequent first, pale and framed cells, and marks."""
         frame, classes = to_rgb(_FRAME), present_classes(self._terrain)
         names = [CLASS_NAMES[index] for index in classes]
-        entries = {name.replace("_", " "): _patch(to_rgb(CLASS_COLORS[name]), frame) for name in names}
+        entries = {name.replace("_", " "): _patch(to_rgb(FIGURE_COLORS[name]), frame) for name in names}
         entries["not seen yet"] = _patch(hidden_color(classes[0]), frame)
         if estimates:
             entries["not traversable"] = _patch(to_rgb(BLOCKED_COLOR), frame)

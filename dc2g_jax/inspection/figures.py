@@ -58,7 +58,7 @@ _OTHER_HATCHES = ("", "\\\\\\", "...", "+++", "ooo")
 _OTHER_MARKERS = ("P", "X", "v", "h", "<", "p", ">")
 
 #: Class -> color on maps. Ground is pale and the rest is dark, so that they differ in grayscale; unknown is between.
-CLASS_COLORS = {
+FIGURE_COLORS = {
     "__ignore__": "#a79bb5",
     "front_door": "#d55e00",
     "grass": "#4f9d69",
@@ -269,7 +269,7 @@ def present_classes(terrain: UInt8[np.ndarray, "*cells"]) -> list[int]:
 
 def map_image(terrain: UInt8[np.ndarray, "h w"], seen: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 3"]:
     """Class colors where observed, a pale version of them elsewhere; RGB from 0 to 1."""
-    colors = np.array([to_rgb(color) for color in CLASS_COLORS.values()])[terrain]
+    colors = np.array([to_rgb(color) for color in FIGURE_COLORS.values()])[terrain]
     return np.where(seen[..., None], colors, colors * (1 - _HIDDEN_WHITE) + _HIDDEN_WHITE)
 
 
@@ -281,7 +281,7 @@ def whole_pixels(inches: float, dpi: int) -> float:
 def class_patch(index: int) -> Patch:
     """The legend entry of a class."""
     label = CLASS_NAMES[index].replace("_", " ") if index else "unknown"
-    return Patch(facecolor=CLASS_COLORS[CLASS_NAMES[index]], edgecolor="#777777", linewidth=0.4, label=label)
+    return Patch(facecolor=FIGURE_COLORS[CLASS_NAMES[index]], edgecolor="#777777", linewidth=0.4, label=label)
 
 
 def hidden_color(index: int) -> tuple[float, float, float]:

@@ -9,7 +9,7 @@ from matplotlib import colormaps
 from matplotlib.colors import to_rgb
 
 from dc2g_jax.grid.terrain import CLASS_NAMES
-from dc2g_jax.inspection.figures import CLASS_COLORS
+from dc2g_jax.inspection.figures import FIGURE_COLORS
 
 #: Layers over the observed map: name and color, RGBA. The legend names them.
 REACHABLE_LAYER = ("reachable", (0, 190, 230, 60))
@@ -72,7 +72,7 @@ Point at a cell or a dot for its class, cost or score.
 
 def terrain_context() -> rr.AnnotationContext:
     """Names and colors of the terrain classes."""
-    colors = [tuple(round(255 * part) for part in to_rgb(color)) for color in CLASS_COLORS.values()]
+    colors = [tuple(round(255 * part) for part in to_rgb(color)) for color in FIGURE_COLORS.values()]
     names = ("not observed", *CLASS_NAMES[1:])
     return rr.AnnotationContext(list(zip(range(len(names)), names, colors, strict=True)))
 

@@ -15,7 +15,7 @@ from matplotlib.patheffects import withStroke
 
 from dc2g_jax.grid.ground import connected_to_goal, goals_without_ground, pieces
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
-from dc2g_jax.inspection.figures import CLASS_COLORS, class_patch, present_classes, save_figure
+from dc2g_jax.inspection.figures import FIGURE_COLORS, class_patch, present_classes, save_figure
 from dc2g_jax.inspection.sheets import cell_rim
 
 _LEADING, _ISLAND, _BLOCKED = "#bfe0f2", "#e69f00", "#5b606b"
@@ -99,7 +99,7 @@ def _legend(axes: Axes, handles: list[Any]) -> None:
 
 
 def _draw_classes(axes: Axes, terrain: UInt8[np.ndarray, "h w"]) -> None:
-    _show(axes, list(CLASS_COLORS.values()), terrain)
+    _show(axes, list(FIGURE_COLORS.values()), terrain)
     _legend(axes, [class_patch(index) for index in present_classes(terrain)])
     _draw_goals(axes, terrain)
     axes.set_title("what is where", fontsize=10)

@@ -16,12 +16,12 @@ from jaxtyping import Array, Int
 ONE_CORE: dict[str, Any] = {"xla_cpu_multi_thread_eigen": False}
 
 #: A pytree of NumPy arrays whose first axis is that of the pieces of work.
-Results = TypeVar("Results")
+_Results = TypeVar("_Results")
 
-Result = TypeVar("Result")
+_Result = TypeVar("_Result")
 
 #: A pytree of arrays.
-State = TypeVar("State")
+_State = TypeVar("_State")
 
 #: Seconds that a call of a program on the device should take: between two calls progress is reported, and an interrupt
 #: heard.
@@ -50,7 +50,7 @@ def every_device() -> list[jax.Device]:
     return devices * cores() if devices[0].platform == "cpu" else devices
 
 
-def on_cores(call: Callable[[int], Result], count: int) -> list[Result]:
+def on_cores(call: Callable[[int], _Result], count: int) -> list[_Result]:
     """Call a program for 0 to count - 1, on each core of the CPU one at a time.
 
     Args:
@@ -64,12 +64,12 @@ def on_cores(call: Callable[[int], Result], count: int) -> list[Result]:
         return list(pool.map(lambda number: jax.block_until_ready(call(number)), range(count)))
 
 
-def one_by_one(call: Callable[..., Result], *batch: Any) -> Result:
+def one_by_one(call: Callable[..., _Result], *batch: Any) -> _Result:
     """`jax.vmap` as a loop: on a CPU, where a branch not taken is then not computed, up to nine times as fast."""
     return jax.lax.map(lambda args: call(*args), batch)
 
 
-def side_by_side(call: Callable[..., Result], *batch: Any) -> Result:
+def side_by_side(call: Callable[..., _Result], *batch: Any) -> _Result:
     """`jax.vmap`: for accelerators."""
     return jax.vmap(call)(*batch)
 
@@ -82,9 +82,9 @@ def fold_of(device: jax.Device) -> Callable[..., Any]:
 def share_out(
     n_pieces: int,
     devices: Sequence[jax.Device],
-    serve: Callable[[jax.Device, Int[np.ndarray, "own"], Report], Results],
+    serve: Callable[[jax.Device, Int[np.ndarray, "own"], Report], _Results],
     on_progress: Callable[[int], None] | None = None,
-) -> Results:
+) -> _Results:
     """Do pieces of work, every n-th on one of n devices, each served by a thread.
 
     Args:
@@ -100,7 +100,7 @@ def share_out(
     done = [0] * len(devices)
     reporting, compiled, stop = threading.Lock(), threading.Event(), threading.Event()
 
-    def work(worker: int) -> Results:
+    def work(worker: int) -> _Results:
         def report(finished: int) -> bool:
             compiled.set()
             with reporting:
@@ -128,14 +128,14 @@ def share_out(
 
 
 def serve_paced(
-    state: State,
-    go_on: Callable[[State, Int[Array, ""]], State],
-    count_finished: Callable[[State], Int[Array, ""]],
+    state: _State,
+    go_on: Callable[[_State, Int[Array, ""]], _State],
+    count_finished: Callable[[_State], Int[Array, ""]],
     n_pieces: int,
     report: Report,
     *,
     first_steps: int,
-) -> State:
+) -> _State:
     """Do pieces of work on one device, so many steps a call that each takes about as long; see `share_out`.
 
     Args:

@@ -11,16 +11,16 @@ from dc2g_jax.files.tables import read_table, write_table
 
 #: A NamedTuple of text, numbers, yes and no; a row of the file, its fields the columns. It begins with the fields that
 #: say what it is the result of.
-Row = TypeVar("Row", bound=tuple)
+_Row = TypeVar("_Row", bound=tuple)
 
 
-def write_rows(path: Path, kind: type[Row], rows: Sequence[Row]) -> None:
+def write_rows(path: Path, kind: type[_Row], rows: Sequence[_Row]) -> None:
     """Write rows of one type: yes and no as 1 and 0, `None` as nothing."""
     cells = [[int(value) if isinstance(value, bool) else value for value in row] for row in rows]
     write_table(path, [*get_type_hints(kind)], cells)
 
 
-def read_rows(path: Path, kind: type[Row]) -> list[Row]:
+def read_rows(path: Path, kind: type[_Row]) -> list[_Row]:
     """Read what `write_rows` wrote. Fields with a default, or that may be `None`, may be empty or absent.
 
     Raises:
@@ -52,7 +52,7 @@ def _value(kind: Any, text: str) -> Any:
     return bool(int(text)) if kind is bool else kind(text)
 
 
-class ResumableTable(Generic[Row]):
+class ResumableTable(Generic[_Row]):
     """A file of results, written anew whenever there are more.
 
     Opened where a run is resumed, it gives back what is there and has the rest made. A run asks in the same order every
@@ -66,12 +66,12 @@ class ResumableTable(Generic[Row]):
       InputError: the file is there and cannot be read.
     """
 
-    def __init__(self, path: Path, kind: type[Row]):
+    def __init__(self, path: Path, kind: type[_Row]):
         self._path, self._kind = path, kind
         self._rows = read_rows(path, kind) if path.exists() else []
         self._given = 0
 
-    def next_results(self, asked: Sequence[tuple[Any, ...]], make: Callable[[], list[Row]]) -> list[Row]:
+    def next_results(self, asked: Sequence[tuple[Any, ...]], make: Callable[[], list[_Row]]) -> list[_Row]:
         """The next rows: from the file, or, where it ends, new ones, which it then holds too.
 
         Args:

@@ -18,14 +18,14 @@ from tqdm import tqdm
 
 from dc2g_jax.errors import InputError
 
-State = TypeVar("State")
+_State = TypeVar("_State")
 
 #: Mean losses of the steps since the last look: one of a single run, one for each of several trained together.
 Losses = Float[np.ndarray, "*runs"]
 
 
 @dataclasses.dataclass(frozen=True)
-class Task(Generic[State]):
+class Task(Generic[_State]):
     """What is trained. A state has a `step`, the number of optimizer steps behind it.
 
     Attributes:
@@ -43,11 +43,11 @@ class Task(Generic[State]):
     """
 
     steps: int
-    init: Callable[[], State]
-    step: Callable[[State], tuple[State, Array]]
-    validate: Callable[[State, int, Losses | None], Sequence[Mapping[str, Any]]]
+    init: Callable[[], _State]
+    step: Callable[[_State], tuple[_State, Array]]
+    validate: Callable[[_State, int, Losses | None], Sequence[Mapping[str, Any]]]
     validated: Collection[int] = ()
-    watch: Callable[[State, int, Losses | None], None] = lambda state, step, losses: None
+    watch: Callable[[_State, int, Losses | None], None] = lambda state, step, losses: None
     name: str = "train"
     steps_per_look: int = 50
 
@@ -143,8 +143,8 @@ def _interrupts_noted() -> Iterator[list[int]]:
 
 
 def _take_steps(
-    state: State, count: int, take_step: Callable[[State], tuple[State, Array]]
-) -> tuple[State, list[Array], bool]:
+    state: _State, count: int, take_step: Callable[[_State], tuple[_State, Array]]
+) -> tuple[_State, list[Array], bool]:
     """So many steps: the state after them, their losses, and whether Ctrl-C made them fewer."""
     losses: list[Array] = []
     with _interrupts_noted() as noted:
@@ -180,7 +180,7 @@ def _check_finite(losses: Losses, step: int, out: Path) -> None:
         )
 
 
-def train(task: Task[State], out: Path, checkpoints: Checkpoints, pauses: Pauses) -> State:
+def train(task: Task[_State], out: Path, checkpoints: Checkpoints, pauses: Pauses) -> _State:
     """Train to the end from the newest checkpoint on, saving now and then, at the end, and at Ctrl-C.
 
     Args:

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dc2g_jax.cli.common import open_network
 from dc2g_jax.cli.episodes import EpisodeProgress
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
+from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.grid.poses import FORWARD
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import Runner
@@ -48,7 +48,7 @@ def main() -> None:
     dataset = open_dataset(options.dataset)
     houses = [house for house in dataset.houses if house.split == "test" and why_no_episode(house) is None]
     starts = sample_starts(houses, options.starts_per_house, seed=0)
-    network = open_network(None)
+    network = load_network()
     print("turns mirror " + " ".join(f"{name:>9}" for name in PLANNERS))
     means = []
     for mirror in (False, True):

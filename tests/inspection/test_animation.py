@@ -11,7 +11,7 @@ from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.inspection import animation
 from dc2g_jax.inspection.animation import animate, pictures, steps_shown
 from dc2g_jax.inspection.costs import exact_cost_to_go, highest_cost
-from dc2g_jax.inspection.figures import CLASS_COLORS
+from dc2g_jax.inspection.figures import FIGURE_COLORS
 from tests.support import toy
 from tests.support.refusals import refusal
 
@@ -48,7 +48,7 @@ def test_cells_have_their_class_colors_and_pale_ones_before_they_are_seen(shown)
     seen = toy.replayed()["frontier"].seen
     for x, y in ((0, 6), (9, 5)):
         place = (top + y * layout.scale + 4 * layout.scale // 5, left + x * layout.scale + 4 * layout.scale // 5)
-        color = np.array(to_rgb(CLASS_COLORS[CLASS_NAMES[toy.HOUSE.terrain[y, x]]]))
+        color = np.array(to_rgb(FIGURE_COLORS[CLASS_NAMES[toy.HOUSE.terrain[y, x]]]))
         for step in (0, _LAST):
             expected = color if seen[step, y, x] else 1 - 0.15 * (1 - color)
             np.testing.assert_allclose(shown[step][place], 255 * expected, atol=1)
@@ -62,7 +62,7 @@ def test_the_legend_has_the_colors_of_all_classes_and_stays(shown):
     legend = shown[0][height:]
     np.testing.assert_array_equal(legend, shown[_LAST][height:])
     for index in np.unique(toy.HOUSE.terrain):
-        color = np.rint(255 * np.array(to_rgb(CLASS_COLORS[CLASS_NAMES[index]])))
+        color = np.rint(255 * np.array(to_rgb(FIGURE_COLORS[CLASS_NAMES[index]])))
         assert np.all(legend == color, axis=-1).sum() >= 100
     # All words end within the picture.
     assert np.all(legend[:, -4:] == 255)

@@ -23,7 +23,7 @@ from dc2g_jax.inspection.episode_figures import (
     plot_trajectories,
     poses_along,
 )
-from dc2g_jax.inspection.figures import CLASS_COLORS, map_image
+from dc2g_jax.inspection.figures import FIGURE_COLORS, map_image
 from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.inspection.sheets import DPI, empty_sheet
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
@@ -44,12 +44,12 @@ def _image(axes) -> np.ndarray:
 
 
 def test_every_class_has_a_color_in_the_order_of_classes():
-    assert tuple(CLASS_COLORS) == CLASS_NAMES
+    assert tuple(FIGURE_COLORS) == CLASS_NAMES
 
 
 def test_ground_that_was_not_seen_is_pale():
     seen, unseen = map_image(np.full((1, 2), HOUSE, np.uint8), np.array([[True, False]]))[0]
-    color = np.array(to_rgb(CLASS_COLORS["house"]))
+    color = np.array(to_rgb(FIGURE_COLORS["house"]))
     np.testing.assert_allclose(seen, color)
     np.testing.assert_allclose(unseen, 1 - 0.15 * (1 - color))
 
