@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import Literal
 
 from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line
-from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import load_network
@@ -53,7 +53,7 @@ _ABOUT = (
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(CommandOptions):
     """Measure planners, environment, kernels and network, side by side with plain C, Numba, NumPy and libraries.
 
     Writes `benchmark.json`, `benchmark.md` and `benchmark.png` and prints the table. Programs that are not installed

@@ -7,14 +7,14 @@ from typing import Literal
 from tqdm import tqdm
 
 from dc2g_jax.cli.common import DatasetOption, OutOption, command_line
-from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.inspection.contact_sheets import contact_pages, plot_contact_page
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(CommandOptions):
     """Draw contact sheets of a dataset: every house as a small map with its name, by group; pages as PNG and SVG.
 
     Attributes:

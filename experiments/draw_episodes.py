@@ -9,7 +9,7 @@ import tyro
 from tqdm import tqdm
 
 from dc2g_jax.cli.common import DatasetOption, OutOption, command_line
-from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.datasets.houses import group_of, open_dataset
 from dc2g_jax.datasets.starts import published_episodes
 from dc2g_jax.errors import InputError
@@ -21,7 +21,7 @@ from dc2g_jax.rollouts.results import read_rows
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(CommandOptions):
     """Draw episodes from an `episodes.csv`: extra steps house by house, and the ways of planners on the map.
 
     Episodes of other sensing ranges have a figure of their own.

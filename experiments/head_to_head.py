@@ -11,7 +11,7 @@ import numpy as np
 
 from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line, digests
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
-from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import PublishedEpisode, published_episodes
 from dc2g_jax.errors import InputError
@@ -29,7 +29,7 @@ GROUPS = ("train", "same_neighborhood", "new_neighborhood", "urban", "all")
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(CommandOptions):
     """Run DC2G from the 400 published starts and compare it with the authors' own runs, episode by episode.
 
     Attributes:

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, check_planners, command_line, network_for
-from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
@@ -34,7 +34,7 @@ from .benchmarks.workload import Workload, make_workload, resized
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(CommandOptions):
     """Time the planner's decisions, one call at a time, on a robot's way through whole episodes.
 
     Attributes:

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from dc2g_jax.cli.common import DatasetOption, OutOption, command_line
 from dc2g_jax.cli.map_options import StartOption, start_in
-from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.datasets.houses import House, open_dataset
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
@@ -41,7 +41,7 @@ SequenceOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_beh
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(CommandOptions):
     """Map a recorded sequence of depth images with classes, frame by frame: the map, a figure and a rerun recording.
 
     Attributes:

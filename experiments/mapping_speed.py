@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from dc2g_jax.cli.common import OutOption, command_line
-from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.grid.terrain import HOUSE, ROAD
@@ -38,7 +38,7 @@ _SIDE, _CAMERA_HEIGHT, _WALL = 50.0, 1.0, 7.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(CommandOptions):
     """Time how depth images with classes are taken into voxel maps, and how the 2D maps are read off.
 
     Attributes:

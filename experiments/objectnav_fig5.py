@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 from tqdm import tqdm
 
 from dc2g_jax.cli.common import NetworkOption, OutOption, command_line
-from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.cli.searches import AGENT_TITLES, AgentName, agent_with, costs_for
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
@@ -49,7 +49,7 @@ _COLUMNS = 5
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Options:
+class Options(CommandOptions):
     """Search a house for an object, and draw how the search went.
 
     Attributes:

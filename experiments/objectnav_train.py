@@ -17,7 +17,7 @@ import numpy as np
 import tyro
 
 from dc2g_jax.cli.common import check_seed, command_line
-from dc2g_jax.cli.outputs import command_written, commit, output_folder
+from dc2g_jax.cli.outputs import CommandOptions, command_written, commit, output_folder
 from dc2g_jax.cli.training_sets import kept_arrays
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
@@ -52,7 +52,7 @@ _VALIDATION_SEED = 1_000_003
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(CommandOptions):
     """Train the network that predicts cost maps for object goals indoors (section II), training houses only.
 
     Attributes:

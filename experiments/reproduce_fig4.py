@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line
-from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.datasets.drawn_masks import VARIANTS, drawn_masks
 from dc2g_jax.datasets.houses import House, open_dataset
 from dc2g_jax.datasets.image_pairs import houses_with_door
@@ -22,7 +22,7 @@ from dc2g_jax.training.image_evaluation import compare, map_for
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(CommandOptions):
     """Reproduce Fig. 4: input, prediction and truth on whole and partial maps of test houses.
 
     Attributes:

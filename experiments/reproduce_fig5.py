@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from dc2g_jax.cli.common import DatasetOption, check_seed, command_line, digests
-from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.cli.translation import TranslationOptions, train_translator, translation_data
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
@@ -21,7 +21,7 @@ from dc2g_jax.training.translator import TRANSLATOR_LOSSES
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(CommandOptions):
     """Reproduce Fig. 5: train with each loss several times, and plot validation metrics over the training steps.
 
     Attributes:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from dc2g_jax.cli.common import DatasetOption, OutOption, command_line
-from dc2g_jax.cli.outputs import number_or_null, output_folder
+from dc2g_jax.cli.outputs import CommandOptions, number_or_null, output_folder
 from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset
 from dc2g_jax.datasets.image_pairs import houses_with_door
 from dc2g_jax.datasets.similarity import distance_to_training, similarity_scale
@@ -26,7 +26,7 @@ _SIZE = 256
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(CommandOptions):
     """Reproduce Fig. 6: five metrics of each network on every test house, against the house's distance from training.
 
     Attributes:

@@ -26,7 +26,7 @@ from dc2g_jax.cli.common import (
     network_for,
 )
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
-from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset, tell_on_stderr
 from dc2g_jax.datasets.starts import Start, published_episodes, sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
@@ -45,7 +45,7 @@ from dc2g_jax.rollouts.statistics import Summary, extra_steps, summarize
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(CommandOptions):
     """Reproduce Fig. 7: percent of steps beyond an oracle's that each planner needs to find a front door.
 
     Attributes:

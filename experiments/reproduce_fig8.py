@@ -12,7 +12,7 @@ from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, Planner
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax.cli.map_options import StartOption, start_in
 from dc2g_jax.cli.one_start import Animation, draw_request, make_request, require_sensing_range, run_request, tell_files
-from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import Start, sample_starts
 from dc2g_jax.errors import InputError
@@ -21,7 +21,7 @@ from dc2g_jax.rollouts.evaluation import Runner
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(CommandOptions):
     """Reproduce Fig. 8: what planners observed and expected on their way from one start, and the way on the whole map.
 
     The paper does not name its house, and its episode (98 and 304 steps) is none of the 400 published ones. Where no

@@ -20,7 +20,7 @@ from dc2g_jax.cli.common import (
     network_for,
 )
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
-from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import read_starts
 from dc2g_jax.planning.rules import SETTINGS
@@ -28,7 +28,7 @@ from dc2g_jax.rollouts.evaluation import Results, Runner
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(CommandOptions):
     """Run the episodes listed in a CSV file and write `episodes.csv`.
 
     Attributes:

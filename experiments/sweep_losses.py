@@ -19,7 +19,7 @@ import tyro
 from jaxtyping import Array, Float
 
 from dc2g_jax.cli.common import DatasetOption, command_line, digests
-from dc2g_jax.cli.outputs import number_or_null, output_folder
+from dc2g_jax.cli.outputs import CommandOptions, number_or_null, output_folder
 from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
@@ -31,7 +31,8 @@ from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.inspection.training_figures import plot_sweep
 from dc2g_jax.programs import jit
-from dc2g_jax.training.cost_to_go import TrainingConfig, TrainingState, first_state, mean_error
+from dc2g_jax.rollouts.devices import fetch, mesh_of, replicate
+from dc2g_jax.training.cost_to_go import TrainingConfig, TrainingState, first_state, mean_error, train_step
 from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses, validation_pairs
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax.training.sweeps import (
@@ -41,7 +42,6 @@ from dc2g_jax.training.sweeps import (
     runs_of_grid,
     stacked_hyperparameters,
     steps_left_out,
-    train_steps,
 )
 
 #: Validation pairs, and how many of them at a time.
@@ -49,7 +49,7 @@ _PAIRS, _PAIRS_AT_A_TIME = 512, 64
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(CommandOptions):
     """Train every combination of losses, learning rates, widths and seeds, together where shapes allow.
 
     Attributes:
@@ -127,7 +127,7 @@ def train_group(
     draw, log = options.data.draw_batch, Log(options.out)
 
     def validate(states: TrainingState, step: int, losses: Losses | None) -> list[dict[str, Any]]:
-        errors = np.asarray(validation_errors(recipe.architecture, states.average, pairs))
+        errors = np.asarray(validation_errors(recipe.architecture, jax.tree.map(fetch, states.average), pairs))
         left_out = np.asarray(steps_left_out(states))
         return [
             {
@@ -143,7 +143,7 @@ def train_group(
     task = Task(
         steps=recipe.steps,
         init=lambda: jit(init_states, static_argnums=0)(recipe, hyperparameters),
-        step=lambda states: train_steps(states, hyperparameters, data, recipe=recipe, draw_batch=draw),
+        step=lambda states: train_step(states, hyperparameters, data, recipe=recipe, draw_batch=draw),
         validate=validate,
         validated=set.intersection(*(set(log.by_step(run)) for run in runs)),
         name=f"{len(runs)} runs",
@@ -158,7 +158,7 @@ def train_group(
     states = train(task, options.out, checkpoints, options.pauses)
     networks = {}
     for index, (run, config) in enumerate(runs.items()):
-        weights = jax.tree.map(lambda leaf, index=index: leaf[index], states.average)
+        weights = jax.tree.map(lambda leaf, index=index: fetch(leaf)[index], states.average)
         networks[run] = NetworkCostToGo(weights=weights, architecture=recipe.architecture)
         save_network(folders[index] / "network", networks[run], {"config": dataclasses.asdict(config), "facts": facts})
     return networks
@@ -238,7 +238,7 @@ def main(options: Options) -> None:
     # Houses that these cannot be made of are refused before minutes of collecting.
     pairs = validation_pairs(dataset, count=_PAIRS, edge_weight=options.data.edge_weight)
     validation = Validation(dataset, drawn=16) if options.episodes else None
-    data = open_training_set(options.out, dataset, options.data)
+    data = replicate(open_training_set(options.out, dataset, options.data), mesh_of())
     log = Log(options.out)
     print(f"runs: {len(runs)}; programs that train them: {len(groups)}")
     networks: dict[str, NetworkCostToGo] = {}

@@ -15,7 +15,7 @@ import numpy as np
 import tyro
 
 from dc2g_jax.cli.common import DatasetOption, NetworkOption, command_line, digests
-from dc2g_jax.cli.outputs import command_written, commit, output_folder
+from dc2g_jax.cli.outputs import WHERE, CommandOptions, command_written, commit, output_folder
 from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.errors import InputError
@@ -24,6 +24,7 @@ from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.estimation.networks.compact_unet import Architecture
 from dc2g_jax.inspection.columns import viewer_sink
 from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_watch, next_file
+from dc2g_jax.rollouts.devices import first_copy, mesh_of, replicate
 from dc2g_jax.training.cost_to_go import TrainingConfig, TrainingState, first_state, train_step
 from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
@@ -34,7 +35,7 @@ _MAPS_RECORDED = 6
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(CommandOptions):
     """Train the cost-to-go network on pairs of partial maps and exact cost-to-go (Algorithm 1), training houses only.
 
     Attributes:
@@ -162,7 +163,7 @@ def training_task(
     config = options.training
     recipe, hyperparameters, draw = config.recipe, config.hyperparameters, options.data.draw_batch
     validation = Validation(dataset) if options.validate_every else None  # refused before minutes of collecting
-    data = open_training_set(options.out, dataset, options.data, network)
+    data = replicate(open_training_set(options.out, dataset, options.data, network), mesh_of())
 
     def init() -> TrainingState:
         state = first_state(config)
@@ -172,7 +173,7 @@ def training_task(
         return dataclasses.replace(state, weights=fresh[0], average=fresh[1])
 
     def network_of(state: TrainingState) -> NetworkCostToGo:
-        return NetworkCostToGo(weights=state.average, architecture=config.architecture)
+        return NetworkCostToGo(weights=first_copy(state.average), architecture=config.architecture)
 
     def watch(state: TrainingState, step: int, loss: Losses | None) -> None:
         if recording is None:
@@ -214,7 +215,7 @@ def main(options: Options) -> None:
     check_houses(dataset, extra=options.data.extra_houses, drawn=options.validate_every > 0, validated=watched)
     free = {"validate_every", "minutes_per_checkpoint", "record", "connect"}
     output_folder(options, "train", free=free, inputs=digests(dataset, after=network))
-    apart = {"out", "resume", "dataset", *free}
+    apart = {*WHERE, "dataset", *free}
     facts = {name: value for name, value in dataclasses.asdict(options).items() if name not in apart}
     facts["after"] = None if options.after is None else str(options.after)
     facts |= {"dataset": dataset.name, "parts": config.parts}

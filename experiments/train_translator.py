@@ -11,13 +11,13 @@ from typing import Annotated, Literal
 import tyro
 
 from dc2g_jax.cli.common import DatasetOption, command_line, digests
-from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.cli.translation import TranslationOptions, require_steps, train_translator, translation_data
 from dc2g_jax.datasets.houses import open_dataset
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(CommandOptions):
     """Train the image-to-image translator on pairs of pictures (Algorithm 1, section III-B), training houses only.
 
     Attributes:

@@ -22,7 +22,7 @@ from dc2g_jax.cli.common import (
     digests,
 )
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
-from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
 from dc2g_jax.datasets.procedural import draw_neighborhood
 from dc2g_jax.datasets.procedural.suburbs import SUBURBS
@@ -51,7 +51,7 @@ OPEN_MARGIN = 24
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(CommandOptions):
     """Compare what DC2G's network may be asked about: the whole map, a rescaled crop, a window around the robot.
 
     Attributes:

@@ -30,6 +30,9 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
 jax.config.update("jax_disable_most_optimizations", True)
 
+# Work is divided among two devices, so that every test of it covers the division.
+jax.config.update("jax_num_cpu_devices", 2)
+
 # Shapes and dtypes of the package's functions are checked while they are traced. Must precede their import.
 jaxtyping.install_import_hook("dc2g_jax", f"{typechecking.__name__}.check")
 

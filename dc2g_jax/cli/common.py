@@ -9,15 +9,16 @@ import jax
 import tyro
 from tqdm import tqdm
 
-from dc2g_jax.cli.outputs import RUN_FILE, folder_in_use, program
+from dc2g_jax.cli.outputs import RUN_FILE, CommandOptions, folder_in_use, program
 from dc2g_jax.datasets.download import cache_folder
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network
 from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.planning.named import NETWORK_PLANNERS, check_names
+from dc2g_jax.rollouts.devices import join_processes, use_devices
 
-_Options = TypeVar("_Options")
+_Options = TypeVar("_Options", bound=CommandOptions)
 
 #: Options that many commands have: a folder of houses (or a name), of a trained network, and the one to write to.
 DatasetOption = Annotated[str | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
@@ -35,6 +36,8 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
     """Run a command: parse its options, and turn bad input and Ctrl-C into one line and an exit status."""
     parsed = tyro.cli(options, prog=program(), config=(tyro.conf.FlagCreatePairsOff,))
     try:
+        join_processes(parsed.coordinator, parsed.num_processes, parsed.process_id)
+        use_devices(parsed.devices)
         keep_compiled_programs()
         check_seed(getattr(parsed, "seed", 0))
         main(parsed)

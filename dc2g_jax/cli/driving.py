@@ -9,6 +9,7 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
+from dc2g_jax.cli.outputs import CommandOptions
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
@@ -35,7 +36,7 @@ SECONDS_LIMIT = 500.0
 
 
 @dataclasses.dataclass(frozen=True)
-class DrivingOptions:
+class DrivingOptions(CommandOptions):
     """How robots drive.
 
     Attributes:

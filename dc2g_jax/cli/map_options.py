@@ -8,6 +8,7 @@ import numpy as np
 import tyro
 from jaxtyping import Bool, UInt8
 
+from dc2g_jax.cli.outputs import CommandOptions
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.maps import Goal, draw_map
 from dc2g_jax.datasets.occupancy import YAML_ENDINGS, read_occupancy_map
@@ -23,7 +24,7 @@ StartOption = Annotated[tuple[int, int, int] | None, tyro.conf.arg(metavar="COLU
 
 
 @dataclasses.dataclass(frozen=True)
-class MapOptions:
+class MapOptions(CommandOptions):
     """A map and how to read it.
 
     Attributes:

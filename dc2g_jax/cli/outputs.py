@@ -12,9 +12,10 @@ import subprocess
 import sys
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import jax
+import tyro
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import clear_unfinished, write_json
@@ -25,8 +26,27 @@ if sys.platform != "win32":
 #: File in every output folder that says how it was made.
 RUN_FILE = "run.json"
 
-#: Options that may change when a run is resumed: they decide where it goes on, not what comes out.
-_WHERE = ("out", "resume")
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CommandOptions:
+    """Options that every command has. They decide where it runs, not what comes out.
+
+    Attributes:
+      devices: accelerators to use in each process, or cores of the CPU; where not given, all.
+      coordinator: host:port of the first of several processes that share the work; where not given, as Slurm, Open MPI,
+        Kubernetes or a TPU pod says.
+      num_processes: how many processes there are.
+      process_id: number of this process, from 0 on.
+    """
+
+    devices: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    coordinator: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")] = None
+    num_processes: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    process_id: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+
+
+#: Options that may change when a run is resumed.
+WHERE = ("out", "resume", *(field.name for field in dataclasses.fields(CommandOptions)))
 
 #: Folders that this process writes to, as absolute paths in the order taken, each with the open file that keeps other
 #: processes off it.
@@ -81,7 +101,7 @@ def output_folder(
     if resume:
         before = _read_run(folder)
         alone = _hold(folder)
-        _require_same(folder, before, command, given, {*_WHERE, *free})
+        _require_same(folder, before, command, given, {*WHERE, *free})
         _require_same_inputs(folder, before.get("inputs", {}), inputs or {})
         check(folder)
         if alone:

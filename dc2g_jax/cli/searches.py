@@ -9,6 +9,7 @@ import tyro
 
 from dc2g_jax.cli.common import NetworkOption
 from dc2g_jax.cli.episodes import EpisodeProgress
+from dc2g_jax.cli.outputs import CommandOptions
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
@@ -61,7 +62,7 @@ CAVEAT = (
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SearchOptions:
+class SearchOptions(CommandOptions):
     """Where objects are searched for.
 
     Attributes:

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Float16, Int, Int16, UInt8, UInt16
+from jax.sharding import Mesh
+from jaxtyping import Array, Bool, Float, Float16, Int, UInt8, UInt16, UInt32
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.ground import component_numbers
@@ -29,7 +30,7 @@ from dc2g_jax.objectnav.paint import painted
 from dc2g_jax.objectnav.starts import ROBOT_RADIUS, passable
 from dc2g_jax.objectnav.worlds import IndoorWorld, pad_world, scene
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import Report, every_device, share_out
+from dc2g_jax.rollouts.devices import deal, gather, mesh_of, on_each, replicate
 
 #: Places that a robot visits at most, one after the other.
 _STAGES = 12
@@ -59,17 +60,6 @@ class CollectionConfig:
                 f"{self.journeys} journeys of {self.views} views to {self.places} places: give at least 1, and at most "
                 f"{NEVER - 1} views"
             )
-
-
-class _House(NamedTuple):
-    """What is made of one house; the leaves of `JourneySet` but for the number of the house."""
-
-    cells: UInt8[np.ndarray, "h w"]
-    distance: UInt16[np.ndarray, "goal h w"]
-    first_seen: UInt8[np.ndarray, "journey h w"]
-    places: Int16[np.ndarray, "journey view 2"]
-    headings: Float[np.ndarray, "journey view"]
-    features: Float16[np.ndarray, "journey view 2 f"]
 
 
 def usable(houses: Sequence[IndoorHouse], largest: int) -> list[IndoorWorld]:
@@ -113,7 +103,6 @@ def random_places(world: IndoorWorld, count: int, rng: np.random.Generator) -> I
     return cells[rng.integers(len(cells), size=count)].astype(np.int32)
 
 
-@functools.partial(jit, static_argnames="cell_size")
 def _distances(
     free: Bool[Array, "h w"], classes: UInt8[Array, "h w"], places: Int[Array, "place 2"], cell_size: float
 ) -> tuple[UInt16[Array, "goal h w"], Float[Array, "way h w"]]:
@@ -132,7 +121,6 @@ def _distances(
     return labels, jnp.concatenate([jax.lax.map(drive_to, places), to_goals])
 
 
-@functools.partial(jit, static_argnames=("cell_size", "views"))
 def _journeys(
     heights: Float[Array, "h w"],
     cell_size: float,
@@ -164,40 +152,56 @@ def _views(scene_and_paint: tuple[Scene, Array], cells: Int[Array, "n 2"], headi
     return jax.lax.map(one, (cells, headings))
 
 
-@jit
 def _features(encoder: ImageEncoder, images: UInt8[Array, "n h w 3"]) -> Float16[Array, "n 2 f"]:
     """Features of pictures and of their mirror images."""
     both = [encoder.encode(images), encoder.encode(images[:, :, ::-1])]
     return jnp.stack(both, axis=1).astype(jnp.float16)
 
 
-def _collect_house(world: IndoorWorld, encoder: ImageEncoder, config: CollectionConfig, number: int) -> _House:
+class _Given(NamedTuple):
+    """What one house is collected from: the house, as it looks, and what is drawn at random."""
+
+    free: Bool[Array, "h w"]
+    classes: UInt8[Array, "h w"]
+    heights: Float[Array, "h w"]
+    scene: Scene
+    paint: UInt8[Array, "h w 3"]
+    places: Int[Array, "place 2"]
+    starts: Int[Array, "journey 2"]
+    key: UInt32[Array, "key"]
+
+
+def _given(world: IndoorWorld, config: CollectionConfig, number: int) -> _Given:
     rng = np.random.default_rng((config.data_seed, number))
-    free, classes = jnp.asarray(world.free), jnp.asarray(world.classes)
     places = random_places(world, config.places + config.journeys, rng)
-    # The nearest float to the size that was asked for, not to its 32 bits.
-    cell_size = float(str(np.float32(world.cell_size)))
-    labels, ways = _distances(free, classes, places[: config.places], cell_size)
-    key = jax.random.fold_in(jax.random.key(config.data_seed), number)
-    journeys = _journeys(
-        jnp.asarray(world.heights),
-        cell_size,
-        ways,
-        places[config.places :],
-        key,
-        views=config.views,
+    return _Given(
+        free=jnp.asarray(world.free),
+        classes=jnp.asarray(world.classes),
+        heights=jnp.asarray(world.heights),
+        scene=scene(world),
+        paint=jnp.asarray(painted(world, rng)),
+        places=jnp.asarray(places[: config.places]),
+        starts=jnp.asarray(places[config.places :]),
+        key=jax.random.key_data(jax.random.fold_in(jax.random.key(config.data_seed), number)),
     )
-    cells, headings = journeys.cells.reshape(-1, 2), journeys.headings.reshape(-1)
-    views = _views((scene(world), jnp.asarray(painted(world, rng))), cells, headings)
-    features = _features(encoder, views.image)
-    return _House(
-        cells=np.asarray(cell_codes(world)),
-        distance=np.asarray(labels),
-        first_seen=np.asarray(journeys.first_seen),
-        places=np.asarray(journeys.cells, np.int16),
-        headings=np.asarray(journeys.headings),
-        features=np.asarray(features).reshape(*journeys.headings.shape, 2, -1),
-    )
+
+
+@functools.partial(jit, static_argnames=("mesh", "cell_size", "views"))
+def _collect_houses(
+    houses: _Given, encoder: ImageEncoder, *, mesh: Mesh, cell_size: float, views: int
+) -> tuple[UInt16[Array, "devices 1 goal h w"], Journey, Float16[Array, "devices 1 n 2 f"]]:
+    """Labels, journeys and their features of a house on each device."""
+
+    def on_device(houses: _Given, encoder: ImageEncoder) -> tuple[Array, Journey, Array]:
+        house: _Given = jax.tree.map(lambda leaf: leaf[0], houses)
+        labels, to_places = _distances(house.free, house.classes, house.places, cell_size)
+        key = jax.random.wrap_key_data(house.key)
+        journeys = _journeys(house.heights, cell_size, to_places, house.starts, key, views)
+        cells, headings = journeys.cells.reshape(-1, 2), journeys.headings.reshape(-1)
+        features = _features(encoder, _views((house.scene, house.paint), cells, headings).image)
+        return jax.tree.map(lambda leaf: leaf[None], (labels, journeys, features))
+
+    return on_each(on_device, mesh, houses, encoder)
 
 
 def collect(
@@ -218,30 +222,28 @@ def collect(
       InputError: no house can be used.
     """
     worlds = usable(houses, config.largest)
-    devices = every_device()[: len(worlds)]
-
-    def serve(device: jax.Device, own: Int[np.ndarray, "own"], report: Report) -> _House:
-        done = []
-        with jax.default_device(device):
-            for number in own.tolist():
-                done.append(_collect_house(worlds[number], encoder, config, number))
-                if not report(len(done)):
-                    break
-        return jax.tree.map(lambda *leaves: np.stack(leaves), *done)
-
-    made = share_out(len(worlds), devices, serve, on_progress)
-
-    def by_journey(leaf: np.ndarray) -> np.ndarray:
-        return leaf.reshape(-1, *leaf.shape[2:])
-
+    mesh = mesh_of()
+    encoder = replicate(encoder, mesh)
+    # The nearest float to the size that was asked for, not to its 32 bits.
+    cell_size = float(str(np.float32(worlds[0].cell_size)))
+    rounds = []
+    for first in range(0, len(worlds), mesh.size):
+        given = [_given(world, config, first + n) for n, world in enumerate(worlds[first : first + mesh.size])]
+        houses = deal(jax.tree.map(lambda *leaves: np.stack(leaves), *given), len(given), mesh)
+        made = _collect_houses(houses, encoder, mesh=mesh, cell_size=cell_size, views=config.views)
+        rounds.append(gather(made, len(given)))
+        if on_progress is not None:
+            on_progress(first + len(given))
+    labels, journeys, features = jax.tree.map(lambda *leaves: np.concatenate(leaves), *rounds)
+    headings = journeys.headings.reshape(-1, config.views)
     return JourneySet(
-        cells=made.cells,
-        distance=made.distance,
+        cells=np.stack([np.asarray(cell_codes(world)) for world in worlds]),
+        distance=labels,
         house=np.repeat(np.arange(len(worlds), dtype=np.int32), config.journeys),
-        first_seen=by_journey(made.first_seen),
-        places=by_journey(made.places),
-        headings=by_journey(made.headings),
-        features=by_journey(made.features),
+        first_seen=journeys.first_seen.reshape(-1, *journeys.first_seen.shape[2:]),
+        places=journeys.cells.reshape(*headings.shape, 2).astype(np.int16),
+        headings=headings,
+        features=features.reshape(*headings.shape, *features.shape[2:]),
     )
 
 

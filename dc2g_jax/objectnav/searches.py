@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int
+from jax.sharding import Mesh
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.agent import DECLARED, Agent, IndoorRobot, IndoorSite, leg, reset, site_of, under_way
@@ -20,7 +21,7 @@ from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.starts import sample_starts
 from dc2g_jax.objectnav.worlds import pad_world
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import Report, every_device, fold_of, serve_paced, share_out
+from dc2g_jax.rollouts.devices import batched, deal, gather, mesh_of, not_repeated, on_each, replicate, serve_paced
 
 #: Control periods of an episode: 50 s (section III-C).
 TIME_LIMIT = 500
@@ -99,7 +100,7 @@ def search_all(
     seed: int = 0,
     on_progress: Callable[[int], None] | None = None,
 ) -> Searches:
-    """Run every episode to its end, on all cores or accelerators.
+    """Run every episode to its end, on all devices.
 
     Args:
       agent: what the robots are made of.
@@ -113,25 +114,19 @@ def search_all(
       InputError: the houses' cells are not those of the agent's map.
     """
     sites, site_numbers = _sites(agent, houses)
-    keys = jax.random.split(jax.random.key(seed), len(episodes))
+    mesh, count = mesh_of(), len(episodes)
+    keys = jax.random.key_data(jax.random.split(jax.random.key(seed), count))
     where = np.array([site_numbers[episode.house] for episode in episodes], np.int32)
     starts = np.array([(episode.x, episode.y, episode.yaw) for episode in episodes], np.float32)
     targets = np.array([GOALS.index(OBJECT_CLASSES.index(episode.target)) for episode in episodes], np.int32)
-
-    def serve(device: jax.Device, own: Int[np.ndarray, "own"], report: Report) -> Searches:
-        on_device = functools.partial(jax.device_put, device=device)
-        own_agent, own_sites, own_where = on_device((agent, sites, where[own]))
-        robots = _reset(*on_device((keys[own], starts[own], targets[own])), own_agent, limit=limit)
-        go_on = functools.partial(_go_on, own_where, own_sites, own_agent, fold=fold_of(device))
-        robots = serve_paced(robots, go_on, _ended, len(own), report, first_steps=_FIRST_LEGS)
-        return Searches(
-            track=np.asarray(robots.track),
-            declared=np.asarray(robots.status == DECLARED),
-            steps=np.asarray(robots.periods),
-            bumps=np.asarray(robots.bumps),
-        )
-
-    return share_out(len(episodes), every_device()[: len(episodes)], serve, on_progress)
+    agent, sites = replicate((agent, sites), mesh)
+    keys, starts, targets, where = deal((keys, starts, targets, where), count, mesh)
+    robots = _reset(keys, starts, targets, agent, mesh=mesh, limit=limit)
+    go_on = functools.partial(_go_on, where, sites, agent, mesh=mesh)
+    ended = functools.partial(_ended, not_repeated(count, mesh))
+    robots = serve_paced(robots, go_on, ended, count, on_progress, first_steps=_FIRST_LEGS)
+    track, status, steps, bumps = gather((robots.track, robots.status, robots.periods, robots.bumps), count)
+    return Searches(track=track, declared=status == DECLARED, steps=steps, bumps=bumps)
 
 
 def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[IndoorSite, dict[str, int]]:
@@ -150,27 +145,40 @@ def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[IndoorSite, dic
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sites), {house.name: n for n, house in enumerate(houses)}
 
 
-@functools.partial(jit, static_argnames=("limit",))
-def _reset(keys: Array, starts: Array, targets: Array, agent: Agent, *, limit: int) -> IndoorRobot:
-    return jax.vmap(lambda key, start, target: reset(key, start, target, agent, limit))(keys, starts, targets)
+@functools.partial(jit, static_argnames=("mesh", "limit"))
+def _reset(
+    keys: UInt32[Array, "devices own key"], starts: Float[Array, "devices own 3"], targets: Int[Array, "devices own"],
+    agent: Agent, *, mesh: Mesh, limit: int,
+) -> IndoorRobot:  # fmt: skip
+    def on_device(own: tuple[Array, Array, Array], agent: Agent) -> IndoorRobot:
+        def one(key: Array, start: Array, target: Array) -> IndoorRobot:
+            return reset(jax.random.wrap_key_data(key), start, target, agent, limit)
+
+        return jax.vmap(one)(*own)
+
+    return on_each(on_device, mesh, (keys, starts, targets), agent)
 
 
 @jit
-def _ended(robots: IndoorRobot) -> Int[Array, ""]:
-    return jnp.sum(~jax.vmap(under_way)(robots))
+def _ended(wanted: Bool[Array, "devices own"], robots: IndoorRobot) -> Int[Array, "devices"]:
+    return jnp.sum(wanted & ~jax.vmap(jax.vmap(under_way))(robots), axis=1)
 
 
-@functools.partial(jit, static_argnames=("fold",), donate_argnums=(3,))
+@functools.partial(jit, static_argnames=("mesh",), donate_argnames=("robots",))
 def _go_on(
-    where: Array, sites: IndoorSite, agent: Agent, robots: IndoorRobot, legs: Array, *, fold: Callable
-) -> IndoorRobot:
+    where: Int[Array, "devices own"], sites: IndoorSite, agent: Agent, robots: IndoorRobot, legs: Int[Array, ""],
+    *, mesh: Mesh,
+) -> IndoorRobot:  # fmt: skip
     """Every robot that is under way some legs later."""
 
-    def one(number: Int[Array, ""], robot: IndoorRobot) -> IndoorRobot:
-        site = jax.tree.map(lambda leaf: leaf[number], sites)
-        until = robot.periods + legs * agent.renewal
-        return jax.lax.while_loop(
-            lambda robot: under_way(robot) & (robot.periods < until), lambda robot: leg(robot, site, agent), robot
-        )
+    def on_device(own: tuple[Array, IndoorRobot], sites: IndoorSite, agent: Agent, legs: Int[Array, ""]) -> IndoorRobot:
+        def one(number: Int[Array, ""], robot: IndoorRobot) -> IndoorRobot:
+            site = jax.tree.map(lambda leaf: leaf[number], sites)
+            until = robot.periods + legs * agent.renewal
+            return jax.lax.while_loop(
+                lambda robot: under_way(robot) & (robot.periods < until), lambda robot: leg(robot, site, agent), robot
+            )
 
-    return fold(one, where, robots)
+        return batched(mesh)(one)(*own)
+
+    return on_each(on_device, mesh, (where, robots), sites, agent, legs)

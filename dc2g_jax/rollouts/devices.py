@@ -1,42 +1,34 @@
-"""Work shared out among devices: every accelerator, or every core of the CPU."""
+"""One mesh over every device: accelerators, or the cores of a CPU, of all processes.
 
-import concurrent.futures
+Pieces of work are dealt out: of n devices, device i gets the pieces i, i + n, i + 2 n and so on. Arrays that are dealt
+out have an axis of devices before all others.
+"""
+
 import os
-import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int
+from jax.experimental import multihost_utils
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array, Bool, Int
 
-#: Compiler options of a program that keeps to one core of a CPU, where each core runs a program of its own.
-ONE_CORE: dict[str, Any] = {"xla_cpu_multi_thread_eigen": False}
+from dc2g_jax.errors import InputError
 
-#: A pytree of NumPy arrays whose first axis is that of the pieces of work.
-_Results = TypeVar("_Results")
-
-_Result = TypeVar("_Result")
+#: The mesh's only axis.
+AXIS = "devices"
 
 #: A pytree of arrays.
 _State = TypeVar("_State")
 
-#: Seconds that a call of a program on the device should take: between two calls progress is reported, and an interrupt
-#: heard.
+#: Seconds that one call of a program should take: between two calls progress is reported, and an interrupt heard.
 _SECONDS_PER_CALL = 0.3
 
-
-class Report(Protocol):
-    """How a worker says how far it is: `report(finished)`. The answer is whether it is to go on.
-
-    The first report says that the program is compiled: only then the other workers begin, and find it ready.
-    """
-
-    def __call__(self, finished: int) -> bool:
-        """See above."""
-        ...
+#: Seconds after which a process that has died is missed by the others, which then end.
+_SECONDS_TO_NOTICE = 30
 
 
 def cores() -> int:
@@ -44,119 +36,197 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def every_device() -> list[jax.Device]:
-    """Every accelerator once, or the CPU once a core."""
-    devices = jax.local_devices()
-    return devices * cores() if devices[0].platform == "cpu" else devices
+def join_processes(
+    coordinator: str | None = None, num_processes: int | None = None, process_id: int | None = None
+) -> None:
+    """Join the other processes that share the work, if there are any. Call it before JAX runs anything.
 
-
-def on_cores(call: Callable[[int], _Result], count: int) -> list[_Result]:
-    """Call a program for 0 to count - 1, on each core of the CPU one at a time.
-
-    Args:
-      call: runs a program, compiled with `ONE_CORE`.
-      count: how many calls, at least one.
-
-    Returns:
-      The results, in order, computed.
-    """
-    with concurrent.futures.ThreadPoolExecutor(min(count, cores())) as pool:
-        return list(pool.map(lambda number: jax.block_until_ready(call(number)), range(count)))
-
-
-def one_by_one(call: Callable[..., _Result], *batch: Any) -> _Result:
-    """`jax.vmap` as a loop: on a CPU, where a branch not taken is then not computed, up to nine times as fast."""
-    return jax.lax.map(lambda args: call(*args), batch)
-
-
-def side_by_side(call: Callable[..., _Result], *batch: Any) -> _Result:
-    """`jax.vmap`: for accelerators."""
-    return jax.vmap(call)(*batch)
-
-
-def fold_of(device: jax.Device) -> Callable[..., Any]:
-    """How a device does a batch best: `one_by_one` or `side_by_side`."""
-    return one_by_one if device.platform == "cpu" else side_by_side
-
-
-def share_out(
-    n_pieces: int,
-    devices: Sequence[jax.Device],
-    serve: Callable[[jax.Device, Int[np.ndarray, "own"], Report], _Results],
-    on_progress: Callable[[int], None] | None = None,
-) -> _Results:
-    """Do pieces of work, every n-th on one of n devices, each served by a thread.
+    Without arguments this asks Slurm, Open MPI, Kubernetes or the TPU pod; where none of them runs several processes,
+    this one works alone.
 
     Args:
-      n_pieces: how many, at least one for each device.
-      devices: where; a device that is named twice is served by two threads.
-      serve: `(device, numbers of its pieces, report) ->` their results.
-      on_progress: called with the number of pieces finished so far at each report.
+      coordinator: `host:port` of process 0.
+      num_processes: how many there are.
+      process_id: number of this one.
+
+    Raises:
+      InputError: some of the arguments are missing or wrong, or the others cannot be reached.
+    """
+    given = [value for value in (coordinator, num_processes, process_id) if value is not None]
+    if len(given) not in (0, 3):
+        raise InputError("give --coordinator HOST:PORT, --num-processes and --process-id together, or none of them")
+    if num_processes is not None and process_id is not None and not 0 <= process_id < num_processes:
+        raise InputError(f"--process-id {process_id}: give a number from 0 to {num_processes - 1}")
+    jax.config.update("jax_cpu_collectives_implementation", "gloo")
+    try:
+        jax.distributed.initialize(coordinator, num_processes, process_id, heartbeat_timeout_seconds=_SECONDS_TO_NOTICE)
+    except (RuntimeError, ValueError) as error:
+        if given:
+            raise InputError(f"{coordinator}: the processes cannot be joined ({str(error).splitlines()[0]})") from None
+        jax.config.update("jax_cpu_collectives_implementation", None)
+
+
+def use_devices(count: int | None = None) -> None:
+    """Use so many accelerators, or so many cores of the CPU as a device each. Call it before JAX runs anything.
+
+    Without this call JAX takes a CPU for one device, and rollouts keep to one core.
+
+    Args:
+      count: how many; `None` for every accelerator, or every core.
+
+    Raises:
+      InputError: there are fewer accelerators, or JAX has already started with other devices.
+    """
+    if count is not None and count < 1:
+        raise InputError(f"{count} devices: give at least 1")
+    try:
+        jax.config.update("jax_num_cpu_devices", count or cores())
+        if count is not None:
+            jax.config.update("jax_cuda_visible_devices", ",".join(map(str, range(count))))
+    except RuntimeError:
+        pass  # JAX has started; perhaps it has that many
+    found = jax.local_device_count()
+    if found != (count or found):
+        raise InputError(
+            f"{count} devices: JAX has {found} ({jax.devices()[0].device_kind}); ask for those that there are, before "
+            "anything else uses JAX"
+        )
+
+
+def mesh_of(devices: Sequence[jax.Device] | None = None) -> Mesh:
+    """A mesh of these devices; of all, in every process, where `None`."""
+    return Mesh(np.array(jax.devices() if devices is None else devices), (AXIS,))
+
+
+def platform(mesh: Mesh) -> str:
+    """What kind of devices these are: `cpu`, `gpu`, `tpu`."""
+    return mesh.devices.flat[0].platform
+
+
+def replicate(tree: Any, mesh: Mesh) -> Any:
+    """The same arrays on every device."""
+    return jax.device_put(tree, NamedSharding(mesh, PartitionSpec()))
+
+
+def deal(tree: Any, count: int, mesh: Mesh, own: int | None = None) -> Any:
+    """Deal pieces of work out to the devices.
+
+    Args:
+      tree: arrays, pieces on the first axis.
+      count: how many pieces.
+      mesh: the devices.
+      own: pieces a device, repeated up to this number; as few as possible where `None`.
 
     Returns:
-      All results, in the order of the pieces.
+      Arrays of shape `[devices, own, ...]`, each device's part on that device.
     """
-    shares = [np.arange(worker, n_pieces, len(devices)) for worker in range(len(devices))]
-    done = [0] * len(devices)
-    reporting, compiled, stop = threading.Lock(), threading.Event(), threading.Event()
+    own = -(-count // mesh.size) if own is None else own
+    numbers = np.stack([np.resize(np.arange(first, count, mesh.size), own) for first in range(mesh.size)])
+    sharding = NamedSharding(mesh, PartitionSpec(AXIS))
+    return jax.tree.map(lambda leaf: jax.device_put(leaf[numbers], sharding), tree)
 
-    def work(worker: int) -> _Results:
-        def report(finished: int) -> bool:
-            compiled.set()
-            with reporting:
-                done[worker] = finished
-                if on_progress is not None and not stop.is_set():
-                    on_progress(sum(done))
-            return not stop.is_set()
 
-        return serve(devices[worker], shares[worker], report)
+def dealt_counts(count: int, mesh: Mesh) -> Int[np.ndarray, "devices"]:
+    """How many pieces each device gets."""
+    return np.bincount(np.arange(count) % mesh.size, minlength=mesh.size).astype(np.int32)
 
-    with concurrent.futures.ThreadPoolExecutor(len(devices)) as pool:
-        try:
-            served = [pool.submit(work, 0)]
-            # The others wait until the first has compiled the program for all, or has failed.
-            served[0].add_done_callback(lambda _: compiled.set())
-            compiled.wait()
-            served += [pool.submit(work, worker) for worker in range(1, len(devices))]
-            if concurrent.futures.wait(served, return_when=concurrent.futures.FIRST_EXCEPTION).not_done:
-                stop.set()  # one has failed: what the others would find is not wanted
-            parts = [future.result() for future in served]
-        finally:
-            stop.set()
-    order = np.argsort(np.concatenate(shares))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
+
+def not_repeated(count: int, mesh: Mesh) -> Bool[np.ndarray, "devices own"]:
+    """Which of the dealt pieces are not repetitions of others."""
+    counts = dealt_counts(count, mesh)
+    return np.arange(counts.max()) < counts[:, None]
+
+
+def gather(tree: Any, count: int) -> Any:
+    """The results of dealt pieces `[devices, own, ...]` in the order of the pieces, as NumPy arrays.
+
+    Args:
+      tree: arrays of results; those of repeated pieces are dropped.
+      count: how many pieces there were.
+    """
+
+    def in_order(leaf: Array) -> np.ndarray:
+        dealt = fetch(leaf)
+        return np.swapaxes(dealt, 0, 1).reshape(dealt.shape[0] * dealt.shape[1], *dealt.shape[2:])[:count]
+
+    return jax.tree.map(in_order, tree)
+
+
+def fetch(array: Array | np.ndarray) -> np.ndarray:
+    """An array as NumPy's, whole, in every process."""
+    whole = isinstance(array, np.ndarray) or array.is_fully_addressable or array.is_fully_replicated
+    return np.asarray(array if whole else multihost_utils.process_allgather(array, tiled=True))
+
+
+def first_copy(tree: Any) -> Any:
+    """One device's copy of arrays that every device has, for programs that run on one."""
+    return jax.tree.map(lambda leaf: leaf.addressable_data(0), tree)
+
+
+def on_each(function: Callable[..., Any], mesh: Mesh, dealt: Any, *shared: Any) -> Any:
+    """Call `function(part, *shared)` on every device with its part of the dealt arrays.
+
+    Args:
+      function: a pure function.
+      mesh: the devices.
+      dealt: arrays with an axis of devices, which the function does not see.
+      *shared: the same for all.
+
+    Returns:
+      What it gives, with an axis of devices first.
+    """
+
+    def own(dealt: Any, shared: Any) -> Any:
+        return jax.tree.map(lambda leaf: leaf[None], function(jax.tree.map(lambda leaf: leaf[0], dealt), *shared))
+
+    split, whole = PartitionSpec(AXIS), PartitionSpec()
+    mapped = jax.shard_map(own, mesh=mesh, in_specs=(split, whole), out_specs=split, check_vma=False)
+    return mapped(dealt, shared)
+
+
+def batched(mesh: Mesh) -> Callable[..., Any]:
+    """`jax.vmap` for accelerators; for a CPU a loop, which does not compute branches that are not taken."""
+
+    def one_by_one(call: Callable[..., Any]) -> Callable[..., Any]:
+        return lambda *batch: jax.lax.map(lambda args: call(*args), batch)
+
+    return one_by_one if platform(mesh) == "cpu" else jax.vmap
 
 
 def serve_paced(
     state: _State,
     go_on: Callable[[_State, Int[Array, ""]], _State],
-    count_finished: Callable[[_State], Int[Array, ""]],
+    count_finished: Callable[[_State], Int[Array, "devices"]],
     n_pieces: int,
-    report: Report,
+    on_progress: Callable[[int], None] | None = None,
     *,
     first_steps: int,
 ) -> _State:
-    """Do pieces of work on one device, so many steps a call that each takes about as long; see `share_out`.
+    """Do pieces of work, so many steps a call that each call takes about as long.
 
     Args:
       state: the first state.
       go_on: `(state, steps) ->` the state after at most so many more steps of each piece.
-      count_finished: `state ->` how many pieces are finished.
+      count_finished: `state ->` how many pieces each device has finished.
       n_pieces: how many there are.
-      report: told after each call.
+      on_progress: called after each call with the number of pieces finished so far.
       first_steps: steps of the first call that takes any.
 
     Returns:
-      The state in which all pieces are finished, or the work was stopped.
+      The state in which all pieces are finished.
     """
     # Takes no step: this is where the program is compiled.
     state = jax.block_until_ready(go_on(state, jnp.int32(0)))
-    finished, steps, goes_on = 0, first_steps, report(0)
-    while finished < n_pieces and goes_on:
+    finished, steps = 0, first_steps
+    while True:
+        if on_progress is not None:
+            on_progress(finished)
+        if finished >= n_pieces:
+            return state
         began = time.perf_counter()
         state = go_on(state, jnp.int32(steps))
-        finished = int(count_finished(state))
+        finished = min(int(fetch(count_finished(state)).sum()), n_pieces)
         pace = steps / (time.perf_counter() - began)
         steps = max(1, min(int(pace * _SECONDS_PER_CALL), 2 * steps))
-        goes_on = report(finished)
-    return state
+        if jax.process_count() > 1:  # all take the same number of calls
+            steps = int(multihost_utils.broadcast_one_to_all(np.int32(steps)))

@@ -1,8 +1,8 @@
 """Many episodes at once: a queue of episodes served by a fixed number of slots, each holding one robot.
 
 As soon as a robot has finished, its slot takes the next episode of the queue, so the batch stays full and no time is
-spent on finished robots while others walk on. On a CPU every core serves a queue of its own. What an episode gives does
-not depend on the slot, the order or the core.
+spent on finished robots while others walk on. Every device serves a queue of its own. What an episode gives does not
+depend on the slot, the order or the device.
 """
 
 import dataclasses
@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
+from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Int, Int8
 
 from dc2g_jax.grid import gridworld
@@ -23,7 +24,7 @@ from dc2g_jax.grid.sensing import Kernel
 from dc2g_jax.grid.world import World
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, Planner
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import ONE_CORE, Report, every_device, serve_paced, share_out
+from dc2g_jax.rollouts.devices import deal, dealt_counts, gather, mesh_of, on_each, platform, replicate, serve_paced
 
 #: Step limit of an episode in the published results.
 STEP_LIMIT = 500
@@ -207,57 +208,61 @@ def _record(state: _State) -> _State:
     )
 
 
+@functools.partial(jit, static_argnames=("mesh", "sensing", "step_limit"), donate_argnames=("states",))
 def _run(
-    state: _State, n_steps: Int[Array, ""], queue: _Queue, planner: Planner, *, sensing: Kernel, step_limit: int
-) -> _State:
-    """At most `n_steps` planner steps of every slot, refilled from the queue as robots finish."""
+    states: _State, n_steps: Int[Array, ""], queues: _Queue, planner: Planner,
+    *, mesh: Mesh, sensing: Kernel, step_limit: int,
+) -> _State:  # fmt: skip
+    """At most `n_steps` planner steps of every slot of every device, refilled from its queue as robots finish."""
 
-    def until_one_finishes(carry: tuple[_State, Array]) -> tuple[_State, Array]:
+    def run(own: tuple[_State, _Queue], n_steps: Int[Array, ""], planner: Planner) -> _State:
+        state, queue = own
+
+        def until_one_finishes(carry: tuple[_State, Array]) -> tuple[_State, Array]:
+            def go_on(carry: tuple[_State, Array]) -> Bool[Array, ""]:
+                return (carry[1] < n_steps) & ~jnp.any(carry[0].slots.finished)
+
+            def cycle(carry: tuple[_State, Array]) -> tuple[_State, Array]:
+                return _advance(carry[0], planner, sensing, step_limit), carry[1] + 1
+
+            state, cycles = jax.lax.while_loop(go_on, cycle, carry)
+            return _seat(_record(state), state.slots.finished, queue, sensing), cycles
+
         def go_on(carry: tuple[_State, Array]) -> Bool[Array, ""]:
-            return (carry[1] < n_steps) & ~jnp.any(carry[0].slots.finished)
+            return (carry[1] < n_steps) & jnp.any(carry[0].slots.active)
 
-        def cycle(carry: tuple[_State, Array]) -> tuple[_State, Array]:
-            return _advance(carry[0], planner, sensing, step_limit), carry[1] + 1
+        return jax.lax.while_loop(go_on, until_one_finishes, (state, jnp.int32(0)))[0]
 
-        state, cycles = jax.lax.while_loop(go_on, cycle, carry)
-        return _seat(_record(state), state.slots.finished, queue, sensing), cycles
-
-    def go_on(carry: tuple[_State, Array]) -> Bool[Array, ""]:
-        return (carry[1] < n_steps) & jnp.any(carry[0].slots.active)
-
-    return jax.lax.while_loop(go_on, until_one_finishes, (state, jnp.int32(0)))[0]
+    return on_each(run, mesh, (states, queues), n_steps, planner)
 
 
-def _finished(state: _State) -> Int[Array, ""]:
-    """How many episodes have ended."""
-    return state.seated - jnp.sum(state.slots.active)
+@jit
+def _finished(states: _State) -> Int[Array, "devices"]:
+    """How many episodes have ended on each device."""
+    return states.seated - jnp.sum(states.slots.active, axis=-1)
 
 
-def _first_state(
-    planner: Planner, worlds: World, episodes: Episodes, length: Int[Array, ""],
-    *, sensing: Kernel, n_slots: int, kept_steps: int,
+@functools.partial(jit, static_argnames=("mesh", "sensing", "n_slots", "kept_steps"))
+def _first_states(
+    planner: Planner, worlds: World, episodes: Episodes, lengths: Int[Array, "devices"],
+    *, mesh: Mesh, sensing: Kernel, n_slots: int, kept_steps: int,
 ) -> tuple[_Queue, _State]:  # fmt: skip
-    """The queue, and the slots with its first episodes seated."""
-    queue = _Queue(worlds=worlds, planner_states=planner.init(worlds), episodes=episodes, length=length)
-    rows = len(episodes)
-    results = _Results(
-        actions=jnp.full((rows, kept_steps), NO_ACTION, jnp.int8),
-        steps=jnp.zeros(rows, jnp.int32),
-        success=jnp.zeros(rows, bool),
-        mode=jnp.full(rows, EXPLORE, jnp.int32),
-    )
-    slots = _robots(queue, jnp.arange(n_slots, dtype=jnp.int32), sensing)
-    return queue, _State(slots, results, seated=jnp.sum(slots.active, dtype=jnp.int32))
+    """The queue of each device, and its slots with the first episodes seated."""
 
+    def first(own: tuple[Episodes, Int[Array, ""]], planner: Planner, worlds: World) -> tuple[_Queue, _State]:
+        episodes, length = own
+        queue = _Queue(worlds=worlds, planner_states=planner.init(worlds), episodes=episodes, length=length)
+        rows = len(episodes)
+        results = _Results(
+            actions=jnp.full((rows, kept_steps), NO_ACTION, jnp.int8),
+            steps=jnp.zeros(rows, jnp.int32),
+            success=jnp.zeros(rows, bool),
+            mode=jnp.full(rows, EXPLORE, jnp.int32),
+        )
+        slots = _robots(queue, jnp.arange(n_slots, dtype=jnp.int32), sensing)
+        return queue, _State(slots, results, seated=jnp.sum(slots.active, dtype=jnp.int32))
 
-@functools.cache
-def _programs(platform: str) -> tuple[Callable[..., tuple[_Queue, _State]], Callable[..., _State]]:
-    """`_first_state` and `_run`, compiled for a kind of device."""
-    options = ONE_CORE if platform == "cpu" else {}
-    return (
-        jit(_first_state, static_argnames=("sensing", "n_slots", "kept_steps"), compiler_options=options),
-        jit(_run, static_argnames=("sensing", "step_limit"), donate_argnames=("state",), compiler_options=options),
-    )
+    return on_each(first, mesh, (episodes, lengths), planner, worlds)
 
 
 def _default_slots(planner: Planner, worlds: World, platform: str) -> int:
@@ -290,8 +295,7 @@ def rollout(
       sensing: the robots' field of view.
       step_limit: actions after which an episode ends without success.
       slots: robots simulated side by side on each device; `None` for as many as suit it.
-      devices: where to run; a device that is named twice serves two queues at once, which makes use of two cores of a
-        CPU. `None` for every accelerator, or every core.
+      devices: where to run; every device where `None`, see `dc2g_jax.rollouts.devices.use_devices`.
       keep_actions: keep the actions? They take a byte an episode and step.
       on_progress: called now and then with the number of episodes finished so far.
 
@@ -303,24 +307,17 @@ def rollout(
     if n_episodes == 0:
         empty = np.zeros(0, np.int32)
         return Trajectories(np.zeros((0, kept_steps), np.int8), empty, empty.astype(bool), empty)
-    devices = every_device() if devices is None else devices
-    devices = devices[:n_episodes]
+    mesh = mesh_of(devices)
     # One shape, and so one compiled program, for all numbers of episodes up to the next power of two.
-    capacity = 1 << (-(-n_episodes // len(devices)) - 1).bit_length()
+    capacity = 1 << (-(-n_episodes // mesh.size) - 1).bit_length()
     if slots is None:
-        slots = _default_slots(planner, worlds, devices[0].platform)
+        slots = _default_slots(planner, worlds, platform(mesh))
     slots = min(slots, capacity)
-    first_state, run = _programs(devices[0].platform)
-
-    def serve(device: jax.Device, own: Int[np.ndarray, "own"], report: Report) -> _Results:
-        """Run some of the episodes on one device."""
-        some = jax.tree.map(lambda leaf: np.asarray(leaf)[np.resize(own, capacity)], episodes)
-        own_planner, own_worlds, some = jax.device_put((planner, worlds, some), device)
-        queue, state = first_state(
-            own_planner, own_worlds, some, jnp.int32(len(own)), sensing=sensing, n_slots=slots, kept_steps=kept_steps
-        )
-        go_on = functools.partial(run, queue=queue, planner=own_planner, sensing=sensing, step_limit=step_limit)
-        state = serve_paced(state, go_on, _finished, len(own), report, first_steps=_FIRST_STEPS)
-        return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(own)], state.results)
-
-    return Trajectories(*jax.tree.leaves(share_out(n_episodes, devices, serve, on_progress)))
+    planner, worlds = replicate((planner, worlds), mesh)
+    dealt, lengths = deal(episodes, n_episodes, mesh, capacity), dealt_counts(n_episodes, mesh)
+    queues, states = _first_states(
+        planner, worlds, dealt, lengths, mesh=mesh, sensing=sensing, n_slots=slots, kept_steps=kept_steps
+    )
+    go_on = functools.partial(_run, queues=queues, planner=planner, mesh=mesh, sensing=sensing, step_limit=step_limit)
+    states = serve_paced(states, go_on, _finished, n_episodes, on_progress, first_steps=_FIRST_STEPS)
+    return Trajectories(*jax.tree.leaves(gather(states.results, n_episodes)))

@@ -11,17 +11,22 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from flax import struct
+from jax.sharding import Mesh, NamedSharding
+from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Float, Int, UInt8, UInt32
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.networks import compact_unet
 from dc2g_jax.estimation.networks.compact_unet import Architecture
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import ONE_CORE, on_cores
+from dc2g_jax.rollouts.devices import mesh_of, platform
 from dc2g_jax.training.losses import LOSSES, map_loss
 
-#: Equal parts that a batch is made of, at most. Each core of a CPU takes one at a time, and works within its caches.
+#: Equal parts that a batch is made of, at most; as many devices can share it.
 _MOST_PARTS = 8
+
+#: Axes of the devices in training: groups that runs are divided among, and the devices of a group.
+_RUNS, _PARTS = "runs", "parts"
 
 
 def check_numbers(learning_rate: float, **counts: int) -> None:
@@ -44,7 +49,7 @@ class TrainingConfig:
     Attributes:
       architecture: the network.
       steps: optimizer steps in all; the learning rate falls to zero over them.
-      batch_size: pairs a step; a multiple of 8 keeps up to eight cores of a CPU busy.
+      batch_size: pairs a step; a multiple of 8 keeps up to eight devices busy.
       losses: names of losses, see `dc2g_jax.training.losses.LOSSES`, and the weight of each.
       learning_rate: peak, after a short linear warm-up.
       weight_decay: decoupled weight decay.
@@ -71,7 +76,7 @@ class TrainingConfig:
 
     @property
     def parts(self) -> int:
-        """Equal parts that a batch is drawn in, and how many cores of a CPU a step can use: one where it is odd."""
+        """Equal parts that a batch is drawn in, and how many devices can share it: one where its size is odd."""
         return math.gcd(self.batch_size, _MOST_PARTS)
 
     @property
@@ -222,83 +227,113 @@ def _part_of_batch(
 
 
 def _updated(
+    recipe: TrainingConfig,
     state: TrainingState,
     hyperparameters: Hyperparameters,
     loss: Float[Array, ""],
     gradient: Any,
-    recipe: TrainingConfig,
 ) -> tuple[TrainingState, Float[Array, ""]]:
-    """The state one step on, and its loss as `loss_or_nan` has it."""
+    """The state of one run one step on, and its loss as `loss_or_nan` has it."""
     updates, optimizer_state = optimizer(recipe).update(gradient, state.optimizer, state.weights)
     weights = jax.tree.map(lambda w, u: w + hyperparameters.learning_rate * u, state.weights, updates)
     average = running_average(state.average, weights, state.step, recipe.average_decay)
     new = TrainingState(step=state.step + 1, weights=weights, average=average, optimizer=optimizer_state)
-    return new, loss_or_nan(loss, weights)
+    loss = loss_or_nan(loss, weights)
+    kept = jax.tree.map(lambda now, before: jnp.where(jnp.isfinite(loss), now, before), new, state)
+    return kept.replace(step=new.step), loss
 
 
-def _loss_and_gradient(
-    weights: Any, batch: Batch, loss_weights: Float[Array, "losses"], *, recipe: TrainingConfig
-) -> tuple[Float[Array, ""], Any]:
-    return jax.value_and_grad(functools.partial(mean_loss, recipe, loss_weights))(weights, batch)
+@functools.cache
+def _layout(mesh: Mesh, n_runs: int) -> Mesh:
+    """The devices in two axes: runs are divided among the first, each run's batches among the second."""
+    groups = math.gcd(n_runs, mesh.size)
+    return Mesh(mesh.devices.reshape(groups, -1), (_RUNS, _PARTS))
 
 
-def train_step_at_once(
-    state: TrainingState,
-    hyperparameters: Hyperparameters,
-    data: Any,
-    *,
-    recipe: TrainingConfig,
-    draw_batch: DrawBatch,
-) -> tuple[TrainingState, Float[Array, ""]]:
-    """`train_step` as a pure function that can be traced, all of the batch at once: what accelerators are for."""
-
-    def draw(part: Int[Array, ""]) -> Batch:
-        return _part_of_batch(state.step, part, hyperparameters, data, recipe=recipe, draw_batch=draw_batch)
-
-    parts = jax.vmap(draw)(jnp.arange(recipe.parts))
-    batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), parts)
-    loss, gradient = _loss_and_gradient(state.weights, batch, hyperparameters.loss_weights, recipe=recipe)
-    return _updated(state, hyperparameters, loss, gradient, recipe)
+def _stacked(tree: Any, like: TrainingState) -> Any:
+    """Arrays with an axis of runs, also where there is one run without that axis."""
+    return jax.tree.map(lambda leaf: leaf[None], tree) if like.step.ndim == 0 else tree
 
 
-_compiled_step_at_once = jit(train_step_at_once, static_argnames=("recipe", "draw_batch"), donate_argnames=("state",))
-
-# Two programs for each core, since in one the compiler makes the pairs again for each use of them.
-_on_one_core = functools.partial(jit, compiler_options=ONE_CORE)
-_draw_on_one_core = _on_one_core(_part_of_batch, static_argnames=("recipe", "draw_batch"))
-_gradient_on_one_core = _on_one_core(_loss_and_gradient, static_argnames=("recipe",))
+def _own_parts(recipe: TrainingConfig, layout: Mesh) -> int:
+    """How many parts of a batch each device does; those beyond the parts do the same as others."""
+    return recipe.parts // math.gcd(recipe.parts, layout.shape[_PARTS])
 
 
-@functools.partial(jit, static_argnames=("recipe",), donate_argnames=("state",))
-def _updated_from_parts(
-    state: TrainingState, hyperparameters: Hyperparameters, parts: Sequence[Any], *, recipe: TrainingConfig
-) -> tuple[TrainingState, Float[Array, ""]]:
-    loss, gradient = jax.tree.map(lambda *leaves: sum(leaves) / len(leaves), *parts)
-    return _updated(state, hyperparameters, loss, gradient, recipe)
+# Pairs and gradients are two programs, since in one the compiler makes the pairs again for each use of them.
+@functools.partial(jit, static_argnames=("layout", "recipe", "draw_batch"))
+def _draw(
+    state: TrainingState, hyperparameters: Hyperparameters, data: Any, runs: Int[Array, "k"], parts: Int[Array, "p"],
+    *, layout: Mesh, recipe: TrainingConfig, draw_batch: DrawBatch,
+) -> Batch:  # fmt: skip
+    """On each device the batch of some of its parts of some of its runs; axes `[runs, devices of a run, pairs]`."""
+    own_parts = _own_parts(recipe, layout)
+
+    def own(steps: Array, hyperparameters: Hyperparameters, data: Any, runs: Array, parts: Array) -> Batch:
+        first = jax.lax.axis_index(_PARTS) * own_parts % recipe.parts
+
+        def of_run(run: Array) -> Batch:
+            numbers = jax.tree.map(lambda leaf: leaf[run], hyperparameters)
+
+            def part(number: Array) -> Batch:
+                return _part_of_batch(steps[run], first + number, numbers, data, recipe=recipe, draw_batch=draw_batch)
+
+            return jax.tree.map(lambda leaf: leaf.reshape(1, -1, *leaf.shape[2:]), jax.vmap(part)(parts))
+
+        return jax.vmap(of_run)(runs)
+
+    specs = (P(_RUNS), P(_RUNS), P(), P(), P())
+    mapped = jax.shard_map(own, mesh=layout, in_specs=specs, out_specs=P(_RUNS, _PARTS), check_vma=False)
+    steps, numbers = _stacked((state.step, hyperparameters), state)
+    return mapped(steps, numbers, data, runs, parts)
 
 
-def train_step_by_parts(
-    state: TrainingState,
-    hyperparameters: Hyperparameters,
-    data: Any,
-    *,
-    recipe: TrainingConfig,
-    draw_batch: DrawBatch,
-) -> tuple[TrainingState, Float[Array, ""]]:
-    """`train_step` with a part of the batch at a time on each core of a CPU.
+@functools.partial(jit, static_argnames=("layout", "recipe"))
+def _gradient(
+    state: TrainingState, hyperparameters: Hyperparameters, batch: Batch, runs: Int[Array, "k"],
+    *, layout: Mesh, recipe: TrainingConfig,
+) -> tuple[Float[Array, "runs devices"], Any]:  # fmt: skip
+    """Losses and gradients of the batches that `_draw` made."""
 
-    The parts are the same on any number of cores, and are added up in order; but XLA's convolutions round otherwise on
-    another number of cores. It starts programs of its own on threads of its own, so it cannot be traced:
-    `train_step_at_once` can.
-    """
+    def own(weights: Any, loss_weights: Array, batch: Batch, runs: Array) -> tuple[Array, Any]:
+        def of_run(weights: Any, loss_weights: Array, batch: Batch) -> tuple[Array, Any]:
+            own_batch = jax.tree.map(lambda leaf: leaf[0], batch)
+            found = jax.value_and_grad(functools.partial(mean_loss, recipe, loss_weights))(weights, own_batch)
+            return jax.tree.map(lambda leaf: leaf[None], found)
 
-    def gradient(part: int) -> tuple[Float[Array, ""], Any]:
-        pairs = _draw_on_one_core(
-            state.step, jnp.int32(part), hyperparameters, data, recipe=recipe, draw_batch=draw_batch
-        )
-        return _gradient_on_one_core(state.weights, pairs, hyperparameters.loss_weights, recipe=recipe)
+        chosen = jax.tree.map(lambda leaf: leaf[runs], (weights, loss_weights))
+        if len(runs) > 1:
+            return jax.vmap(of_run)(*chosen, batch)
+        alone = of_run(*jax.tree.map(lambda leaf: leaf[0], (*chosen, batch)))
+        return jax.tree.map(lambda leaf: leaf[None], alone)
 
-    return _updated_from_parts(state, hyperparameters, on_cores(gradient, recipe.parts), recipe=recipe)
+    specs = (P(_RUNS), P(_RUNS), P(_RUNS, _PARTS), P())
+    mapped = jax.shard_map(own, mesh=layout, in_specs=specs, out_specs=P(_RUNS, _PARTS), check_vma=False)
+    weights, loss_weights = _stacked((state.weights, hyperparameters.loss_weights), state)
+    return mapped(weights, loss_weights, batch, runs)
+
+
+@functools.partial(jit, static_argnames=("layout", "recipe"), donate_argnames=("state",))
+def _update(
+    state: TrainingState, hyperparameters: Hyperparameters, found: Sequence[Sequence[tuple[Array, Any]]],
+    *, layout: Mesh, recipe: TrainingConfig,
+) -> tuple[TrainingState, Float[Array, "*runs"]]:  # fmt: skip
+    """The state one step on, and the loss, the same on every device; from what was found, run after run."""
+
+    def mean(*parts: Array) -> Array:
+        return jax.lax.pmean(sum(parts) / len(parts), _PARTS)
+
+    def own(states: TrainingState, hyperparameters: Hyperparameters, found: Sequence[Sequence[Any]]) -> Any:
+        means = [jax.tree.map(mean, *of_run) for of_run in found]
+        loss, gradient = jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:, 0], *means)
+        new, losses = jax.vmap(functools.partial(_updated, recipe))(states, hyperparameters, loss, gradient)
+        return new, jax.lax.all_gather(losses, _RUNS, tiled=True)
+
+    specs, out_specs = (P(_RUNS), P(_RUNS), P(_RUNS, _PARTS)), (P(_RUNS), P())
+    mapped = jax.shard_map(own, mesh=layout, in_specs=specs, out_specs=out_specs, check_vma=False)
+    states, numbers = _stacked((state, hyperparameters), state)
+    updated = mapped(states, numbers, found)
+    return jax.tree.map(lambda leaf: leaf[0], updated) if state.step.ndim == 0 else updated
 
 
 def train_step(
@@ -308,25 +343,48 @@ def train_step(
     *,
     recipe: TrainingConfig,
     draw_batch: DrawBatch,
-) -> tuple[TrainingState, Float[Array, ""]]:
-    """Take one optimizer step, the way that is fast on the device.
+    mesh: Mesh | None = None,
+) -> tuple[TrainingState, Float[Array, "*runs"]]:
+    """Take one optimizer step of one run, or of several whose states are stacked.
 
-    The batch of a step depends on the seed and the number of the step alone, so training that was interrupted and
-    resumed gives the same weights as training that was not. No step is part of a longer program: inside a `scan`,
-    XLA's CPU backend runs the gradients of convolutions some twenty times slower.
+    Runs are divided among the devices, and each run's batch among up to eight of the devices that it has. A CPU does a
+    part of one batch at a time, within its caches; an accelerator does all at once. The batch of a step depends on the
+    seed and the number of the step alone, so training that was interrupted and resumed gives the same bits as training
+    that was not, on the same devices. On another number of them a step differs by rounding, some 1e-6 of a weight. No
+    step is part of a longer program: inside a `scan`, XLA's CPU backend runs the gradients of convolutions some ten
+    times slower.
+
+    A run whose loss or weights would not be finite keeps those that it had, and its loss is NaN.
 
     Args:
-      state: the state; used up.
-      hyperparameters: of the run.
-      data: what `draw_batch` draws from.
-      recipe: what is compiled into a step.
+      state: state of a run, or stacked states; used up.
+      hyperparameters: of the run, or stacked.
+      data: what `draw_batch` draws from; best on every device already, see `dc2g_jax.rollouts.devices.replicate`.
+      recipe: what is compiled into a step, the same for all runs.
       draw_batch: draws pairs.
+      mesh: where to train; every device where `None`.
 
     Returns:
-      The new state and the loss, as `loss_or_nan` has it.
+      The new state and the loss, or those of each run.
     """
-    take = train_step_by_parts if jax.default_backend() == "cpu" else _compiled_step_at_once
-    return take(state, hyperparameters, data, recipe=recipe, draw_batch=draw_batch)
+    layout = _layout(mesh_of() if mesh is None else mesh, state.step.size)
+    sharding = NamedSharding(layout, P() if state.step.ndim == 0 else P(_RUNS))
+    if not sharding.is_equivalent_to(state.step.sharding, state.step.ndim):
+        state = jax.device_put(state, sharding)
+    own_runs, own_parts = state.step.size // layout.shape[_RUNS], _own_parts(recipe, layout)
+    one_at_a_time = platform(layout) == "cpu"
+    runs, parts = (
+        np.split(np.arange(count, dtype=np.int32), count if one_at_a_time else 1) for count in (own_runs, own_parts)
+    )
+
+    def found(some_runs: np.ndarray, some_parts: np.ndarray) -> tuple[Array, Any]:
+        batch = _draw(
+            state, hyperparameters, data, some_runs, some_parts, layout=layout, recipe=recipe, draw_batch=draw_batch
+        )
+        return _gradient(state, hyperparameters, batch, some_runs, layout=layout, recipe=recipe)
+
+    of_runs = [[found(some_runs, some_parts) for some_parts in parts] for some_runs in runs]
+    return _update(state, hyperparameters, of_runs, layout=layout, recipe=recipe)
 
 
 def mean_error(architecture: Architecture, weights: Any, batch: Batch) -> Float[Array, ""]:

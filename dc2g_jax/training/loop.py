@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from tqdm import tqdm
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.rollouts.devices import fetch
 
 _State = TypeVar("_State")
 
@@ -219,7 +220,7 @@ def train(task: Task[_State], out: Path, checkpoints: Checkpoints, pauses: Pause
         state: Any = checkpoints.restore()
         if state is None:
             state = task.init()
-        step = int(np.max(state.step))
+        step = int(np.max(fetch(state.step)))
         with tqdm(total=task.steps, initial=step, desc=task.name, unit="step", file=sys.stderr) as bar:
             try:
                 if step not in task.validated and pauses.validates(step, task.steps):

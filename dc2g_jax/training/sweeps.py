@@ -4,26 +4,16 @@ import dataclasses
 import functools
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Int
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
-from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import on_cores
-from dc2g_jax.training.cost_to_go import (
-    DrawBatch,
-    Hyperparameters,
-    TrainingConfig,
-    TrainingState,
-    init_state,
-    train_step,
-    train_step_at_once,
-)
+from dc2g_jax.rollouts.devices import fetch
+from dc2g_jax.training.cost_to_go import Hyperparameters, TrainingConfig, TrainingState, init_state
 from dc2g_jax.training.losses import parse_losses
 
 
@@ -114,8 +104,9 @@ class StackedCheckpoints:
 
     def save(self, states: TrainingState) -> None:
         """Save the state of each run."""
+        whole = jax.tree.map(fetch, states)
         for run, checkpoints in enumerate(self.of_runs):
-            checkpoints.save(jax.tree.map(lambda leaf, run=run: leaf[run], states))
+            checkpoints.save(jax.tree.map(lambda leaf, run=run: leaf[run], whole))
 
     def close(self) -> None:
         """Release the folders."""
@@ -127,83 +118,3 @@ def steps_left_out(states: TrainingState) -> Int[Array, "runs"]:
     """Steps of each run that changed nothing, because the loss or the weights would not have been finite."""
     (_, taken), *_ = optax.tree_utils.tree_get_all_with_path(states.optimizer, "count")
     return states.step - taken
-
-
-def _unless_diverged(new: TrainingState, before: TrainingState, loss: Float[Array, ""]) -> TrainingState:
-    """Where the loss is NaN, everything but the number of the step as it was before; see `steps_left_out`."""
-    kept = jax.tree.map(lambda now, then: jnp.where(jnp.isfinite(loss), now, then), new, before)
-    return kept.replace(step=new.step)
-
-
-@functools.partial(jit, static_argnames=("recipe", "draw_batch"), donate_argnames=("states",))
-def train_steps_together(
-    states: TrainingState,
-    hyperparameters: Hyperparameters,
-    data: Any,
-    *,
-    recipe: TrainingConfig,
-    draw_batch: DrawBatch,
-) -> tuple[TrainingState, Float[Array, "runs"]]:
-    """`train_steps` with all runs in one program: what accelerators are for."""
-
-    def one_step(state: TrainingState, numbers: Hyperparameters) -> tuple[TrainingState, Float[Array, ""]]:
-        new, loss = train_step_at_once(state, numbers, data, recipe=recipe, draw_batch=draw_batch)
-        return _unless_diverged(new, state, loss), loss
-
-    return jax.vmap(one_step)(states, hyperparameters)
-
-
-@jit
-def _of_run(stack: Any, run: Int[Array, ""]) -> Any:
-    return jax.tree.map(lambda leaf: leaf[run], stack)
-
-
-@functools.partial(jit, donate_argnames=("before",))
-def _stacked(before: TrainingState, new: Sequence[TrainingState], losses: Float[Array, "runs"]) -> TrainingState:
-    """The new states of all runs in one stack."""
-    return jax.vmap(_unless_diverged)(jax.tree.map(lambda *leaves: jnp.stack(leaves), *new), before, losses)
-
-
-def train_steps_side_by_side(
-    states: TrainingState,
-    hyperparameters: Hyperparameters,
-    data: Any,
-    *,
-    recipe: TrainingConfig,
-    draw_batch: DrawBatch,
-) -> tuple[TrainingState, Float[Array, "runs"]]:
-    """`train_steps` with a run at a time on each core of a CPU, all by the programs of a single run."""
-
-    def step(run: int) -> tuple[TrainingState, Float[Array, ""]]:
-        state, numbers = _of_run((states, hyperparameters), jnp.int32(run))
-        return train_step(state, numbers, data, recipe=recipe, draw_batch=draw_batch)
-
-    new, each = zip(*on_cores(step, len(hyperparameters.seed)), strict=True)
-    losses = jnp.stack(each)
-    return _stacked(states, new, losses), losses
-
-
-def train_steps(
-    states: TrainingState,
-    hyperparameters: Hyperparameters,
-    data: Any,
-    *,
-    recipe: TrainingConfig,
-    draw_batch: DrawBatch,
-) -> tuple[TrainingState, Float[Array, "runs"]]:
-    """Take one optimizer step of several runs, each on batches of its own, the way that is fast on the device.
-
-    A run whose loss or weights would not be finite keeps those that it had, and its loss is NaN; the others go on.
-
-    Args:
-      states: states of all runs, stacked; used up.
-      hyperparameters: of all runs, stacked.
-      data: what `draw_batch` draws from; shared.
-      recipe: what all runs have in common.
-      draw_batch: see `train_step`.
-
-    Returns:
-      The new states and the losses.
-    """
-    take = train_steps_side_by_side if jax.default_backend() == "cpu" else train_steps_together
-    return take(states, hyperparameters, data, recipe=recipe, draw_batch=draw_batch)

@@ -1,4 +1,4 @@
-"""Many robots, each in the whole loop of an episode of its own, over all cores or accelerators."""
+"""Many robots, each in the whole loop of an episode of its own, over all devices."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -7,14 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
+from jax.sharding import Mesh
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, Int, UInt8
+from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.mapping.scene import CELL_SIZE, scene_from_terrain
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import Report, every_device, fold_of, serve_paced, share_out
+from dc2g_jax.rollouts.devices import batched, deal, gather, mesh_of, not_repeated, on_each, replicate, serve_paced
 from dc2g_jax.rollouts.rollout import Episodes
 from dc2g_jax.vehicles.drive import ARRIVED, UNDER_WAY, Equipment, Robot, Site, reset, step
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD
@@ -86,64 +87,62 @@ def drive_all(
       time_limit: seconds after which an episode ends without success.
       on_progress: called now and then with the number of episodes that have ended.
     """
-    last_period = round(time_limit / CONTROL_PERIOD)
-    keys = jax.random.split(jax.random.key(seed), len(episodes))
+    mesh = mesh_of()
+    count, last_period = len(episodes), round(time_limit / CONTROL_PERIOD)
+    keys = jax.random.key_data(jax.random.split(jax.random.key(seed), count))
+    equipment, sites = replicate((equipment, sites), mesh)
+    episodes, keys = deal((episodes, keys), count, mesh)
+    robots = _reset(keys, episodes, sites, equipment, mesh=mesh, pedestrians=pedestrians, knows_map=knows_map)
+    go_on = functools.partial(_go_on, episodes.world, sites, equipment, last_period, mesh=mesh)
 
-    def serve(device: jax.Device, own: Int[np.ndarray, "own"], report: Report) -> Drives:
-        """Drive some of the episodes on one device."""
-        some = jax.tree.map(lambda leaf: leaf[own], (episodes, keys))
-        on_device = functools.partial(jax.device_put, device=device)
-        own_equipment, own_sites, (own_episodes, own_keys) = on_device((equipment, sites, some))
-        fold = fold_of(device)
-        robots = _reset(
-            own_keys, own_episodes, own_sites, own_equipment, fold=fold, pedestrians=pedestrians, knows_map=knows_map
-        )
-        go_on = functools.partial(_go_on, own_episodes.world, own_sites, own_equipment, last_period, fold=fold)
+    wanted = not_repeated(count, mesh)
 
-        def ended(robots: Robot) -> Int[Array, ""]:
-            return jnp.sum((robots.status != UNDER_WAY) | (robots.periods >= last_period))
+    def ended(robots: Robot) -> Int[Array, "devices"]:
+        return jnp.sum(wanted & ((robots.status != UNDER_WAY) | (robots.periods >= last_period)), axis=1)
 
-        return _drives(serve_paced(robots, go_on, ended, len(own), report, first_steps=_FIRST_PERIODS))
-
-    return share_out(len(episodes), every_device()[: len(episodes)], serve, on_progress)
+    robots = serve_paced(robots, go_on, ended, count, on_progress, first_steps=_FIRST_PERIODS)
+    status, *periods = gather((robots.status, robots.periods, robots.off_ground, robots.touched), count)
+    seconds, off_ground, touched = (CONTROL_PERIOD * number for number in periods)
+    return Drives(seconds=seconds, status=status, off_ground=off_ground, touched=touched)
 
 
-@functools.partial(jit, static_argnames=("fold", "pedestrians"))
+@functools.partial(jit, static_argnames=("mesh", "pedestrians"))
 def _reset(
-    keys: Array, episodes: Episodes, sites: Site, equipment: Equipment, *, fold: Callable, pedestrians: int,
-    knows_map: ArrayLike,
+    keys: UInt32[Array, "devices own key"], episodes: Episodes, sites: Site, equipment: Equipment,
+    *, mesh: Mesh, pedestrians: int, knows_map: ArrayLike,
 ) -> Robot:  # fmt: skip
-    def one(key: Array, world: Array, start: Pose) -> Robot:
-        return reset(key, start, _site(sites, world), equipment, pedestrians=pedestrians, knows_map=knows_map)
+    def on_device(own: tuple[Array, Episodes], sites: Site, equipment: Equipment, knows_map: Array) -> Robot:
+        def one(key: Array, world: Array, start: Pose) -> Robot:
+            key = jax.random.wrap_key_data(key)
+            return reset(key, start, _site(sites, world), equipment, pedestrians=pedestrians, knows_map=knows_map)
 
-    return fold(one, keys, episodes.world, episodes.start)
+        keys, episodes = own
+        return batched(mesh)(one)(keys, episodes.world, episodes.start)
+
+    return on_each(on_device, mesh, (keys, episodes), sites, equipment, jnp.asarray(knows_map))
 
 
-@functools.partial(jit, static_argnames=("fold",), donate_argnames=("robots",))
+@functools.partial(jit, static_argnames=("mesh",), donate_argnames=("robots",))
 def _go_on(
-    worlds: Int[Array, "robots"], sites: Site, equipment: Equipment, last_period: ArrayLike, robots: Robot,
-    periods: ArrayLike, *, fold: Callable,
+    worlds: Int[Array, "devices own"], sites: Site, equipment: Equipment, last_period: ArrayLike, robots: Robot,
+    periods: ArrayLike, *, mesh: Mesh,
 ) -> Robot:  # fmt: skip
     """Drive every robot for so many periods, to the last one, or until it has ended."""
 
-    def one(world: Array, robot: Robot) -> Robot:
-        site = _site(sites, world)
-        until = jnp.minimum(robot.periods + periods, last_period)
-        return jax.lax.while_loop(
-            lambda robot: (robot.status == UNDER_WAY) & (robot.periods < until),
-            lambda robot: step(robot, site, equipment),
-            robot,
-        )
+    def on_device(own: tuple[Array, Robot], sites: Site, equipment: Equipment, last: Array, periods: Array) -> Robot:
+        def one(world: Array, robot: Robot) -> Robot:
+            site, until = _site(sites, world), jnp.minimum(robot.periods + periods, last)
+            return jax.lax.while_loop(
+                lambda robot: (robot.status == UNDER_WAY) & (robot.periods < until),
+                lambda robot: step(robot, site, equipment),
+                robot,
+            )
 
-    return fold(one, worlds, robots)
+        return batched(mesh)(one)(*own)
+
+    return on_each(on_device, mesh, (worlds, robots), sites, equipment, jnp.asarray(last_period), jnp.asarray(periods))
 
 
 def _site(sites: Site, number: Int[Array, ""]) -> Site:
     """One site of the stack."""
     return jax.tree.map(lambda leaf: leaf[number], sites)
-
-
-def _drives(robots: Robot) -> Drives:
-    periods = (np.asarray(periods) for periods in (robots.periods, robots.off_ground, robots.touched))
-    seconds, off_ground, touched = (CONTROL_PERIOD * count for count in periods)
-    return Drives(seconds=seconds, status=np.asarray(robots.status), off_ground=off_ground, touched=touched)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.grid import gridworld
 from dc2g_jax.rollouts import rollout as rollout_module
+from dc2g_jax.rollouts.devices import deal, dealt_counts, mesh_of
 from dc2g_jax.rollouts.rollout import STEP_LIMIT
 from dc2g_jax.training import cost_to_go
 from dc2g_jax.training.cost_to_go import TrainingConfig, init_state
@@ -43,18 +44,18 @@ def _plan(bench: Bench, planner: str, batch: int) -> Callable[[], CompiledProgra
 def _rollout(bench: Bench, planner: str, slots: int) -> Callable[[], CompiledProgram]:
     """The loop of a rollout with so many slots."""
     workload, chosen, sensing = bench.workload, bench.planner(planner), bench.rules().sensing
-    first_state, run = rollout_module._programs(jax.local_devices()[0].platform)
-    queue, state = first_state(
-        chosen, workload.worlds, workload.episodes, jnp.int32(len(workload.starts)),
-        sensing=sensing, n_slots=slots, kept_steps=STEP_LIMIT,
+    mesh, count = mesh_of(jax.devices()[:1]), len(workload.starts)
+    queues, states = rollout_module._first_states(
+        chosen, workload.worlds, deal(workload.episodes, count, mesh), dealt_counts(count, mesh),
+        mesh=mesh, sensing=sensing, n_slots=slots, kept_steps=STEP_LIMIT,
     )  # fmt: skip
 
-    steps = jnp.int32(1)
-    return lambda: compile_program(run, state, queue, chosen, steps, sensing=sensing, step_limit=STEP_LIMIT)
+    options = {"mesh": mesh, "sensing": sensing, "step_limit": STEP_LIMIT}
+    return lambda: compile_program(rollout_module._run, states, jnp.int32(1), queues, chosen, **options)
 
 
 def _train_step(bench: Bench) -> Callable[[], CompiledProgram]:
-    """One optimizer step. Shapes are enough to compile it."""
+    """The gradient of an optimizer step. Shapes are enough to compile it."""
     config = TrainingConfig(batch_size=_training_batch(bench))
     worlds = bench.workload.worlds
     board, map_size, n_worlds = worlds.goals.shape[:-1], (worlds.height, worlds.width), worlds.goals.shape[-1]
@@ -71,8 +72,12 @@ def _train_step(bench: Bench) -> Callable[[], CompiledProgram]:
     state = jax.eval_shape(functools.partial(init_state, recipe), hyperparameters)
     draw = DataConfig(extra_houses=0).draw_batch
 
-    step = cost_to_go._compiled_step_at_once
-    return lambda: compile_program(step, state, hyperparameters, data, recipe=recipe, draw_batch=draw)
+    layout, first = cost_to_go._layout(mesh_of(jax.devices()[:1]), 1), jnp.zeros(1, jnp.int32)
+    parts, options = jnp.arange(recipe.parts), {"layout": layout, "recipe": recipe}
+    batch = jax.eval_shape(
+        functools.partial(cost_to_go._draw, draw_batch=draw, **options), state, hyperparameters, data, first, parts
+    )
+    return lambda: compile_program(cost_to_go._gradient, state, hyperparameters, batch, first, **options)
 
 
 def _training_batch(bench: Bench) -> int:
@@ -110,4 +115,4 @@ def program_rows(bench: Bench) -> Iterator[Row]:
     programs |= {f"rollout, {planner}": _rollout(bench, planner, batch) for planner in planners}
     for what, program in programs.items():
         yield _row(bench, what, batch, program)
-    yield _row(bench, "training step, all at once", _training_batch(bench), _train_step(bench))
+    yield _row(bench, "gradient of a training step", _training_batch(bench), _train_step(bench))

@@ -3,7 +3,6 @@
 import functools
 import importlib
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
@@ -17,7 +16,7 @@ from dc2g_jax.grid.poses import PoseSet, every_heading, unpack
 from dc2g_jax.grid.sensing import expanding_kernel, visible
 from dc2g_jax.planning import frontiers, planners
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import every_device
+from dc2g_jax.rollouts.devices import deal, mesh_of, on_each, replicate
 
 from ..baselines import libraries
 from .bench import SENSING_RANGE, Bench, own
@@ -185,17 +184,15 @@ def network_row(bench: Bench, section: str, batch: int) -> Row:
 @functools.cache
 def network_pace_row(bench: Bench) -> Row:
     """The network alone, asked by every core at once as rollouts do: the pace it sets for a planner."""
-    batch, devices = 4 if bench.quick else 64, every_device()
+    batch, mesh = 4 if bench.quick else 64, mesh_of()
     belief = bench.robots("frontier").batch(batch).belief
-    weights, terrain = bench.network.weights, jnp.moveaxis(belief.terrain, -1, 0)
-    program = jit(functools.partial(compact_unet.apply, bench.network.architecture))
-    placed = [jax.device_put((weights, terrain), device) for device in devices]
-    with ThreadPoolExecutor(len(devices)) as pool:
-        measured = bench.measure(lambda: list(pool.map(lambda inputs: jax.block_until_ready(program(*inputs)), placed)))
-    row = own(
-        "network", "network, every core at once", KERNEL_UNIT, batch=batch * len(devices), cells=bench.workload.cells
-    )
-    return row.with_figures(measured, float(batch * len(devices)))
+    terrain = np.repeat(np.moveaxis(np.asarray(belief.terrain), -1, 0), mesh.size, axis=0)
+    apply = functools.partial(compact_unet.apply, bench.network.architecture)
+    program = jit(lambda weights, terrain: on_each(lambda own, weights: apply(weights, own), mesh, terrain, weights))
+    inputs = (replicate(bench.network.weights, mesh), deal(terrain, len(terrain), mesh))
+    measured = bench.measure(lambda: jax.block_until_ready(program(*inputs)))
+    row = own("network", "network, every core at once", KERNEL_UNIT, batch=len(terrain), cells=bench.workload.cells)
+    return row.with_figures(measured, float(len(terrain)))
 
 
 def network_rows(bench: Bench) -> Iterator[Row]:

@@ -67,7 +67,7 @@ def own_episodes(
         sensing=bench.rules(sensing_range).sensing,
         step_limit=step_limit,
         slots=slots,
-        devices=jax.local_devices()[:1] if row.cores == 1 else None,
+        devices=jax.devices()[:1] if row.cores == 1 else None,
     )
     measured = bench.measure(run)
     return with_episodes(row, measured), measured.output.actions
@@ -155,7 +155,7 @@ def _with_network_pace(bench: Bench, row: Row) -> Row:
 def planner_rows(bench: Bench) -> Iterator[Row]:
     """Every planner from start to end of its episodes."""
     workload = bench.workload
-    on_cpu = jax.local_devices()[0].platform == "cpu"
+    on_cpu = jax.devices()[0].platform == "cpu"
     problem = workload.problem(sensing_range=SENSING_RANGE, step_limit=STEP_LIMIT)
     case = {"cells": workload.cells, "sensing_range": SENSING_RANGE}
     plain: dict[str, tuple[BaselineName, ...]] = {"oracle": ("oracle",), "frontier": ("frontier", "frontier_lazy")}

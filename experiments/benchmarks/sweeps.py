@@ -60,7 +60,7 @@ def batch_rows(bench: Bench) -> Iterator[Row]:
 
 def _side_by_side(bench: Bench, section: str, workload: Workload, sensing_range: int) -> Iterator[Row]:
     """Frontier exploration: this package on all cores, C and Numba on one, the same episodes."""
-    own_cores = cores() if jax.local_devices()[0].platform == "cpu" else None
+    own_cores = cores() if jax.devices()[0].platform == "cpu" else None
     row = own(section, "frontier", PLANNER_UNIT, cells=workload.cells, sensing_range=sensing_range, cores=own_cores)
     mine, actions = own_episodes(
         bench, row, workload, "frontier", sensing_range=sensing_range, step_limit=_STEP_LIMIT

@@ -1,6 +1,5 @@
-"""Training: runs of a sweep together in one program, side by side on the cores, and the same one after another."""
+"""Training: runs of a sweep together, and the same runs one after another."""
 
-import functools
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -12,13 +11,12 @@ from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.grid import bitboard
 from dc2g_jax.programs import jit
+from dc2g_jax.rollouts.devices import mesh_of, replicate
 from dc2g_jax.training.cost_to_go import TrainingConfig, first_state, train_step
 from dc2g_jax.training.cost_to_go_data import DataConfig
 from dc2g_jax.training.sweeps import (
     init_states,
     stacked_hyperparameters,
-    train_steps_side_by_side,
-    train_steps_together,
 )
 
 from .bench import Bench, own
@@ -45,7 +43,7 @@ def _data(bench: Bench) -> TrainingSet:
 
 def training_rows(bench: Bench) -> Iterator[Row]:
     """Runs an hour of a sweep over losses, seeds and learning rates, every way, with the same batches."""
-    data, n_runs = _data(bench), 2 if bench.quick else 6
+    data, n_runs = replicate(_data(bench), mesh_of()), 2 if bench.quick else 6
     batch = 4 if bench.quick else TrainingConfig.batch_size
     configs = [
         TrainingConfig(batch_size=batch, seed=number, losses=(("quantile", 1.0), ("l1", float(number % 2))))
@@ -54,12 +52,12 @@ def training_rows(bench: Bench) -> Iterator[Row]:
     recipe, hyperparameters = configs[0].recipe, stacked_hyperparameters(configs)
     draw = DataConfig(extra_houses=0).draw_batch
     # Each call goes on where the last one stopped: states are used up.
-    stacks: dict[Any, Any] = {}
+    stack = init_states(recipe, hyperparameters)
     alone = [first_state(config) for config in configs]
 
-    def stacked(steps: Callable[..., Any]) -> jax.Array:
-        states = stacks.pop(steps, None) or init_states(recipe, hyperparameters)
-        stacks[steps], losses = steps(states, hyperparameters, data, recipe=recipe, draw_batch=draw)
+    def together() -> jax.Array:
+        nonlocal stack
+        stack, losses = train_step(stack, hyperparameters, data, recipe=recipe, draw_batch=draw)
         return losses
 
     def one_after_another() -> list[jax.Array]:
@@ -71,11 +69,7 @@ def training_rows(bench: Bench) -> Iterator[Row]:
             losses.append(loss)
         return losses
 
-    ways: dict[str, Callable[[], Any]] = {
-        "together": functools.partial(stacked, train_steps_together),
-        "side by side": functools.partial(stacked, train_steps_side_by_side),
-        "one after another": one_after_another,
-    }
+    ways: dict[str, Callable[[], Any]] = {"together": together, "one after another": one_after_another}
     for what, call in ways.items():
         row = own("training", f"{n_runs} runs {what}", "runs/h", batch=batch, cells=bench.workload.cells)
         measured = bench.measure(call)

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from dc2g_jax.mapping.camera import intrinsics
-from dc2g_jax.objectnav import searches
-from dc2g_jax.objectnav.agent import LIMITS, MPC, Agent, site_of
+from dc2g_jax.objectnav.agent import LIMITS, MPC, Agent, leg, reset, site_of, under_way
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax.objectnav.guides import GoalReacher, NearestFrontier
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
 from dc2g_jax.objectnav.searches import sample_episodes, search_all
-from dc2g_jax.rollouts.devices import side_by_side
 from dc2g_jax.vehicles.mppi import MPPISettings
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
@@ -48,13 +46,19 @@ def test_every_search_ends(found):
 @pytest.mark.slow
 def test_robots_in_a_batch_do_what_they_do_one_by_one(found):
     house, episodes, made, _ = found
-    sites = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], site_of(house.world, house.name))
     starts = jnp.array([(one.x, one.y, one.yaw) for one in episodes], jnp.float32)
     targets = jnp.array([GOALS.index(OBJECT_CLASSES.index(one.target)) for one in episodes])
     keys = jax.random.split(jax.random.key(0), len(episodes))
-    robots = searches._reset(keys, starts, targets, AGENT, limit=12)
-    where = jnp.zeros(len(episodes), jnp.int32)
-    robots = searches._go_on(where, sites, AGENT, robots, legs=jnp.int32(3), fold=side_by_side)
+    robots = jax.vmap(lambda key, start, target: reset(key, start, target, AGENT, 12))(keys, starts, targets)
+    site = jax.tree.map(lambda leaf: jnp.asarray(leaf), site_of(house.world, house.name))
+
+    @jax.jit
+    @jax.vmap
+    def next_leg(robot):
+        return jax.lax.cond(under_way(robot), lambda robot: leg(robot, site, AGENT), lambda robot: robot, robot)
+
+    for _ in range(3):
+        robots = next_leg(robots)
     np.testing.assert_allclose(robots.track, made.track, atol=1e-3)
     np.testing.assert_array_equal(robots.periods, made.steps)
 

@@ -1,7 +1,5 @@
 """Many episodes at once give what each gives alone, whatever the slots and the order."""
 
-import threading
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +14,6 @@ from dc2g_jax.planning.rules import complete_rules
 from dc2g_jax.planning.selection import ReservationCost
 from dc2g_jax.rollouts import devices
 from dc2g_jax.rollouts import rollout as rollout_module
-from dc2g_jax.rollouts.devices import share_out
 from dc2g_jax.rollouts.evaluation import episodes_from
 from dc2g_jax.rollouts.rollout import NO_ACTION, Episodes, Trajectories, rollout
 from tests.oracles import gridworld_oracle as oracle
@@ -117,28 +114,12 @@ def test_progress_grows_and_ends_at_the_number_of_episodes(terrains, monkeypatch
     assert 0 <= reports[0] < N_EPISODES
 
 
-def test_what_fails_in_one_queue_ends_the_rollout(terrains):
+def test_an_error_in_the_progress_report_ends_the_rollout(terrains):
     def fail(finished: int) -> None:
         raise RuntimeError(f"{finished} episodes are enough")
 
     with pytest.raises(RuntimeError, match="are enough"):
         run(terrains, some_episodes(terrains, 2), on_progress=fail)
-
-
-def test_a_worker_that_fails_ends_the_others():
-    others = threading.Event()
-
-    def serve(device, own, report):
-        if 1 in own:
-            raise RuntimeError("broken")
-        while report(0):
-            others.wait(0.01)
-        others.set()
-        return own
-
-    with pytest.raises(RuntimeError, match="broken"):
-        share_out(2, jax.devices()[:1] * 2, serve)
-    assert others.is_set()
 
 
 def test_actions_are_kept_only_if_asked_for(terrains):
@@ -150,7 +131,7 @@ def test_actions_are_kept_only_if_asked_for(terrains):
 
 
 def compiled_programs() -> list[int]:
-    return [program.compiled_count() for program in rollout_module._programs(jax.default_backend())]
+    return [program.compiled_count() for program in (rollout_module._first_states, rollout_module._run)]
 
 
 def test_one_program_serves_all_episodes_of_the_same_shapes(terrains):
@@ -189,9 +170,8 @@ def test_one_program_serves_all_weights_of_an_architecture(terrains):
 def test_a_network_leads_each_robot_as_if_it_were_alone(terrains):
     """Neither the slots nor the devices nor the company in the network's batches change a single action."""
     episodes, planner = some_episodes(terrains, 9), network_planner(0)
-    together = run(terrains, episodes, planner, slots=32, devices=jax.local_devices()[:1])
-    cpu = jax.local_devices()[0]
-    for options in ({"slots": 5}, {"slots": 17, "devices": [cpu, cpu, cpu]}, {"slots": 1}):
+    together = run(terrains, episodes, planner, slots=32, devices=jax.devices()[:1])
+    for options in ({"slots": 5}, {"slots": 17, "devices": jax.devices()[:2]}, {"slots": 1}):
         assert_equal(run(terrains, episodes, planner, **options), together)
     for number in range(0, N_EPISODES, 7):
         alone = run(terrains, jax.tree.map(lambda leaf, n=number: leaf[n : n + 1], episodes), planner)

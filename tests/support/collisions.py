@@ -87,7 +87,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     from dc2g_jax.training import cost_to_go, translator
     from dc2g_jax.training.image_evaluation import compare
     from dc2g_jax.training.mask_collection import collect_masks
-    from dc2g_jax.training.sweeps import init_states, stacked_hyperparameters, train_steps
+    from dc2g_jax.training.sweeps import init_states, stacked_hyperparameters
     from experiments.benchmarks import workload
     from tests.objectnav import test_searches
     from tests.objectnav import test_training as test_indoor
@@ -135,7 +135,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
         numbers = stacked_hyperparameters([config, config])
         data = cls(test_cost_to_go.data.__wrapped__())
         states = init_states(config.recipe, numbers)
-        train_steps(states, numbers, data, recipe=config.recipe, draw_batch=draw_pairs)
+        cost_to_go.train_step(states, numbers, data, recipe=config.recipe, draw_batch=draw_pairs)
 
     def translate(cls: type) -> None:
         config = test_translator.CONFIG

@@ -16,9 +16,9 @@ from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.estimation.networks.compact_unet import Architecture
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.rollouts import devices
+from dc2g_jax.rollouts.devices import mesh_of
 from dc2g_jax.training import cost_to_go
-from dc2g_jax.training.cost_to_go import TrainingConfig, first_state, train_step, train_step_by_parts
+from dc2g_jax.training.cost_to_go import TrainingConfig, first_state, train_step
 from dc2g_jax.training.translator import TranslatorConfig
 from tests.support import maps
 from tests.support.states import assert_same_bits, infinite
@@ -47,16 +47,12 @@ def data() -> TrainingSet:
     )
 
 
-#: A step on an accelerator, and on a CPU.
-WAYS = [cost_to_go._compiled_step_at_once, train_step_by_parts]
-
-
-def train(data, steps: int, state=None, config: TrainingConfig = CONFIG, way=train_step):
+def train(data, steps: int, state=None, config: TrainingConfig = CONFIG, devices=None):
     """Train on from a state (the first by default); the state is used up."""
     state = first_state(config) if state is None else state
-    losses = []
+    losses, mesh = [], mesh_of(devices)
     for _ in range(steps):
-        state, loss = way(state, config.hyperparameters, data, recipe=config.recipe, draw_batch=DRAW)
+        state, loss = train_step(state, config.hyperparameters, data, recipe=config.recipe, draw_batch=DRAW, mesh=mesh)
         losses.append(float(loss))
     return state, losses
 
@@ -188,30 +184,28 @@ def test_weights_that_are_not_finite_are_noticed_in_the_step_that_makes_them(dat
     assert np.isnan(losses[0])
 
 
-def test_all_at_once_is_like_by_parts(data):
-    states, losses = zip(*(train(data, 5, way=way) for way in WAYS), strict=True)
-    np.testing.assert_allclose(*losses, rtol=1e-4)
-    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-5), *states)
+def test_all_at_once_is_like_by_parts(data, monkeypatch):
+    by_parts, losses = train(data, 5)
+    monkeypatch.setattr(cost_to_go, "platform", lambda mesh: "gpu")
+    at_once, others = train(data, 5)
+    np.testing.assert_allclose(losses, others, rtol=1e-4)
+    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-5), by_parts, at_once)
 
 
-def test_the_bits_are_the_same_whatever_the_number_of_threads(data, monkeypatch):
-    states = []
-    for cores in (1, 2, 5):
-        monkeypatch.setattr(devices, "cores", lambda cores=cores: cores)
-        states.append(train(data, 5)[0])
-    for state in states[1:]:
-        assert_same_bits(state, states[0])
+def test_the_number_of_devices_changes_a_step_by_rounding_only(data):
+    one, losses = train(data, 5, devices=jax.devices()[:1])
+    two, others = train(data, 5, devices=jax.devices()[:2])
+    np.testing.assert_allclose(losses, others, rtol=1e-6)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-6), one, two)
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_a_step_is_compiled_once(data, way):
-    programs = [cost_to_go._compiled_step_at_once, cost_to_go._draw_on_one_core, cost_to_go._gradient_on_one_core]
-    programs.append(cost_to_go._updated_from_parts)
-    train(data, 2, way=way)
+def test_a_step_is_compiled_once(data):
+    programs = [cost_to_go._draw, cost_to_go._gradient, cost_to_go._update]
+    train(data, 2)
     before = [program.compiled_count() for program in programs]
-    train(data, 3, way=way)
+    train(data, 3)
     other = dataclasses.replace(data, masks=~data.masks & jnp.asarray(bitboard.full(16, 16)))
-    train(other, 1, way=way)
+    train(other, 1)
     changed = dataclasses.replace(CONFIG, seed=5, learning_rate=1e-4, losses=(("quantile", 0.5),))
-    train(data, 1, config=changed, way=way)
+    train(data, 1, config=changed)
     assert [program.compiled_count() for program in programs] == before
