@@ -1,12 +1,18 @@
 """What every command shares: options from the command line, errors and interruptions, the network."""
 
+import atexit
+import dataclasses
+import os
+import shutil
 import sys
+import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, NoReturn, TypeVar
 
 import jax
 import tyro
+from jax.experimental import multihost_utils
 from tqdm import tqdm
 
 from dc2g_jax.cli.outputs import RUN_FILE, CommandOptions, folder_in_use, program
@@ -38,12 +44,24 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
     try:
         join_processes(parsed.coordinator, parsed.num_processes, parsed.process_id)
         use_devices(parsed.devices)
+        if jax.distributed.is_initialized():
+            parsed = _silent_unless_first(parsed)
         keep_compiled_programs()
         check_seed(getattr(parsed, "seed", 0))
         main(parsed)
     except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+        print(f"error: {error}", file=sys.__stderr__, flush=True)
+        _leave(2)
+    except jax.errors.JaxRuntimeError as error:
+        if not jax.distributed.is_initialized():
+            raise
+        what = str(error).splitlines()[0]
+        print(
+            f"error: process {jax.process_index()} lost the others ({what}); start all again",
+            file=sys.__stderr__,
+            flush=True,
+        )
+        _leave(1)
     except KeyboardInterrupt:
         # Or they would be drawn once more, below the line.
         for bar in list(getattr(tqdm, "_instances", ())):
@@ -53,7 +71,30 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
             where = "" if getattr(parsed, "out", None) else f" --out {folder}"
             kept = f"; what was written is kept: the same command with --resume{where} goes on"
         print(f"interrupted{kept}", file=sys.stderr)
-        sys.exit(130)
+        _leave(130)
+
+
+def _silent_unless_first(parsed: _Options) -> _Options:
+    """One process prints and writes: the others print nothing, and work on a copy of the folder that is thrown away."""
+    if jax.process_index() > 0:
+        sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+        if hasattr(parsed, "out"):
+            # The name of the folder is kept, since files are named after it.
+            copy = Path(tempfile.mkdtemp()) / Path(parsed.out or "out").name
+            atexit.register(shutil.rmtree, copy.parent, ignore_errors=True)
+            if getattr(parsed, "resume", False) and Path(parsed.out).is_dir():
+                shutil.copytree(parsed.out, copy)
+            parsed = dataclasses.replace(parsed, **{"out": copy})
+    multihost_utils.sync_global_devices("copied")
+    return parsed
+
+
+def _leave(status: int) -> NoReturn:
+    """End the process; where several work together, without waiting for the others, who then end too."""
+    if jax.distributed.is_initialized():
+        sys.stdout.flush()
+        os._exit(status)
+    sys.exit(status)
 
 
 def check_seed(seed: int, option: str = "seed") -> None:

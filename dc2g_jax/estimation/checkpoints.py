@@ -224,7 +224,15 @@ class TrainingCheckpoints:
         self._folder = folder / _STATES
         with _quiet():
             self._manager = ocp.CheckpointManager(
-                self._folder, options=ocp.CheckpointManagerOptions(max_to_keep=2, create=True)
+                self._folder,
+                options=ocp.CheckpointManagerOptions(
+                    max_to_keep=2,
+                    create=True,
+                    # Each process has a folder of its own.
+                    multiprocessing_options=ocp.options.MultiprocessingOptions(
+                        primary_host=None, active_processes={jax.process_index()}
+                    ),
+                ),
             )
 
     def steps(self) -> list[int]:
@@ -261,7 +269,7 @@ class TrainingCheckpoints:
     def save(self, state: Any) -> None:
         """Save a state; returns when it is on disk."""
         with _quiet():
-            self._manager.save(int(state.step), args=ocp.args.StandardSave(state))
+            self._manager.save(int(state.step), args=ocp.args.StandardSave(jax.tree.map(np.asarray, state)))
             self._manager.wait_until_finished()
 
     def close(self) -> None:

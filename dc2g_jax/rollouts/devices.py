@@ -158,6 +158,11 @@ def fetch(array: Array | np.ndarray) -> np.ndarray:
     return np.asarray(array if whole else multihost_utils.process_allgather(array, tiled=True))
 
 
+def in_any_process(flag: bool) -> bool:
+    """Is it so in any of the processes? All ask at the same point of their work, and hear the same."""
+    return flag if jax.process_count() == 1 else bool(np.any(multihost_utils.process_allgather(np.array(flag))))
+
+
 def first_copy(tree: Any) -> Any:
     """One device's copy of arrays that every device has, for programs that run on one."""
     return jax.tree.map(lambda leaf: leaf.addressable_data(0), tree)

@@ -301,11 +301,11 @@ def _gradient(
             found = jax.value_and_grad(functools.partial(mean_loss, recipe, loss_weights))(weights, own_batch)
             return jax.tree.map(lambda leaf: leaf[None], found)
 
-        chosen = jax.tree.map(lambda leaf: leaf[runs], (weights, loss_weights))
+        weights, loss_weights = jax.tree.map(lambda leaf: leaf[runs], (weights, loss_weights))
         if len(runs) > 1:
-            return jax.vmap(of_run)(*chosen, batch)
-        alone = of_run(*jax.tree.map(lambda leaf: leaf[0], (*chosen, batch)))
-        return jax.tree.map(lambda leaf: leaf[None], alone)
+            return jax.vmap(of_run)(weights, loss_weights, batch)
+        weights, loss_weights, batch = jax.tree.map(lambda leaf: leaf[0], (weights, loss_weights, batch))
+        return jax.tree.map(lambda leaf: leaf[None], of_run(weights, loss_weights, batch))
 
     specs = (P(_RUNS), P(_RUNS), P(_RUNS, _PARTS), P())
     mapped = jax.shard_map(own, mesh=layout, in_specs=specs, out_specs=P(_RUNS, _PARTS), check_vma=False)

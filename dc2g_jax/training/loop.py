@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from tqdm import tqdm
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.rollouts.devices import fetch
+from dc2g_jax.rollouts.devices import fetch, in_any_process
 
 _State = TypeVar("_State")
 
@@ -148,8 +148,9 @@ def _take_steps(
 ) -> tuple[_State, list[Array], bool]:
     """So many steps: the state after them, their losses, and whether Ctrl-C made them fewer."""
     losses: list[Array] = []
+    several = jax.process_count() > 1  # all take the same steps
     with _interrupts_noted() as noted:
-        while len(losses) < count and not noted:
+        while len(losses) < count and (several or not noted):
             state, loss = take_step(state)
             losses.append(loss)
     return state, losses, bool(noted)
@@ -236,12 +237,12 @@ def train(task: Task[_State], out: Path, checkpoints: Checkpoints, pauses: Pause
                         bar.set_postfix(loss=f"{np.mean(losses):.4f}", refresh=False)
                         bar.update(len(each))
                         _check_finite(losses, step, out)
-                    if interrupted:
+                    if in_any_process(interrupted):
                         raise KeyboardInterrupt
                     task.watch(state, step, losses)
                     if pauses.validates(step, task.steps):
                         validate()
-                    if time.monotonic() - last_save > 60 * pauses.minutes_per_checkpoint:
+                    if in_any_process(time.monotonic() - last_save > 60 * pauses.minutes_per_checkpoint):
                         save()
                 if saved != step:
                     save()
