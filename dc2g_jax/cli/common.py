@@ -8,7 +8,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, NoReturn, TypeVar
+from typing import Annotated, Any, NoReturn, TypeVar
 
 import jax
 import tyro
@@ -84,7 +84,8 @@ def _silent_unless_first(parsed: _Options) -> _Options:
             atexit.register(shutil.rmtree, copy.parent, ignore_errors=True)
             if getattr(parsed, "resume", False) and Path(parsed.out).is_dir():
                 shutil.copytree(parsed.out, copy)
-            parsed = dataclasses.replace(parsed, **{"out": copy})
+            changed: dict[str, Any] = {"out": copy}
+            parsed = dataclasses.replace(parsed, **changed)
     multihost_utils.sync_global_devices("copied")
     return parsed
 
