@@ -2,6 +2,7 @@
 
 import collections
 import difflib
+import functools
 import hashlib
 import os
 import re
@@ -170,6 +171,7 @@ def load_dataset(folder: str | os.PathLike[str], *, cells: int | None = 50) -> H
         raise InputError(f"{where}: cannot be read ({error.strerror}); allow reading or copy it") from None
 
 
+@functools.lru_cache(maxsize=4)
 def procedural_dataset(seed: int = 0, *, cells: int | None = 50) -> HouseDataset:
     """Return the procedural houses, sampled to `cells` x `cells` like images from a folder (`None`: no sampling).
 

@@ -2,9 +2,9 @@
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Int, UInt8
+from scipy import ndimage
 
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
 
@@ -25,7 +25,7 @@ class Piece(NamedTuple):
 
 def component_numbers(cells: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
     """The number of the 4-connected component of each cell, counted from 1; 0 for cells outside the set."""
-    return np.asarray(cv2.connectedComponents(cells.astype(np.uint8), connectivity=4)[1])
+    return np.asarray(ndimage.label(cells)[0])
 
 
 def pieces(cells: Bool[np.ndarray, "h w"]) -> list[Piece]:

@@ -2,10 +2,10 @@
 
 from typing import Any, TypeVar
 
-import cv2
 import jax
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
 from dc2g_jax.grid.terrain import FRONT_DOOR, PATH
 
@@ -61,5 +61,5 @@ def sample_grid(classes: ClassImage, cells: int | tuple[int, int] = 50) -> Class
     if min(columns, rows) < 1:
         raise ValueError(f"cells must be positive, got {cells}")
     sampled = resize_nearest(classes, rows, columns)
-    path = cv2.dilate((sampled == PATH).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    path = ndimage.binary_dilation(sampled == PATH, np.ones((3, 3)))
     return np.where(path & (sampled != FRONT_DOOR), np.uint8(PATH), sampled).astype(np.uint8)

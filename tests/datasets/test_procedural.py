@@ -18,6 +18,7 @@ from dc2g_jax.datasets.procedural import (
     procedural_training_houses,
     training_house_seed,
 )
+from dc2g_jax.datasets.procedural.filling import fill_polygons
 from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.grid.terrain import (
     CAR,
@@ -228,3 +229,22 @@ def test_sampling_reproduces_the_golden_grids():
         assert picture is not None
         classes = (picture[:, :, None, ::-1] == CLASS_COLORS).all(axis=-1).argmax(axis=-1).astype(np.uint8)
         np.testing.assert_array_equal(sample_grid(classes), terrain)
+
+
+@pytest.mark.skipif(int(cv2.__version__.split(".")[0]) < 5, reason="earlier versions cut polygons off differently")
+@pytest.mark.parametrize("reach", [(0, 40), (-20, 60), (-300, 300), (-30_000, 30_000)])
+def test_polygons_are_filled_as_by_opencv(reach):
+    rng = np.random.default_rng(0)
+    for case in range(150):
+        sizes = rng.integers(1, 9, rng.integers(1, 6))
+        corners = rng.integers(*reach, (sizes.sum(), 2))
+        if case % 3:  # small ones
+            corners = np.repeat(rng.integers(*reach, (len(sizes), 2)), sizes, axis=0) + rng.integers(
+                -12, 12, corners.shape
+            )
+        wanted = np.zeros(rng.integers(1, 60, 2), np.uint8)
+        found = wanted.copy()
+        for polygon in np.split(corners.astype(np.int32), np.cumsum(sizes)[:-1]):
+            cv2.fillPoly(wanted, [polygon], 1)
+        fill_polygons(found, corners, sizes)
+        np.testing.assert_array_equal(found, wanted)

@@ -1,12 +1,23 @@
 """What hangs together: against plain floods, and on maps drawn by hand."""
 
+import cv2
 import numpy as np
 import pytest
 
-from dc2g_jax.grid.ground import Piece, connected_to_goal, goals_without_ground, pieces, why_no_path
-from dc2g_jax.grid.terrain import FRONT_DOOR
+from dc2g_jax.datasets.houses import load_dataset, procedural_dataset
+from dc2g_jax.grid.ground import (
+    Piece,
+    component_numbers,
+    connected_to_goal,
+    goals_without_ground,
+    pieces,
+    why_no_path,
+)
+from dc2g_jax.grid.sampling import sample_grid
+from dc2g_jax.grid.terrain import FRONT_DOOR, PATH, TRAVERSABLE
 from tests.oracles import gridworld_oracle as oracle
 from tests.support import maps
+from tests.support.places import PUBLISHED
 
 
 def test_connected_to_goal(street, island):
@@ -46,3 +57,14 @@ def test_goals_without_ground():
 )
 def test_why_no_path(picture, reason):
     assert why_no_path(maps.drawn(picture)) == reason
+
+
+def test_grids_and_components_of_real_and_procedural_houses_are_those_of_opencv():
+    real = load_dataset(PUBLISHED, cells=None).houses if PUBLISHED.is_dir() else ()
+    for house in (*real, *procedural_dataset().houses):
+        cells = TRAVERSABLE[house.terrain]
+        _, numbers = cv2.connectedComponents(cells.astype(np.uint8), connectivity=4)
+        np.testing.assert_array_equal(component_numbers(cells), numbers)
+        paths = cv2.dilate((house.terrain == PATH).astype(np.uint8), np.ones((3, 3), np.uint8)) == 1
+        wanted = np.where(paths & (house.terrain != FRONT_DOOR), PATH, house.terrain)
+        np.testing.assert_array_equal(sample_grid(house.terrain, house.terrain.shape[::-1]), wanted)

@@ -7,10 +7,11 @@ selects the rotated rectangle of the plane that becomes the image. A `Sketch` fi
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
+from dc2g_jax.datasets.procedural.filling import fill_polygons
 from dc2g_jax.grid.sampling import ClassImage
 from dc2g_jax.grid.terrain import CAR, DRIVEWAY, FRONT_DOOR, GRASS, HOUSE, PATH, ROAD, SIDEWALK
 
@@ -213,13 +214,11 @@ class Sketch:
         total = int(np.count_nonzero(mask))
         if total == 0:
             return 0.0
-        left, top, width, height = cv2.boundingRect(mask)
-        part = (slice(top, top + height), slice(left, left + width))
-        taken = np.zeros((height, width), np.uint8)
+        taken = np.zeros_like(mask)
         for layer in layers:
             if layer in self.masks:
-                taken |= self.masks[layer][part]
-        return int(np.count_nonzero(mask[part] & taken)) / total
+                taken |= self.masks[layer]
+        return int(np.count_nonzero(mask & taken)) / total
 
     def classes(self) -> ClassImage:
         """The finished image: class indices, uint8 [H W]."""
@@ -238,16 +237,16 @@ class Sketch:
     def _without_slits(self, mask: ClassImage) -> npt.NDArray[np.bool_]:
         """A mask with its gaps of less than about 0.8 m closed."""
         size = max(round(0.8 * self.view.scale), 1) | 1
-        return cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((size, size), np.uint8)).astype(bool)
+        dilated = ndimage.maximum_filter(mask, size, mode="constant", cval=0)
+        return ndimage.minimum_filter(dilated, size, mode="constant", cval=1).astype(bool)
 
     def _fill(self, canvas: ClassImage, shape: Iterable[Points]) -> None:
         polygons = list(shape)
         if not polygons:
             return
-        ends = np.cumsum([len(polygon) for polygon in polygons])
-        starts = np.concatenate([[0], ends[:-1]])
+        sizes = np.array([len(polygon) for polygon in polygons])
+        starts = np.cumsum(sizes) - sizes
         pixels = self.view.to_pixels(np.concatenate(polygons))
         inside = (np.maximum.reduceat(pixels, starts) >= 0).all(axis=1)
         inside &= (np.minimum.reduceat(pixels, starts) < (self.view.width, self.view.height)).all(axis=1)
-        for start, end in zip(starts[inside], ends[inside], strict=True):
-            cv2.fillPoly(canvas, [pixels[start:end]], 1)
+        fill_polygons(canvas, pixels[np.repeat(inside, sizes)], sizes[inside])
