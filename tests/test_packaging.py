@@ -14,6 +14,7 @@ REQUIREMENTS = [
     Requirement(line)
     for lines in (PROJECT["dependencies"], *PROJECT["optional-dependencies"].values())
     for line in lines
+    if not line.startswith("dc2g_jax[")  # another extra
 ]
 
 

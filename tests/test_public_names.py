@@ -26,10 +26,42 @@ def test_importing_the_package_imports_nothing_else():
     assert not loaded & {"jax", "numpy"}
 
 
-def test_planners_come_without_what_only_figures_and_files_need():
-    loaded = modules_after("import dc2g_jax as dc2g; dc2g.OnlinePlanner, dc2g.evaluate, dc2g.make('frontier')")
-    assert "jax" in loaded
-    assert not loaded & {"matplotlib", "rerun", "orbax", "tyro"}
+#: What only the extra `all` installs. (flax installs optax and Orbax too.)
+EXTRA_MODULES = {"cv2", "gymnasium", "matplotlib", "orbax", "rerun", "tyro"}
+
+CORE = """
+import sys
+sys.modules.update(dict.fromkeys({modules}))  # so that their import fails
+
+import numpy as np
+import dc2g_jax as dc2g
+from dc2g_jax.cli import commands
+
+env, params = dc2g.make_env("FrontDoor-v0", dataset="procedural", split="val")
+print(len(dc2g.evaluate("frontier", "procedural", split="val", starts_per_house=1)))
+seen = np.full((8, 9), 3, np.uint8)
+print(dc2g.OnlinePlanner("frontier", largest=(8, 9)).plan(seen, (2, 3, 0)).mode, len(dc2g.make("dc2g").views))
+try:
+    dc2g.plot_results
+except dc2g.InputError as error:
+    print(error)
+sys.argv[1:] = ["fig7", "--help"]
+commands.main()
+"""
+
+
+def test_planners_environments_and_the_network_come_without_the_extra():
+    code = CORE.format(modules=sorted(EXTRA_MODULES))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.splitlines() == [
+        "4",
+        "gave_up 2",
+        'cv2, matplotlib, rerun: not installed; run: pip install "dc2g_jax[all]"',
+    ]
+    assert (
+        done.stderr == 'error: cv2, matplotlib, orbax, rerun, tyro: not installed; run: pip install "dc2g_jax[all]"\n'
+    )
+    assert done.returncode == 2
 
 
 @pytest.mark.parametrize("name", dc2g_jax.__all__)

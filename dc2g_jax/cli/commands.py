@@ -9,6 +9,9 @@ import importlib.util
 import os
 import sys
 from types import TracebackType
+from typing import NoReturn
+
+from dc2g_jax.errors import InputError, require_extra
 
 #: Name of a command -> its module in `experiments`, and what it does.
 COMMANDS = {
@@ -57,7 +60,12 @@ def main() -> None:
             return
     close = [name for name in COMMANDS if name.split()[0] == words[0]] or difflib.get_close_matches(words[0], COMMANDS)
     remedy = f"did you mean {' or '.join(f'dc2g {name}' for name in close)}?" if close else "dc2g --help lists all"
-    print(f"error: no command is called {words[0]!r}; {remedy}", file=sys.stderr)
+    _refuse(f"no command is called {words[0]!r}; {remedy}")
+
+
+def _refuse(message: object) -> NoReturn:
+    """End the program for input that is not valid."""
+    print(f"error: {message}", file=sys.stderr)
     sys.exit(2)
 
 
@@ -78,10 +86,17 @@ def _run(module: str) -> None:
 
 
 def prepare() -> None:
-    """Before anything is imported that takes seconds: Ctrl-C is no error, and log files hold few lines of progress."""
+    """Before anything is imported that takes seconds: Ctrl-C is no error, and log files hold few lines of progress.
+
+    Ends the program where the extra `all`, which every command needs, is not installed.
+    """
     if not sys.stderr.isatty():
         os.environ.setdefault("TQDM_MININTERVAL", "15")
     sys.excepthook = _tell_exception
+    try:
+        require_extra("cv2", "matplotlib", "orbax", "rerun", "tyro")
+    except InputError as error:
+        _refuse(error)
 
 
 def _tell_exception(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

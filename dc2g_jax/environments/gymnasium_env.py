@@ -19,7 +19,6 @@ import os
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -36,7 +35,7 @@ from dc2g_jax.environments.functional import (
     whole_number,
 )
 from dc2g_jax.environments.task import Task
-from dc2g_jax.errors import InputError
+from dc2g_jax.errors import InputError, require_extra
 from dc2g_jax.grid.poses import FORWARD, HEADINGS, Pose
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES
 from dc2g_jax.programs import jit
@@ -397,6 +396,9 @@ def frame(terrain: UInt8[np.ndarray, "h w"], pose: Int[np.ndarray, "3"]) -> UInt
     corners = np.array([ahead, 0.8 * aside - 0.9 * ahead, -0.8 * aside - 0.9 * ahead])
     middle = np.array([x + 0.5, y + 0.5]) * scale
     triangle = np.rint(middle + corners * max(0.45 * scale, RENDERED_ROBOT_RADIUS)).astype(np.int32)
+    require_extra("cv2")
+    import cv2
+
     cv2.fillPoly(picture, [triangle], RENDERED_ROBOT_COLOR, lineType=cv2.LINE_AA)
     cv2.polylines(picture, [triangle], isClosed=True, color=(255, 255, 255), thickness=1, lineType=cv2.LINE_AA)
     return picture

@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-import orbax.checkpoint as ocp
 
-from dc2g_jax.errors import InputError
+from dc2g_jax.errors import InputError, require_extra
 from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.networks import compact_unet, pix2pix
 from dc2g_jax.estimation.networks.compact_unet import Architecture
@@ -63,6 +62,14 @@ _KINDS = {
     "compact_unet": _Kind(NetworkCostToGo, _read_compact, compact_unet.weight_shapes),
     "pix2pix": _Kind(TranslatorCostToGo, _read_translator, pix2pix.weight_shapes),
 }
+
+
+def _orbax() -> Any:
+    """Orbax, which takes a second to import and serves only training states and networks of version 0.1."""
+    require_extra("orbax")
+    import orbax.checkpoint
+
+    return orbax.checkpoint
 
 
 @contextlib.contextmanager
@@ -146,7 +153,8 @@ def _read_card(folder: Path) -> tuple[_Kind, Any, str | None]:
 
 
 def _read_orbax_weights(path: Path, shapes: dict[str, Any]) -> dict[str, Any]:
-    """Weights in a folder of Orbax, as version 0.1 wrote them and the package ships them."""
+    """Weights in a folder of Orbax, as version 0.1 wrote them."""
+    ocp = _orbax()
     try:
         with _quiet(), ocp.StandardCheckpointer() as checkpointer:
             return checkpointer.restore(path, shapes)
@@ -196,7 +204,7 @@ class TrainingCheckpoints:
       first_state: `config -> state` before the first step, which has a `step`; states restored have its shapes.
 
     Raises:
-      InputError: if the folder holds a run of another configuration.
+      InputError: if the folder holds a run of another configuration, or Orbax is not installed.
     """
 
     def __init__(
@@ -207,7 +215,7 @@ class TrainingCheckpoints:
         *,
         first_state: Callable[[Any], Any],
     ):
-        self._first_state = functools.partial(first_state, config)
+        self._first_state, self._orbax = functools.partial(first_state, config), _orbax()
         folder = Path(folder).absolute()
         folder.mkdir(parents=True, exist_ok=True)
         wanted = json.loads(json.dumps({**dataclasses.asdict(config), **(facts or {})}))
@@ -223,13 +231,13 @@ class TrainingCheckpoints:
             write_json(folder / _CONFIG, wanted)
         self._folder = folder / _STATES
         with _quiet():
-            self._manager = ocp.CheckpointManager(
+            self._manager = self._orbax.CheckpointManager(
                 self._folder,
-                options=ocp.CheckpointManagerOptions(
+                options=self._orbax.CheckpointManagerOptions(
                     max_to_keep=2,
                     create=True,
                     # Each process has a folder of its own.
-                    multiprocessing_options=ocp.options.MultiprocessingOptions(
+                    multiprocessing_options=self._orbax.options.MultiprocessingOptions(
                         primary_host=None, active_processes={jax.process_index()}
                     ),
                 ),
@@ -253,7 +261,7 @@ class TrainingCheckpoints:
         template = jax.eval_shape(self._first_state)
         try:
             with _quiet():
-                return self._manager.restore(step, args=ocp.args.StandardRestore(template))
+                return self._manager.restore(step, args=self._orbax.args.StandardRestore(template))
         except Exception as error:  # Orbax raises many kinds
             raise InputError(
                 f"{self._folder / str(step)}: cannot be restored ({_reason(error)}); delete it to go on from an "
@@ -269,7 +277,7 @@ class TrainingCheckpoints:
     def save(self, state: Any) -> None:
         """Save a state; returns when it is on disk."""
         with _quiet():
-            self._manager.save(int(state.step), args=ocp.args.StandardSave(jax.tree.map(np.asarray, state)))
+            self._manager.save(int(state.step), args=self._orbax.args.StandardSave(jax.tree.map(np.asarray, state)))
             self._manager.wait_until_finished()
 
     def close(self) -> None:

@@ -2,7 +2,7 @@
 
 AirSim's own Python package depends on a web server from 2018 and is not used. This module speaks AirSim's protocol,
 MessagePack-RPC over TCP: a request is the array [0, number, method, parameters], an answer is [1, number, error,
-result]. Its only requirement is `msgpack` (`pip install "dc2g_jax[airsim]"`). The layouts of messages follow AirLib's
+result]. Its only requirement is `msgpack` (`pip install "dc2g_jax[all]"`). The layouts of messages follow AirLib's
 `RpcLibAdaptorsBase.hpp`, version 1 of the protocol. Cosys-AirSim has version 4 and other image requests, and is not
 supported.
 
@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from dc2g_jax.errors import InputError
+from dc2g_jax.errors import InputError, require_extra
 from dc2g_jax.files.class_images import Palette
 from dc2g_jax.grid.terrain import CLASS_NAMES, UNKNOWN
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, intrinsics
@@ -63,10 +63,9 @@ class AirSim:
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = PORT, timeout: float = 10.0):
-        try:
-            import msgpack
-        except ModuleNotFoundError:
-            raise InputError('msgpack: is not installed; run: pip install "dc2g_jax[airsim]"') from None
+        require_extra("msgpack")
+        import msgpack
+
         self._address, self._timeout, self._number = f"{host}:{port}", timeout, 0
         self._pack = msgpack.packb
         # Old versions declare the bytes of images as text, which they are not.
