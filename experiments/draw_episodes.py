@@ -8,14 +8,13 @@ from typing import Annotated
 import tyro
 from tqdm import tqdm
 
-from dc2g_jax.cli.common import DatasetOption, OutOption, command_line
+from dc2g_jax.cli.common import DatasetOption, OutOption, PlannersOption, command_line
 from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.datasets.houses import group_of, open_dataset
 from dc2g_jax.datasets.starts import published_episodes
 from dc2g_jax.errors import InputError
 from dc2g_jax.inspection.episode_figures import plot_trajectories
 from dc2g_jax.inspection.figures import plot_house_strips
-from dc2g_jax.planning.named import PlannerName
 from dc2g_jax.rollouts.evaluation import EpisodeResult
 from dc2g_jax.rollouts.results import read_rows
 
@@ -28,14 +27,14 @@ class Options(CommandOptions):
 
     Attributes:
       episodes: the `episodes.csv` of an earlier run.
-      planner: planners to draw.
+      planner: planners to draw, as that run names them.
       house: draw the ways in this house, a figure a start; several can be named.
       dataset: the dataset of that run; where not given, DC2G_DATA, the cache, or a download.
       out: folder to write to; a new one below outputs/ where not given.
     """
 
     episodes: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CSV")]
-    planner: tuple[PlannerName, ...] = ("frontier", "dc2g")
+    planner: PlannersOption = ("frontier", "dc2g")
     house: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...", help_behavior_hint="")] = ()
     dataset: DatasetOption = None
     out: OutOption = None

@@ -1,4 +1,4 @@
-"""The authors' network against ours, episode by episode: `python -m experiments.head_to_head`.
+"""The authors' network against our planner, episode by episode: `python -m experiments.head_to_head`.
 
 Both run the 400 published episodes: same houses, same starts, same sensing; the authors' step counts are their own.
 """
@@ -9,13 +9,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line, digests
+from dc2g_jax.cli.common import (
+    DatasetOption,
+    NetworkOption,
+    OutOption,
+    PlannerOption,
+    check_planners,
+    command_line,
+    digests,
+    network_for,
+)
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import PublishedEpisode, published_episodes
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network
+from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.inspection.figures import plot_head_to_head
@@ -33,6 +42,7 @@ class Options(CommandOptions):
     """Run DC2G from the 400 published starts and compare it with the authors' own runs, episode by episode.
 
     Attributes:
+      planner: planner to compare in the place of DC2G; one of your own as package.module:Class.
       dataset: folder of the published houses; where not given, DC2G_DATA, the cache, or a download.
       network: folder of a trained network; the shipped one where not given.
       resamples: draws of houses for the bootstrap intervals.
@@ -41,6 +51,7 @@ class Options(CommandOptions):
       resume: go on with the run in `out`, begun with the same options, where it stopped.
     """
 
+    planner: PlannerOption = "dc2g"
     dataset: DatasetOption = None
     network: NetworkOption = None
     resamples: int = 10_000
@@ -62,10 +73,10 @@ class EpisodePair(NamedTuple):
       authors_oracle: actions of the authors' oracle.
       frontier: actions of frontier exploration, ours.
       authors_frontier: the authors'.
-      dc2g: actions of DC2G, ours.
+      dc2g: actions of ours: of DC2G, or of the planner in its place.
       authors_dc2g: the authors'.
-      reached: did our DC2G reach the door? Where it did not, its actions count as many as the step limit.
-      extra: extra steps of our DC2G beyond our oracle, in percent.
+      reached: did ours reach the door? Where it did not, its actions count as many as the step limit.
+      extra: extra steps of ours beyond our oracle, in percent.
       authors_extra: the authors' DC2G beyond the authors' oracle.
     """
 
@@ -114,10 +125,13 @@ def pair_up(
     ]
 
 
-def run_published(dataset: HouseDataset, network: TrainedNetwork, table: EpisodeTable) -> list[EpisodeResult]:
-    """Frontier exploration, then DC2G, from the published starts."""
+def run_published(
+    planner: str, dataset: HouseDataset, network: TrainedNetwork | None, table: EpisodeTable
+) -> dict[str, list[EpisodeResult]]:
+    """Episodes of frontier exploration and of a planner from the published starts, by planner."""
     runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())
-    return table.run(runner, [episode.start for episode in published_episodes()], ("frontier", "dc2g"), network)
+    starts = [episode.start for episode in published_episodes()]
+    return {name: table.run(runner, starts, [name], network) for name in dict.fromkeys(("frontier", planner))}
 
 
 def compare(pairs: Sequence[EpisodePair], *, resamples: int, seed: int) -> dict[str, Any]:
@@ -186,11 +200,11 @@ def main(options: Options) -> None:
         raise InputError(
             f"{dataset.name}: the authors' episodes are in the published houses; give --dataset with a copy of them"
         )
-    network = load_network(options.network)
+    check_planners([options.planner])
+    network = network_for([options.planner], options.network)
     out = output_folder(options, "head_to_head", inputs=digests(dataset, network=network))
-    published = published_episodes()
-    results = run_published(dataset, network, EpisodeTable(out / "episodes.csv"))
-    pairs = pair_up(published, results[: len(published)], results[len(published) :])
+    results = run_published(options.planner, dataset, network, EpisodeTable(out / "episodes.csv"))
+    pairs = pair_up(published_episodes(), results["frontier"], results[options.planner])
     groups = {group: [pair for pair in pairs if group in (pair.group, "all")] for group in GROUPS}
     tables = {group: compare(own, resamples=options.resamples, seed=options.seed) for group, own in groups.items()}
     print_comparison(tables)
@@ -202,6 +216,7 @@ def main(options: Options) -> None:
     rows = [pair._replace(extra=round(pair.extra, 4), authors_extra=round(pair.authors_extra, 4)) for pair in pairs]
     write_table(out / "head_to_head.csv", EpisodePair._fields, rows)
     facts = {
+        "planner": options.planner,
         "dataset": dataset.name,
         "resamples": options.resamples,
         "seed": options.seed,

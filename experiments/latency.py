@@ -16,7 +16,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, check_planners, command_line, network_for
+from dc2g_jax.cli.common import (
+    DatasetOption,
+    NetworkOption,
+    OutOption,
+    PlannerOption,
+    check_planners,
+    command_line,
+    network_for,
+)
 from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
@@ -51,7 +59,7 @@ class Options(CommandOptions):
     cells: tuple[int, ...] = (50, 100)
     calls: int = 500
     repeats: int = 3
-    planner: str = "dc2g"
+    planner: PlannerOption = "dc2g"
     sensing_range: int = 8
     dataset: DatasetOption = None
     network: NetworkOption = None

@@ -12,14 +12,22 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line
+from dc2g_jax.cli.common import (
+    DatasetOption,
+    NetworkOption,
+    OutOption,
+    PlannerOption,
+    check_planners,
+    command_line,
+    network_for,
+)
 from dc2g_jax.cli.driving import SECONDS_LIMIT, DrivingOptions, equipment
 from dc2g_jax.cli.map_options import StartOption, start_in
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import why_no_episode
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import SHIPPED_NOISY_NETWORK, load_network
+from dc2g_jax.estimation.checkpoints import SHIPPED_NOISY_NETWORK
 from dc2g_jax.files.resources import resource
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.inspection.camera_recording import CameraRecording, MappedFrame
@@ -40,6 +48,7 @@ class Options(DrivingOptions):
       house: name of the house; the first test house in which an episode can be run where not given.
       start: column, row (growing downward) and heading (0 right, 1 down, 2 left, 3 up); sampled where not given.
       noise: level of noise: 0 is none, 1 as much as the paper's maps may have had.
+      planner: planner to drive by; one of your own as package.module:Class.
       dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
       network: folder of the trained network; where not given, the shipped one that was trained with mapping noise.
       seed: of the sampled start, noise and pedestrians.
@@ -49,6 +58,7 @@ class Options(DrivingOptions):
     house: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     start: StartOption = None
     noise: float = 1.0
+    planner: PlannerOption = "dc2g"
     dataset: DatasetOption = None
     network: NetworkOption = None
     seed: int = 0
@@ -80,12 +90,13 @@ def main(options: Options) -> None:
     """Drive, draw, record."""
     if not 0 <= options.noise < math.inf:
         raise InputError(f"--noise {options.noise:g}: give a number from 0 on")
+    check_planners([options.planner])
     dataset = open_dataset(options.dataset)
     house = first_house(dataset) if options.house is None else dataset.house(options.house)
     start = start_in(house.name, house, options.start, options.seed)
     robot = equipment(
-        "dc2g",
-        load_network(options.network or resource(SHIPPED_NOISY_NETWORK)),
+        options.planner,
+        network_for([options.planner], options.network or resource(SHIPPED_NOISY_NETWORK)),
         house.terrain.shape,
         options.noise,
         options,

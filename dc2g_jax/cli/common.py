@@ -31,7 +31,8 @@ DatasetOption = Annotated[str | None, tyro.conf.arg(metavar="FOLDER", help_behav
 NetworkOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 OutOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 
-#: Planners: names out of `dc2g_jax.planning.named.PLANNERS`, or `package.module:Class`.
+#: A planner and several: names out of `dc2g_jax.planning.named.PLANNERS`, or `package.module:Class`.
+PlannerOption = Annotated[str, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 PlannersOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 
 #: Actions after which an episode ends without success; where not given, as many as suit the size of the map.

@@ -20,7 +20,6 @@ from dc2g_jax.mapping.noise import PAPER_LIKE, scaled
 from dc2g_jax.mapping.scene import CELL_SIZE
 from dc2g_jax.mapping.semantic_map import MapSettings
 from dc2g_jax.planning.named import make_planner
-from dc2g_jax.planning.planners import DC2G
 from dc2g_jax.planning.rules import complete_rules
 from dc2g_jax.planning.selection import ENDLESS
 from dc2g_jax.rollouts.evaluation import episodes_from
@@ -68,12 +67,9 @@ def equipment(
     """
     rules = complete_rules(_SENSING_RANGE, line_of_sight)
     width, height = options.image_size
-    decides = make_planner(planner, rules, estimator)
-    if isinstance(decides, DC2G):
-        # On wheels it decides every second, moved or not: decisions do not tell how long it has been somewhere.
-        decides = dataclasses.replace(decides, patience=ENDLESS)
     return Equipment(
-        planner=decides,
+        # It decides every second, moved or not: the number of decisions does not tell how long it has been somewhere.
+        planner=make_planner(planner, rules, estimator, patience=ENDLESS),
         sensing=rules.sensing,
         camera=intrinsics(_FIELD_OF_VIEW_DEGREES, height, width),
         mapping=MapSettings(*size, cell_size=CELL_SIZE),

@@ -20,7 +20,11 @@ PlannerName = Literal["oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost
 PLANNERS: tuple[PlannerName, ...] = get_args(PlannerName)
 
 
-def _on_network(selection: Selection, estimator: Estimator, rules: Rules) -> DC2G:
+#: Of planners on a network in the gridworld, where every decision is a step.
+STEP_PATIENCE = Patience(radius=8, decisions=30, price=0.25)
+
+
+def _on_network(selection: Selection, estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIENCE) -> DC2G:
     """A planner that runs on a network, as it was chosen on validation houses (see docs/notebook).
 
     It asks about the map and its mirror image in turn, and heads for the nearest goal in reach, whatever the rules.
@@ -33,12 +37,12 @@ def _on_network(selection: Selection, estimator: Estimator, rules: Rules) -> DC2
         views=((), (1,)),
         gain_weight=3.0,
         headings=facing_most,
-        patience=Patience(radius=8, decisions=30, price=0.25),
+        patience=patience,
     )
 
 
-#: The planners that run on a network, given it and the rules.
-NETWORK_PLANNERS: Mapping[str, Callable[[Estimator, Rules], DC2G]] = {
+#: The planners that run on a network, given it, the rules and, where it is another one, their patience.
+NETWORK_PLANNERS: Mapping[str, Callable[..., DC2G]] = {
     "dc2g": functools.partial(_on_network, ExpectedCost(distance_weight=0.5)),
     "dc2g_uncertain": functools.partial(_on_network, QuantileCost(level=0.7, distance_weight=0.5)),
 }
@@ -72,13 +76,16 @@ def make(
     return make_planner(name, rules, open_estimator(network) if name in NETWORK_PLANNERS else None)
 
 
-def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) -> MapRevisingPlanner:
+def make_planner(
+    name: str, rules: Rules, estimator: Estimator | None = None, *, patience: Patience = STEP_PATIENCE
+) -> MapRevisingPlanner:
     """A planner by name, from rules and an estimator at hand.
 
     Args:
       name: one of `PLANNERS`, or `package.module:Class` for a class of your own, which is called with the rules.
       rules: what is seen and what counts as frontier.
       estimator: the network of `dc2g` and `dc2g_uncertain`.
+      patience: that of `dc2g` and `dc2g_uncertain`.
 
     Raises:
       InputError: for an unknown name, or a planner that needs an estimator without one.
@@ -91,7 +98,9 @@ def make_planner(name: str, rules: Rules, estimator: Estimator | None = None) ->
         return DC2G(estimator=ExactCostToGo(), rules=rules)
     if name in NETWORK_PLANNERS and estimator is not None:
         # Where costs have no scale, no distance can be added to them: the paper's rule.
-        return NETWORK_PLANNERS[name](estimator, rules) if answers_in_cells(estimator) else DC2G(estimator, rules)
+        if answers_in_cells(estimator):
+            return NETWORK_PLANNERS[name](estimator, rules, patience)
+        return DC2G(estimator, rules)
     if name in NETWORK_PLANNERS:
         raise InputError(f"the planner {name!r} needs an estimator, such as a trained network")
     return _imported(name)(rules)
