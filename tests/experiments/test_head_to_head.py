@@ -1,10 +1,14 @@
 """The figures of two sides of the same episodes, from pairs made by hand."""
 
+import json
+
 import pytest
 
 from dc2g_jax.datasets.starts import published_episodes
 from dc2g_jax.rollouts.evaluation import EpisodeResult
+from experiments import head_to_head
 from experiments.head_to_head import EpisodePair, compare, pair_up
+from tests.support.places import PUBLISHED
 
 
 def pair(
@@ -60,3 +64,15 @@ def test_an_episode_that_gave_up_counts_as_many_actions_as_the_step_limit():
     )  # fmt: skip
     (found,) = pair_up([theirs], [ours._replace(planner="frontier", success=True, steps=120)], [ours])
     assert (found.reached, found.dc2g, found.frontier, found.extra) == (False, 500, 120, 900)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not PUBLISHED.is_dir(), reason="../shared is absent")
+def test_a_planner_of_ones_own_in_the_place_of_dc2g(tmp_path):
+    planner = "dc2g_jax.planning.planners:Frontier"
+    head_to_head.main(
+        head_to_head.Options(planner=planner, dataset=str(PUBLISHED), resamples=10, out=tmp_path / "out")
+    )
+    facts = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert facts["planner"] == planner
+    assert facts["groups"]["all"]["frontier_over_dc2g"] == 0
