@@ -46,7 +46,7 @@ class Frames:
       length: actions from the robot to the subgoal.
       to_goal: actions an oracle needs from here to the nearest goal, -1 where there is no way.
       cost_to_go: the planner's estimate of the cost-to-go, as its selection rule takes it: most often the mean of its
-        outcomes. Where it does not explore and asks for none, what it would be told. `None` if it makes none.
+        outcomes. Where it does not explore, the last one it went by. `None` if it makes none or never explores.
       frontier: frontier cells, whatever the rules count: reachable, with an unobserved 4-neighbor (paper, section
         III-D).
       score: while exploring, what the planner compares on the cells it chooses from, the lowest wins: cost-to-go plus
@@ -131,13 +131,7 @@ def _replay_chunk(
         frame, state = _frame(belief, state, world, planner, rules)
         return (gridworld.step(world, belief, action.astype(jnp.int32), rules.sensing), state), frame
 
-    carry, frames = jax.lax.scan(cycle, carry, actions)
-    if hasattr(planner, "told"):
-        # What it would be told where it does not explore: all steps of the chunk in one batch.
-        told = jax.vmap(planner.told, in_axes=(0, None))(frames["terrain"], carry[1].estimator)
-        exploring = (frames["mode"] == EXPLORE)[:, None, None]
-        frames["cost_to_go"] = jnp.where(exploring, frames["cost_to_go"], jnp.mean(told, axis=1))
-    return carry, frames
+    return jax.lax.scan(cycle, carry, actions)
 
 
 def _path(
@@ -178,6 +172,8 @@ def replay(
         path += map(_path, fetched.pop("distance"), fetched["subgoals"])
         chunks.append(fetched)
     whole = jax.tree.map(lambda *parts: np.concatenate(parts)[:n_frames], *chunks)
+    if not np.any(whole["mode"] == EXPLORE):
+        whole["cost_to_go"] = None
     in_cells = answers_in_cells(getattr(planner, "estimator", None))
     return Frames(**whole, path=tuple(path[:n_frames]), in_cells=in_cells)
 

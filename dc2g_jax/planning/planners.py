@@ -59,9 +59,10 @@ class Assessment:
       plan: the decision.
       ground: cells that the plan may lead over.
       candidates: poses to choose a subgoal from.
-      score: of every cell with a candidate, the lowest wins; `None` where the nearest candidate wins. Like
-        `cost_to_go`, without meaning where the planner does not explore.
-      cost_to_go: the cost-to-go of every cell that the planner goes by; `None` if it goes by none.
+      score: of every cell with a candidate, the lowest wins; `None` where the nearest candidate wins. Without meaning
+        where the planner does not explore.
+      cost_to_go: the cost-to-go of every cell that the planner goes by, where it does not explore the last one; `None`
+        if it goes by none.
     """
 
     plan: Plan
@@ -300,7 +301,7 @@ class DC2G(AssessingPlanner):
         """Nothing is reachable before the first observation; the estimator sets itself up."""
         nothing = jnp.zeros_like(world.traversable)
         estimator_state = self.estimator.init(world)
-        told = jax.eval_shape(self.told, world.terrain, estimator_state)
+        told = jax.eval_shape(self._told, world.terrain, estimator_state)
         prior = extent_of(self.estimator).prior
         return ExplorationState(
             reachable=nothing,
@@ -311,7 +312,7 @@ class DC2G(AssessingPlanner):
             estimator=estimator_state,
         )
 
-    def told(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Estimates:
+    def _told(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Estimates:
         """What the selection rule needs of the estimator's answer.
 
         Args:
@@ -335,7 +336,7 @@ class DC2G(AssessingPlanner):
         """New estimates of what the estimator is asked about, given which of the views is next and its state."""
         (view, estimator_state), extent = state, extent_of(self.estimator)
         part = extent.part(terrain, pose)
-        answer = self.asking(lambda seen_as: self.told(seen_as, estimator_state), part, self.views, view)
+        answer = self.asking(lambda seen_as: self._told(seen_as, estimator_state), part, self.views, view)
         return extent.merged(answer, pose, before)
 
     def _candidates(self, belief: Belief, reachable: Board) -> PoseSet:

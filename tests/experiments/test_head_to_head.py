@@ -70,9 +70,7 @@ def test_an_episode_that_gave_up_counts_as_many_actions_as_the_step_limit():
 @pytest.mark.skipif(not PUBLISHED.is_dir(), reason="../shared is absent")
 def test_a_planner_of_ones_own_in_the_place_of_dc2g(tmp_path):
     planner = "dc2g_jax.planning.planners:Frontier"
-    head_to_head.main(
-        head_to_head.Options(planner=planner, dataset=str(PUBLISHED), resamples=10, out=tmp_path / "out")
-    )
+    head_to_head.main(head_to_head.Options(planner=planner, dataset=str(PUBLISHED), resamples=10, out=tmp_path / "out"))
     facts = json.loads((tmp_path / "out" / "results.json").read_text())
     assert facts["planner"] == planner
     assert facts["groups"]["all"]["frontier_over_dc2g"] == 0

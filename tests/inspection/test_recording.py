@@ -237,6 +237,18 @@ def test_scores_are_those_the_planner_goes_by():
     assert decided_near.max() > 10
 
 
+def test_estimates_stand_once_the_planner_no_longer_explores():
+    world, planner = world_from_terrain(_TERRAIN), DC2G(_Slope(), _RULES)
+    actions = actions_from_letters(_ACTIONS["true_cost_to_go"])
+    found = replay(world, make_pose(*_START[1:4]), actions, planner=planner, rules=_RULES)
+    last = np.flatnonzero(found.mode == EXPLORE)[-1]
+    assert np.any(found.seen[last + 1 :] != found.seen[last])
+    for cost_to_go in found.cost_to_go[last + 1 :]:
+        np.testing.assert_array_equal(cost_to_go, found.cost_to_go[last])
+    at_the_door = replay(world, make_pose(16, 6, 2), actions_from_letters("FF"), planner=planner, rules=_RULES)
+    assert at_the_door.cost_to_go is None
+
+
 def test_a_planner_of_ones_own_is_shown_with_its_own_scores(results, frames):
     wanted, result = frames["frontier"], results["frontier"]
     world, start, actions = world_from_terrain(_TERRAIN), make_pose(*_START[1:4]), actions_from_letters(result.actions)

@@ -3,7 +3,6 @@
 import functools
 
 from dc2g_jax.datasets.houses import House
-from dc2g_jax.estimation.estimators import ExactCostToGo
 from dc2g_jax.inspection.replay import Frames, replay_result
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import EpisodeResult
@@ -42,6 +41,7 @@ RESULTS = {planner: _result(planner, actions) for planner, actions in _ACTIONS.i
 
 @functools.cache
 def replayed() -> dict[str, Frames]:
-    """Planner -> its replayed episode; `dc2g` estimates the exact cost-to-go."""
+    """Planner -> its replayed episode; `dc2g` goes by the exact cost-to-go."""
     rules = SETTINGS["paper"].rules(_RANGE)
-    return {planner: replay_result(result, HOUSE, rules, ExactCostToGo()) for planner, result in RESULTS.items()}
+    exact = {"dc2g": RESULTS["dc2g"]._replace(planner="true_cost_to_go")}
+    return {planner: replay_result(result, HOUSE, rules) for planner, result in (RESULTS | exact).items()}
