@@ -35,6 +35,7 @@ sys.modules.update(dict.fromkeys({modules}))  # so that their import fails
 
 import numpy as np
 import dc2g_jax as dc2g
+import dc2g_jax.vehicles.fleet
 from dc2g_jax.cli import commands
 
 env, params = dc2g.make_env("FrontDoor-v0", dataset="procedural", split="val")

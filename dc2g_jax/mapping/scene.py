@@ -17,11 +17,11 @@ Obstacles (`SHAPES`):
 import math
 from typing import NamedTuple
 
-import cv2
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, UInt8
+from scipy import ndimage
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR
@@ -137,7 +137,7 @@ def _door_leaves(classes: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 def _beside(tiles: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """The tiles of a set and those that share a side with one of them."""
-    return cv2.dilate(tiles.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))).astype(bool)
+    return np.asarray(ndimage.binary_dilation(tiles))
 
 
 def _distance(tiles: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
@@ -145,8 +145,9 @@ def _distance(tiles: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
 
     Space beyond the map does not count as outside. In a set of all tiles the distance is the longer side.
     """
-    moves = cv2.distanceTransform(tiles.astype(np.uint8), cv2.DIST_C, 3)
-    return np.minimum(moves, max(tiles.shape)).astype(np.int64)
+    if tiles.all():
+        return np.full(tiles.shape, max(tiles.shape))
+    return ndimage.distance_transform_cdt(tiles, "chessboard").astype(np.int64)
 
 
 def _heights(shape: Shape, ring: Int[np.ndarray, "h w"], tile_size: float) -> Float[np.ndarray, "h w"]:
