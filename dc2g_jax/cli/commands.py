@@ -40,6 +40,7 @@ COMMANDS = {
     "latency": ("latency", "time the decisions of the online planner"),
     "mapping-speed": ("mapping_speed", "time how depth images are taken into maps"),
     "benchmark": ("benchmark", "time planners, environment, kernels and network beside other implementations"),
+    "compile-for": ("compile_for", "compile the programs that take the time for a GPU that need not be there"),
 }
 
 

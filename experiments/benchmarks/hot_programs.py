@@ -1,0 +1,183 @@
+"""The programs that take the time, by the shapes of their arguments: to be compiled without any data."""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.sharding import Mesh
+from jax.sharding import PartitionSpec as P
+
+from dc2g_jax.cli.driving import DrivingOptions, equipment
+from dc2g_jax.cli.searches import agent_with, open_costs
+from dc2g_jax.cli.translation import TranslationOptions
+from dc2g_jax.datasets.image_pairs import ImageSet, draw_image_pairs
+from dc2g_jax.datasets.pairs import TrainingSet
+from dc2g_jax.estimation.checkpoints import load_network
+from dc2g_jax.grid import bitboard
+from dc2g_jax.grid.poses import Pose
+from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.mapping.scene import TILES, Scene
+from dc2g_jax.objectnav import searches
+from dc2g_jax.objectnav.agent import IndoorSite
+from dc2g_jax.objectnav.classes import GOALS
+from dc2g_jax.planning.named import make_planner
+from dc2g_jax.planning.rules import SETTINGS
+from dc2g_jax.rollouts import rollout
+from dc2g_jax.rollouts.devices import AXIS
+from dc2g_jax.rollouts.rollout import STEP_LIMIT, Episodes
+from dc2g_jax.training import cost_to_go, translator
+from dc2g_jax.training.cost_to_go import TrainingConfig
+from dc2g_jax.training.cost_to_go_data import DataConfig
+from dc2g_jax.vehicles import fleet
+from dc2g_jax.vehicles.drive import Site
+
+#: Sides of a house and of an indoor house, in cells; houses; masks to train on; runs of a sweep.
+_CELLS, _INDOOR_CELLS, _HOUSES, _MASKS, _RUNS = 50, 200, 77, 12_000, 64
+
+
+#: Arguments of which each device has its own part, and those that all have.
+_DEALT, _WHOLE = P(AXIS), P()
+
+
+class HotProgram(NamedTuple):
+    """A program and the shapes it is compiled for.
+
+    Attributes:
+      program: the program.
+      arguments: arrays or their shapes.
+      specs: how each argument is divided among the devices.
+      static: static arguments.
+      batch: robots, pairs or runs that a step takes on, all devices together.
+      mesh: the devices.
+      depth: loops around one another that each turn once a step; 0 where the whole program is a step.
+    """
+
+    program: Any
+    arguments: tuple[Any, ...]
+    specs: tuple[P, ...]
+    static: dict[str, Any]
+    batch: int
+    mesh: Mesh
+    depth: int = 0
+
+
+def _array(*shape: int, dtype: Any = jnp.int32) -> Any:
+    """The shape of an array, which stands for one."""
+    return jax.ShapeDtypeStruct(shape, dtype)
+
+
+def _rollout(name: str, robots: int, mesh: Mesh) -> HotProgram:
+    """The loop of a rollout; a step is one decision of every robot, and new robots where some have finished."""
+    rules = SETTINGS["paper"].rules()
+    planner = make_planner(name, rules, load_network(None))
+    worlds = jax.eval_shape(world_from_terrain, _array(_CELLS, _CELLS, _HOUSES, dtype=jnp.uint8))
+    each, static = _array(mesh.size, robots), {"mesh": mesh, "sensing": rules.sensing}
+    first = functools.partial(rollout._first_states, n_slots=robots, kept_steps=STEP_LIMIT, **static)
+    queues, states = jax.eval_shape(first, planner, worlds, Episodes(each, Pose(each, each, each)), _array(mesh.size))
+    return HotProgram(
+        rollout._run,
+        arguments=(states, _array(), queues, planner),
+        specs=(_DEALT, _WHOLE, _DEALT, _WHOLE),
+        static={**static, "step_limit": STEP_LIMIT},
+        batch=robots * mesh.size,
+        mesh=mesh,
+        depth=2,
+    )
+
+
+def _gradient(runs: int, mesh: Mesh) -> HotProgram:
+    """The gradient of an optimizer step of the cost-to-go network, by far the most of the step."""
+    config, layout, worlds = TrainingConfig(), cost_to_go._layout(mesh, runs), _HOUSES + DataConfig.extra_houses
+    data = TrainingSet(
+        terrain=_array(worlds, _CELLS, _CELLS, dtype=jnp.uint8),
+        cost_to_go=_array(worlds, _CELLS, _CELLS, dtype=jnp.float32),
+        masks=_array(_MASKS, bitboard.word_count(_CELLS), _CELLS, dtype=jnp.uint32),
+        mask_world=_array(_MASKS),
+        n_own=_array(),
+    )
+    init = functools.partial(cost_to_go.init_state, config.recipe)
+    one = jax.eval_shape(lambda numbers: (init(numbers), numbers), config.hyperparameters)
+    stacked = jax.tree.map(lambda leaf: _array(runs, *leaf.shape, dtype=leaf.dtype), one) if runs > 1 else one
+    own_runs, own_parts = _array(runs // layout.shape["runs"]), _array(cost_to_go._own_parts(config.recipe, layout))
+    static = {"layout": layout, "recipe": config.recipe}
+    draw = functools.partial(cost_to_go._draw, draw_batch=DataConfig().draw_batch, **static)
+    pairs = jax.eval_shape(draw, *stacked, data, own_runs, own_parts)
+    split = P("runs") if runs > 1 else _WHOLE
+    specs, batch = (split, split, P("runs", "parts"), _WHOLE), runs if runs > 1 else config.batch_size
+    return HotProgram(cost_to_go._gradient, (*stacked, pairs, own_runs), specs, static, batch, layout)
+
+
+def _translator_step(mesh: Mesh) -> HotProgram:
+    options = TranslationOptions()
+    config, size, houses = options.config("l1+gan"), options.size, 31
+    pairs = _array(houses * options.train_masks)
+    data = ImageSet(
+        terrain=_array(houses, size, size, dtype=jnp.uint8),
+        cost_to_go=_array(houses, size, size, dtype=jnp.float32),
+        masks=_array(options.train_masks, bitboard.word_count(size), size, dtype=jnp.uint32),
+        pair_house=pairs,
+        pair_mask=pairs,
+    )
+    draw = functools.partial(
+        draw_image_pairs, batch_size=config.batch_size, whole_share=options.whole_share, augment=options.augment
+    )
+    state = jax.eval_shape(functools.partial(translator.init_translator, config, seed=0))
+    static = {"config": config, "draw_batch": draw}
+    specs = (_WHOLE, _WHOLE)
+    return HotProgram(translator.translator_step, (state, data), specs, static, config.batch_size, mesh)
+
+
+def _scene(houses: int, side: int) -> Scene:
+    cells, number = (houses, side, side), _array(houses, dtype=jnp.float32)
+    return Scene(_array(*cells, dtype=jnp.float32), _array(*cells, dtype=jnp.uint8), number, number)
+
+
+def _search_leg(robots: int, mesh: Mesh) -> HotProgram:
+    agent, houses, side, n = agent_with("promising", open_costs(None)), 8, _INDOOR_CELLS, mesh.size
+    sites = IndoorSite(
+        scene=_scene(houses, side),
+        paint=_array(houses, side, side, 3, dtype=jnp.uint8),
+        free=_array(houses, side, side, dtype=jnp.bool_),
+        distances=_array(houses, len(GOALS), side, side, dtype=jnp.float32),
+    )
+    reset = functools.partial(searches._reset, mesh=mesh, limit=searches.TIME_LIMIT)
+    starts, each = _array(n, robots, 3, dtype=jnp.float32), _array(n, robots)
+    state = jax.eval_shape(reset, _array(n, robots, 2, dtype=jnp.uint32), starts, each, agent)
+    arguments, specs = (each, sites, agent, state, _array()), (_DEALT, _WHOLE, _WHOLE, _DEALT, _WHOLE)
+    return HotProgram(searches._go_on, arguments, specs, {"mesh": mesh}, n * robots, mesh, depth=1)
+
+
+def _drive_step(robots: int, mesh: Mesh) -> HotProgram:
+    robot, n = equipment("dc2g", load_network(None), (_CELLS, _CELLS), 1.0, DrivingOptions()), mesh.size
+    sites = Site(_array(_HOUSES, _CELLS, _CELLS, dtype=jnp.uint8), _scene(_HOUSES, _CELLS * TILES))
+    each = _array(n, robots)
+    reset = functools.partial(fleet._reset, mesh=mesh, pedestrians=0, knows_map=False)
+    state = jax.eval_shape(
+        reset, _array(n, robots, 2, dtype=jnp.uint32), Episodes(each, Pose(each, each, each)), sites, robot
+    )
+    arguments = (each, sites, robot, _array(), state, _array())
+    specs = (_DEALT, _WHOLE, _WHOLE, _WHOLE, _DEALT, _WHOLE)
+    return HotProgram(fleet._go_on, arguments, specs, {"mesh": mesh}, n * robots, mesh, depth=1)
+
+
+def hot_programs(robots: int, driving: int) -> dict[str, tuple[int, Callable[[Mesh], HotProgram]]]:
+    """Programs by name: how many devices each is for, and what makes it for a mesh of them.
+
+    Args:
+      robots: robots of a rollout in the gridworld, on each device.
+      driving: robots that drive or search for objects, on each device.
+    """
+    planners = {f"rollout {name}": functools.partial(_rollout, name, robots) for name in ("oracle", "frontier", "dc2g")}
+    training = functools.partial(_gradient, 1)
+    return {
+        **{name: (1, make) for name, make in planners.items()},
+        "training gradient": (1, training),
+        "sweep gradient": (1, functools.partial(_gradient, _RUNS)),
+        "translator step": (1, _translator_step),
+        "object-goal leg": (1, functools.partial(_search_leg, driving)),
+        "drive step": (1, functools.partial(_drive_step, driving)),
+        "rollout frontier, 8 devices": (8, planners["rollout frontier"]),
+        "training gradient, 8 devices": (8, training),
+    }
