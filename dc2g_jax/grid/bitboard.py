@@ -20,6 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int, UInt32
 
+from dc2g_jax.grid.loops import repeated
+
 WORD_BITS = 32
 
 #: Steps of a flood between two checks whether it still grows: a check costs more than a step.
@@ -162,7 +164,7 @@ def flood(seed: Board, free: Board) -> Board:
         return reached | (neighbors(reached) & free)
 
     def grow_some(carry: tuple[Board, Array]) -> tuple[Board, Array]:
-        grown = jax.lax.fori_loop(0, _STEPS_BETWEEN_LOOKS, grow, carry[0])
+        grown = repeated(_STEPS_BETWEEN_LOOKS, grow, carry[0])
         return grown, jnp.any(grown != carry[0])
 
     # A complete board does not change while other boards of the batch still grow.

@@ -4,6 +4,7 @@ A wavefront is a pose set that grows by one action per step. The work of a searc
 times the number of words in the map. Batch axes come last, see `dc2g_jax.grid.bitboard`.
 """
 
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.bitboard import Board
+from dc2g_jax.grid.loops import repeated
 from dc2g_jax.grid.poses import (
     FORWARD_ACTION,
     HEADINGS,
@@ -30,6 +32,9 @@ from dc2g_jax.grid.shifting import shifted
 
 #: Wavefront steps between two checks whether the wavefronts still grow. Most searches end before the first check.
 _STEPS_BETWEEN_LOOKS = 32
+
+#: The same on a GPU. There every look makes the host wait, and among thousands of searches one always goes on.
+_STEPS_BETWEEN_LOOKS_ON_GPU = 8
 
 
 class _Search(NamedTuple):
@@ -67,11 +72,17 @@ def _search(
         reached = search.reached | (grown(search.reached) & jnp.where(search.active, free, jnp.uint32(0)))
         return _Search(reached, search.length + search.active, search.active & ~arrived(reached))
 
-    def grow_for_a_while(search: _Search) -> _Search:
+    def until_all_have_arrived(search: _Search) -> _Search:
         def go_on(carry: tuple[_Search, Array]) -> Bool[Array, ""]:
             return jnp.any(carry[0].active) & (carry[1] < _STEPS_BETWEEN_LOOKS)
 
-        later, _ = jax.lax.while_loop(go_on, lambda carry: (grow(carry[0]), carry[1] + 1), (search, jnp.int32(0)))
+        return jax.lax.while_loop(go_on, lambda carry: (grow(carry[0]), carry[1] + 1), (search, jnp.int32(0)))[0]
+
+    def without_a_look(search: _Search) -> _Search:
+        return jax.lax.fori_loop(0, _STEPS_BETWEEN_LOOKS_ON_GPU, lambda _, search: grow(search), search, unroll=True)
+
+    def grow_for_a_while(search: _Search) -> _Search:
+        later = jax.lax.platform_dependent(search, cpu=until_all_have_arrived, default=without_a_look)
         return later._replace(active=later.active & ~poses.is_empty(later.reached ^ search.reached))
 
     length = jnp.zeros(active.shape, jnp.int32)
@@ -200,7 +211,7 @@ def _count(pose: Pose, free: Board) -> _Counts:
 
     def grow_a_round(carry: tuple[PoseSet, Array, Array, Array, Array]) -> tuple[PoseSet, Array, Array, Array, Array]:
         before, low, high, rounds, _ = carry
-        reached, low = jax.lax.fori_loop(0, 2**_LOW_BITS, grow, (before, low))
+        reached, low = repeated(2**_LOW_BITS, grow, (before, low))
         # The last of these steps flips a high bit instead of a low one.
         high = flipped(high, trailing_ones(rounds), ~reached)
         return reached, low, high, rounds + 1, jnp.any(reached != before)
@@ -253,7 +264,12 @@ def nearest_headings(
         return (nearest & ~(binary & some_without), binary), ~some_without
 
     start = (candidates & counts.reached, jnp.zeros_like(candidates))
-    (nearest, _), cell_planes = jax.lax.scan(compare, start, counts.planes)
+    (nearest, _), cell_planes = jax.lax.platform_dependent(
+        start,
+        counts.planes,
+        cpu=functools.partial(jax.lax.scan, compare),
+        default=functools.partial(jax.lax.scan, compare, unroll=True),
+    )
     lengths = jnp.int32(0)
     for plane in cell_planes:
         lengths = 2 * lengths + bitboard.unpack(plane, width)

@@ -53,6 +53,28 @@ def test_first_action_and_distances(shape, seed, density, target_density):
     np.testing.assert_array_equal(distances, oracle.distances_from(free, pose))
 
 
+def test_programs_for_accelerators_give_the_same(monkeypatch):
+    shape = (7, 20)
+    cells = [maps.random_cells(seed, shape, 0.7) for seed in range(24)]
+    x, y, heading = jnp.array([maps.random_pose(seed, free) for seed, free in enumerate(cells)], jnp.int32).T
+    targets = jnp.asarray(np.random.default_rng(0).random((4, *shape, len(cells))) < 0.01)
+    pose, free, goals = make_pose(x, y, heading), bitboard.pack(jnp.asarray(np.stack(cells, -1))), poses.pack(targets)
+    candidates = goals & ~poses.only(pose, *free.shape[:2])
+
+    def answers():
+        return jax.jit(
+            lambda: (
+                bitboard.flood(bitboard.single(x, y, *free.shape[:2]), free),
+                search.first_action(pose, goals, free),
+                search.nearest_headings(pose, candidates, free, shape[1]),
+            )
+        )()
+
+    on_a_cpu = answers()
+    monkeypatch.setattr(jax.lax, "platform_dependent", lambda *operands, cpu, default: default(*operands))
+    jax.tree.map(np.testing.assert_array_equal, answers(), on_a_cpu)
+
+
 def test_the_plan_followed_to_its_end_is_the_lexicographically_smallest():
     shape = (8, 32)
     for seed in range(12):
