@@ -34,7 +34,7 @@ from dc2g_jax.environments.functional import (
     observe,
     whole_number,
 )
-from dc2g_jax.environments.task import Task
+from dc2g_jax.environments.task import FrontDoorTask
 from dc2g_jax.errors import InputError, require_extra
 from dc2g_jax.grid.poses import FORWARD, HEADINGS, Pose
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES
@@ -84,7 +84,7 @@ class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
     robot reaches a front door, and truncated at the step limit.
 
     Args:
-      dataset: folder, the word `procedural`, an open dataset or `None`; see `dc2g_jax.environments.task.Task`.
+      dataset: folder, the word `procedural`, an open dataset or `None`; see `dc2g_jax.environments.task.FrontDoorTask`.
       split: `train`, `val` or `test`.
       sensing_range: range of the 90-degree field of view, in cells.
       step_limit: actions after which an episode is truncated.
@@ -107,7 +107,7 @@ class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         cells: int = 50,
         render_mode: str | None = None,
     ):
-        self._task = Task(dataset, split, sensing_range, step_limit, cells)
+        self._task = FrontDoorTask(dataset, split, sensing_range, step_limit, cells)
         self.render_mode = _checked_render_mode(render_mode)
         self.observation_space = _observation_space(self._task)
         self.action_space = spaces.Discrete(FrontDoor.num_actions)
@@ -205,7 +205,7 @@ class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.nd
         render_mode: str | None = None,
     ):
         self.num_envs = whole_number("num_envs", num_envs, 1)
-        self._task = Task(dataset, split, sensing_range, step_limit, cells)
+        self._task = FrontDoorTask(dataset, split, sensing_range, step_limit, cells)
         self.render_mode = _checked_render_mode(render_mode)
         self.single_observation_space = _observation_space(self._task)
         self.single_action_space = spaces.Discrete(FrontDoor.num_actions)
@@ -300,7 +300,7 @@ def _checked_render_mode(mode: str | None) -> str | None:
     return mode
 
 
-def _observation_space(task: Task) -> gymnasium.Space[Any]:
+def _observation_space(task: FrontDoorTask) -> gymnasium.Space[Any]:
     height, width = task.environment.observation_shape(task.params)
     return spaces.Dict(
         {

@@ -23,7 +23,7 @@ FRONT_DOOR_ID = "FrontDoor-v0"
 _START = ("house", "x", "y", "heading")
 
 
-class Task:
+class FrontDoorTask:
     """The houses of a split in which episodes can be run, and the environment in them.
 
     Args:
@@ -149,5 +149,5 @@ def make_env(
     """
     if name != FRONT_DOOR_ID:
         raise InputError(f"no environment is called {name!r}; known: {FRONT_DOOR_ID}")
-    task = Task(dataset, split, sensing_range, step_limit, cells)
+    task = FrontDoorTask(dataset, split, sensing_range, step_limit, cells)
     return task.environment, task.params

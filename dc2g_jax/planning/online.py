@@ -33,7 +33,7 @@ from dc2g_jax.planning.rules import Rules, complete_rules
 from dc2g_jax.programs import jit
 
 #: Planners that need no map but the robot's own.
-PLANNERS = ("frontier", *NETWORK_PLANNERS)
+ONLINE_PLANNERS = ("frontier", *NETWORK_PLANNERS)
 
 #: Side of the smallest grid that a program is compiled for, in cells; each further one is twice as large.
 _SMALLEST_GRID = 32
@@ -74,7 +74,7 @@ class OnlinePlanner:
     grids of exactly the map's size: each new size compiles.
 
     Args:
-      planner: one of `PLANNERS`, or any planner; one that has `rules` goes by them.
+      planner: one of `ONLINE_PLANNERS`, or any planner; one that has `rules` goes by them.
       network: the estimator of a planner by name, or the folder of a trained network; the shipped one where `None`.
       sensing_range: reach of the robot's 90-degree field of view, in cells, 1 to 64.
       largest: rows and columns of the largest map to come.
@@ -102,8 +102,10 @@ class OnlinePlanner:
         if reach > MAX_SENSING_RANGE:
             raise InputError(f"sensing_range {reach}: give one of at most {MAX_SENSING_RANGE}")
         if isinstance(planner, str):
-            if planner not in PLANNERS and ":" not in planner:
-                raise InputError(f"planner {planner!r}: use one of {', '.join(PLANNERS)}, or give one of your own")
+            if planner not in ONLINE_PLANNERS and ":" not in planner:
+                raise InputError(
+                    f"planner {planner!r}: use one of {', '.join(ONLINE_PLANNERS)}, or give one of your own"
+                )
             planner = make(planner, network=network, sensing_range=reach)
         self._rules: Rules = getattr(planner, "rules", complete_rules(reach))
         if self._rules.sensing.radius != reach:

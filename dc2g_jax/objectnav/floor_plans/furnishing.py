@@ -6,31 +6,9 @@ Bathtubs and sinks in kitchens are additions: those 20 houses have none.
 import math
 from collections.abc import Callable
 
-from dc2g_jax.objectnav.classes import (
-    ARMCHAIR,
-    BATHROOM,
-    BED,
-    BEDROOM,
-    CABINET,
-    CHAIR,
-    COUCH,
-    COUNTER,
-    DESK,
-    KITCHEN,
-    LAMP,
-    LIVING_ROOM,
-    OTHER,
-    PLANT,
-    REFRIGERATOR,
-    SHELF,
-    SINK,
-    TABLE,
-    TELEVISION,
-    TOILET,
-)
-from dc2g_jax.objectnav.floor_plans import catalog
-from dc2g_jax.objectnav.floor_plans.catalog import Sizes
-from dc2g_jax.objectnav.floor_plans.placing import RoomSketch, Wall, in_front
+from dc2g_jax.objectnav.classes import BATHROOM, BED, BEDROOM, KITCHEN, LIVING_ROOM
+from dc2g_jax.objectnav.floor_plans.catalog import CATALOG
+from dc2g_jax.objectnav.floor_plans.placing import Item, RoomSketch, Wall, in_front
 from dc2g_jax.objectnav.plans import Furniture
 
 #: Number of chairs at a table, and its probability.
@@ -50,63 +28,62 @@ def furnish(room: RoomSketch) -> None:
 
 def _bedroom(room: RoomSketch) -> None:
     for _ in range(1 + _chance(room, 0.45)):
-        size = (catalog.DOUBLE_BED if _chance(room, 0.55) else catalog.SINGLE_BED).draw(room.rng)
-        bed = room.against_wall(BED, size, corner=0.55, front=0.45)
+        item = _item(room, "double bed" if _chance(room, 0.55) else "single bed")
+        bed = room.against_wall(item, corner=0.55, front=0.45)
         if bed and _chance(room, 0.4):
             _nightstand(room, bed)
     if _chance(room, 0.2):
-        _at_wall(room, DESK, catalog.DESK, seat=0.9)
+        _at_wall(room, "desk", seat=0.9)
     if _chance(room, 0.42):
         _table(room)
     for _ in range(_chance(room, 0.9) + _chance(room, 0.4)):
-        dresser = _at_wall(room, CABINET, catalog.DRESSER, corner=0.35)
+        dresser = _at_wall(room, "dresser", corner=0.35)
         if dresser and _chance(room, 0.5):
             _on_top(room, dresser)
     if _chance(room, 0.46):
         _television(room, next((piece for piece in room.pieces if piece.kind == BED), None), stand=0.2)
-    _often(room, ARMCHAIR, catalog.ARMCHAIR, 0.22)
-    _often(room, LAMP, catalog.FLOOR_LAMP, 0.28, corner=0.4)
-    _often(room, PLANT, catalog.FLOOR_PLANT, 0.42, corner=0.6)
-    _often(room, SHELF, catalog.SHELF, 0.05)
+    _often(room, "armchair", 0.22)
+    _often(room, "floor lamp", 0.28, corner=0.4)
+    _often(room, "floor plant", 0.42, corner=0.6)
+    _often(room, "shelf", 0.05)
     _clutter(room, boxes=0.6, balls=0.75, bins=0.2, pets=0.12)
 
 
 def _bathroom(room: RoomSketch) -> None:
-    _at_wall(room, TOILET, catalog.TOILET, corner=0.75, front=_FRONT)
-    _at_wall(room, SINK, catalog.SINK, corner=0.75, front=_FRONT)
-    _often(room, OTHER, catalog.BATHTUB, 0.3, corner=0.9)
-    _often(room, CABINET, catalog.DRESSER, 0.2)
-    _often(room, CABINET, catalog.SIDE_TABLE, 0.14)
-    _often(room, OTHER, catalog.SMALL_BIN, 0.9)
-    _often(room, OTHER, catalog.WASTE_BIN, 0.85)
-    _often(room, OTHER, catalog.HAMPER, 0.13)
-    _often(room, PLANT, catalog.FLOOR_PLANT, 0.07, corner=0.6)
+    _at_wall(room, "toilet", corner=0.75, front=_FRONT)
+    _at_wall(room, "sink", corner=0.75, front=_FRONT)
+    _often(room, "bathtub", 0.3, corner=0.9)
+    _often(room, "dresser", 0.2)
+    _often(room, "side table", 0.14)
+    _often(room, "small bin", 0.9)
+    _often(room, "waste bin", 0.85)
+    _often(room, "hamper", 0.13)
+    _often(room, "floor plant", 0.07, corner=0.6)
 
 
 def _kitchen(room: RoomSketch) -> None:
     if _chance(room, 0.95):
         # Counters that run around a corner have deep boxes.
-        is_deep = _chance(room, 0.55)
-        sizes = catalog.DEEP_COUNTER if is_deep else catalog.COUNTER
-        counter = _at_wall(room, COUNTER, sizes, corner=0.6, front=_FRONT)
+        name = "deep counter" if _chance(room, 0.55) else "counter"
+        counter = _at_wall(room, name, corner=0.6, front=_FRONT)
         if counter and _chance(room, 0.35):
-            room.on(counter, SINK, catalog.KITCHEN_SINK.draw(room.rng))
+            room.on(counter, _item(room, "kitchen sink"))
         if counter and _chance(room, 0.22):
-            room.on(counter, PLANT, catalog.POTTED_PLANT.draw(room.rng))
+            room.on(counter, _item(room, "potted plant"))
     if _chance(room, 0.95):
-        _at_wall(room, REFRIGERATOR, catalog.FRIDGE, corner=0.45, front=_FRONT)
+        _at_wall(room, "fridge", corner=0.45, front=_FRONT)
     if _chance(room, 0.7):
         _table(room)
-    _often(room, SHELF, catalog.SHELF, 0.58)
-    _often(room, CABINET, catalog.SIDE_TABLE, 0.08)
+    _often(room, "shelf", 0.58)
+    _often(room, "side table", 0.08)
     if _chance(room, 0.35):
         _television(room, None, stand=0.0)
-    _often(room, PLANT, catalog.FLOOR_PLANT, 0.2, corner=0.6)
+    _often(room, "floor plant", 0.2, corner=0.6)
     _clutter(room, boxes=0.0, balls=0.0, bins=0.85, pets=0.0)
 
 
 def _living_room(room: RoomSketch) -> None:
-    couch = _at_wall(room, COUCH, catalog.COUCH, corner=0.4, front=0.7) if _chance(room, 0.95) else None
+    couch = _at_wall(room, "couch", corner=0.4, front=0.7) if _chance(room, 0.95) else None
     if _chance(room, 0.97):
         _television(room, couch, stand=0.4)
     if couch and _chance(room, 0.14):
@@ -114,12 +91,12 @@ def _living_room(room: RoomSketch) -> None:
     for _ in range(_chance(room, 0.98) + _chance(room, 0.3)):
         _table(room)
     for _ in range(_chance(room, 0.3) + _chance(room, 0.12)):
-        _at_wall(room, ARMCHAIR, catalog.ARMCHAIR, front=0.3)
-    _often(room, LAMP, catalog.FLOOR_LAMP, 0.5, corner=0.35)
-    _often(room, PLANT, catalog.FLOOR_PLANT, 0.36, corner=0.6)
-    _often(room, CABINET, catalog.SIDE_TABLE, 0.17)
-    _often(room, CABINET, catalog.DRESSER, 0.06)
-    _often(room, SHELF, catalog.SHELF, 0.06)
+        _at_wall(room, "armchair", front=0.3)
+    _often(room, "floor lamp", 0.5, corner=0.35)
+    _often(room, "floor plant", 0.36, corner=0.6)
+    _often(room, "side table", 0.17)
+    _often(room, "dresser", 0.06)
+    _often(room, "shelf", 0.06)
     _clutter(room, boxes=0.5, balls=0.1, bins=0.25, pets=0.18)
 
 
@@ -135,12 +112,17 @@ def _chance(room: RoomSketch, share: float) -> bool:
     return bool(room.rng.random() < share)
 
 
+def _item(room: RoomSketch, name: str) -> Item:
+    """Draw an item of the catalog."""
+    return CATALOG[name].draw(room.rng)
+
+
 def _at_wall(
-    room: RoomSketch, kind: int, sizes: Sizes, *, corner: float = 0.0, front: float = 0.0, seat: float = 0.0
+    room: RoomSketch, name: str, *, corner: float = 0.0, front: float = 0.0, seat: float = 0.0
 ) -> Furniture | None:
     """Place a piece with its back to a wall, with retries at other sizes, and with a chair at probability `seat`."""
     for _ in range(4):
-        piece = room.against_wall(kind, sizes.draw(room.rng), corner=corner, front=front)
+        piece = room.against_wall(_item(room, name), corner=corner, front=front)
         if piece:
             if _chance(room, seat):
                 _seat(room, piece, 0.0, 0.0)
@@ -148,21 +130,21 @@ def _at_wall(
     return None
 
 
-def _often(room: RoomSketch, kind: int, sizes: Sizes, share: float, *, corner: float = 0.0) -> None:
+def _often(room: RoomSketch, name: str, share: float, *, corner: float = 0.0) -> None:
     """Place a piece with its back to a wall, with probability `share`."""
     if _chance(room, share):
-        _at_wall(room, kind, sizes, corner=corner)
+        _at_wall(room, name, corner=corner)
 
 
 def _nightstand(room: RoomSketch, bed: Furniture) -> None:
     """Place a nightstand beside the head of a bed, sometimes with a lamp."""
-    size = catalog.NIGHTSTAND.draw(room.rng)
+    item = _item(room, "nightstand")
     for side in room.rng.permutation([-1, 1]).tolist():
-        x, y = in_front(bed, side * (bed.width + size.width + 0.12) / 2, (size.depth - bed.depth) / 2)
-        stand = Furniture(CABINET, x, y, size.width, size.depth, bed.angle, size.top)
+        x, y = in_front(bed, side * (bed.width + item.width + 0.12) / 2, (item.depth - bed.depth) / 2)
+        stand = item.at(x, y, bed.angle)
         if room.place(stand):
             if _chance(room, 0.3):
-                room.on(stand, LAMP, catalog.DESK_LAMP.draw(room.rng))
+                room.on(stand, _item(room, "desk lamp"))
             return
 
 
@@ -170,32 +152,32 @@ def _television(room: RoomSketch, watcher: Furniture | None, *, stand: float) ->
     """Place a television on a wall, or on a stand in front of it; if possible the wall that `watcher` faces."""
     wall = room.opposite(watcher) if watcher else None
     if _chance(room, stand):
-        below = _opposite_first(room, CABINET, catalog.TELEVISION_STAND, wall)
+        below = _opposite_first(room, "television stand", wall)
         if below:
-            room.on(below, TELEVISION, catalog.TELEVISION_ON_STAND.draw(room.rng))
+            room.on(below, _item(room, "television on stand"))
             return
-    _opposite_first(room, TELEVISION, catalog.TELEVISION, wall)
+    _opposite_first(room, "television", wall)
 
 
-def _opposite_first(room: RoomSketch, kind: int, sizes: Sizes, wall: Wall | None) -> Furniture | None:
+def _opposite_first(room: RoomSketch, name: str, wall: Wall | None) -> Furniture | None:
     """Place a piece against a wall, or against another wall if it does not fit there."""
-    size = sizes.draw(room.rng)
-    piece = room.against_wall(kind, size, wall=wall) if wall else None
-    return piece or room.against_wall(kind, size)
+    item = _item(room, name)
+    piece = room.against_wall(item, wall=wall) if wall else None
+    return piece or room.against_wall(item)
 
 
 def _coffee_table(room: RoomSketch, couch: Furniture) -> None:
     """Place a coffee table in front of a couch."""
-    size = catalog.COFFEE_TABLE.draw(room.rng)
-    x, y = in_front(couch, 0, couch.depth / 2 + 0.75 + size.depth / 2)
-    room.place(Furniture(TABLE, x, y, size.width, size.depth, couch.angle, size.top))
+    item = _item(room, "coffee table")
+    x, y = in_front(couch, 0, couch.depth / 2 + 0.75 + item.depth / 2)
+    room.place(item.at(x, y, couch.angle))
 
 
 def _table(room: RoomSketch) -> None:
     """Place a table, against a wall or not, with chairs around it and sometimes something on top."""
-    size = catalog.TABLE.draw(room.rng)
+    item = _item(room, "table")
     by_wall = _chance(room, 0.4)
-    table = room.against_wall(TABLE, size, corner=0.25) if by_wall else room.anywhere(TABLE, size)
+    table = room.against_wall(item, corner=0.25) if by_wall else room.anywhere(item)
     if not table:
         return
     counts, shares = zip(*_CHAIRS, strict=True)
@@ -218,28 +200,27 @@ def _seats(room: RoomSketch, *, pairs: bool) -> list[tuple[float, float]]:
 
 def _seat(room: RoomSketch, table: Furniture, side: float, shift: float) -> bool:
     """Place a chair at a side of a table (0 is the front), shifted along that side. Returns whether it fits."""
-    size = catalog.CHAIR.draw(room.rng)
+    item = _item(room, "chair")
     reach = table.depth if math.cos(side) ** 2 > 0.5 else table.width
-    ahead = (reach + size.depth) / 2 - room.rng.uniform(*_TUCKED)
+    ahead = (reach + item.depth) / 2 - room.rng.uniform(*_TUCKED)
     x, y = in_front(table._replace(angle=table.angle + side), shift, ahead)
     angle = table.angle + side + room.rng.uniform(-_TURNED, _TURNED)
-    chair = Furniture(CHAIR, x, y, size.width, size.depth, angle, size.top)
-    return room.place(chair, table=table)
+    return room.place(item.at(x, y, angle), table=table)
 
 
 def _on_top(room: RoomSketch, piece: Furniture) -> None:
     """Sometimes place a lamp or a plant on a piece."""
     if _chance(room, 0.42):
-        room.on(piece, LAMP, catalog.DESK_LAMP.draw(room.rng))
+        room.on(piece, _item(room, "desk lamp"))
     if _chance(room, 0.16):
-        room.on(piece, PLANT, catalog.POTTED_PLANT.draw(room.rng))
+        room.on(piece, _item(room, "potted plant"))
 
 
 def _clutter(room: RoomSketch, *, boxes: float, balls: float, bins: float, pets: float) -> None:
     """Place other objects on the floor: boxes, balls, bins and pet beds, each with its probability."""
     if _chance(room, boxes):
-        room.anywhere(OTHER, catalog.BOX.draw(room.rng))
+        room.anywhere(_item(room, "box"))
     if _chance(room, balls):
-        room.anywhere(OTHER, catalog.BALL.draw(room.rng))
-    _often(room, OTHER, catalog.WASTE_BIN, bins, corner=0.3)
-    _often(room, OTHER, catalog.PET_BED, pets, corner=0.3)
+        room.anywhere(_item(room, "ball"))
+    _often(room, "waste bin", bins, corner=0.3)
+    _often(room, "pet bed", pets, corner=0.3)

@@ -63,12 +63,24 @@ class Wall(NamedTuple):
     length: float
 
 
-class Size(NamedTuple):
-    """Size of a piece: width along its back, depth from back to front, and height; meters."""
+class Item(NamedTuple):
+    """A piece of furniture without a place.
 
+    Attributes:
+      kind: class index.
+      width: extent along its back, meters.
+      depth: extent from back to front, meters.
+      top: height, meters.
+    """
+
+    kind: int
     width: float
     depth: float
     top: float
+
+    def at(self, x: float, y: float, angle: float) -> Furniture:
+        """The item with its center at a point, meters, and its back at an angle, radians."""
+        return Furniture(self.kind, x, y, self.width, self.depth, angle, self.top)
 
 
 def bounds(piece: Furniture) -> Rectangle:
@@ -135,13 +147,12 @@ class RoomSketch:
         self._taken = list[Rectangle]()
 
     def against_wall(
-        self, kind: int, size: Size, *, corner: float = 0.0, front: float = 0.0, wall: Wall | None = None
+        self, item: Item, *, corner: float = 0.0, front: float = 0.0, wall: Wall | None = None
     ) -> Furniture | None:
         """Place a piece with its back to a wall.
 
         Args:
-          kind: class index.
-          size: size of the piece.
+          item: the piece.
           corner: share of the attempts at an end of the wall.
           front: free space in front of the piece, meters.
           wall: the wall; any if `None`.
@@ -149,25 +160,25 @@ class RoomSketch:
         Returns:
           The piece, or `None` if it does not fit.
         """
-        walls = [w for w in ([wall] if wall else self._walls) if w.length >= size.width + 2 * _BEHIND]
+        walls = [w for w in ([wall] if wall else self._walls) if w.length >= item.width + 2 * _BEHIND]
         if not walls:
             return None
         shares = np.cumsum([w.length for w in walls])
         for _ in range(_ATTEMPTS):
             chosen = walls[int(np.searchsorted(shares, self.rng.uniform(0, shares[-1])))]
-            least, most = _BEHIND + size.width / 2, chosen.length - _BEHIND - size.width / 2
+            least, most = _BEHIND + item.width / 2, chosen.length - _BEHIND - item.width / 2
             at = self.rng.choice((least, most)) if self.rng.random() < corner else self.rng.uniform(least, most)
-            piece = standing(kind, size, chosen, float(at))
+            piece = standing(item, chosen, float(at))
             if self.place(piece, front=front):
                 return piece
         return None
 
-    def anywhere(self, kind: int, size: Size) -> Furniture | None:
+    def anywhere(self, item: Item) -> Furniture | None:
         """Place a piece anywhere on the floor, along or across; `None` if it does not fit."""
         for _ in range(_ATTEMPTS):
             x, y = self.point()
             angle = float(self.rng.integers(2)) * math.pi / 2
-            piece = Furniture(kind, x, y, size.width, size.depth, angle, size.top)
+            piece = item.at(x, y, angle)
             if self.place(piece):
                 return piece
         return None
@@ -190,12 +201,12 @@ class RoomSketch:
         column, row = squares[int(self.rng.integers(len(squares)))]
         return (column + self.rng.uniform()) * self._unit, (row + self.rng.uniform()) * self._unit
 
-    def on(self, piece: Furniture, kind: int, size: Size) -> None:
+    def on(self, piece: Furniture, item: Item) -> None:
         """Place a small object on top of a piece."""
-        along = max((piece.width - size.width) / 2, 0.0) * self.rng.uniform(-0.9, 0.9)
-        back = max((piece.depth - size.depth) / 2, 0.0) * self.rng.uniform(-0.9, 0.3)
+        along = max((piece.width - item.width) / 2, 0.0) * self.rng.uniform(-0.9, 0.9)
+        back = max((piece.depth - item.depth) / 2, 0.0) * self.rng.uniform(-0.9, 0.3)
         x, y = in_front(piece, along, back)
-        self.pieces.append(Furniture(kind, x, y, size.width, size.depth, piece.angle, piece.top + size.top))
+        self.pieces.append(item._replace(top=piece.top + item.top).at(x, y, piece.angle))
 
     def place(self, piece: Furniture, *, front: float = 0.0, table: Furniture | None = None) -> bool:
         """Place a piece, unless it does not fit or some floor would be cut off.
@@ -239,11 +250,11 @@ class RoomSketch:
         return int(component_numbers(cells).max()) == 1
 
 
-def standing(kind: int, size: Size, wall: Wall, at: float) -> Furniture:
+def standing(item: Item, wall: Wall, at: float) -> Furniture:
     """A piece with its back to a wall, its center `at` meters from the wall's start."""
-    ahead = _BEHIND + size.depth / 2
+    ahead = _BEHIND + item.depth / 2
     x, y = (s + a * at + n * ahead for s, a, n in zip(wall.start, wall.along, wall.inward, strict=True))
-    return Furniture(kind, x, y, size.width, size.depth, math.atan2(-wall.inward[0], wall.inward[1]), size.top)
+    return item.at(x, y, math.atan2(-wall.inward[0], wall.inward[1]))
 
 
 def _front(piece: Furniture, reach: float) -> Rectangle:
