@@ -31,10 +31,10 @@ from dc2g_jax.objectnav.agent import (
     IndoorSite,
     act_on,
     cost_of_pose,
+    is_active,
     look_and_decide,
     reset,
     site_of,
-    under_way,
 )
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax.objectnav.evaluation import results_of
@@ -131,7 +131,7 @@ def search(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> tuple[list[Ind
     """
     first_part, second_part, begun = jit(look_and_decide), jit(act_on), []
     with tqdm(total=len(robot.track) - 1, desc="searching", unit="step", file=sys.stderr) as progress:
-        while under_way(robot):
+        while is_active(robot):
             begun.append(first_part(robot, site, agent))
             robot = second_part(begun[-1], site, agent)
             progress.update(int(robot.periods) - int(begun[-1].periods))

@@ -6,7 +6,6 @@ Interrupted or killed, it goes on where it was when run again with --resume.
 import dataclasses
 import functools
 import hashlib
-import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -137,7 +136,7 @@ def open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
         EncoderArchitecture(),
         views,
         steps=options.encoder_steps,
-        save=lambda encoder, losses: save_encoder(own, encoder, {"losses": json.dumps(losses), **made}),
+        save=lambda encoder, losses: save_encoder(own, encoder, {"losses": losses, **made}),
         seed=options.seed,
     )
     folder = options.out / "encoder"

@@ -1,16 +1,48 @@
-"""A network's weights in one safetensors file: written whole, read with checks, matched with the network's shapes."""
+"""Weights of NNX networks as nested dictionaries, and networks in single safetensors files."""
 
-from collections.abc import Mapping
+import dataclasses
+import functools
+import json
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from flax import nnx
+from jaxtyping import Array
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import replacing
+
+_Architecture = TypeVar("_Architecture")
+_Network = TypeVar("_Network", bound=nnx.Module)
+
+
+def fresh_weights(network: Callable[..., nnx.Module], architecture: Any, key: Array) -> dict[str, Any]:
+    """Random initial weights of a network: a nested dictionary of arrays.
+
+    Args:
+      network: class of the network, called as `network(architecture, rngs=...)`.
+      architecture: architecture of the network.
+      key: random key.
+    """
+    return nnx.to_pure_dict(nnx.split(network(architecture, rngs=nnx.Rngs(key)))[1])
+
+
+def shapes_of_weights(network: Callable[..., nnx.Module], architecture: Any) -> dict[str, Any]:
+    """Shapes and dtypes of `fresh_weights`, without computing them."""
+    return jax.eval_shape(functools.partial(fresh_weights, network, architecture), jax.random.key(0))
+
+
+def with_weights(network: Callable[..., _Network], architecture: Any, weights: dict[str, Any]) -> _Network:
+    """The network with these weights, see `fresh_weights`."""
+    graph, state = nnx.split(nnx.eval_shape(lambda: network(architecture, rngs=nnx.Rngs(0))))
+    nnx.replace_by_pure_dict(state, weights)
+    return nnx.merge(graph, state)
 
 
 def write_safetensors(path: str | Path, tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> None:
@@ -76,3 +108,42 @@ def read_weights(path: str | Path, shapes: Mapping[str, Any], tensors: Mapping[s
         return jnp.asarray(tensors[prefix[:-1]], jnp.float32)
 
     return nested(shapes, "")
+
+
+def write_network(path: str | Path, weights: Mapping[str, Any], architecture: Any, card: Mapping[str, Any]) -> None:
+    """Write a network to one file: weights in half precision, and architecture and card as JSON in the metadata.
+
+    Args:
+      path: the file; replaced if it exists.
+      weights: see `fresh_weights`.
+      architecture: the dataclass from which the network can be built again.
+      card: further facts about the network.
+    """
+    tensors = {name: np.asarray(leaf, np.float16) for name, leaf in flattened(weights).items()}
+    metadata = {"architecture": json.dumps(dataclasses.asdict(architecture)), "card": json.dumps(dict(card))}
+    write_safetensors(path, tensors, metadata)
+
+
+def read_network(
+    path: str | Path, network: Callable[..., nnx.Module], read_architecture: Callable[[dict[str, Any]], _Architecture]
+) -> tuple[dict[str, Any], _Architecture, dict[str, Any]]:
+    """Read a network written by `write_network`.
+
+    Args:
+      path: the file.
+      network: class of the network.
+      read_architecture: makes its architecture from JSON.
+
+    Returns:
+      Its weights in float32, architecture and card. The card is empty in files of version 0.1 without one.
+
+    Raises:
+      InputError: the file cannot be read or holds no such network.
+    """
+    tensors, metadata = read_safetensors(path)
+    try:
+        architecture = read_architecture(json.loads(metadata["architecture"]))
+        shapes, card = shapes_of_weights(network, architecture), json.loads(metadata.get("card", "{}"))
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{path}: holds no network with its architecture; write or copy it again") from None
+    return read_weights(path, shapes, tensors), architecture, card

@@ -1,12 +1,10 @@
-"""A robot that looks for an object: camera -> map -> costs -> IT-MPC -> vehicle (Fig. 1 of the paper on dense costs).
+"""A robot that searches for an object: camera -> map -> costs -> IT-MPC -> vehicle (Fig. 1 of the dense-cost paper).
 
-Ten times a second the controller plans anew and the vehicle takes the first command of its plan. Every few of these
-periods the robot looks, takes what it sees into its map, and asks its guide (`dc2g_jax.objectnav.guides`) what it costs
-to be where. It has come to its end when the guide leads to an object itself and no more than `STOP` meters are left.
+The controller plans ten times a second, and the vehicle executes the first command of each plan. Every few control
+periods the robot adds a camera frame to its map and asks its guide (`dc2g_jax.objectnav.guides`) for new costs. The
+search ends when the guide leads to an object and at most `STOP` meters of the path are left.
 
-A vehicle does not drive into obstacles: one that would stays where it is, and its speed is gone.
-
-Everything is a pure function of one robot; `dc2g_jax.objectnav.searches` runs many.
+All functions take one robot; `dc2g_jax.objectnav.searches` runs many.
 """
 
 import dataclasses
@@ -20,7 +18,7 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
-from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, intrinsics, level_camera
+from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, intrinsics
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.mapping.simulator import render
 from dc2g_jax.objectnav.classes import GOALS, NOTHING
@@ -32,42 +30,39 @@ from dc2g_jax.objectnav.starts import ROBOT_RADIUS
 from dc2g_jax.objectnav.worlds import IndoorWorld, scene
 from dc2g_jax.programs import jit
 from dc2g_jax.vehicles import mppi
-from dc2g_jax.vehicles.footprint import Ground, clearance, surroundings
+from dc2g_jax.vehicles.footprint import Ground
 from dc2g_jax.vehicles.mppi import CostOfPose, MPPISettings
+from dc2g_jax.vehicles.robot import DRIVING, SimulatedRobot, camera_pose, is_driving, stopped_by_obstacles
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive, wrapped
 
-#: The camera: meters above the floor, how far it looks down (radians), degrees from side to side, rows and columns. It
-#: is as high as those of the usual research robots. Level, it would see no floor nearer than 1.2 m and leave a hole in
-#: the map around the start; looking down like this the floor begins at 0.6 m, and walls are in view up to 1.5 m from
-#: 2.0 m on.
-INDOOR_CAMERA_HEIGHT, INDOOR_CAMERA_PITCH, INDOOR_FIELD_OF_VIEW, INDOOR_IMAGE_SIZE = (
-    0.9,
-    math.radians(20),
-    90.0,
-    (120, 160),
-)
+#: The camera: height above the floor, meters; angle below the horizon, radians; horizontal field of view, degrees; rows
+#: and columns of its image. It is as high as on the usual research robots. Level, it would see no floor nearer than
+#: 1.2 m and leave a hole in the map around the start. At this angle the floor is in view from 0.6 m on, and walls up to
+#: 1.5 m high from 2.0 m on.
+INDOOR_CAMERA_HEIGHT, INDOOR_CAMERA_PITCH = 0.9, math.radians(20)
+INDOOR_FIELD_OF_VIEW, INDOOR_IMAGE_SIZE = 90.0, (120, 160)
 
-#: Floor this near counts as explored, meters: the camera never sees it, and robots went back to look for it.
+#: Floor within this distance counts as explored, meters. The camera never sees it, and robots would return to look.
 FOOTROOM = 0.6
 
-#: What an indoor robot can do: as fast as one walks about a room.
+#: Limits of an indoor robot, about the speed of a person in a room.
 LIMITS = VehicleLimits(
     max_speed=1.0, max_turn_rate=2.0, max_acceleration=1.5, max_turn_acceleration=8.0, radius=ROBOT_RADIUS
 )
 
-#: The controller; how many samples it takes was measured on validation houses.
+#: Settings of the controller. The number of samples was chosen on validation houses.
 CONTROLLER = MPPISettings(limits=LIMITS, samples=128)
 
-#: What it costs the controller to be where the guide says that the robot must not be; how much of that is felt already
-#: on the way there from the next cell; what each meter further in costs; and what it costs to leave the local map.
-#: Meters. A short cut through a wall saves the rest of the horizon as much as the way around is longer: 50 steps, 20 m.
+#: Costs of the controller in meters: of a blocked cell; of a cell beside known costs, in addition to theirs; of each
+#: meter further away from known costs; and of leaving the local map. A short cut through a wall saves the detour at
+#: every step of the horizon: up to 50 steps of 20 m.
 _COLLISION, _MARGIN, _SLOPE, _OUTSIDE = 2000.0, 1.0, 3.0, 2000.0
 
-#: Seconds in which a vehicle that follows falling costs would turn to where they fall, at the rate it begins with.
+#: Time in which a vehicle that descends the costs turns to the direction of descent, seconds.
 _TURNING_TIME = 0.3
 
-#: What a robot is doing.
-UNDER_WAY, DECLARED = 0, 1
+#: Status of a robot that has declared to have reached the object.
+DECLARED = 1
 
 #: Columns of a robot's track.
 TRACK = ("x", "y", "yaw", "speed", "turn_rate")
@@ -75,14 +70,14 @@ TRACK = ("x", "y", "yaw", "speed", "turn_rate")
 
 @struct.dataclass
 class IndoorSite:
-    """A house as it is. Sites of one size can be stacked.
+    """A true house. Sites of equal size can be stacked.
 
     Attributes:
-      scene: what its camera sees.
-      paint: color of what is highest in a cell, see `dc2g_jax.objectnav.paint.painted`.
-      free: floor on which nothing stands.
-      distances: what the robot's middle has to drive until an object of each of `GOALS` is at arm's length, meters;
-        infinite where it does not fit or finds no way. Only a privileged guide looks at it.
+      scene: scene for the simulated camera.
+      paint: color of each cell, see `dc2g_jax.objectnav.paint.painted`.
+      free: free floor.
+      distances: distance that the robot's center has to drive until an object of each of `GOALS` is at arm's length,
+        meters; infinite where the robot does not fit or no path leads there. Only a privileged guide uses it.
     """
 
     scene: Scene
@@ -93,11 +88,11 @@ class IndoorSite:
 
 @struct.dataclass
 class Guidance:
-    """What a guide says about the cells of the local map.
+    """Costs of the cells of the local map.
 
     Attributes:
-      distance: what it costs to be there, in meters of way as a rule; infinite where the robot must not be.
-      to_goal: is that the way to an object of the wanted class, to which the robot declares to have come at its end?
+      distance: cost of each cell, usually meters to drive; infinite where the robot must not be.
+      to_goal: whether the costs lead to an object of the wanted class. The robot declares success at their end.
     """
 
     distance: Float[Array, "n n"]
@@ -105,32 +100,32 @@ class Guidance:
 
 
 class Guide(Protocol):
-    """Says where to go: a pytree."""
+    """Strategy that directs a robot. Implementations are pytrees."""
 
     def guide(self, key: Key[Array, ""], robot: "IndoorRobot", site: IndoorSite, agent: "Agent") -> Guidance:
-        """Costs of the cells of the robot's local map, see `IndoorRobot.local_middle`."""
+        """Costs of the cells of the robot's local map, which is centered on `IndoorRobot.local_middle`."""
         ...
 
 
 class Steering(Protocol):
-    """Makes commands of costs: a pytree."""
+    """Strategy that makes commands from costs. Implementations are pytrees."""
 
     def plan(self, key: Key[Array, ""], robot: "IndoorRobot", costs: CostOfPose, agent: "Agent") -> Float[Array, "h 2"]:
-        """The robot's next plan, whose first command is driven."""
+        """The robot's next plan. Its first command is executed."""
         ...
 
 
 @struct.dataclass
 class Agent:
-    """What a robot is made of.
+    """Components of a robot.
 
     Attributes:
-      guide: says where to go.
-      steering: makes commands of that.
-      camera: its intrinsics.
-      mapping: what its map covers.
-      controller: settings of the controller, and the limits of the vehicle.
-      renewal: control periods from one look, and one set of costs, to the next.
+      guide: directs the robot.
+      steering: makes commands from the guide's costs.
+      camera: intrinsics of the camera.
+      mapping: settings of the map.
+      controller: settings of the controller, with the limits of the vehicle.
+      renewal: control periods between two camera frames, and between two sets of costs.
     """
 
     guide: Guide
@@ -142,29 +137,23 @@ class Agent:
 
 
 @struct.dataclass
-class IndoorRobot:
-    """A robot on its way.
+class IndoorRobot(SimulatedRobot):
+    """State of a robot. Its status is `DRIVING` or `DECLARED`.
 
     Attributes:
-      key: of its random numbers.
-      target: what it looks for, an index into `GOALS`.
-      vehicle: where it is.
-      map: what it has seen of the house.
-      frame: what it saw last.
-      local_middle: row and column in the world's grid of the cell around which its costs lie, at half their side.
-      distance: what the guide said last.
-      costs: the same, and elsewhere a cost that leads back to where there is one.
-      to_goal: do they lead to an object of the wanted class?
+      target: the wanted class, an index into `GOALS`.
+      map: map of the house so far.
+      frame: last camera frame.
+      local_middle: row and column in the world's grid of the cell in the middle of the local map, at half its side.
+      distance: last costs of the guide.
+      costs: the same costs, with costs that lead back to them elsewhere.
+      to_goal: whether they lead to an object of the wanted class.
       controls: plan of the controller.
-      periods: control periods since it set out.
-      bumps: of these, those in which it ran into something.
-      status: `UNDER_WAY`, or `DECLARED` when it says that it is there.
-      track: `TRACK` at the start and after each period; where it stopped, from then on.
+      bumps: control periods in which an obstacle stopped the robot.
+      track: `TRACK` at the start and after each control period; constant after the end.
     """
 
-    key: Key[Array, ""]
     target: Int[Array, ""]
-    vehicle: VehicleState
     map: IndoorMap
     frame: Frame
     local_middle: Int[Array, "2"]
@@ -172,18 +161,16 @@ class IndoorRobot:
     costs: Float[Array, "n n"]
     to_goal: Bool[Array, ""]
     controls: Float[Array, "h 2"]
-    periods: Int[Array, ""]
     bumps: Int[Array, ""]
-    status: Int[Array, ""]
     track: Float[Array, "time 5"]
 
 
 @struct.dataclass
 class MPC:
-    """Plans with IT-MPC all the way. One of the sampled plans is no random one but goes straight down the costs.
+    """Steering with IT-MPC. One of its sampled plans is not random but descends the costs.
 
-    Random copies of a plan hardly ever stand still for the second or two that facing about takes, and all that do not
-    run into the wall ahead.
+    Turning around takes a second or two. Random plans hardly ever stop for so long, and those that do not stop hit the
+    wall ahead.
     """
 
     def plan(self, key: Key[Array, ""], robot: IndoorRobot, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
@@ -194,7 +181,7 @@ class MPC:
     def weighed(
         key: Key[Array, ""], robot: IndoorRobot, costs: CostOfPose, agent: Agent
     ) -> tuple[Float[Array, "h 2"], mppi.SampledPlans]:
-        """The next plan, and the sampled ones that it was made from."""
+        """The next plan, and the sampled plans that it is the weighted mean of."""
         settings = agent.controller
         noise = mppi.sampled_noise(key, settings)
         noise = noise.at[0].set(descent(robot.vehicle, costs, agent) - robot.controls)
@@ -202,7 +189,7 @@ class MPC:
 
 
 def descent(vehicle: VehicleState, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
-    """The commands of a vehicle that turns to where costs fall most and then goes there, all through the horizon."""
+    """Commands over the horizon that turn the vehicle to the direction of steepest descent and drive it there."""
     limits, settings = agent.controller.limits, agent.controller
     steps = agent.mapping.cell_size * jnp.array([[1, 0], [-1, 0], [0, 1], [0, -1]], jnp.float32)
 
@@ -218,10 +205,12 @@ def descent(vehicle: VehicleState, costs: CostOfPose, agent: Agent) -> Float[Arr
 
 @struct.dataclass
 class LookAround:
-    """Turns once around on the spot before it sets out, unless it has seen an object by then. A look costs no way.
+    """Steering that turns the robot once in place at the start, or until it has seen an object.
+
+    This adds nothing to the length of the path.
 
     Attributes:
-      steering: goes on from there.
+      steering: used afterwards.
     """
 
     steering: Steering
@@ -236,9 +225,9 @@ class LookAround:
 
 @struct.dataclass
 class RandomUntilSeen:
-    """Takes any command at all until it knows the way to an object, and then plans with IT-MPC.
+    """Random commands until a path to an object is known, then IT-MPC: the paper's privileged random agent.
 
-    The paper's privileged random agent (section IV-A): speed and turn rate are drawn anew in each period.
+    Speed and turn rate are drawn anew in each control period (section IV-A).
     """
 
     def plan(self, key: Key[Array, ""], robot: IndoorRobot, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
@@ -253,29 +242,29 @@ class RandomUntilSeen:
 
 
 def usual_camera() -> Intrinsics:
-    """The camera of all agents here."""
+    """Intrinsics of the default camera."""
     return intrinsics(INDOOR_FIELD_OF_VIEW, *INDOOR_IMAGE_SIZE)
 
 
 def site_of(world: IndoorWorld, name: str, radius: float = ROBOT_RADIUS) -> IndoorSite:
-    """A house for robots to drive in.
+    """The site of a house.
 
     Args:
       world: one house.
-      name: of the house; it is painted by chance, but always alike.
-      radius: of the robots, meters.
+      name: name of the house, which seeds its random colors.
+      radius: radius of the robots, meters.
     """
     return IndoorSite(
         scene=scene(world),
         paint=jnp.asarray(painted(world, np.random.default_rng([*name.encode()]))),
         free=jnp.asarray(world.free),
-        distances=_distances(world.free, world.classes, radius, float(world.cell_size)),
+        distances=_object_distances(world.free, world.classes, radius, float(world.cell_size)),
     )
 
 
 @functools.partial(jit, static_argnames=("radius", "cell_size"))
-def _distances(free: Array, classes: Array, radius: float, cell_size: float) -> Float[Array, "goal h w"]:
-    """Of every cell to the nearest object of each of `GOALS`. What is not free and no object is wall, or outside."""
+def _object_distances(free: Array, classes: Array, radius: float, cell_size: float) -> Float[Array, "goal h w"]:
+    """Distance of each cell to each of `GOALS`. Cells that are neither free nor an object are walls, or outside."""
     walls = ~free & (classes == NOTHING)
     return jax.lax.map(
         lambda goal: distance_to_object(~free, walls, classes == goal, radius=radius, cell_size=cell_size),
@@ -286,73 +275,68 @@ def _distances(free: Array, classes: Array, radius: float, cell_size: float) -> 
 def reset(
     key: Key[Array, ""], start: Float[Array, "3"], target: Int[Array, ""], agent: Agent, limit: int
 ) -> IndoorRobot:
-    """A robot at its start, which has seen nothing.
+    """The robot at its start, with an empty map.
 
     Args:
-      key: of all its random numbers.
+      key: random key of the episode.
       start: x and y, meters, and yaw, radians.
-      target: what it looks for, an index into `GOALS`.
-      agent: what it is made of.
-      limit: control periods after which its time is up.
+      target: the wanted class, an index into `GOALS`.
+      agent: components of the robot.
+      limit: largest number of control periods.
     """
     vehicle = at_rest(start[:2], start[2])
     side, image = agent.mapping.local, (agent.camera.height, agent.camera.width)
-    nothing = jnp.int32(0)
+    zero = jnp.int32(0)
     return IndoorRobot(
         key=key,
         target=jnp.asarray(target, jnp.int32),
         vehicle=vehicle,
         map=empty_map(vehicle.position, agent.mapping),
-        frame=Frame(depth=jnp.zeros(image), classes=jnp.zeros(image, jnp.uint8), pose=camera_pose(vehicle)),
+        frame=Frame(depth=jnp.zeros(image), classes=jnp.zeros(image, jnp.uint8), pose=indoor_camera(vehicle)),
         local_middle=grid_cell(vehicle.position, agent.mapping.cell_size),
         distance=jnp.full((side, side), jnp.inf, jnp.float32),
         costs=jnp.zeros((side, side), jnp.float32),
         to_goal=jnp.bool_(False),
         controls=mppi.standing_still(agent.controller),
-        periods=nothing,
-        bumps=nothing,
-        status=jnp.int32(UNDER_WAY),
+        periods=zero,
+        bumps=zero,
+        status=jnp.int32(DRIVING),
         track=jnp.tile(_tracked(vehicle), (limit + 1, 1)),
     )
 
 
-def camera_pose(vehicle: VehicleState) -> CameraPose:
-    """Where a vehicle's camera is: above its middle, looking ahead and down."""
-    return level_camera(
-        vehicle.position[0], vehicle.position[1], INDOOR_CAMERA_HEIGHT, vehicle.yaw, INDOOR_CAMERA_PITCH
-    )
+def indoor_camera(vehicle: VehicleState) -> CameraPose:
+    """The pose of the camera of a vehicle."""
+    return camera_pose(vehicle, INDOOR_CAMERA_HEIGHT, INDOOR_CAMERA_PITCH)
 
 
-def look(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
-    """Take what the camera shows into the map."""
-    frame = render(site.scene, agent.camera, camera_pose(robot.vehicle), agent.mapping.reach)
+def look_and_decide(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
+    """The first part of a leg: add a camera frame to the map, and ask the guide for new costs."""
+    position, cell_size = robot.vehicle.position, agent.mapping.cell_size
+    frame = render(site.scene, agent.camera, indoor_camera(robot.vehicle), agent.mapping.reach)
     seen = integrate(robot.map, frame, agent.camera, agent.mapping)
-    known = stood_on(seen, robot.vehicle.position, FOOTROOM, agent.mapping)
-    return dataclasses.replace(robot, map=known, frame=frame)
-
-
-def decide(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
-    """Ask the guide for new costs around the robot."""
     key, own_key = jax.random.split(robot.key)
-    robot = dataclasses.replace(robot, key=key, local_middle=grid_cell(robot.vehicle.position, agent.mapping.cell_size))
-    guidance = agent.guide.guide(own_key, robot, site, agent)
-    return dataclasses.replace(
+    robot = dataclasses.replace(
         robot,
-        distance=guidance.distance,
-        costs=filled_costs(guidance.distance, agent.mapping.cell_size),
-        to_goal=guidance.to_goal,
+        key=key,
+        map=stood_on(seen, position, FOOTROOM, agent.mapping),
+        frame=frame,
+        local_middle=grid_cell(position, cell_size),
     )
+    guidance = agent.guide.guide(own_key, robot, site, agent)
+    costs = filled_costs(guidance.distance, cell_size)
+    return dataclasses.replace(robot, distance=guidance.distance, costs=costs, to_goal=guidance.to_goal)
 
 
 def filled_costs(distance: Float[Array, "n n"], cell_size: float) -> Float[Array, "n n"]:
-    """Costs for the controller: the distance where there is one; elsewhere more, so that it leads back.
+    """Costs for the controller: the distance where finite, elsewhere costs that lead back to such cells.
 
-    What is beside cells with a distance costs more than all of these: a way that is shorter on the other side of a wall
-    must not shine through.
+    A cell beside cells with a finite distance costs more than all of them, so that a shorter distance on the other side
+    of a wall has no effect.
 
     Args:
-      distance: what the guide says, meters; infinite where the robot must not be.
-      cell_size: meters.
+      distance: costs of the guide, meters; infinite where the robot must not be.
+      cell_size: edge of a cell, meters.
     """
     known = jnp.isfinite(distance)
     around = jax.lax.reduce_window(jnp.where(known, distance, -jnp.inf), -jnp.inf, jax.lax.max, (3, 3), (1, 1), "SAME")
@@ -361,7 +345,7 @@ def filled_costs(distance: Float[Array, "n n"], cell_size: float) -> Float[Array
 
 
 def act(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
-    """One control period: plan, drive, and see whether that was the way."""
+    """One control period: plan, drive, and check whether the object is reached."""
     key, own_key = jax.random.split(robot.key)
     size, limits = agent.mapping.cell_size, agent.controller.limits
     first = robot.local_middle - agent.mapping.local // 2
@@ -384,10 +368,9 @@ def act(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
 
 
 def cost_of_pose(robot: IndoorRobot, agent: Agent) -> CostOfPose:
-    """What a place costs the controller: the guide's distance, bilinear between cells, and a price on collisions.
+    """The controller's cost of a pose: the guide's costs, interpolated between cells, and a penalty for collisions.
 
-    That one has its edge on the borders of cells: bilinear too, it would close gaps of a single cell, which the robot
-    just fits through.
+    The penalty is not interpolated. Otherwise it would close gaps of a single cell, through which the robot just fits.
     """
     side, size = agent.mapping.local, agent.mapping.cell_size
     first = robot.local_middle - side // 2
@@ -402,52 +385,21 @@ def cost_of_pose(robot: IndoorRobot, agent: Agent) -> CostOfPose:
 
 
 def leg(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
-    """From one look to the next: a robot that is under way looks, decides, and acts for `Agent.renewal` periods."""
+    """Look, decide, and act for `Agent.renewal` control periods or to the end of the episode."""
     return act_on(look_and_decide(robot, site, agent), site, agent)
-
-
-def look_and_decide(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
-    """The first part of a leg: what its actions are based on."""
-    return decide(look(robot, site, agent), site, agent)
 
 
 def act_on(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
     """The second part of a leg: its actions."""
-    begun = robot.periods
-    limit = robot.track.shape[0] - 1
-
-    def goes_on(robot: IndoorRobot) -> Bool[Array, ""]:
-        return (robot.status == UNDER_WAY) & (robot.periods < jnp.minimum(begun + agent.renewal, limit))
-
-    return jax.lax.while_loop(goes_on, lambda robot: act(robot, site, agent), robot)
+    end = robot.periods + agent.renewal
+    return jax.lax.while_loop(
+        lambda robot: is_active(robot) & (robot.periods < end), lambda robot: act(robot, site, agent), robot
+    )
 
 
-def under_way(robot: IndoorRobot) -> Bool[Array, ""]:
-    """Has the robot neither declared that it is there nor run out of time?"""
-    return (robot.status == UNDER_WAY) & (robot.periods < robot.track.shape[0] - 1)
-
-
-def stopped_by_obstacles(
-    before: VehicleState, after: VehicleState, ground: Ground, radius: float
-) -> tuple[VehicleState, Bool[Array, ""]]:
-    """The vehicle as far as obstacles let it: in its old place without speed if it touched one in the new one.
-
-    It still turns: a round body covers no new ground. One that touches something already may move away from it.
-
-    Args:
-      before: the vehicle.
-      after: where it would be a period later.
-      ground: the floor it may be on.
-      radius: of the body, meters.
-
-    Returns:
-      The vehicle, and whether it was stopped.
-    """
-    around = surroundings(ground, before.position, radius + 2 * ground.cell_size)
-    now, then = clearance(jnp.stack([before.position, after.position]), around)
-    bumped = (then < radius) & (then < now)
-    position, speed = jnp.where(bumped, before.position, after.position), jnp.where(bumped, 0, after.speed)
-    return dataclasses.replace(after, position=position, speed=speed), bumped
+def is_active(robot: IndoorRobot) -> Bool[Array, ""]:
+    """Whether the robot has neither declared success nor run out of time."""
+    return is_driving(robot, robot.track.shape[0] - 1)
 
 
 def _tracked(vehicle: VehicleState) -> Float[Array, "5"]:

@@ -1,13 +1,12 @@
-"""Mid-level features of what the robot sees (section II-B): pictures, the interface, and two encoders behind it.
+"""Mid-level features of camera images (section II-B): images, the interface of encoders, and two encoders.
 
-The paper takes pretrained encoders for semantic segmentation, object classification and depth. The default here is one
-small network trained for these three tasks at once on the simulator's own pictures: what it knows about a picture, it
-has to say in one vector. Others are read from a file.
+The paper uses pretrained encoders for semantic segmentation, object classification and depth. The default here is a
+small network trained for these three tasks together on images of the simulator. Its answers to all tasks depend on one
+feature vector. Other encoders are read from files.
 """
 
 import dataclasses
 import functools
-import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -15,13 +14,13 @@ from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optax
 from flax import nnx, struct
 from jaxtyping import Array, Float, Int, UInt8
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.weights import flattened, read_safetensors, read_weights, write_safetensors
+from dc2g_jax.estimation.networks.compact_unet import patches
+from dc2g_jax.estimation.weights import fresh_weights, read_network, read_safetensors, with_weights, write_network
 from dc2g_jax.mapping.camera import CameraPose, intrinsics, rays
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.mapping.simulator import FACE_TOP, FACE_X, cast
@@ -31,29 +30,29 @@ from dc2g_jax.objectnav.paint import NO_COLOR
 from dc2g_jax.programs import jit
 from dc2g_jax.training.loop import Losses, Task
 
-#: Rows and columns of a picture, and of what the encoder is asked about it.
+#: Rows and columns of an image, and of the blocks of pixels for which the default encoder is trained to answer.
 VIEW_SIZE = (48, 64)
 _BLOCK = 4
 _ASKED = (VIEW_SIZE[0] // _BLOCK, VIEW_SIZE[1] // _BLOCK)
 
-#: Pixels that an object's class must have to be in a picture, and the farthest depth that is told apart, meters.
+#: Least number of pixels of a class that counts as present in an image, and the depth at which errors are cut, meters.
 _PRESENT, _FAR = 12, 10.0
 
-#: Pictures on which the encoder is validated, at most.
-_JUDGED = 512
+#: Largest number of images for validation.
+_VALIDATION_VIEWS = 512
 
-#: Brightness of faces that look along x, along y and up.
+#: Brightness of surfaces that face along x, along y, and up.
 _LIGHT = (0.82, 0.7, 1.0)
 
 
 @struct.dataclass
 class CameraView:
-    """What a camera sees.
+    """A camera image with its ground truth.
 
     Attributes:
       image: colors.
-      depth: along the optical axis, meters; 0 where there is nothing.
-      classes: of objects; 0 for floor and walls.
+      depth: depth along the optical axis, meters; 0 where there is nothing.
+      classes: class indices of objects; 0 for floor and walls.
     """
 
     image: UInt8[Array, "*b 48 64 3"]
@@ -62,7 +61,7 @@ class CameraView:
 
 
 class ImageEncoder(Protocol):
-    """Makes a vector of mid-level features of a picture."""
+    """Computes a vector of mid-level features of an image."""
 
     @property
     def size(self) -> int:
@@ -70,36 +69,36 @@ class ImageEncoder(Protocol):
         ...
 
     def encode(self, images: UInt8[Array, "b h w 3"]) -> Float[Array, "b f"]:
-        """The features of pictures."""
+        """The features of images."""
         ...
 
 
 def view(scene: Scene, paint: UInt8[Array, "h w 3"], pose: CameraPose) -> CameraView:
-    """What the camera of a robot sees of a house, as far as it reaches.
+    """Render the camera of a robot in a house, with unlimited range.
 
     Args:
-      scene: the house.
+      scene: scene of the house.
       paint: color of each cell, see `dc2g_jax.objectnav.paint.painted`.
-      pose: of the camera.
+      pose: pose of the camera.
     """
     to_hit = jax.vmap(jax.vmap(lambda ray: cast(scene, pose.position, ray, jnp.float32(math.inf))))
     hits = to_hit(rays(intrinsics(INDOOR_FIELD_OF_VIEW, *VIEW_SIZE), pose))
-    met = hits.distance > 0
+    hit = hits.distance > 0
     light = jnp.asarray(_LIGHT, jnp.float32)[jnp.where(hits.face == FACE_TOP, 2, jnp.where(hits.face == FACE_X, 0, 1))]
     colors = paint.at[hits.row, hits.column].get(mode="clip") * light[..., None]
     return CameraView(
-        image=jnp.where(met[..., None], colors, jnp.asarray(NO_COLOR, jnp.float32)).astype(jnp.uint8),
+        image=jnp.where(hit[..., None], colors, jnp.asarray(NO_COLOR, jnp.float32)).astype(jnp.uint8),
         depth=hits.distance,
-        classes=jnp.where(met, scene.classes.at[hits.row, hits.column].get(mode="clip"), 0).astype(jnp.uint8),
+        classes=jnp.where(hit, scene.classes.at[hits.row, hits.column].get(mode="clip"), 0).astype(jnp.uint8),
     )
 
 
 @dataclasses.dataclass(frozen=True)
 class EncoderArchitecture:
-    """What it takes to build the default encoder again.
+    """Hyperparameters of the default encoder.
 
     Attributes:
-      widths: channels at 1/4, 1/8 and 1/16 of the picture's resolution.
+      widths: channels at 1/4, 1/8 and 1/16 of the image's resolution.
       features: length of the vector.
     """
 
@@ -108,12 +107,12 @@ class EncoderArchitecture:
 
 
 class Answers(struct.PyTreeNode):
-    """What the default encoder's vector says about a picture, in blocks of 4 x 4 pixels.
+    """Answers of the default encoder to the three tasks, for blocks of 4 x 4 pixels.
 
     Attributes:
       classes: log-odds of the class of each block.
-      presence: log-odds that a class of objects is anywhere in the picture.
-      depth: of each block, tens of meters.
+      presence: log-odds that the image shows an object of each class.
+      depth: depth of each block, tens of meters.
     """
 
     classes: Float[Array, "b 12 16 17"]
@@ -122,7 +121,7 @@ class Answers(struct.PyTreeNode):
 
 
 class SmallEncoder(nnx.Module):
-    """Three layers, each coarser than the last, to one vector, and from that alone the answers to the three tasks."""
+    """Three layers of decreasing resolution to one vector, and decoders from this vector for the three tasks."""
 
     def __init__(self, architecture: EncoderArchitecture, *, rngs: nnx.Rngs):
         first, second, third = architecture.widths
@@ -137,30 +136,24 @@ class SmallEncoder(nnx.Module):
         self.presence = nnx.Linear(architecture.features, len(OBJECT_CLASSES), rngs=rngs)
 
     def encode(self, images: UInt8[Array, "b 48 64 3"]) -> Float[Array, "b f"]:
-        """The features of pictures, from -1 to 1."""
-        blocks = images.reshape(len(images), _ASKED[0], _BLOCK, _ASKED[1], _BLOCK, 3).transpose(0, 1, 3, 2, 4, 5)
-        at = blocks.reshape(len(images), *_ASKED, -1).astype(jnp.float32) / 127.5 - 1
+        """The features of images, from -1 to 1."""
+        at = patches(images, _BLOCK).astype(jnp.float32) / 127.5 - 1
         for layer in (self.take, self.halve, self.halve_again):
             at = nnx.relu(layer(at))
         return jnp.tanh(self.vector(at.reshape(len(at), -1)))
 
     def answer(self, features: Float[Array, "b f"]) -> Answers:
-        """What features say about their pictures."""
+        """The answers for images with these features."""
         blocks = nnx.relu(self.widen(features)).reshape(len(features), *_ASKED, 8)
         found = self.blocks(nnx.relu(self.smooth(blocks)))
         return Answers(found[..., 1:], self.presence(features), found[..., 0])
 
 
-def init_encoder(architecture: EncoderArchitecture, key: Array) -> dict[str, Any]:
-    """Fresh weights: a nested dictionary of float32 arrays."""
-    return nnx.to_pure_dict(nnx.split(SmallEncoder(architecture, rngs=nnx.Rngs(key)))[1])
+#: Random initial weights for `(architecture, key)`, see `dc2g_jax.estimation.weights`.
+init_encoder = functools.partial(fresh_weights, SmallEncoder)
 
-
-def build_encoder(architecture: EncoderArchitecture, weights: dict[str, Any]) -> SmallEncoder:
-    """The network with these weights."""
-    graph, state = nnx.split(nnx.eval_shape(lambda: SmallEncoder(architecture, rngs=nnx.Rngs(0))))
-    nnx.replace_by_pure_dict(state, weights)
-    return nnx.merge(graph, state)
+#: The default encoder for `(architecture, weights)`.
+build_encoder = functools.partial(with_weights, SmallEncoder)
 
 
 @struct.dataclass
@@ -168,8 +161,8 @@ class TrainedEncoder:
     """The default encoder, see `ImageEncoder`.
 
     Attributes:
-      weights: of `SmallEncoder`.
-      architecture: of it.
+      weights: weights of `SmallEncoder`.
+      architecture: architecture of `SmallEncoder`.
     """
 
     weights: Any
@@ -181,18 +174,18 @@ class TrainedEncoder:
         return self.architecture.features
 
     def encode(self, images: UInt8[Array, "b 48 64 3"]) -> Float[Array, "b f"]:
-        """The features of pictures."""
+        """The features of images."""
         return build_encoder(self.architecture, self.weights).encode(images)
 
 
 @struct.dataclass
 class ConvolutionEncoder:
-    """Someone else's encoder, see `ImageEncoder`: convolutions with rectifiers, and what comes out as one vector.
+    """A foreign encoder, see `ImageEncoder`: convolutions with rectifiers, whose last output is the vector.
 
     Attributes:
-      kernels: of each layer, output channels first, as PyTorch has them.
-      biases: of each layer.
-      stride: of every layer.
+      kernels: kernel of each layer with output channels first, as in PyTorch.
+      biases: bias of each layer.
+      stride: stride of all layers.
     """
 
     kernels: tuple[Float[Array, "out in rows columns"], ...]
@@ -206,7 +199,7 @@ class ConvolutionEncoder:
         return jax.eval_shape(lambda images: self.encode(images), image).shape[1]
 
     def encode(self, images: UInt8[Array, "b h w 3"]) -> Float[Array, "b f"]:
-        """The features of pictures. They are given to the first layer from -1 to 1, and padded by half a kernel."""
+        """The features of images. Pixels are scaled to -1 to 1, and inputs of layers padded by half a kernel."""
         at = images.astype(jnp.float32).transpose(0, 3, 1, 2) / 127.5 - 1
         for kernel, bias in zip(self.kernels, self.biases, strict=True):
             padding = [(size // 2, size // 2) for size in kernel.shape[2:]]
@@ -215,39 +208,32 @@ class ConvolutionEncoder:
         return at.reshape(len(at), -1)
 
 
-def save_encoder(path: str | Path, encoder: TrainedEncoder, facts: dict[str, str]) -> None:
-    """Write the default encoder to a safetensors file, in half precision.
+def save_encoder(path: str | Path, encoder: TrainedEncoder, card: dict[str, Any]) -> None:
+    """Write the default encoder to a safetensors file.
 
     Args:
-      path: the file; replaced if there is one.
-      encoder: what to save.
-      facts: what to know about it.
+      path: the file; replaced if it exists.
+      encoder: the encoder.
+      card: further facts about it, as JSON values.
     """
-    tensors = {name: np.asarray(leaf, np.float16) for name, leaf in flattened(encoder.weights).items()}
-    architecture = json.dumps(dataclasses.asdict(encoder.architecture))
-    write_safetensors(path, tensors, {**facts, "encoder": "small", "architecture": architecture})
+    write_network(path, encoder.weights, encoder.architecture, card)
 
 
 def load_encoder(path: str | Path) -> TrainedEncoder | ConvolutionEncoder:
     """Read an encoder from a safetensors file.
 
-    It is the default encoder if it was written by `save_encoder`. Else it has to be a `ConvolutionEncoder`: arrays
-    `layers.0.weight` [out in rows columns], `layers.0.bias` [out], `layers.1.weight` and so on, and in the metadata the
-    stride of its layers, 2 if it says nothing. What is built otherwise needs an `ImageEncoder` of its own.
+    A file with an architecture in its metadata was written by `save_encoder`. Other files must hold a
+    `ConvolutionEncoder`: arrays `layers.0.weight` [out in rows columns], `layers.0.bias` [out], `layers.1.weight` and
+    so on, and in the metadata the `stride` of the layers, 2 by default. Other kinds of encoders need an implementation
+    of `ImageEncoder`.
 
     Raises:
-      InputError: the file cannot be read, or is no encoder.
+      InputError: the file cannot be read or holds no encoder.
     """
     tensors, facts = read_safetensors(path)
+    if "architecture" in facts:
+        return TrainedEncoder(*read_network(path, SmallEncoder, _read_architecture)[:2])
     remedy = "give a file of convolutions layers.0.weight, layers.0.bias, layers.1.weight and so on"
-    if facts.get("encoder") == "small":
-        try:
-            known = json.loads(facts["architecture"])
-            architecture = EncoderArchitecture(tuple(known["widths"]), int(known["features"]))
-            shapes = jax.eval_shape(lambda: init_encoder(architecture, jax.random.key(0)))
-        except (KeyError, TypeError, ValueError):
-            raise InputError(f"{path}: its metadata name no architecture; write the encoder again") from None
-        return TrainedEncoder(weights=read_weights(path, shapes, tensors), architecture=architecture)
     names = [f"layers.{layer}.{part}" for layer in range(len(tensors) // 2) for part in ("weight", "bias")]
     if not names or sorted(names) != sorted(tensors):
         raise InputError(f"{path}: has arrays {', '.join(sorted(tensors)[:4]) or 'none'}; {remedy}")
@@ -267,6 +253,11 @@ def load_encoder(path: str | Path) -> TrainedEncoder | ConvolutionEncoder:
     return ConvolutionEncoder(kernels=kernels, biases=biases, stride=int(stride))
 
 
+def _read_architecture(facts: dict[str, Any]) -> EncoderArchitecture:
+    """The architecture from JSON, which has lists instead of tuples."""
+    return EncoderArchitecture(tuple(facts["widths"]), int(facts["features"]))
+
+
 def task_losses(answers: Answers, views: CameraView) -> dict[str, Float[Array, ""]]:
     """Mean losses of the three tasks over a batch: cross entropies in nats, error of the depth in tens of meters."""
     classes = views.classes[:, _BLOCK // 2 :: _BLOCK, _BLOCK // 2 :: _BLOCK]
@@ -282,12 +273,12 @@ def task_losses(answers: Answers, views: CameraView) -> dict[str, Float[Array, "
 
 @struct.dataclass
 class EncoderState:
-    """A training of the default encoder under way.
+    """State of the training of the default encoder.
 
     Attributes:
-      step: optimizer steps taken.
-      weights: of the encoder.
-      optimizer: optax state.
+      step: number of optimizer steps.
+      weights: weights of the encoder.
+      optimizer: state of the optimizer.
     """
 
     step: Int[Array, ""]
@@ -304,15 +295,15 @@ def encoder_task(
     batch_size: int = 64,
     seed: int = 0,
 ) -> Task[EncoderState]:
-    """The training of the default encoder on pictures; the same bits for the same seed.
+    """The training of the default encoder on images. The result is reproducible by seed to the bit.
 
     Args:
-      architecture: of the encoder.
-      views: all pictures.
-      steps: optimizer steps.
-      save: called in each validation with the encoder and its losses on some of the pictures.
-      batch_size: pictures a step.
-      seed: of weights and batches.
+      architecture: architecture of the encoder.
+      views: all images.
+      steps: number of optimizer steps.
+      save: called at each validation with the encoder and its losses on the first images.
+      batch_size: images per step.
+      seed: seed of weights and batches.
     """
     optimizer = optax.adam(optax.cosine_decay_schedule(2e-3, max(steps, 1)))
 
@@ -337,9 +328,9 @@ def encoder_task(
         return EncoderState(step=state.step + 1, weights=weights, optimizer=optimizer_state), loss
 
     def validate(state: EncoderState, step: int, loss: Losses | None) -> list[dict[str, float]]:
-        found = {name: float(loss) for name, loss in jit(losses)(state.weights, judged).items()}
+        found = {name: float(loss) for name, loss in jit(losses)(state.weights, validation_views).items()}
         save(TrainedEncoder(weights=state.weights, architecture=architecture), found)
         return [{"step": step, **found}]
 
-    judged = jax.tree.map(lambda leaf: leaf[:_JUDGED], views)
+    validation_views = jax.tree.map(lambda leaf: leaf[:_VALIDATION_VIEWS], views)
     return Task(steps, init, lambda state: step(state, views), validate, name="encoder")

@@ -1,17 +1,15 @@
-"""The network that reads a partial indoor map and writes a dense cost map (section II-B, Fig. 2).
+"""The network that predicts a dense cost map from a partial indoor map (section II-B, Fig. 2).
 
-A U-Net: one encoder, and two decoders of one shape, for occupancy and for navigation cost. At the bottleneck the
-encoder's features are joined by the embedding of the target, the same everywhere, and by the mid-level features of what
-the camera sees, in the region of the map that it looks at (Fig. 3).
+It is a U-Net with one encoder and two decoders of the same shape, for occupancy and for navigation cost. At the
+bottleneck, the encoder's features are joined by the embedding of the target, the same everywhere, and by the mid-level
+features of the camera image, in the region of the map that the camera looks at (Fig. 3).
 
-The map's 36 channels are those of two maps, as `dc2g_jax.objectnav.mapping.network_input` makes them: the local one,
-and the global one around the same middle, averaged over 3x3 cells. Each has 16 semantic classes, then obstacle, then
-explored.
+The 36 input channels are those of two maps, see `dc2g_jax.objectnav.mapping.network_input`: the local map, and the
+global map around the same center, averaged over 3x3 cells. Each has 16 semantic classes, then obstacle, then explored.
 """
 
 import dataclasses
 import functools
-import json
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,28 +22,28 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Integer, UInt8
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.networks.compact_unet import Down, Residual, Up
-from dc2g_jax.estimation.weights import flattened, read_safetensors, read_weights, write_safetensors
+from dc2g_jax.estimation.networks.compact_unet import Down, Residual, Up, patches, unpatched
+from dc2g_jax.estimation.weights import fresh_weights, read_network, shapes_of_weights, with_weights, write_network
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES, SEMANTIC_CLASSES
 from dc2g_jax.objectnav.mapping import MAP_CHANNELS
 
 #: Channels of the network's input: of the local map, then of the global one.
 INPUT_CHANNELS = 2 * MAP_CHANNELS
 
-#: The directions that the robot may look in, 45 degrees each (Fig. 3).
+#: Number of heading bins of 45 degrees (Fig. 3).
 BINS = 8
 
-#: Heading bin -> row and column of its region, of three by three, north being row 0. The first is east, then turning
-#: to the left: north is the paper's third.
+#: Heading bin -> row and column of its region among three by three, with north in row 0. Bins count counter-clockwise
+#: from east, so north is bin 2.
 _REGIONS = ((1, 2), (0, 2), (0, 1), (0, 0), (1, 0), (2, 0), (2, 1), (2, 2))
 
 
 class Inputs(NamedTuple):
-    """What a network is shown of what is known (section IV-C). Obstacles and explored cells always are.
+    """Inputs of a network besides obstacles and explored cells, which it always gets (section IV-C).
 
     Attributes:
-      semantics: the channels of semantic classes.
-      features: the mid-level features.
+      semantics: whether it gets the channels of semantic classes.
+      features: whether it gets the mid-level features.
     """
 
     semantics: bool
@@ -60,18 +58,18 @@ ABLATIONS = {"both": BOTH, "semantic": SEMANTIC_ONLY, "midlevel": MIDLEVEL_ONLY}
 
 @dataclasses.dataclass(frozen=True)
 class CostMapArchitecture:
-    """What it takes to build a `CostMapNetwork` again. Defaults are made for two cores of a CPU.
+    """Hyperparameters of a `CostMapNetwork`. The defaults suit a CPU with two cores.
 
     Attributes:
-      patch: side of the square of cells that the first layer takes as one, a divisor of the map's sides.
+      patch: side of the patches of cells that the first layer reads, a divisor of the map's sides.
       widths: channels at the resolution of patches, at half of it, and so on down to the bottleneck; at least two.
-      embedding: numbers that stand for a target.
+      embedding: length of the embedding of a target.
       features: length of the vector of mid-level features.
-      feature_width: channels in which they come to the bottleneck.
-      inputs: what the network is shown.
+      feature_width: channels of the mid-level features at the bottleneck.
+      inputs: inputs of the network.
 
     Raises:
-      InputError: a number makes no sense.
+      InputError: a number is out of range.
     """
 
     patch: int = 4
@@ -91,11 +89,11 @@ class CostMapArchitecture:
 
 @struct.dataclass
 class Prediction:
-    """What the network answers.
+    """Output of the network.
 
     Attributes:
-      occupancy_logits: log-odds that there is no free floor in a cell.
-      cost: navigation cost, in the unit of the labels that the network was trained on.
+      occupancy_logits: log-odds that a cell is not free floor.
+      cost: navigation cost, in the unit of the training labels.
     """
 
     occupancy_logits: Float[Array, "*b h w"]
@@ -103,19 +101,19 @@ class Prediction:
 
     @property
     def occupancy(self) -> Float[Array, "*b h w"]:
-        """Probability that there is no free floor in a cell."""
+        """Probability that a cell is not free floor."""
         return jax.nn.sigmoid(self.occupancy_logits)
 
 
 def fused_cost(
     occupancy: Float[Array, "*b h w"], cost: Float[Array, "*b h w"], threshold: ArrayLike = 0.5
 ) -> Float[Array, "*b h w"]:
-    """The final cost map: the navigation cost, infinite in cells more likely occupied than a threshold.
+    """The final cost map: the navigation cost, infinite in cells that are occupied with more than some probability.
 
     Args:
-      occupancy: probability that there is no free floor in a cell.
+      occupancy: probability that a cell is not free floor.
       cost: navigation cost.
-      threshold: of the probability, above 0 and below 1 (the paper's theta_occ).
+      threshold: that probability, above 0 and below 1 (the paper's theta_occ).
     """
     return jnp.where(occupancy > threshold, jnp.inf, cost)
 
@@ -126,7 +124,7 @@ def heading_bin(heading: Float[Array, "*b"]) -> Int[Array, "*b"]:
 
 
 def bin_regions(height: int, width: int) -> Bool[np.ndarray, "bin h w"]:
-    """The region of each heading bin on a map with north above: an outer one of three by three (Fig. 3)."""
+    """The region of each heading bin on a map with north up: one of the outer eight of three by three (Fig. 3)."""
     row, column = ((3 * np.arange(size) // size) for size in (height, width))
     return np.stack([(row == above)[:, None] & (column == beside) for above, beside in _REGIONS])
 
@@ -134,27 +132,13 @@ def bin_regions(height: int, width: int) -> Bool[np.ndarray, "bin h w"]:
 def oriented_features(
     features: Float[Array, "b f"], heading: Float[Array, "b"], height: int, width: int
 ) -> Float[Array, "b h w f"]:
-    """Mid-level features in the region that the robot looks at, 0 elsewhere (Fig. 3)."""
+    """Mid-level features in the region that the camera looks at, 0 elsewhere (Fig. 3)."""
     regions = jnp.asarray(bin_regions(height, width), features.dtype)
     return regions[heading_bin(heading)][..., None] * features[:, None, None, :]
 
 
-def _patches(grid: Float[Array, "b c h w"], side: int) -> Float[Array, "b h2 w2 c2"]:
-    """The squares of the grid as features."""
-    batch, channels, height, width = grid.shape
-    split = grid.reshape(batch, channels, height // side, side, width // side, side)
-    return split.transpose(0, 2, 4, 3, 5, 1).reshape(batch, height // side, width // side, side * side * channels)
-
-
-def _unpatched(features: Float[Array, "b h2 w2 c"], side: int) -> Float[Array, "b h w"]:
-    """A square's features as its cells."""
-    batch, rows, columns, _ = features.shape
-    split = features.reshape(batch, rows, columns, side, side).transpose(0, 1, 3, 2, 4)
-    return split.reshape(batch, side * rows, side * columns)
-
-
 class _Decoder(nnx.Module):
-    """From the bottleneck back to one number a cell: one a patch, smoothly spread, and what its cells differ by."""
+    """From the bottleneck to one number per cell: an interpolated number per patch, and an offset per cell."""
 
     def __init__(self, architecture: CostMapArchitecture, width_in: int, *, rngs: nnx.Rngs):
         widths = architecture.widths
@@ -172,12 +156,12 @@ class _Decoder(nnx.Module):
         features = self.context(self.narrow(bottleneck))
         for level in reversed(range(self.levels)):
             features = getattr(self, f"up{level}")(features, skipped[level])
-        fine = _unpatched(self.fine(nnx.relu(features)), self.patch)
+        fine = unpatched(self.fine(nnx.relu(features)), self.patch)[..., 0]
         return fine + jax.image.resize(self.coarse(nnx.relu(features))[..., 0], fine.shape, "bilinear")
 
 
 class CostMapNetwork(nnx.Module):
-    """The U-Net of Fig. 2. What the local map shows of a cell goes to the end of the occupancy's decoder as well."""
+    """The U-Net of Fig. 2. The channels of each cell of the local map also enter the occupancy directly."""
 
     def __init__(self, architecture: CostMapArchitecture, *, rngs: nnx.Rngs):
         widths, wide = architecture.widths, architecture.feature_width
@@ -205,7 +189,7 @@ class CostMapNetwork(nnx.Module):
         if not inputs.semantics:
             semantic = np.arange(INPUT_CHANNELS) % MAP_CHANNELS < SEMANTIC_CLASSES
             maps = maps * jnp.asarray(~semantic, maps.dtype)[:, None, None]
-        at = self.first(self.embed(_patches(maps, self.architecture.patch)))
+        at = self.first(self.embed(patches(jnp.moveaxis(maps, 1, -1), self.architecture.patch)))
         skipped = [at]
         for level in range(len(self.architecture.widths) - 1):
             at = getattr(self, f"down{level}")(at)
@@ -221,14 +205,11 @@ class CostMapNetwork(nnx.Module):
         )
 
 
-def init_weights(architecture: CostMapArchitecture, key: Array) -> dict[str, Any]:
-    """Fresh weights: a nested dictionary of float32 arrays."""
-    return nnx.to_pure_dict(nnx.split(CostMapNetwork(architecture, rngs=nnx.Rngs(key)))[1])
+#: Random initial weights for `(architecture, key)`, see `dc2g_jax.estimation.weights`.
+init_weights = functools.partial(fresh_weights, CostMapNetwork)
 
-
-def weight_shapes(architecture: CostMapArchitecture) -> dict[str, Any]:
-    """What `init_weights` would give, as shapes and dtypes only."""
-    return jax.eval_shape(functools.partial(init_weights, architecture), jax.random.key(0))
+#: Shapes and dtypes of the weights for `(architecture)`.
+weight_shapes = functools.partial(shapes_of_weights, CostMapNetwork)
 
 
 def apply(
@@ -243,18 +224,18 @@ def apply(
 
     Args:
       architecture: the network.
-      weights: nested dictionary of arrays; computed with in float32.
-      maps: north above, the robot in the middle. Shares of a cell from 0 to 1, or bytes of which 255 is 1. Sides are
+      weights: nested dictionary of arrays, converted to float32.
+      maps: maps with north up and the robot in the middle. Values from 0 to 1, or bytes from 0 to 255. Sides are
         multiples of the architecture's patch.
-      target: what to look for, an index into `dc2g_jax.objectnav.classes.GOALS`.
-      heading: where the camera looks, counter-clockwise from east, radians.
-      features: mid-level features of what it sees; what they are does not matter to a network that is shown none.
+      target: the wanted class, an index into `dc2g_jax.objectnav.classes.GOALS`.
+      heading: direction of the camera, counter-clockwise from east, radians.
+      features: mid-level features of the camera image; ignored by a network without this input.
     """
     if maps.dtype == jnp.uint8:
         maps = maps.astype(jnp.float32) / 255
-    graph, state = nnx.split(nnx.eval_shape(lambda: CostMapNetwork(architecture, rngs=nnx.Rngs(0))))
-    nnx.replace_by_pure_dict(state, jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), weights))
-    return nnx.merge(graph, state)(maps, target, heading, features.astype(jnp.float32))
+    weights = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), weights)
+    network = with_weights(CostMapNetwork, architecture, weights)
+    return network(maps, target, heading, features.astype(jnp.float32))
 
 
 @struct.dataclass
@@ -262,8 +243,8 @@ class CostMapEstimator:
     """A trained network.
 
     Attributes:
-      weights: see `init_weights`; of any width of float.
-      architecture: the network.
+      weights: weights of `CostMapNetwork`, floats of any precision.
+      architecture: architecture of the network.
     """
 
     weights: Any
@@ -282,35 +263,31 @@ class CostMapEstimator:
         return prediction.occupancy[0], prediction.cost[0]
 
 
-def save_estimator(path: str | Path, estimator: CostMapEstimator, facts: dict[str, Any]) -> None:
-    """Write a network to a safetensors file, in half precision, with what it takes to build it again.
+def save_estimator(path: str | Path, estimator: CostMapEstimator, card: dict[str, Any]) -> None:
+    """Write a network to a safetensors file.
 
     Args:
-      path: the file; replaced if there is one.
-      estimator: what to save.
-      facts: what to know about it, its card; values go into JSON.
+      path: the file; replaced if it exists.
+      estimator: the network.
+      card: further facts about the network, as JSON values.
     """
-    tensors = {name: np.asarray(leaf, np.float16) for name, leaf in flattened(estimator.weights).items()}
-    architecture = json.dumps(dataclasses.asdict(estimator.architecture))
-    card = json.dumps({"channels": INPUT_CHANNELS, "classes": OBJECT_CLASSES, **facts})
-    write_safetensors(path, tensors, {"architecture": architecture, "card": card})
+    facts = {"channels": INPUT_CHANNELS, "classes": OBJECT_CLASSES, **card}
+    write_network(path, estimator.weights, estimator.architecture, facts)
 
 
 def load_estimator(path: str | Path) -> tuple[CostMapEstimator, dict[str, Any]]:
     """Read a network and its card.
 
     Raises:
-      InputError: the file cannot be read, or holds no such network, or one for other classes.
+      InputError: the file cannot be read, holds no such network, or one with other classes.
     """
-    tensors, facts = read_safetensors(path)
-    remedy = "give a network written by `dc2g objectnav train`"
-    try:
-        card, known = json.loads(facts["card"]), json.loads(facts["architecture"])
-        inputs = Inputs(*(bool(shown) for shown in known.pop("inputs")))
-        architecture = CostMapArchitecture(**{**known, "widths": tuple(known["widths"]), "inputs": inputs})
-        shapes, classes = weight_shapes(architecture), tuple(card["classes"])
-    except (KeyError, TypeError, ValueError):
-        raise InputError(f"{path}: its metadata describe no network; {remedy}") from None
-    if classes != OBJECT_CLASSES:
+    weights, architecture, card = read_network(path, CostMapNetwork, _read_architecture)
+    if card.get("classes") != list(OBJECT_CLASSES):
         raise InputError(f"{path}: the network was trained on another list of classes; train it anew")
-    return CostMapEstimator(weights=read_weights(path, shapes, tensors), architecture=architecture), card
+    return CostMapEstimator(weights=weights, architecture=architecture), card
+
+
+def _read_architecture(facts: dict[str, Any]) -> CostMapArchitecture:
+    """The architecture from JSON, which has lists instead of tuples."""
+    inputs = Inputs(*(bool(given) for given in facts["inputs"]))
+    return CostMapArchitecture(**{**facts, "widths": tuple(facts["widths"]), "inputs": inputs})

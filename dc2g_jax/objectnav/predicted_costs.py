@@ -8,7 +8,7 @@ from flax import struct
 from jaxtyping import Array, Float, Int
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.objectnav.agent import Agent, IndoorRobot, IndoorSite, camera_pose
+from dc2g_jax.objectnav.agent import Agent, IndoorRobot, IndoorSite, indoor_camera
 from dc2g_jax.objectnav.mapping import IndoorMapSettings, network_input
 from dc2g_jax.objectnav.midlevel import ImageEncoder, load_encoder, view
 from dc2g_jax.objectnav.networks import CostMapEstimator, fused_cost, load_estimator
@@ -68,7 +68,7 @@ class PredictedCosts(Generic[_Estimator]):
         """
         vehicle = robot.vehicle
         maps = network_input(robot.map, vehicle.position, agent.mapping)
-        seen = view(site.scene, site.paint, camera_pose(vehicle)).image
+        seen = view(site.scene, site.paint, indoor_camera(vehicle)).image
         features = self.encoder.encode(seen[None])[0]
         occupied, cost = self.estimator.estimate(maps, robot.target, features, vehicle.yaw)
         fused = fused_cost(occupied, cost, self.threshold)

@@ -15,7 +15,7 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.objectnav.agent import DECLARED, Agent, IndoorRobot, IndoorSite, leg, reset, site_of, under_way
+from dc2g_jax.objectnav.agent import DECLARED, Agent, IndoorRobot, IndoorSite, is_active, leg, reset, site_of
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.starts import sample_starts
@@ -161,7 +161,7 @@ def _reset(
 
 @jit
 def _ended(wanted: Bool[Array, "devices own"], robots: IndoorRobot) -> Int[Array, "devices"]:
-    return jnp.sum(wanted & ~jax.vmap(jax.vmap(under_way))(robots), axis=1)
+    return jnp.sum(wanted & ~jax.vmap(jax.vmap(is_active))(robots), axis=1)
 
 
 @functools.partial(jit, static_argnames=("mesh",), donate_argnames=("robots",))
@@ -176,7 +176,7 @@ def _go_on(
             site = jax.tree.map(lambda leaf: leaf[number], sites)
             until = robot.periods + legs * agent.renewal
             return jax.lax.while_loop(
-                lambda robot: under_way(robot) & (robot.periods < until), lambda robot: leg(robot, site, agent), robot
+                lambda robot: is_active(robot) & (robot.periods < until), lambda robot: leg(robot, site, agent), robot
             )
 
         return batched(mesh)(one)(*own)

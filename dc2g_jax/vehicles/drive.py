@@ -1,16 +1,16 @@
 """The whole loop of one robot: camera -> semantic map -> estimator -> Algorithm 2 -> vehicle (paper, section IV-D).
 
-Ten times a second the vehicle gets a command. Every few of these periods the camera delivers a frame, which goes into
-the map. A planner of `dc2g_jax.planning.planners` decides on the map that has come of it, just as it does in the
-gridworld: from the cell and the quarter turn next to the robot's pose. Its plan is driven until the robot enters the
-next cell, has driven it to its end, or a second is over; then it decides anew.
+The vehicle gets a command ten times a second. Every few control periods the robot adds a camera frame to its map. A
+planner of `dc2g_jax.planning.planners` decides on this map as in the gridworld, from the cell and the quarter turn
+nearest to the robot's pose. The vehicle follows the plan until it enters the next cell, reaches the end of the plan, or
+a second is over. Then the planner decides again.
 
-Two things a gridworld robot need not know. A cell that the camera does not make out, although the robot stands where
-it should see it, counts as an obstacle from then on; so exploration ends whatever the camera misses. And what the map
-takes for a door but is none is ground once the robot has stood there. A robot that finds nothing left to explore does
-not believe its map: it begins a new one, some times, before it gives up.
+A robot with a camera also corrects its map. A cell that it does not see although it should counts as an obstacle from
+then on, so that exploration ends whatever the camera misses. A mapped door that is none becomes ground once the robot
+has been there. A robot with nothing left to explore distrusts its map: it begins a new one a few times before it gives
+up.
 
-Everything is a pure function of one robot; see `dc2g_jax.vehicles.fleet` for many.
+All functions take one robot; `dc2g_jax.vehicles.fleet` runs many.
 """
 
 import dataclasses
@@ -28,7 +28,7 @@ from dc2g_jax.grid.poses import HEADINGS, Pose, PoseSet, moved
 from dc2g_jax.grid.sensing import Kernel
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE, UNKNOWN
 from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, level_camera
+from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics
 from dc2g_jax.mapping.noise import NoiseLevels, PoseDrift, drift_on, drifted, no_drift, noisy_frame
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.mapping.semantic_map import MapSettings, SemanticMap, empty_map, integrate, terrain_map
@@ -38,23 +38,26 @@ from dc2g_jax.vehicles.avoidance import People, navigate
 from dc2g_jax.vehicles.following import Following, Path, path_through
 from dc2g_jax.vehicles.footprint import Ground, cell_at, clearance, surroundings
 from dc2g_jax.vehicles.pedestrians import Pedestrians, Walking, place, walk, walkable_cells
+from dc2g_jax.vehicles.robot import DRIVING, SimulatedRobot, camera_pose
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive, wrapped
 
-#: What a robot is doing.
-UNDER_WAY, ARRIVED, NOTHING_LEFT = 0, 1, 2
+#: Status of a robot that has reached a front door, and of one that has nothing left to explore.
+ARRIVED, NOTHING_LEFT = 1, 2
+
+#: Names of `DRIVING`, `ARRIVED` and `NOTHING_LEFT` in tables.
 StatusName = Literal["under_way", "arrived", "nothing_left"]
 STATUS_NAMES: tuple[StatusName, ...] = get_args(StatusName)
 
-#: Actions of a plan that are driven before the next decision, at most.
+#: Largest number of actions of a plan that are executed before the next decision.
 _ACTIONS_AHEAD = 10
 
-#: Periods after which the robot decides anew, whatever has happened.
+#: Control periods after which the robot decides again in any case.
 _DECISION_PERIODS = 10
 
-#: How often a robot that finds nothing left to explore begins a new map, until it believes it.
+#: Number of new maps that a robot with nothing left to explore begins before it gives up.
 _NEW_MAPS = 3
 
-#: Facing within so many radians of where it should, the robot has turned.
+#: The robot has turned to a yaw if it differs by less, radians.
 _TURNED = 0.1
 
 _NOTHING, _GROUND = CLASS_NAMES.index("nothing"), CLASS_NAMES.index("traversable")
@@ -62,11 +65,11 @@ _NOTHING, _GROUND = CLASS_NAMES.index("nothing"), CLASS_NAMES.index("traversable
 
 @struct.dataclass
 class Site:
-    """A house in three dimensions, as it is. Sites of one size can be stacked.
+    """A true house in three dimensions. Sites of equal size can be stacked.
 
     Attributes:
-      terrain: class index of every cell.
-      scene: what stands there.
+      terrain: class index of each cell.
+      scene: scene for the simulated camera.
     """
 
     terrain: UInt8[Array, "h w"]
@@ -75,16 +78,16 @@ class Site:
 
 @struct.dataclass
 class Equipment:
-    """What a robot is made of. Noise levels and weights are values: other ones need no new program.
+    """Components of a robot. Noise levels and weights are values, so other ones need no new program.
 
     Attributes:
-      planner: decides where to go.
-      sensing: what of the grid the camera makes out, as far as the planner is concerned.
-      camera: its intrinsics.
-      mapping: what the map covers.
-      noise: what is wrong with camera and pose.
-      limits: of the vehicle.
-      frame_periods: control periods from one frame to the next.
+      planner: chooses subgoals.
+      sensing: the planner's model of which cells the camera sees.
+      camera: intrinsics of the camera.
+      mapping: settings of the map.
+      noise: noise of the camera and the estimated pose.
+      limits: limits of the vehicle.
+      frame_periods: control periods between two camera frames.
     """
 
     planner: MapRevisingPlanner
@@ -97,35 +100,29 @@ class Equipment:
 
 
 @struct.dataclass
-class Robot:
-    """A robot on its way.
+class Robot(SimulatedRobot):
+    """State of a robot. Its status is `DRIVING`, `ARRIVED` or `NOTHING_LEFT`.
 
     Attributes:
-      key: of its random numbers.
-      vehicle: where it is.
-      drift: how wrong it is about that.
-      moved: how far it has come since the last frame: meters, and quarter turns.
-      prior: what it knew of the map beforehand, 0 where nothing.
-      map: what its camera has seen.
+      drift: error of its estimated pose.
+      moved: distance driven since the last frame, meters, plus quarter turns.
+      prior: class index of each cell that it knew beforehand, 0 elsewhere.
+      map: map from its camera.
       missed: cells that it should have seen and has not.
-      no_door: cells where it stood and no door was.
-      terrain: class index of every cell, 0 where nothing is known: what has come of all that.
-      planner_state: what the planner keeps.
-      path: what it drives.
-      decided_in: column and row of the cell where it decided last.
-      decided_on: class index of every cell at that decision.
+      no_door: cells where it has been and found no door.
+      terrain: class index of each cell by all of these, 0 where unknown.
+      planner_state: state of the planner.
+      path: path that it follows.
+      decided_in: column and row of the cell of its last decision.
+      decided_on: class index of each cell at that decision.
       mode: plan mode of that decision.
-      new_maps: how often it has begun a new map.
+      new_maps: number of new maps that it has begun.
       people: pedestrians around it.
-      periods: control periods since it set out.
-      decided_at: period of the last decision.
-      status: `UNDER_WAY`, `ARRIVED` or `NOTHING_LEFT`.
-      off_ground: periods that its footprint touched ground where it should not be.
-      touched: periods that it touched a pedestrian.
+      decided_at: control period of the last decision.
+      off_ground: control periods in which its footprint touched ground where it should not be.
+      touched: control periods in which it touched a pedestrian.
     """
 
-    key: Key[Array, ""]
-    vehicle: VehicleState
     drift: PoseDrift
     moved: Float[Array, ""]
     prior: UInt8[Array, "h w"]
@@ -140,9 +137,7 @@ class Robot:
     mode: Int[Array, ""]
     new_maps: Int[Array, ""]
     people: Pedestrians
-    periods: Int[Array, ""]
     decided_at: Int[Array, ""]
-    status: Int[Array, ""]
     off_ground: Int[Array, ""]
     touched: Int[Array, ""]
 
@@ -156,15 +151,15 @@ def reset(
     pedestrians: int = 0,
     knows_map: ArrayLike = False,
 ) -> Robot:
-    """A robot at its start, which has seen nothing.
+    """The robot at its start, with an empty map.
 
     Args:
-      key: of all its random numbers.
+      key: random key of the episode.
       start: column, row and heading.
-      site: where it is.
-      equipment: what it is made of.
-      pedestrians: how many people walk around.
-      knows_map: does it know the whole map beforehand?
+      site: the true house.
+      equipment: components of the robot.
+      pedestrians: number of pedestrians.
+      knows_map: whether it knows the whole map beforehand.
     """
     key, own_key = jax.random.split(key)
     cell_size = equipment.mapping.cell_size
@@ -173,7 +168,7 @@ def reset(
     here = jnp.stack([start.x, start.y])
     nowhere = jnp.zeros(site.terrain.shape, bool)
     prior = jnp.where(knows_map, site.terrain, jnp.uint8(UNKNOWN))
-    nothing = jnp.int32(0)
+    zero = jnp.int32(0)
     return Robot(
         key=key,
         vehicle=at_rest(position, yaw),
@@ -189,19 +184,19 @@ def reset(
         decided_in=here,
         decided_on=prior,
         mode=jnp.int32(EXPLORE),
-        new_maps=nothing,
+        new_maps=zero,
         people=place(own_key, Ground(walkable_cells(site.terrain), cell_size), pedestrians, position),
-        periods=nothing,
+        periods=zero,
         # The first period begins with a decision.
         decided_at=jnp.int32(-_DECISION_PERIODS),
-        status=jnp.int32(UNDER_WAY),
-        off_ground=nothing,
-        touched=nothing,
+        status=jnp.int32(DRIVING),
+        off_ground=zero,
+        touched=zero,
     )
 
 
 def step(robot: Robot, site: Site, equipment: Equipment) -> Robot:
-    """The robot one control period later; one that is no longer under way stays as it is."""
+    """The robot one control period later. It does not change after the end of its episode."""
 
     def go_on(robot: Robot) -> Robot:
         looks = robot.periods % equipment.frame_periods == 0
@@ -211,24 +206,23 @@ def step(robot: Robot, site: Site, equipment: Equipment) -> Robot:
         )
         return _drive(robot, site, equipment)
 
-    return jax.lax.cond(robot.status == UNDER_WAY, go_on, lambda robot: robot, robot)
+    return jax.lax.cond(robot.status == DRIVING, go_on, lambda robot: robot, robot)
 
 
 def believed(robot: Robot) -> VehicleState:
-    """The vehicle as the robot takes it to be."""
+    """The vehicle at the estimated pose."""
     drift = robot.drift
     position = robot.vehicle.position + jnp.stack([drift.x, drift.y])
     return dataclasses.replace(robot.vehicle, position=position, yaw=wrapped(robot.vehicle.yaw + drift.yaw))
 
 
-def camera_pose(vehicle: VehicleState) -> CameraPose:
-    """Where the vehicle's camera is: above its middle, looking ahead and down."""
-    x, y = vehicle.position
-    return level_camera(x, y, CAMERA_HEIGHT, vehicle.yaw, CAMERA_PITCH)
+def outdoor_camera(vehicle: VehicleState) -> CameraPose:
+    """The pose of the camera of a vehicle."""
+    return camera_pose(vehicle, CAMERA_HEIGHT, CAMERA_PITCH)
 
 
 def look(robot: Robot, site: Site, equipment: Equipment) -> Robot:
-    """Take a frame into the map. The error of the pose has grown by what the robot has moved since the last one."""
+    """Add a camera frame to the map."""
     frame, robot = sensed(robot, site, equipment)
     return _with_terrain(
         dataclasses.replace(robot, map=integrate(robot.map, frame, equipment.camera, equipment.mapping)), equipment
@@ -236,23 +230,23 @@ def look(robot: Robot, site: Site, equipment: Equipment) -> Robot:
 
 
 def sensed(robot: Robot, site: Site, equipment: Equipment) -> tuple[Frame, Robot]:
-    """What the camera delivers, from where the robot thinks that it is."""
+    """The next camera frame with noise, at the estimated pose. Its error grows with the motion since the last frame."""
     key, drift_key, frame_key = jax.random.split(robot.key, 3)
     noise, since = equipment.noise, jnp.sqrt(robot.moved)
     steps = dataclasses.replace(noise, position_drift=noise.position_drift * since, yaw_drift=noise.yaw_drift * since)
     drift = drift_on(drift_key, robot.drift, steps)
-    pose = camera_pose(robot.vehicle)
+    pose = outdoor_camera(robot.vehicle)
     frame = noisy_frame(frame_key, render(site.scene, equipment.camera, pose, CAMERA_RANGE), noise)
     robot = dataclasses.replace(robot, key=key, drift=drift, moved=jnp.zeros_like(robot.moved))
     return dataclasses.replace(frame, pose=drifted(pose, drift)), robot
 
 
 def _with_terrain(robot: Robot, equipment: Equipment) -> Robot:
-    """The robot with what has come of its map and of what it has learned."""
+    """Update the terrain from the map and the corrections."""
     terrain = jnp.where(robot.prior != UNKNOWN, robot.prior, terrain_map(robot.map, equipment.mapping))
     terrain = jnp.where(robot.missed & (terrain == UNKNOWN), jnp.uint8(_NOTHING), terrain)
     terrain = jnp.where(robot.no_door & (terrain == FRONT_DOOR), jnp.uint8(_GROUND), terrain)
-    # Where it stands it can stand.
+    # The robot is on traversable ground.
     column, row = _cell(believed(robot), equipment)
     here = terrain[row, column]
     here = jnp.where(jnp.asarray(TRAVERSABLE)[here], here, jnp.uint8(_GROUND))
@@ -260,17 +254,17 @@ def _with_terrain(robot: Robot, equipment: Equipment) -> Robot:
 
 
 def decide(robot: Robot, equipment: Equipment) -> Robot:
-    """Choose a way (Algorithm 2)."""
+    """Choose a path (Algorithm 2)."""
     vehicle = believed(robot)
     column, row = _cell(vehicle, equipment)
     quarter = jnp.round(-vehicle.yaw / (2 * jnp.pi / HEADINGS)).astype(jnp.int32) % HEADINGS
     pose = Pose(x=column, y=row, heading=quarter)
-    robot = _lessons(robot, pose, equipment)
+    robot = _corrected(robot, pose, equipment)
     belief = belief_from_map(robot.terrain, pose)
     changed = bitboard.pack(robot.terrain != robot.decided_on)
     plan, planner_state = equipment.planner.plan(belief, equipment.planner.revised(robot.planner_state, changed))
-    cells, length, heading = _way(belief, plan.subgoals)
-    # Of a new map, what lies to the left is seen first.
+    cells, length, heading = _path(belief, plan.subgoals)
+    # A new map begins with the view to the left.
     gives_up = plan.mode == GAVE_UP
     length, heading = jnp.where(gives_up, 1, length), jnp.where(gives_up, quarter - 1, heading)
     new_maps = robot.new_maps + gives_up
@@ -297,14 +291,14 @@ def decide(robot: Robot, equipment: Equipment) -> Robot:
 
 
 def _cell(vehicle: VehicleState, equipment: Equipment) -> Int[Array, "2"]:
-    """Column and row of the cell where a vehicle is, or of the map's nearest to it."""
+    """Column and row of the map's cell that contains the vehicle or is nearest to it."""
     mapping = equipment.mapping
     last = jnp.array([mapping.columns - 1, mapping.rows - 1])
     return jnp.clip(cell_at(vehicle.position, mapping.cell_size), 0, last)
 
 
 def _has_driven_path(robot: Robot) -> Bool[Array, ""]:
-    """Does the robot stand at the end of its path, facing as it should?"""
+    """Whether the robot has stopped at the end of its path, at the path's final yaw."""
     vehicle, path = believed(robot), robot.path
     near = jnp.linalg.norm(path.points[-1] - vehicle.position) < Following().arrival
     turned = jnp.abs(wrapped(path.yaw - vehicle.yaw)) < _TURNED
@@ -312,14 +306,14 @@ def _has_driven_path(robot: Robot) -> Bool[Array, ""]:
 
 
 def _has_to_decide(robot: Robot, equipment: Equipment) -> Bool[Array, ""]:
-    """Is it time for a decision? A robot that has begun a new map looks around first."""
+    """Whether the robot has to decide now. After beginning a new map it looks around first."""
     elsewhere = jnp.any(_cell(believed(robot), equipment) != robot.decided_in)
     waited = robot.periods - robot.decided_at >= _DECISION_PERIODS
     return jnp.where(robot.mode == GAVE_UP, False, elsewhere | waited) | _has_driven_path(robot)
 
 
-def _lessons(robot: Robot, pose: Pose, equipment: Equipment) -> Robot:
-    """What a robot learns from standing at the end of its path: what it misses there, and that no door is there."""
+def _corrected(robot: Robot, pose: Pose, equipment: Equipment) -> Robot:
+    """Note at the end of a path which cells the robot misses there, and that its cell is no door."""
     stands = _has_driven_path(robot)
     belief = belief_from_map(robot.terrain, pose)
     covered = equipment.sensing.visible(pose, belief.opaque, belief.width) & ~belief.seen
@@ -332,11 +326,11 @@ def _lessons(robot: Robot, pose: Pose, equipment: Equipment) -> Robot:
     return _with_terrain(robot, equipment)
 
 
-def _way(belief: Belief, subgoals: PoseSet) -> tuple[Int[Array, "n 2"], Int[Array, ""], Int[Array, ""]]:
+def _path(belief: Belief, subgoals: PoseSet) -> tuple[Int[Array, "n 2"], Int[Array, ""], Int[Array, ""]]:
     """The cells of the first actions of a shortest plan into the subgoals (Algorithm 2, line 12).
 
     Returns:
-      Column and row of the cell after each action, the robot's own first; how many of them count; last heading.
+      Column and row of the robot's cell and of the cell after each action; the number of them that count; last heading.
     """
 
     def act(carry: tuple[Pose, Array], _: None) -> tuple[tuple[Pose, Array], Array]:
@@ -352,7 +346,7 @@ def _way(belief: Belief, subgoals: PoseSet) -> tuple[Int[Array, "n 2"], Int[Arra
 
 
 def _drive(robot: Robot, site: Site, equipment: Equipment) -> Robot:
-    """One control period: choose a command on the map so far, and take it on the ground that is there."""
+    """One control period: choose a command on the estimated map, and execute it on the true ground."""
     limits, cell_size = equipment.limits, equipment.mapping.cell_size
     known = Ground(jnp.asarray(TRAVERSABLE)[robot.terrain], cell_size)
     vehicle = believed(robot)
@@ -381,7 +375,7 @@ def _drive(robot: Robot, site: Site, equipment: Equipment) -> Robot:
 
 
 def _people_seen(robot: Robot, walking: Walking) -> People:
-    """The people as the robot sees them: they are where they are relative to it, wherever it thinks it is."""
+    """The people at their true places relative to the robot, around its estimated pose."""
     drift = robot.drift
     along, across = jnp.cos(drift.yaw), jnp.sin(drift.yaw)
     turn = jnp.stack([jnp.stack([along, across]), jnp.stack([-across, along])])

@@ -17,7 +17,8 @@ from dc2g_jax.mapping.scene import CELL_SIZE, scene_from_terrain
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import batched, deal, gather, mesh_of, not_repeated, on_each, replicate, serve_paced
 from dc2g_jax.rollouts.rollout import Episodes
-from dc2g_jax.vehicles.drive import ARRIVED, UNDER_WAY, Equipment, Robot, Site, reset, step
+from dc2g_jax.vehicles.drive import ARRIVED, Equipment, Robot, Site, reset, step
+from dc2g_jax.vehicles.robot import DRIVING
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD
 
 #: Control periods that the first call of the device drives.
@@ -30,7 +31,7 @@ class Drives:
 
     Attributes:
       seconds: that the episode took.
-      status: how it ended, see `dc2g_jax.vehicles.drive`; `UNDER_WAY` where time was up.
+      status: how it ended, see `dc2g_jax.vehicles.drive`; `DRIVING` where time was up.
       off_ground: seconds for which the footprint touched ground where it should not be.
       touched: seconds for which it touched a pedestrian.
     """
@@ -98,7 +99,7 @@ def drive_all(
     wanted = not_repeated(count, mesh)
 
     def ended(robots: Robot) -> Int[Array, "devices"]:
-        return jnp.sum(wanted & ((robots.status != UNDER_WAY) | (robots.periods >= last_period)), axis=1)
+        return jnp.sum(wanted & ((robots.status != DRIVING) | (robots.periods >= last_period)), axis=1)
 
     robots = serve_paced(robots, go_on, ended, count, on_progress, first_steps=_FIRST_PERIODS)
     status, *periods = gather((robots.status, robots.periods, robots.off_ground, robots.touched), count)
@@ -133,7 +134,7 @@ def _go_on(
         def one(world: Array, robot: Robot) -> Robot:
             site, until = _site(sites, world), jnp.minimum(robot.periods + periods, last)
             return jax.lax.while_loop(
-                lambda robot: (robot.status == UNDER_WAY) & (robot.periods < until),
+                lambda robot: (robot.status == DRIVING) & (robot.periods < until),
                 lambda robot: step(robot, site, equipment),
                 robot,
             )

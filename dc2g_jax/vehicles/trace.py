@@ -1,4 +1,4 @@
-"""One robot's whole loop, frame by frame, to look at."""
+"""An episode of one robot frame by frame, for figures and recordings."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -10,20 +10,21 @@ from jaxtyping import Array, Float, UInt8
 from dc2g_jax.mapping.camera import Frame
 from dc2g_jax.mapping.simulator import picture
 from dc2g_jax.programs import jit
-from dc2g_jax.vehicles.drive import UNDER_WAY, Equipment, Robot, Site, believed, camera_pose, sensed, step
+from dc2g_jax.vehicles.drive import Equipment, Robot, Site, believed, outdoor_camera, sensed, step
+from dc2g_jax.vehicles.robot import is_driving
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleState
 
 
 class Moment(NamedTuple):
-    """A frame, and the robot after the control periods that follow it; arrays on the host.
+    """A camera frame, and the robot after the control periods that follow it; arrays on the host.
 
     Attributes:
-      seconds: since the robot set out.
-      picture: what the camera sees, in color.
-      frame: what it delivers.
-      robot: after it.
-      believed: where it then takes itself to be.
-      cost_to_go: what the planner expects of each cell, in the estimator's unit; `None` where it expects nothing.
+      seconds: time since the start.
+      picture: color image of the camera.
+      frame: depth and classes that the robot gets.
+      robot: the robot afterwards.
+      believed: the vehicle at its estimated pose then.
+      cost_to_go: the planner's estimate for each cell, in the estimator's unit; `None` without estimator.
     """
 
     seconds: float
@@ -36,23 +37,23 @@ class Moment(NamedTuple):
 
 @jit
 def _next(robot: Robot, site: Site, equipment: Equipment) -> tuple[Robot, VehicleState, Frame, Array]:
-    """The robot at the next frame, where it thinks that it is, the frame before that, and its picture."""
+    """The robot at the next frame, its estimated pose there, the frame before, and its picture."""
     frame, _ = sensed(robot, site, equipment)
-    seen = picture(site.scene, equipment.camera, camera_pose(robot.vehicle))
+    seen = picture(site.scene, equipment.camera, outdoor_camera(robot.vehicle))
     after = jax.lax.fori_loop(0, equipment.frame_periods, lambda _, now: step(now, site, equipment), robot)
     return after, believed(after), frame, seen
 
 
 def moments(robot: Robot, site: Site, equipment: Equipment, time_limit: float) -> Iterator[Moment]:
-    """Drive an episode to its end, and look at it at every frame.
+    """Drive an episode to its end, frame by frame.
 
     Args:
-      robot: at its start.
-      site: where it is.
-      equipment: what it is made of.
+      robot: the robot at its start.
+      site: the true house.
+      equipment: components of the robot.
       time_limit: seconds after which the episode ends without success.
     """
-    while int(robot.status) == UNDER_WAY and int(robot.periods) < time_limit / CONTROL_PERIOD:
+    while is_driving(robot, time_limit / CONTROL_PERIOD):
         seconds = float(robot.periods) * CONTROL_PERIOD
         robot, place, frame, seen = _next(robot, site, equipment)
         cost_to_go = getattr(robot.planner_state, "cost_to_go", None)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from dc2g_jax.mapping.camera import intrinsics
-from dc2g_jax.objectnav import agent as agents
 from dc2g_jax.objectnav.agent import (
     DECLARED,
     LIMITS,
@@ -16,10 +15,10 @@ from dc2g_jax.objectnav.agent import (
     Agent,
     LookAround,
     RandomUntilSeen,
+    is_active,
     leg,
     reset,
     site_of,
-    under_way,
 )
 from dc2g_jax.objectnav.classes import BED, GOALS, PLANT
 from dc2g_jax.objectnav.guides import (
@@ -35,6 +34,7 @@ from dc2g_jax.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, Indoo
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 from dc2g_jax.vehicles.footprint import Ground
 from dc2g_jax.vehicles.mppi import MPPISettings
+from dc2g_jax.vehicles.robot import stopped_by_obstacles
 from dc2g_jax.vehicles.vehicle import at_rest, drive
 from tests.support.two_rooms import two_rooms
 
@@ -79,7 +79,7 @@ def journey(site):
     agent = agent_with(TrueCost())
     drive_on = jax.jit(lambda robot: leg(robot, site, agent))
     robots = [robot_at(0.6, -2.9, 3.0)]
-    while bool(under_way(robots[-1])):
+    while bool(is_active(robots[-1])):
         robots.append(drive_on(robots[-1]))
     return robots
 
@@ -129,13 +129,13 @@ def test_a_wall_stops_the_vehicle_and_lets_it_turn_and_leave(site):
     # The face of the wall is at x = 3.2.
     for _ in range(6):
         driven = drive(vehicle, jnp.array([1.0, 1.0]), LIMITS)
-        vehicle, bumped = agents.stopped_by_obstacles(vehicle, driven, ground, 0.2)
+        vehicle, bumped = stopped_by_obstacles(vehicle, driven, ground, 0.2)
     assert bool(bumped)
     assert float(vehicle.speed) == 0
     assert 2.85 < float(vehicle.position[0]) <= 3.0 + 1e-3
     assert float(vehicle.yaw) > 0.3
     inside = dataclasses.replace(vehicle, position=jnp.array([3.1, -2.85]), yaw=jnp.float32(np.pi))
-    left, bumped = agents.stopped_by_obstacles(inside, drive(inside, jnp.array([1.0, 0.0]), LIMITS), ground, 0.2)
+    left, bumped = stopped_by_obstacles(inside, drive(inside, jnp.array([1.0, 0.0]), LIMITS), ground, 0.2)
     assert not bool(bumped)
     assert float(left.position[0]) < 3.1
 

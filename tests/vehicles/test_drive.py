@@ -18,7 +18,8 @@ from dc2g_jax.planning.planners import Frontier, Oracle
 from dc2g_jax.planning.rules import complete_rules
 from dc2g_jax.rollouts.evaluation import episodes_from
 from dc2g_jax.vehicles import fleet, trace
-from dc2g_jax.vehicles.drive import ARRIVED, NOTHING_LEFT, UNDER_WAY, Equipment, reset, step
+from dc2g_jax.vehicles.drive import ARRIVED, NOTHING_LEFT, Equipment, reset, step
+from dc2g_jax.vehicles.robot import DRIVING
 from dc2g_jax.vehicles.vehicle import VehicleLimits
 from tests.support.refusals import refusal
 from tests.support.streets import STREET, WALLED
@@ -118,7 +119,7 @@ def test_episodes_do_not_depend_on_each_other_and_end():
     assert others.seconds[0] == together.seconds[0]
     assert others.seconds[1] != together.seconds[1]
     short = drives(Frontier(RULES), EAST, SHUT_OUT, WEST, MIDDLE, **options, time_limit=2.0)
-    assert short.status.tolist() == [UNDER_WAY] * 4
+    assert short.status.tolist() == [DRIVING] * 4
     np.testing.assert_allclose(short.seconds, 2.0)
 
 

@@ -7,9 +7,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from flax import nnx
-from jaxtyping import Array, Float, UInt8
+from jaxtyping import Array, Float, Shaped, UInt8
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.weights import fresh_weights, shapes_of_weights, with_weights
 from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.programs import jit
 
@@ -45,18 +46,18 @@ class Architecture:
             raise InputError(f"quantiles {levels}: give ascending levels between 0 and 1, one at least")
 
 
-def _patches(grid: Float[Array, "b h w c"]) -> Float[Array, "b h2 w2 c4"]:
-    """The grid's 2x2 patches as features."""
+def patches(grid: Shaped[Array, "b h w c"], side: int) -> Shaped[Array, "b h2 w2 c2"]:
+    """The square patches of a grid as features. Height and width are multiples of the patches' side."""
     batch, height, width, channels = grid.shape
-    split = grid.reshape(batch, height // 2, 2, width // 2, 2, channels)
-    return split.transpose(0, 1, 3, 2, 4, 5).reshape(batch, height // 2, width // 2, 4 * channels)
+    split = grid.reshape(batch, height // side, side, width // side, side, channels)
+    return split.transpose(0, 1, 3, 2, 4, 5).reshape(batch, height // side, width // side, side**2 * channels)
 
 
-def _unpatched(features: Float[Array, "b h2 w2 c4"]) -> Float[Array, "b h w c"]:
-    """A patch's features as those of its 2x2 cells."""
-    batch, height, width, channels = features.shape
-    split = features.reshape(batch, height, width, 2, 2, channels // 4).transpose(0, 1, 3, 2, 4, 5)
-    return split.reshape(batch, 2 * height, 2 * width, channels // 4)
+def unpatched(features: Float[Array, "b h2 w2 c2"], side: int) -> Float[Array, "b h w c"]:
+    """The inverse of `patches`."""
+    batch, height, width, _ = features.shape
+    split = features.reshape(batch, height, width, side, side, -1).transpose(0, 1, 3, 2, 4, 5)
+    return split.reshape(batch, side * height, side * width, -1)
 
 
 class Residual(nnx.Module):
@@ -126,31 +127,23 @@ class CompactUNet(nnx.Module):
         height, width = terrain.shape[1:]
         classes = jax.nn.one_hot(terrain, len(CLASS_NAMES))
         classes = jnp.pad(classes, ((0, 0), (0, height % 2), (0, width % 2), (0, 0)))
-        at2 = self.local(self.embed(_patches(classes)))
+        at2 = self.local(self.embed(patches(classes, 2)))
         at4 = self.down1(at2)
         at8 = self.down2(at4)
         at16 = self.context(self.down3(at8))
         features = self.up1(self.up2(self.up3(at16, at8), at4), at2)
-        cells = _unpatched(self.head(nnx.relu(features)))[:, :height, :width]
+        cells = unpatched(self.head(nnx.relu(features)), 2)[:, :height, :width]
         return self.architecture.cost_scale * (1 + cells)
 
 
-def init_weights(architecture: Architecture, key: Array) -> dict[str, Any]:
-    """Fresh weights: a nested dictionary of float32 arrays."""
-    network = CompactUNet(architecture, rngs=nnx.Rngs(key))
-    return nnx.to_pure_dict(nnx.split(network)[1])
+#: Random initial weights for `(architecture, key)`, see `dc2g_jax.estimation.weights`.
+init_weights = functools.partial(fresh_weights, CompactUNet)
 
+#: Shapes and dtypes of the weights for `(architecture)`.
+weight_shapes = functools.partial(shapes_of_weights, CompactUNet)
 
-def weight_shapes(architecture: Architecture) -> dict[str, Any]:
-    """What `init_weights` would give, as shapes and dtypes only."""
-    return jax.eval_shape(functools.partial(init_weights, architecture), jax.random.key(0))
-
-
-def build(architecture: Architecture, weights: dict[str, Any]) -> CompactUNet:
-    """The network with these weights."""
-    graph, state = nnx.split(nnx.eval_shape(lambda: CompactUNet(architecture, rngs=nnx.Rngs(0))))
-    nnx.replace_by_pure_dict(state, weights)
-    return nnx.merge(graph, state)
+#: The network for `(architecture, weights)`.
+build = functools.partial(with_weights, CompactUNet)
 
 
 def apply(

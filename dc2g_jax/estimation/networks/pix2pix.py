@@ -18,6 +18,7 @@ from flax import nnx
 from jaxtyping import Array, Float
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.weights import shapes_of_weights, with_weights
 from dc2g_jax.programs import jit
 
 _KERNEL = (4, 4)
@@ -192,18 +193,13 @@ class Discriminator(nnx.Module):
 Network = type[Generator] | type[Discriminator]
 
 
-def _empty(network: Network, architecture: TranslatorArchitecture) -> tuple[Any, Any]:
-    """A network's structure, and its state as shapes and dtypes only."""
-    return nnx.split(nnx.eval_shape(lambda: network(architecture, rngs=nnx.Rngs(0))))
-
-
 @functools.partial(jit, static_argnums=(0, 1))
 def init_weights(network: Network, architecture: TranslatorArchitecture, key: Array) -> dict[str, Any]:
     """Fresh weights of either network: a nested dictionary of float32 arrays.
 
     All are cut from one long draw, as a program with a draw for each takes long to compile.
     """
-    shapes = nnx.to_pure_dict(_empty(network, architecture)[1])
+    shapes = shapes_of_weights(network, architecture)
     leaves, structure = jax.tree_util.tree_flatten_with_path(shapes)
     ends = np.cumsum([leaf.size for _, leaf in leaves])
     draws = _SPREAD * jax.random.normal(key, (int(ends[-1]),))
@@ -216,15 +212,8 @@ def init_weights(network: Network, architecture: TranslatorArchitecture, key: Ar
     return jax.tree_util.tree_unflatten(structure, weights)
 
 
-def weight_shapes(architecture: TranslatorArchitecture) -> dict[str, Any]:
-    """The generator's weights as shapes and dtypes only."""
-    return jax.eval_shape(functools.partial(init_weights, Generator, architecture), jax.random.key(0))
-
-
-def _merged(network: Network, architecture: TranslatorArchitecture, weights: dict[str, Any]) -> Any:
-    graph, state = _empty(network, architecture)
-    nnx.replace_by_pure_dict(state, weights)
-    return nnx.merge(graph, state)
+#: Shapes and dtypes of the generator's weights for `(architecture)`.
+weight_shapes = functools.partial(shapes_of_weights, Generator)
 
 
 def translate(
@@ -241,7 +230,7 @@ def translate(
       images: pictures of maps, see `dc2g_jax.estimation.images.semantic_image`.
       key: for dropout in training; without it nothing is dropped, so that an answer depends on its question alone.
     """
-    return _merged(Generator, architecture, weights)(images, key)
+    return with_weights(Generator, architecture, weights)(images, key)
 
 
 def discriminate(
@@ -251,4 +240,4 @@ def discriminate(
     answers: Float[Array, "b s s 3"],
 ) -> Float[Array, "b p q"]:
     """Log-odds, patch by patch, that answers are true ones for these pictures; `weights` are the discriminator's."""
-    return _merged(Discriminator, architecture, weights)(images, answers)
+    return with_weights(Discriminator, architecture, weights)(images, answers)
