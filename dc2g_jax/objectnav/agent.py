@@ -182,10 +182,8 @@ class MPC:
         key: Key[Array, ""], robot: IndoorRobot, costs: CostOfPose, agent: Agent
     ) -> tuple[Float[Array, "h 2"], mppi.SampledPlans]:
         """The next plan, and the sampled plans that it is the weighted mean of."""
-        settings = agent.controller
-        noise = mppi.sampled_noise(key, settings)
-        noise = noise.at[0].set(descent(robot.vehicle, costs, agent) - robot.controls)
-        return mppi.improved(robot.controls, noise, robot.vehicle, costs, settings)
+        candidate = descent(robot.vehicle, costs, agent)
+        return mppi.plan(key, robot.controls, robot.vehicle, costs, agent.controller, candidate)
 
 
 def descent(vehicle: VehicleState, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:

@@ -12,7 +12,6 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float, Float16, Int, UInt8, UInt16, UInt32
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.grid.ground import component_numbers
 from dc2g_jax.mapping.camera import level_camera
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.objectnav.agent import INDOOR_CAMERA_HEIGHT, INDOOR_CAMERA_PITCH
@@ -27,8 +26,8 @@ from dc2g_jax.objectnav.exploring import NEVER, Journey, explore
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.midlevel import CameraView, ImageEncoder, view
 from dc2g_jax.objectnav.paint import painted
-from dc2g_jax.objectnav.starts import ROBOT_RADIUS, passable
-from dc2g_jax.objectnav.worlds import IndoorWorld, pad_world, scene
+from dc2g_jax.objectnav.starts import ROBOT_RADIUS, largest_region
+from dc2g_jax.objectnav.worlds import IndoorWorld, padded_alike, scene
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import deal, gather, mesh_of, on_each, replicate
 
@@ -75,12 +74,7 @@ def usable(houses: Sequence[IndoorHouse], largest: int) -> list[IndoorWorld]:
     worlds = [house.world for house in houses if max(house.world.free.shape) <= largest]
     if not worlds:
         raise InputError(f"none of {len(houses)} houses has sides of at most {largest} cells; allow larger ones")
-    rows, columns = np.max([world.free.shape for world in worlds], axis=0).tolist()
-    rooms, objects = (
-        max(len(leaf) for leaf in leaves)
-        for leaves in ([w.room_kinds for w in worlds], [w.objects.classes for w in worlds])
-    )
-    return [pad_world(world, rows, columns, rooms, objects) for world in worlds]
+    return padded_alike(worlds)
 
 
 def random_places(world: IndoorWorld, count: int, rng: np.random.Generator) -> Int[np.ndarray, "place 2"]:
@@ -94,10 +88,7 @@ def random_places(world: IndoorWorld, count: int, rng: np.random.Generator) -> I
     Raises:
       InputError: the robot fits nowhere.
     """
-    piece = component_numbers(passable(np.asarray(world.free), float(world.cell_size)))
-    sizes = np.bincount(piece.ravel())
-    sizes[0] = 0
-    cells = np.argwhere((piece == sizes.argmax()) & (piece > 0))
+    cells = np.argwhere(largest_region(world))
     if not len(cells):
         raise InputError("a robot fits nowhere in a house; give houses with wider rooms")
     return cells[rng.integers(len(cells), size=count)].astype(np.int32)

@@ -269,29 +269,17 @@ def channels(cells: UInt32[Array, "h w"]) -> Float[Array, "18 h w"]:
     return ((cells >> jnp.arange(MAP_CHANNELS, dtype=jnp.uint32)[:, None, None]) & 1).astype(jnp.float32)
 
 
-def local_crop(
-    indoor_map: IndoorMap, position: Float[Array, "2"], settings: IndoorMapSettings
-) -> Float[Array, "18 local local"]:
-    """The channels of the map around a robot (x and y, meters), not rotated: the paper's local map."""
-    return channels(window(indoor_map, grid_cell(position, settings.cell_size), settings.local))
-
-
-def global_pooled(
-    indoor_map: IndoorMap, position: Float[Array, "2"], settings: IndoorMapSettings
-) -> Float[Array, "18 local local"]:
-    """The channels of the whole map, averaged to the size of the local one: the paper's global map.
-
-    Like the local map it is centered on the robot (x and y, meters), so the centers of both show the same place.
-    """
-    local, pool = settings.local, settings.cells // settings.local
-    cells = window(indoor_map, grid_cell(position, settings.cell_size), settings.cells)
-    squares = cells.reshape(local, pool, local, pool)
-    bits = (squares >> jnp.arange(MAP_CHANNELS, dtype=jnp.uint32)[:, None, None, None, None]) & 1
-    return jnp.sum(bits, axis=(2, 4), dtype=jnp.uint32).astype(jnp.float32) / pool**2
-
-
 def network_input(
     indoor_map: IndoorMap, position: Float[Array, "2"], settings: IndoorMapSettings
 ) -> Float[Array, "36 local local"]:
-    """The network's input maps (section II-B): the channels of the local map, then those of the global map."""
-    return jnp.concatenate([local_crop(indoor_map, position, settings), global_pooled(indoor_map, position, settings)])
+    """The network's input (section II-B): the channels of the local map, then those of the global map.
+
+    The local map shows the cells around the robot (x and y, meters). The global map shows all cells, averaged to the
+    size of the local map. Both are centered on the robot and not rotated.
+    """
+    local, pool = settings.local, settings.cells // settings.local
+    middle = grid_cell(position, settings.cell_size)
+    squares = window(indoor_map, middle, settings.cells).reshape(local, pool, local, pool)
+    bits = (squares >> jnp.arange(MAP_CHANNELS, dtype=jnp.uint32)[:, None, None, None, None]) & 1
+    pooled = jnp.sum(bits, axis=(2, 4), dtype=jnp.uint32).astype(jnp.float32) / pool**2
+    return jnp.concatenate([channels(window(indoor_map, middle, local)), pooled])

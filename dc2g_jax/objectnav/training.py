@@ -23,7 +23,7 @@ from dc2g_jax.objectnav.data import (
 )
 from dc2g_jax.objectnav.losses import LossWeights, total_loss
 from dc2g_jax.objectnav.metrics import FIVE_ACTIONS, NINE_ACTIONS, action_accuracy, confusion, occupancy_scores
-from dc2g_jax.objectnav.networks import CostMapArchitecture, CostMapEstimator, fused_cost
+from dc2g_jax.objectnav.networks import CostMapArchitecture, CostMapEstimator, Prediction, fused_cost
 from dc2g_jax.programs import jit
 from dc2g_jax.training.cost_to_go import TrainingState, check_numbers, loss_or_nan, running_average
 
@@ -128,13 +128,16 @@ def first_state(config: CostMapConfig) -> TrainingState:
     )
 
 
-def mean_loss(config: CostMapConfig, weights: Any, samples: Samples) -> tuple[Float[Array, ""], dict[str, Array]]:
-    """Mean over a batch of equation (4), and of each of its losses."""
+def mean_loss(
+    config: CostMapConfig, weights: Any, samples: Samples
+) -> tuple[Float[Array, ""], tuple[dict[str, Array], Prediction]]:
+    """Mean of equation (4) over a batch, the mean of each of its losses, and the predictions."""
     prediction = networks.apply(
         config.architecture, weights, samples.maps, samples.target, samples.heading, samples.features
     )
     of_map = functools.partial(total_loss, weights=config.loss_weights)
-    return jax.tree.map(jnp.mean, jax.vmap(of_map)(prediction, samples.occupied, samples.cost))
+    loss, losses = jax.tree.map(jnp.mean, jax.vmap(of_map)(prediction, samples.occupied, samples.cost))
+    return loss, (losses, prediction)
 
 
 @functools.partial(jit, static_argnames="config", donate_argnames="state")
@@ -171,11 +174,7 @@ def train_step(
 @functools.partial(jit, static_argnames="config")
 def _examine(weights: Any, samples: Samples, config: CostMapConfig) -> dict[str, Array]:
     """Losses, confusion matrix and accuracies of actions on a batch."""
-    prediction = networks.apply(
-        config.architecture, weights, samples.maps, samples.target, samples.heading, samples.features
-    )
-    of_map = functools.partial(total_loss, weights=config.loss_weights)
-    loss, losses = jax.tree.map(jnp.mean, jax.vmap(of_map)(prediction, samples.occupied, samples.cost))
+    loss, (losses, prediction) = mean_loss(config, weights, samples)
     costs = fused_cost(prediction.occupancy, prediction.cost)
 
     def accuracy(actions: tuple[tuple[int, int], ...]) -> Array:

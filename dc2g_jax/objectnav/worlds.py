@@ -7,7 +7,6 @@ first cell, which is the upper left one of the plan.
 from collections.abc import Sequence
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int16, UInt8
@@ -117,13 +116,11 @@ def pad_world(world: IndoorWorld, rows: int, columns: int, rooms: int, objects: 
     )
 
 
-def stack_worlds(worlds: Sequence[IndoorWorld], *, rows: int = 0, columns: int = 0) -> IndoorWorld:
-    """Pad houses to a common size and stack them along a first axis, for `jax.vmap` and `jax.lax.map`.
+def padded_alike(worlds: Sequence[IndoorWorld]) -> list[IndoorWorld]:
+    """Pad houses to a common size, so that they can be stacked for `jax.vmap` and `jax.lax.map`.
 
     Args:
       worlds: at least one house, all with cells of the same size.
-      rows: least number of rows of the grid; more if a house needs them.
-      columns: least number of columns of the grid, likewise.
 
     Raises:
       InputError: there are no houses, or their cell sizes differ.
@@ -131,11 +128,5 @@ def stack_worlds(worlds: Sequence[IndoorWorld], *, rows: int = 0, columns: int =
     sizes = sorted({float(world.cell_size) for world in worlds})
     if len(sizes) != 1:
         raise InputError(f"houses with cells of {sizes or 'no'} meters cannot be stacked; give houses with equal cells")
-    shape = (
-        max(rows, *(world.free.shape[0] for world in worlds)),
-        max(columns, *(world.free.shape[1] for world in worlds)),
-        max(len(world.room_kinds) for world in worlds),
-        max(len(world.objects.classes) for world in worlds),
-    )
-    padded = [pad_world(world, *shape) for world in worlds]
-    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *padded)
+    shapes = [(*world.free.shape, len(world.room_kinds), len(world.objects.classes)) for world in worlds]
+    return [pad_world(world, *np.max(shapes, axis=0).tolist()) for world in worlds]

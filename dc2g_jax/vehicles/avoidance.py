@@ -71,9 +71,8 @@ class Avoidance:
 
 
 def navigate(
-    state: VehicleState, path: Path, ground: Ground, people: People, limits: VehicleLimits,
-    following: Following | None = None, avoidance: Avoidance | None = None,
-) -> Float[Array, "2"]:  # fmt: skip
+    state: VehicleState, path: Path, ground: Ground, people: People, limits: VehicleLimits
+) -> Float[Array, "2"]:
     """The command that follows a path past people: speed (meters per second) and turn rate (radians per second).
 
     Args:
@@ -82,11 +81,8 @@ def navigate(
       ground: allowed ground of the footprint.
       people: people around the vehicle.
       limits: limits of the vehicle.
-      following: settings of path following; None for the defaults.
-      avoidance: settings of collision avoidance; None for the defaults.
     """
-    following = Following() if following is None else following
-    avoidance = Avoidance() if avoidance is None else avoidance
+    following, avoidance = Following(), Avoidance()
     target = aim(state, path, ground, limits, following)
     target = detour(state, target, ground, people, limits, avoidance)
     return avoid(state, steer(state, target, path, limits, following), ground, people, limits, avoidance)
@@ -159,7 +155,7 @@ def avoid(
       avoidance: settings of collision avoidance.
     """
     commands = _commands(state, wished, limits, avoidance)
-    paths = _ways_to_a_stand(state, commands, limits)
+    paths = _braking_paths(state, commands, limits)
     admissible = _stays_on_ground(paths, ground, limits) & _touches_nobody(paths, people, limits, avoidance)
     change = (commands - commands[0]) / jnp.array([limits.max_speed, limits.max_turn_rate], jnp.float32)
     best = jnp.argmin(jnp.where(admissible, jnp.sum(change**2, axis=-1), jnp.inf))
@@ -204,7 +200,7 @@ def _periods(limits: VehicleLimits) -> int:
     return 1 + math.ceil(limits.max_speed / (limits.max_acceleration * CONTROL_PERIOD) - 1e-6)
 
 
-def _ways_to_a_stand(state: VehicleState, commands: Float[Array, "commands 2"], limits: VehicleLimits) -> _Paths:
+def _braking_paths(state: VehicleState, commands: Float[Array, "commands 2"], limits: VehicleLimits) -> _Paths:
     """The path of each command if only braking follows it."""
 
     def brake(before: VehicleState, _: None) -> tuple[VehicleState, VehicleState]:

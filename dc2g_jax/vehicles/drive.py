@@ -185,7 +185,7 @@ def reset(
         decided_on=prior,
         mode=jnp.int32(EXPLORE),
         new_maps=zero,
-        people=place(own_key, Ground(walkable_cells(site.terrain), cell_size), pedestrians, position),
+        people=place(own_key, Ground(walkable_cells(site.terrain), cell_size), pedestrians, position, Walking()),
         periods=zero,
         # The first period begins with a decision.
         decided_at=jnp.int32(-_DECISION_PERIODS),

@@ -131,19 +131,3 @@ def steer(
     # Along the arc if the point is ahead, more and more on the spot the further aside it is.
     ahead = jnp.where(arrived, 0, jnp.maximum(1 - jnp.abs(aside) / following.largest_turn, 0))
     return jnp.stack([ahead * speed, ahead * speed * curvature + (1 - ahead) * on_the_spot])
-
-
-def follow(
-    state: VehicleState, path: Path, ground: Ground, limits: VehicleLimits, following: Following | None = None
-) -> Float[Array, "2"]:
-    """The command that follows a path without regard to people.
-
-    Args:
-      state: state of the vehicle.
-      path: path to follow.
-      ground: allowed ground of the footprint.
-      limits: limits of the vehicle.
-      following: settings of path following; None for the defaults.
-    """
-    following = Following() if following is None else following
-    return steer(state, aim(state, path, ground, limits, following), path, limits, following)

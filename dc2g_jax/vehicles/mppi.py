@@ -101,6 +101,7 @@ def plan(
     state: VehicleState,
     cost_of_pose: CostOfPose,
     settings: MPPISettings,
+    candidate: Float[Array, "h 2"] | None = None,
 ) -> tuple[Float[Array, "h 2"], SampledPlans]:
     """Improve a plan by one step of IT-MPC. Apply its first command, then `shift` it for the next call.
 
@@ -110,11 +111,15 @@ def plan(
       state: current state of the vehicle.
       cost_of_pose: cost of a pose.
       settings: settings of the controller.
+      candidate: a plan that replaces one of the noisy copies.
 
     Returns:
       The new plan, and its samples.
     """
-    return improved(controls, sampled_noise(key, settings), state, cost_of_pose, settings)
+    noise = sampled_noise(key, settings)
+    if candidate is not None:
+        noise = noise.at[0].set(candidate - controls)
+    return improved(controls, noise, state, cost_of_pose, settings)
 
 
 def shift(controls: Float[Array, "h 2"]) -> Float[Array, "h 2"]:

@@ -81,9 +81,7 @@ def walkable_cells(terrain: UInt8[Array, "h w"] | UInt8[np.ndarray, "h w"]) -> B
     return jnp.asarray(WALKABLE)[terrain]
 
 
-def place(
-    key: Array, sidewalks: Ground, count: int, away_from: Float[Array, "2"], walking: Walking | None = None
-) -> Pedestrians:
+def place(key: Array, sidewalks: Ground, count: int, away_from: Float[Array, "2"], walking: Walking) -> Pedestrians:
     """Standing pedestrians at random places on sidewalks, more than three meters from the vehicle's start.
 
     Args:
@@ -91,9 +89,8 @@ def place(
       sidewalks: walkable cells. If none is far enough from the start, pedestrians are at `NOWHERE`.
       count: number of pedestrians.
       away_from: start of the vehicle, meters. The distance to the centers of cells counts.
-      walking: settings of the model; None for the defaults.
+      walking: settings of the model.
     """
-    walking = Walking() if walking is None else walking
     of_cell, of_side = jax.random.split(key)
     height, width = sidewalks.cells.shape
     column, row = jnp.meshgrid(jnp.arange(width), jnp.arange(height))
@@ -117,7 +114,7 @@ def place(
 
 def walk(
     key: Array, people: Pedestrians, sidewalks: Ground, vehicle: VehicleState, vehicle_radius: float,
-    walking: Walking | None = None,
+    walking: Walking,
 ) -> Pedestrians:  # fmt: skip
     """The pedestrians one period later.
 
@@ -127,9 +124,8 @@ def walk(
       sidewalks: walkable cells.
       vehicle: current state of the vehicle.
       vehicle_radius: radius of its footprint, meters.
-      walking: settings of the model; None for the defaults.
+      walking: settings of the model.
     """
-    walking = Walking() if walking is None else walking
     ahead = walking.foresight * vehicle.speed * jnp.stack([jnp.cos(vehicle.yaw), jnp.sin(vehicle.yaw)])
     personal = walking.radius + vehicle_radius + walking.space
 

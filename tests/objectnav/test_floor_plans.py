@@ -20,7 +20,8 @@ from dc2g_jax.objectnav.classes import (
 from dc2g_jax.objectnav.floor_plans import draw_plan, layouts
 from dc2g_jax.objectnav.houses import indoor_houses
 from dc2g_jax.objectnav.plan_cells import world_from_plan
-from dc2g_jax.objectnav.starts import rooms_cut_off, start_cells
+from dc2g_jax.objectnav.starts import start_cells
+from tests.support.rooms import rooms_cut_off
 
 COUNT = 40
 

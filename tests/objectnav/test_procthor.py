@@ -9,9 +9,9 @@ from dc2g_jax.objectnav.classes import BED, BEDROOM, KITCHEN, OTHER, PLANT, TABL
 from dc2g_jax.objectnav.houses import indoor_houses
 from dc2g_jax.objectnav.plan_cells import MARGIN, world_from_plan
 from dc2g_jax.objectnav.procthor import AssetBox, house_plan, read_procthor
-from dc2g_jax.objectnav.starts import rooms_cut_off
 from dc2g_jax.objectnav.worlds import IndoorWorld
 from tests.support import house_lines
+from tests.support.rooms import rooms_cut_off
 
 BOXES = {asset: AssetBox(entry["type"], *entry["box"]) for asset, entry in house_lines.BOXES.items()}
 

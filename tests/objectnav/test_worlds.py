@@ -9,9 +9,10 @@ from dc2g_jax.mapping.simulator import cast
 from dc2g_jax.objectnav.classes import BED, CHAIR, GOALS, OBJECT_CLASSES, OBJECT_COLORS, PLANT, TABLE
 from dc2g_jax.objectnav.plan_cells import world_from_plan
 from dc2g_jax.objectnav.plans import Furniture
-from dc2g_jax.objectnav.starts import approaches, rooms_cut_off, sample_starts, start_cells
-from dc2g_jax.objectnav.worlds import pad_world, scene, stack_worlds
+from dc2g_jax.objectnav.starts import approaches, sample_starts, start_cells
+from dc2g_jax.objectnav.worlds import pad_world, padded_alike, scene
 from tests.support.plans import BED_BOX, PLANT_BOX, plan
+from tests.support.rooms import rooms_cut_off
 
 
 def test_classes_are_named_and_colored_once():
@@ -23,8 +24,8 @@ def test_classes_are_named_and_colored_once():
 
 def test_stacked_houses_keep_their_places():
     small, large = world_from_plan(plan(BED_BOX), 0.1), world_from_plan(plan(BED_BOX, PLANT_BOX, width=7.0), 0.1)
-    stacked = stack_worlds([small, large], rows=50)
-    assert stacked.free.shape == (2, 50, large.free.shape[1])
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *padded_alike([small, large]))
+    assert stacked.free.shape == (2, *large.free.shape)
     rows, columns = small.free.shape
     np.testing.assert_array_equal(stacked.classes[0, :rows, :columns], small.classes)
     assert not stacked.free[0, :, columns:].any()
@@ -39,9 +40,9 @@ def test_houses_that_do_not_fit_together_are_refused():
     with pytest.raises(InputError, match="does not fit"):
         pad_world(world, 10, 200, 3, 0)
     with pytest.raises(InputError, match="equal cells"):
-        stack_worlds([world, world_from_plan(plan(), 0.2)])
+        padded_alike([world, world_from_plan(plan(), 0.2)])
     with pytest.raises(InputError, match="equal cells"):
-        stack_worlds([])
+        padded_alike([])
     with pytest.raises(InputError, match="cell size"):
         world_from_plan(plan(), 0.0)
     with pytest.raises(InputError, match="cells a side"):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax.grid.terrain import TRAVERSABLE
-from dc2g_jax.vehicles.following import Following, aim, follow, path_through
+from dc2g_jax.vehicles.following import Following, aim, path_through, steer
 from dc2g_jax.vehicles.footprint import Ground
 from dc2g_jax.vehicles.vehicle import VehicleLimits, at_rest, drive
 from tests.oracles.vehicle_oracle import clearance, driven
@@ -33,7 +33,8 @@ def follows():
 
     def drive_along(free, path, state):
         def period(state, _):
-            after = drive(state, follow(state, path, Ground(free, 1.0), LIMITS), LIMITS)
+            target = aim(state, path, Ground(free, 1.0), LIMITS, Following())
+            after = drive(state, steer(state, target, path, LIMITS, Following()), LIMITS)
             return after, after
 
         return jax.lax.scan(period, state, length=PERIODS)[1]

@@ -1,0 +1,12 @@
+"""The rooms of a house that a robot cannot reach."""
+
+import numpy as np
+
+from dc2g_jax.objectnav.starts import largest_region
+from dc2g_jax.objectnav.worlds import IndoorWorld
+
+
+def rooms_cut_off(world: IndoorWorld) -> list[int]:
+    """Rooms outside the largest region in which a robot can drive, by their number in `world.rooms`."""
+    reached = np.unique(np.asarray(world.rooms)[largest_region(world)])
+    return [room for room in range(1, len(world.room_kinds)) if room not in reached]
