@@ -1,4 +1,4 @@
-"""Object goals indoors: houses, the map of what stands in them, the cost of the way to it, and control.
+"""Object goals indoors: houses, semantic maps, costs of the path to an object, and control.
 
 They need the extra `all`.
 """

@@ -1,8 +1,8 @@
-"""Training samples: partial maps of robots under way in known houses, beside the exact cost of the way (section III-A).
+"""Training samples: partial maps of robots in known houses, and the exact cost of the path to a goal (section III-A).
 
-A sample is put together where it is used, on the device: of a journey is kept by when it had seen which cell, of a
-house what is in each cell and how far it is from there to each kind of goal. A batch then is a matter of cutting out
-and turning.
+Samples are made on the device when they are needed. The data set holds when each journey first showed each cell, the
+content of the cells of each house, and their distances to each kind of goal. A sample is a crop of these, turned by one
+of the symmetries.
 """
 
 import functools
@@ -21,27 +21,26 @@ from dc2g_jax.objectnav.mapping import IndoorMapSettings, square
 from dc2g_jax.objectnav.starts import ROBOT_RADIUS
 from dc2g_jax.objectnav.worlds import IndoorWorld, Leaf
 
-#: Cells along the sides of the local map and of the global one (section II-B), and how many of its cells along a side
-#: one of the network's is the mean of.
+#: Sides of the local and the global map in cells (section II-B), and of the averaged squares of the global map.
 LOCAL, GLOBAL = IndoorMapSettings.local, IndoorMapSettings.cells
 POOL = GLOBAL // LOCAL
 
-#: What is known of a cell, as one number: not explored, free floor, an obstacle without class; from then on, with one.
+#: Codes of cells: unexplored, free floor, obstacle without class. Obstacles with a class have `OBSTACLE` + class.
 UNEXPLORED, FREE, OBSTACLE = 0, 1, 2
 
-#: Distances are kept in whole millimeters; this one means that there is no way.
-_NO_WAY = np.iinfo(np.uint16).max
+#: Stands for an infinite distance. Distances are stored in whole millimeters.
+_UNREACHABLE = np.iinfo(np.uint16).max
 
-#: How a map may be turned or mirrored: is it transposed, is then the order of its rows reversed, and that of its
-#: columns? The first four are rotations, by 0, 90, 180 and 270 degrees to the left.
+#: Symmetries of a map: whether it is transposed, whether then its rows are reversed, and whether its columns are. The
+#: first four are rotations by 0, 90, 180 and 270 degrees counter-clockwise.
 SYMMETRIES = ((0, 0, 0), (1, 1, 0), (0, 1, 1), (1, 0, 1), (0, 0, 1), (0, 1, 0), (1, 0, 0), (1, 1, 1))
 
-#: Chances of the symmetries: none other than itself; the paper's (section III-D); all alike.
+#: Probabilities of the symmetries: always the identity; the paper's (section III-D); uniform.
 UPRIGHT = (1.0,) + (0.0,) * 7
 PAPER_ROTATIONS = (0.85, 0.05, 0.05, 0.05) + (0.0,) * 4
 ALL_SYMMETRIES = (0.125,) * 8
 
-#: `(meters to the goal, navigable cells) -> cost`; both [h w]. Meters are of no meaning where a cell is not navigable.
+#: `(meters to the goal, navigable cells) -> cost`; both [h w]. Meters are arbitrary in cells that are not navigable.
 Normalize = Callable[[Array, Array], Array]
 
 
@@ -52,34 +51,34 @@ def _metric(meters: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Float
 
 
 def _share(meters: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Float[Array, "h w"]:
-    """Parts of the longest way from a cell of the local map."""
+    """Shares of the longest path from a cell of the local map."""
     return meters / jnp.maximum(jnp.max(jnp.where(navigable, meters, 0)), 1e-3)
 
 
 def _relative(meters: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Float[Array, "h w"]:
-    """Tens of meters by which the way is longer than that from the local map's best cell."""
+    """Tens of meters in addition to the path from the local map's best cell."""
     least = jnp.min(jnp.where(navigable, meters, jnp.inf))
     return (meters - jnp.where(jnp.isfinite(least), least, 0)) / 10
 
 
-#: How distances become costs, by name. The paper says "normalized" and no more; `share` is what comes closest, as its
-#: figures show costs from green to red in each map. It hides how long a meter is from map to map, which the other two
-#: do not; `relative` does not ask for the one number about far places that a partial map says least about.
+#: Functions from distances to costs, by name. The paper only says "normalized". `share` is the closest, as the paper's
+#: figures show costs from green to red in each map, but its scale differs from map to map. The other two have a fixed
+#: scale, and `relative` does not ask for the distance of far goals, about which a partial map says least.
 NORMALIZATIONS: Mapping[str, Normalize] = MappingProxyType({"share": _share, "metric": _metric, "relative": _relative})
 
 
 @struct.dataclass
 class JourneySet:
-    """Houses, how far it is in them, and journeys through them.
+    """Houses, their distances to goals, and journeys through them.
 
     Attributes:
-      cells: what is in each cell, see `cell_codes`.
-      distance: from each free cell to the nearest goal of each kind, millimeters.
-      house: of each journey.
-      first_seen: by which view of a journey a cell had been seen, see `exploring.Journey`.
+      cells: codes of the cells, see `cell_codes`.
+      distance: distance from each free cell to the nearest goal of each class, millimeters.
+      house: house of each journey.
+      first_seen: number of the view that first showed each cell, see `exploring.Journey`.
       places: row and column of the robot at each view.
-      headings: where its camera looked, radians counter-clockwise from east.
-      features: mid-level features of what it saw, and of its mirror image.
+      headings: direction of the camera, counter-clockwise from east, radians.
+      features: mid-level features of each camera image and of its mirror image.
     """
 
     cells: UInt8[Leaf, "house h w"]
@@ -93,15 +92,15 @@ class JourneySet:
 
 @struct.dataclass
 class Samples:
-    """What a network is shown, and the right answer; see `dc2g_jax.objectnav.networks.apply`.
+    """Inputs of a network, see `dc2g_jax.objectnav.networks.apply`, and labels.
 
     Attributes:
-      maps: the two maps, 255 standing for 1.
-      target: index into `GOALS`.
-      heading: radians.
+      maps: local and global map, scaled to 255.
+      target: the wanted class, an index into `GOALS`.
+      heading: direction of the camera, radians.
       features: mid-level features.
-      occupied: the local map's cells that are no free floor.
-      cost: navigation cost of its free cells, infinite elsewhere and where no way leads to the goal.
+      occupied: cells of the local map that are not free floor.
+      cost: navigation cost of its free cells; infinite elsewhere and where no path leads to the goal.
     """
 
     maps: UInt8[Array, "*b 36 140 140"]
@@ -113,9 +112,9 @@ class Samples:
 
 
 def cell_codes(world: IndoorWorld) -> UInt8[Array, "*b h w"]:
-    """What is in each cell of a house, once it is explored: `FREE`, `OBSTACLE`, or `OBSTACLE` + class.
+    """The codes of the cells of a fully explored house: `FREE`, `OBSTACLE`, or `OBSTACLE` + class.
 
-    Outside it is `UNEXPLORED`: nothing there is ever seen.
+    The outside is never seen and therefore `UNEXPLORED`.
     """
     standing = jnp.asarray(world.obstacle)
     codes = jnp.where(standing, OBSTACLE + jnp.asarray(world.classes), jnp.where(world.free, FREE, UNEXPLORED))
@@ -123,38 +122,37 @@ def cell_codes(world: IndoorWorld) -> UInt8[Array, "*b h w"]:
 
 
 def drive_to_goals(
-    free: Bool[Array, "h w"], classes: UInt8[Array, "h w"], cell_size: float, radius: float = ROBOT_RADIUS
+    free: Bool[Array, "h w"], classes: UInt8[Array, "h w"], cell_size: float
 ) -> Float[Array, "goal h w"]:
-    """Meters that the middle of a round robot has to drive to the nearest goal of each kind (fast marching method).
+    """Distance that the center of a robot has to drive to the nearest goal of each class (fast marching method).
 
     Args:
-      free: floor of the house on which nothing stands.
-      classes: of what stands in its cells.
-      cell_size: meters.
-      radius: of the robot, meters.
+      free: free floor.
+      classes: class index of each cell.
+      cell_size: edge of a cell, meters.
 
     Returns:
-      float32; infinite where the robot does not fit and where no way leads to the goal.
+      float32 meters; infinite where the robot does not fit and where no path leads to the goal.
     """
     return jax.lax.map(
-        lambda goal: distance_for_vehicle(~free, (classes == goal) & ~free, radius, cell_size),
+        lambda goal: distance_for_vehicle(~free, (classes == goal) & ~free, ROBOT_RADIUS, cell_size),
         jnp.asarray(GOALS, jnp.uint8),
     )
 
 
 def in_millimeters(distance: Float[Array, "*n"]) -> UInt16[Array, "*n"]:
-    """Distances as they are kept; those of 65 m and more are no way."""
-    return jnp.where(distance < _NO_WAY / 1000, jnp.round(distance * 1000), _NO_WAY).astype(jnp.uint16)
+    """Distances in meters as stored in the data set. Distances of 65 m and more count as infinite."""
+    return jnp.where(distance < _UNREACHABLE / 1000, jnp.round(distance * 1000), _UNREACHABLE).astype(jnp.uint16)
 
 
 def map_channels(codes: UInt8[Array, "h w"]) -> Bool[Array, "18 h w"]:
-    """The semantic classes, obstacle, explored."""
+    """The channels of cells, 0 or 1: semantic classes, obstacle, explored."""
     classes = OBSTACLE + 1 + jnp.arange(SEMANTIC_CLASSES, dtype=jnp.uint8)
     return jnp.concatenate([codes == classes[:, None, None], (codes >= OBSTACLE)[None], (codes != UNEXPLORED)[None]])
 
 
 def network_maps(window: UInt8[Array, "420 420"]) -> UInt8[Array, "36 140 140"]:
-    """The network's input from what is known around a robot, whose cell is at half the side: 255 stands for 1."""
+    """The network's input maps, scaled to 255, from cell codes around a robot, which is at half the side."""
     first = (GLOBAL - LOCAL) // 2
     local = map_channels(window[first : first + LOCAL, first : first + LOCAL])
     counts = sum(
@@ -190,15 +188,15 @@ def make_sample(
     symmetry: Int[Array, "3"],
     normalize: Normalize,
 ) -> Samples:
-    """What a robot knew at a view of its journey, and how far it was from there to a goal.
+    """The inputs of a network at a view of a journey, and the labels for a goal.
 
     Args:
-      data: to take it from.
-      journey: index.
-      view: index.
-      target: index into `GOALS`.
+      data: the data set.
+      journey: index of the journey.
+      view: index of the view.
+      target: the wanted class, an index into `GOALS`.
       symmetry: one of `SYMMETRIES`.
-      normalize: distances to costs, see `NORMALIZATIONS`.
+      normalize: function from distances to costs, see `NORMALIZATIONS`.
     """
     house, cell = data.house[journey], data.places[journey, view].astype(jnp.int32)
     known = jnp.where(data.first_seen[journey] <= view, data.cells[house], jnp.uint8(UNEXPLORED))
@@ -208,8 +206,8 @@ def make_sample(
 
     window = around(known, GLOBAL, UNEXPLORED)
     truth = around(data.cells[house], LOCAL, UNEXPLORED)
-    way = around(data.distance[house, target], LOCAL, _NO_WAY)
-    navigable = (truth == FREE) & (way != _NO_WAY)
+    distance = around(data.distance[house, target], LOCAL, _UNREACHABLE)
+    navigable = (truth == FREE) & (distance != _UNREACHABLE)
     mirrored = jnp.sum(symmetry) % 2
     return Samples(
         maps=network_maps(window),
@@ -217,7 +215,7 @@ def make_sample(
         heading=turned_heading(data.headings[journey, view], symmetry),
         features=data.features[journey, view, mirrored].astype(jnp.float32),
         occupied=truth != FREE,
-        cost=jnp.where(navigable, normalize(way.astype(jnp.float32) / 1000, navigable), jnp.inf),
+        cost=jnp.where(navigable, normalize(distance.astype(jnp.float32) / 1000, navigable), jnp.inf),
     )
 
 
@@ -229,14 +227,14 @@ def draw_samples(
     symmetries: tuple[float, ...],
     normalize: Normalize,
 ) -> Samples:
-    """A random batch: any view of any journey, on the way to any goal that can be reached from there.
+    """A random batch: uniform over views of all journeys, and over the goals that can be reached from each view.
 
     Args:
-      key: PRNG key.
-      data: to draw from.
+      key: random key.
+      data: the data set.
       batch_size: number of samples.
-      symmetries: chance of each of `SYMMETRIES`.
-      normalize: distances to costs, see `NORMALIZATIONS`.
+      symmetries: probability of each of `SYMMETRIES`.
+      normalize: function from distances to costs, see `NORMALIZATIONS`.
     """
     journey_key, view_key, goal_key, turn_key = jax.random.split(key, 4)
     journeys, views = data.headings.shape
@@ -244,7 +242,7 @@ def draw_samples(
     view = jax.random.randint(view_key, (batch_size,), 0, views)
     cell = data.places[journey, view].astype(jnp.int32)
     distance = data.distance[data.house[journey], :, cell[:, 0], cell[:, 1]]
-    target = jax.random.categorical(goal_key, jnp.where(distance != _NO_WAY, 0.0, -1e9))
+    target = jax.random.categorical(goal_key, jnp.where(distance != _UNREACHABLE, 0.0, -1e9))
     turn = jax.random.categorical(turn_key, jnp.log(jnp.asarray(symmetries) + 1e-30), shape=(batch_size,))
     symmetry = jnp.asarray(SYMMETRIES, jnp.int32)[turn]
     make = functools.partial(make_sample, normalize=normalize)

@@ -1,14 +1,14 @@
-"""Many searches for objects, and what came of them: the figures of Table I of the paper on dense cost maps.
+"""Results of object searches, and the metrics of Table I of the paper on dense cost maps.
 
-What counts is measured on the house as it is:
+All metrics refer to the true house:
 
-- An episode is a success if the robot declares to be there within 1 m of an object of the wanted class, not through a
-  wall; just around the end of one counts. One that never does so within the time fails, wherever it is.
-- SPL weighs it with the way: the shortest one there is by the way driven, or 1 if that is shorter. The shortest way is
-  that of the fast marching method, for a robot with a body, to where such an object is within 1 m. It is a few percent
-  too long where it runs across the grid, see `dc2g_jax.grid.fast_marching`, and the ratio is never more than 1.
-- DTS, the distance to success, is what is left of that way at the end, 0 for a success.
-- Acceleration and jerk are means over the periods of an episode, absolute values, along the way and in turning.
+- A search succeeds if the robot declares success within 1 m of an object of the wanted class, but not through a wall.
+  Just around the end of a wall counts. A search without declaration in time fails, wherever the robot is.
+- SPL weights success by the length of the shortest path divided by that of the driven path, at most 1. The shortest
+  path is that of the fast marching method for a robot with a body, to within 1 m of such an object. It is a few percent
+  too long where it runs across the grid, see `dc2g_jax.grid.fast_marching`.
+- DTS, the distance to success, is the length of the remaining path at the end, 0 for a success.
+- Acceleration and jerk are means of absolute values over the control periods of a search, along the path and in turns.
 """
 
 import functools
@@ -32,23 +32,23 @@ from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD
 
 
 class SearchResult(NamedTuple):
-    """What came of a search.
+    """Results of one search.
 
     Attributes:
       house: name of the house.
       target: name of the wanted class.
-      x: of the start, meters.
-      y: of the start, meters.
-      yaw: where the robot faced there, radians.
+      x: x of the start, meters.
+      y: y of the start, meters.
+      yaw: yaw at the start, radians.
       agent: name of the agent.
-      declared: did it say that it was there?
-      success: was it?
+      declared: whether the robot declared success.
+      success: whether the search succeeded.
       spl: success weighted by path length, 0 to 1.
-      shortest: the shortest way to a success, meters.
-      driven: the way it drove, meters.
-      distance: to success where it stopped (DTS), meters.
+      shortest: length of the shortest path, meters.
+      driven: length of the driven path, meters.
+      distance: distance to success at the end (DTS), meters.
       steps: control periods.
-      bumps: of these, those in which it ran into something.
+      bumps: control periods in which an obstacle stopped the robot.
       acceleration: meters per second squared.
       turn_acceleration: radians per second squared.
       jerk: meters per second cubed.
@@ -75,20 +75,20 @@ class SearchResult(NamedTuple):
     turn_jerk: float
 
 
-class WayThere(NamedTuple):
-    """How far it is in a house to where an object of one class is within reach.
+class SuccessRegion(NamedTuple):
+    """The cells of a house where a search for a class succeeds.
 
     Attributes:
-      distance: from every cell, meters; infinite where no way leads there.
-      there: cells that count as a success.
+      distance: distance to drive from each cell to the region, meters; infinite where no path leads there.
+      cells: whether a cell belongs to the region.
     """
 
     distance: Float[np.ndarray, "h w"]
-    there: Bool[np.ndarray, "h w"]
+    cells: Bool[np.ndarray, "h w"]
 
 
-def way_there(house: IndoorHouse, target: str) -> WayThere:
-    """What the success of a search is measured by.
+def success_region(house: IndoorHouse, target: str) -> SuccessRegion:
+    """The success region of a search.
 
     Args:
       house: the house.
@@ -97,9 +97,9 @@ def way_there(house: IndoorHouse, target: str) -> WayThere:
     world = house.world
     free, classes, cell_size = np.asarray(world.free), np.asarray(world.classes), float(world.cell_size)
     near = _near(classes == OBJECT_CLASSES.index(target), ~free & (classes == NOTHING), cell_size)
-    there = free & np.asarray(near)
-    distance = np.asarray(_distance_there(free, passable(free, cell_size), there, cell_size))
-    return WayThere(distance=distance, there=there)
+    cells = free & np.asarray(near)
+    distance = np.asarray(_distance_to_region(free, passable(free, cell_size), cells, cell_size))
+    return SuccessRegion(distance, cells)
 
 
 @functools.partial(jit, static_argnames=("cell_size",))
@@ -109,33 +109,33 @@ def _near(goals: Array, closed: Array, cell_size: float) -> Bool[Array, "h w"]:
 
 
 @functools.partial(jit, static_argnames=("cell_size",))
-def _distance_there(free: Array, fits: Array, region: Array, cell_size: float) -> Float[Array, "h w"]:
-    """Meters to a region; where a robot does not fit, over free floor to where it does."""
+def _distance_to_region(free: Array, fits: Array, region: Array, cell_size: float) -> Float[Array, "h w"]:
+    """Distance to a region, meters. Where a robot does not fit, it leads over free floor to where it does."""
     return with_tight_cells(geodesic_distance(fits, fits & region, cell_size), free, fits, cell_size)
 
 
 def results_of(
     agent: str, houses: Sequence[IndoorHouse], episodes: Sequence[Search], searches: Searches
 ) -> list[SearchResult]:
-    """What came of each episode.
+    """Results of searches.
 
     Args:
       agent: name of the agent.
-      houses: those of the episodes.
-      episodes: what was searched for.
+      houses: houses of the episodes.
+      episodes: the searches.
       searches: what the robots did.
     """
     by_name = {house.name: house for house in houses}
-    ways = {key: way_there(by_name[key[0]], key[1]) for key in {(one.house, one.target) for one in episodes}}
+    regions = {key: success_region(by_name[key[0]], key[1]) for key in {(one.house, one.target) for one in episodes}}
     results = []
     for number, episode in enumerate(episodes):
         steps, declared = int(searches.steps[number]), bool(searches.declared[number])
-        track, way = searches.track[number, : steps + 1].astype(float), ways[episode.house, episode.target]
+        track, region = searches.track[number, : steps + 1].astype(float), regions[episode.house, episode.target]
         ends = jnp.asarray(track[[0, -1], :2], jnp.float32)
         cells = np.asarray(cell_at(ends, float(by_name[episode.house].world.cell_size)))
         first, last = ((int(row), int(column)) for column, row in cells)
-        shortest, driven = float(way.distance[first]), float(np.hypot(*np.diff(track[:, :2], axis=0).T).sum())
-        success = declared and bool(way.there[last])
+        shortest, driven = float(region.distance[first]), float(np.hypot(*np.diff(track[:, :2], axis=0).T).sum())
+        success = declared and bool(region.cells[last])
         acceleration, jerk = (_mean_rate(track[:, 3:], order) for order in (1, 2))
         results.append(
             SearchResult(
@@ -146,7 +146,7 @@ def results_of(
                 spl=success * shortest / max(shortest, driven, 1e-9),
                 shortest=shortest,
                 driven=driven,
-                distance=0.0 if way.there[last] else float(way.distance[last]),
+                distance=0.0 if region.cells[last] else float(region.distance[last]),
                 steps=steps,
                 bumps=int(searches.bumps[number]),
                 acceleration=acceleration[0],
@@ -159,27 +159,27 @@ def results_of(
 
 
 def _mean_rate(speeds: Float[np.ndarray, "time 2"], order: int) -> tuple[float, float]:
-    """Mean absolute value of a derivative of speed and turn rate, 0 where there are too few."""
+    """Mean absolute values of a derivative of speed and turn rate; 0 for tracks that are too short."""
     rates = np.abs(np.diff(speeds, n=order, axis=0)) / CONTROL_PERIOD**order
     along, turning = rates.mean(axis=0).tolist() if len(rates) else (0.0, 0.0)
     return along, turning
 
 
 class SearchSummary(NamedTuple):
-    """A line of Table I: means over episodes, and intervals that hold 95 % of the means of resampled houses.
+    """A line of Table I: means over episodes, and 95 % bootstrap intervals over houses.
 
     Attributes:
-      episodes: how many.
-      success: share (SR).
+      episodes: number of episodes.
+      success: success rate (SR).
       success_interval: its interval.
       spl: success weighted by path length.
       spl_interval: its interval.
-      distance: to success (DTS), meters.
+      distance: distance to success (DTS), meters.
       steps: control periods (Time).
       acceleration: meters per second squared, and radians per second squared.
       jerk: meters per second cubed, and radians per second cubed.
-      declared: share of episodes in which the robot declared to be there.
-      bumps: periods in which it ran into something.
+      declared: share of episodes in which the robot declared success.
+      bumps: control periods in which an obstacle stopped it.
     """
 
     episodes: int
@@ -196,12 +196,12 @@ class SearchSummary(NamedTuple):
 
 
 def summarize(results: Sequence[SearchResult], *, resamples: int = 10_000, seed: int = 0) -> SearchSummary:
-    """The means of some episodes.
+    """The means and intervals of some results.
 
     Args:
-      results: at least one.
-      resamples: sets of houses drawn for the intervals.
-      seed: of those draws.
+      results: at least one result.
+      resamples: number of bootstrap samples of houses.
+      seed: seed of the bootstrap.
     """
     houses = [result.house for result in results]
 
@@ -228,12 +228,12 @@ def summarize(results: Sequence[SearchResult], *, resamples: int = 10_000, seed:
 
 
 class Difference(NamedTuple):
-    """By how much one agent is better than another in the same searches; intervals as in `SearchSummary`.
+    """Differences between two agents in the same searches, with intervals as in `SearchSummary`.
 
     Attributes:
-      success: of the shares.
+      success: difference of the success rates.
       success_interval: its interval.
-      spl: of the mean success weighted by path length.
+      spl: difference of the success weighted by path length.
       spl_interval: its interval.
     """
 
@@ -249,13 +249,13 @@ def difference(
     """Compare two agents search by search.
 
     Args:
-      better: results of the one.
-      worse: results of the other, in the same order.
-      resamples: sets of houses drawn for the intervals.
-      seed: of those draws.
+      better: results of one agent.
+      worse: results of the other agent, in the same order.
+      resamples: number of bootstrap samples of houses.
+      seed: seed of the bootstrap.
 
     Raises:
-      ValueError: the searches are not the same.
+      ValueError: the searches differ.
     """
     pairs = list(zip(better, worse, strict=True))
     if any(

@@ -1,4 +1,4 @@
-"""What the network that predicts cost maps is trained with (section II-C, equations 1 to 4). For one map each."""
+"""Losses of predicted cost maps (section II-C, equations 1 to 4). All functions take one map."""
 
 from typing import NamedTuple
 
@@ -14,9 +14,9 @@ class LossWeights(NamedTuple):
     """Weights of the three losses; defaults as in the paper.
 
     Attributes:
-      occupancy: of equation (1).
-      cost: of equation (2).
-      direction: of equation (3).
+      occupancy: weight of equation (1).
+      cost: weight of equation (2).
+      direction: weight of equation (3).
     """
 
     occupancy: float = 1.0
@@ -25,11 +25,11 @@ class LossWeights(NamedTuple):
 
 
 def occupancy_loss(logits: Float[Array, "h w"], occupied: Bool[Array, "h w"]) -> Float[Array, ""]:
-    """Mean binary cross entropy of the occupancy, in nats (equation 1).
+    """Mean binary cross entropy of occupancy, nats (equation 1).
 
     Args:
       logits: predicted log-odds of being occupied.
-      occupied: truth.
+      occupied: whether the cells are occupied.
     """
     return jnp.mean(jax.nn.softplus(logits) - jnp.where(occupied, logits, 0))
 
@@ -37,25 +37,25 @@ def occupancy_loss(logits: Float[Array, "h w"], occupied: Bool[Array, "h w"]) ->
 def cost_loss(
     predicted: Float[Array, "h w"], true: Float[Array, "h w"], navigable: Bool[Array, "h w"]
 ) -> Float[Array, ""]:
-    """Absolute error of the cost of navigable cells, summed, by the number of all cells (equation 2).
+    """Sum of the absolute errors on navigable cells, divided by the number of all cells (equation 2).
 
     Args:
       predicted: navigation cost.
       true: navigation cost; may be infinite on other cells.
-      navigable: free cells with a way to the goal.
+      navigable: free cells with a path to the goal.
     """
     return jnp.mean(jnp.where(navigable, jnp.abs(predicted - jnp.where(navigable, true, 0)), 0))
 
 
 def gradient(costs: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Float[Array, "2 h w"]:
-    """Gradient of a cost map on navigable cells, from navigable cells only: down the rows, and along them, by the cell.
+    """Gradient of a cost map per cell, down the rows and along them, from navigable cells only.
 
-    Half the difference of the two neighbors where both are navigable, the difference to the one that is, 0 where
-    neither is and on all other cells.
+    Central differences where both neighbors are navigable, one-sided ones where one is, and 0 where neither is and on
+    cells that are not navigable.
 
     Args:
-      costs: finite on navigable cells.
-      navigable: see above.
+      costs: costs, finite on navigable cells.
+      navigable: cells that count.
     """
     values = jnp.where(navigable, costs, 0)
 
@@ -72,15 +72,15 @@ def gradient(costs: Float[Array, "h w"], navigable: Bool[Array, "h w"]) -> Float
 def direction_loss(
     predicted: Float[Array, "h w"], true: Float[Array, "h w"], navigable: Bool[Array, "h w"], epsilon: float = 1e-8
 ) -> Float[Array, ""]:
-    """1 - cosine between the gradients, summed over navigable cells, by the number of all cells (equation 3).
+    """Sum of 1 - cosine between the gradients on navigable cells, divided by the number of all cells (equation 3).
 
-    Cells at which the true cost is level have no direction and do not count.
+    Cells where the true gradient is 0 have no direction and do not count.
 
     Args:
       predicted: navigation cost.
       true: navigation cost; may be infinite on other cells.
-      navigable: free cells with a way to the goal.
-      epsilon: added to a squared length, so that a level prediction has a gradient of its own.
+      navigable: free cells with a path to the goal.
+      epsilon: added to the squared length of the predicted gradient, so that the loss is smooth where that is 0.
     """
     ours, theirs = gradient(predicted, navigable), gradient(true, navigable)
     length = jnp.sqrt(jnp.sum(theirs**2, axis=0))
@@ -99,10 +99,10 @@ def total_loss(
     """The weighted sum of the three losses (equation 4), and each of them.
 
     Args:
-      prediction: the network's answer.
-      occupied: truth.
-      cost: true navigation cost, infinite where no way leads to the goal.
-      weights: of the losses.
+      prediction: output of the network.
+      occupied: whether the cells are occupied.
+      cost: true navigation cost, infinite where no path leads to the goal.
+      weights: weights of the losses.
     """
     navigable = ~occupied & jnp.isfinite(cost)
     losses = {

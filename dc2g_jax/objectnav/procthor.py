@@ -60,13 +60,11 @@ def read_asset_boxes(path: str | Path) -> dict[str, AssetBox]:
     path = Path(path)
     remedy = "give a JSON file that says type and box [x, y, z] in meters of each asset"
     try:
-        table = json.loads(path.read_bytes())
+        table = _parsed(path.read_bytes())
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); {remedy}") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is not JSON ({_first_line(error)}); {remedy}") from None
-    if not isinstance(table, dict):
-        raise InputError(f"{path}: holds a {type(table).__name__} instead of assets; {remedy}")
+    except InputError as error:
+        raise InputError(f"{path}: {error}; {remedy}") from None
     boxes = {}
     for asset, entry in table.items():
         try:
@@ -156,14 +154,14 @@ def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
         raise InputError(f"{path}: cannot be read ({_first_line(error)}); give an undamaged file") from None
 
 
-def _parsed(line: bytes) -> dict[str, Any]:
+def _parsed(text: bytes) -> dict[str, Any]:
     try:
-        house = json.loads(line)
+        parsed = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"it is not JSON ({_first_line(error)})") from None
-    if not isinstance(house, dict):
-        raise InputError(f"it holds a {type(house).__name__} instead of an object")
-    return house
+    if not isinstance(parsed, dict):
+        raise InputError(f"it holds a {type(parsed).__name__} instead of an object")
+    return parsed
 
 
 def _first_line(error: BaseException) -> str:

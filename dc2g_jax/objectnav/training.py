@@ -1,4 +1,4 @@
-"""Training the network that predicts cost maps: recipes, one step, and how good it is on houses it does not know."""
+"""Training of the network that predicts cost maps: recipes, training steps, and validation on unseen houses."""
 
 import dataclasses
 import functools
@@ -30,17 +30,17 @@ from dc2g_jax.training.cost_to_go import TrainingState, check_numbers, loss_or_n
 
 @dataclasses.dataclass(frozen=True)
 class Recipe:
-    """How a network is optimized.
+    """Settings of the optimization.
 
     Attributes:
       optimizer: a name of `OPTIMIZERS`.
       peak: learning rate after the warm-up.
-      last: learning rate in the end, after a cosine decay.
+      last: learning rate at the end of a cosine decay.
       warmup: share of the steps over which the rate rises to its peak.
-      weight_decay: of the weights, see the optimizers.
-      symmetries: chance of each of `dc2g_jax.objectnav.data.SYMMETRIES`.
-      normalisation: a name of `NORMALIZATIONS`.
-      average_decay: decay of the running average of the weights, which is what is kept; 0 keeps the weights themselves.
+      weight_decay: weight decay, see the optimizers.
+      symmetries: probability of each of `dc2g_jax.objectnav.data.SYMMETRIES`.
+      normalization: a name of `NORMALIZATIONS`.
+      average_decay: decay of the running average of the weights, which is saved; 0 saves the weights themselves.
     """
 
     optimizer: str
@@ -49,12 +49,12 @@ class Recipe:
     warmup: float
     weight_decay: float
     symmetries: tuple[float, ...]
-    normalisation: str
+    normalization: str
     average_decay: float
 
 
 def _sgd(rate: optax.Schedule, weight_decay: float) -> optax.GradientTransformation:
-    """Stochastic gradient descent; the decay is part of the gradient. The paper names no momentum; 0.9 is usual."""
+    """Stochastic gradient descent with decay in the gradient. The paper gives no momentum; 0.9 is usual."""
     return optax.chain(optax.add_decayed_weights(weight_decay), optax.sgd(rate, momentum=0.9))
 
 
@@ -66,10 +66,10 @@ def _adamw(rate: optax.Schedule, weight_decay: float) -> optax.GradientTransform
 #: Optimizers by name: `(learning rate by step, weight decay) -> optimizer`.
 OPTIMIZERS: dict[str, Callable[[optax.Schedule, float], optax.GradientTransformation]] = {"sgd": _sgd, "adamw": _adamw}
 
-#: Section III-D; 25 of 200 epochs are warm-up.
+#: The recipe of the paper (section III-D), whose warm-up takes 25 of 200 epochs.
 PAPER_RECIPE = Recipe("sgd", 15e-5, 1e-5, 0.125, 0.01, PAPER_ROTATIONS, "share", 0.0)
 
-#: The one that does better within minutes: costs in meters, all symmetries.
+#: A recipe that is better after minutes of training: costs in meters, all symmetries.
 BETTER_RECIPE = Recipe("adamw", 1.5e-3, 1e-5, 0.05, 0.01, ALL_SYMMETRIES, "relative", 0.998)
 
 RECIPES = {"better": BETTER_RECIPE, "paper": PAPER_RECIPE}
@@ -77,18 +77,18 @@ RECIPES = {"better": BETTER_RECIPE, "paper": PAPER_RECIPE}
 
 @dataclasses.dataclass(frozen=True)
 class CostMapConfig:
-    """How to train a network.
+    """Configuration of a training run.
 
     Attributes:
-      architecture: the network.
-      recipe: how it is optimized.
-      loss_weights: of the three losses.
-      steps: optimizer steps in all.
-      batch_size: samples a step.
-      seed: of weights and batches.
+      architecture: architecture of the network.
+      recipe: settings of the optimization.
+      loss_weights: weights of the three losses.
+      steps: total number of optimizer steps.
+      batch_size: samples per step.
+      seed: seed of weights and batches.
 
     Raises:
-      InputError: for numbers that no training can have.
+      InputError: a number is out of range.
     """
 
     architecture: CostMapArchitecture = dataclasses.field(default_factory=CostMapArchitecture)
@@ -103,7 +103,7 @@ class CostMapConfig:
 
 
 def optimizer(config: CostMapConfig) -> optax.GradientTransformation:
-    """The recipe's optimizer with its learning rate over the steps."""
+    """The optimizer of the recipe with its learning-rate schedule."""
     recipe = config.recipe
     warmup = round(recipe.warmup * config.steps)
     rate = optax.warmup_cosine_decay_schedule(0.0, recipe.peak, warmup, max(config.steps, warmup + 1), recipe.last)
@@ -111,7 +111,7 @@ def optimizer(config: CostMapConfig) -> optax.GradientTransformation:
 
 
 def _keys(seed: int) -> tuple[Array, Array]:
-    """Of a run's first weights, and of its batches."""
+    """The keys of a run's initial weights and of its batches."""
     weights_key, batches_key = jax.random.split(jax.random.key(seed))
     return weights_key, batches_key
 
@@ -144,13 +144,13 @@ def mean_loss(
 def train_step(
     state: TrainingState, data: JourneySet, *, config: CostMapConfig
 ) -> tuple[TrainingState, Float[Array, ""]]:
-    """Take one optimizer step; the old state is used up.
+    """Take one optimizer step. The old state is donated.
 
-    The batch depends on the seed and the number of the step alone, so training that was interrupted and resumed gives
-    the same weights as training that was not.
+    The batch depends only on the seed and the number of the step, so interrupted and resumed training gives the same
+    weights as training without interruption.
 
     Returns:
-      The new state and the loss, as `dc2g_jax.training.cost_to_go.loss_or_nan` has it.
+      The new state and the loss, see `dc2g_jax.training.cost_to_go.loss_or_nan`.
     """
     recipe = config.recipe
     _, batches_key = _keys(config.seed)
@@ -159,7 +159,7 @@ def train_step(
         data,
         batch_size=config.batch_size,
         symmetries=recipe.symmetries,
-        normalize=NORMALIZATIONS[recipe.normalisation],
+        normalize=NORMALIZATIONS[recipe.normalization],
     )
     (loss, _), gradient = jax.value_and_grad(lambda weights: mean_loss(config, weights, samples), has_aux=True)(
         state.weights
@@ -173,7 +173,7 @@ def train_step(
 
 @functools.partial(jit, static_argnames="config")
 def _examine(weights: Any, samples: Samples, config: CostMapConfig) -> dict[str, Array]:
-    """Losses, confusion matrix and accuracies of actions on a batch."""
+    """Losses, confusion matrix and action accuracies on a batch."""
     loss, (losses, prediction) = mean_loss(config, weights, samples)
     costs = fused_cost(prediction.occupancy, prediction.cost)
 
@@ -190,13 +190,13 @@ def _examine(weights: Any, samples: Samples, config: CostMapConfig) -> dict[str,
 
 
 def validation_samples(data: JourneySet, config: CostMapConfig, count: int) -> list[Samples]:
-    """The same samples in every validation, as they are, in batches as large as those of training."""
+    """Fixed samples for validation, without symmetries, in batches of the training's size."""
     draw = jit(
         functools.partial(
             draw_samples,
             batch_size=config.batch_size,
             symmetries=UPRIGHT,
-            normalize=NORMALIZATIONS[config.recipe.normalisation],
+            normalize=NORMALIZATIONS[config.recipe.normalization],
         )
     )
     keys = jax.random.split(jax.random.key(0), max(count // config.batch_size, 1))
@@ -204,12 +204,12 @@ def validation_samples(data: JourneySet, config: CostMapConfig, count: int) -> l
 
 
 def figures(estimator: CostMapEstimator, batches: list[Samples], config: CostMapConfig) -> dict[str, float]:
-    """Losses and metrics of section III-B on samples; metrics in percent.
+    """Losses, and metrics of section III-B in percent, on validation samples.
 
     Args:
       estimator: the network.
-      batches: what to try it on.
-      config: how it was trained.
+      batches: samples, see `validation_samples`.
+      config: configuration of its training.
     """
     found = [jax.tree.map(np.asarray, _examine(estimator.weights, batch, config)) for batch in batches]
     counts = sum(batch["confusion"].astype(np.float64) for batch in found)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax.objectnav.classes import GOALS
-from dc2g_jax.objectnav.evaluation import difference, results_of, summarize, way_there
+from dc2g_jax.objectnav.evaluation import difference, results_of, success_region, summarize
 from dc2g_jax.objectnav.searches import Search, Searches, sample_episodes
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
@@ -37,7 +37,7 @@ def judged(house, start, end, *, declared=True, target="plant", steps=10):
 
 
 def test_within_a_meter_counts_and_through_a_wall_does_not(house):
-    there = way_there(house, "plant").there
+    there = success_region(house, "plant").cells
     # The plant's nearest cells have their middles at x = 4.7 and y = -2.7; row 26, column 46 or so.
     rows, columns = np.nonzero(house.world.goals(GOALS[3]))
     nearest = np.array(

@@ -1,5 +1,7 @@
 """Procedural floor plans: an unlimited number of furnished houses like ProcTHOR's, reproducible by seed."""
 
+import dataclasses
+
 import numpy as np
 
 from dc2g_jax.datasets.maps import SPLITS
@@ -36,11 +38,10 @@ def draw_plan(seed: int, split: str, index: int) -> HousePlan:
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(SPLITS.index(split), index, attempt)))
         layout = draw_layout(rng)
         floor = Floor(layout)
-        rooms = [RoomSketch(rng, layout, number, floor) for number in range(len(layout.kinds))]
+        rooms = [RoomSketch(rng, layout, number, floor) for number in range(len(layout.plan.rooms))]
         for room in rooms:
             furnish(room)
         # An object near a border without wall may cut off a corner of the adjacent room.
         if component_numbers(passable(floor.free, CHECK_CELLS)).max() == 1:
-            furniture = tuple(piece for room in rooms for piece in room.pieces)
-            return HousePlan(layout.rooms, layout.walls, layout.doors, furniture)
+            return dataclasses.replace(layout.plan, furniture=tuple(piece for room in rooms for piece in room.pieces))
     raise RuntimeError(f"no house within {_ATTEMPTS} drawings of seed {seed}, {split}, {index}")

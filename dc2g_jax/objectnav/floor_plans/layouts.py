@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dc2g_jax.objectnav.classes import BATHROOM, BEDROOM, KITCHEN, LIVING_ROOM
-from dc2g_jax.objectnav.plans import Room, Segment
+from dc2g_jax.objectnav.plans import HousePlan, Room, Segment
 
 Square = tuple[int, int]
 
@@ -71,21 +71,15 @@ class Layout(NamedTuple):
     """An empty house.
 
     Attributes:
+      plan: its plan without furniture.
       unit: side of a square, meters.
-      kinds: type of each room.
       squares: squares of each room: column and row, rows counted upward.
-      rooms: the same rooms with their outlines in meters.
-      walls: walls between rooms, and between rooms and the outside.
-      doors: doors between rooms.
       open: borders between rooms without wall.
     """
 
+    plan: HousePlan
     unit: float
-    kinds: tuple[int, ...]
     squares: tuple[frozenset[Square], ...]
-    rooms: tuple[Room, ...]
-    walls: tuple[Segment, ...]
-    doors: tuple[Segment, ...]
     open: tuple[Segment, ...]
 
 
@@ -200,13 +194,16 @@ def _with_doors(
     }
     doors = [_door(rng, [_meters(run, unit) for run in borders[pair]]) for pair in sorted(linked - opened)]
     runs = [(pair, _meters(run, unit)) for pair, found in borders.items() for run in found]
-    layout = Layout(
-        unit=unit,
-        kinds=kinds,
-        squares=tuple(frozenset(room) for room in squares),
+    plan = HousePlan(
         rooms=tuple(Room(kind, np.array(outline, float) * unit) for kind, outline in zip(kinds, outlines, strict=True)),
         walls=tuple(run for pair, run in runs if pair not in opened),
         doors=tuple(doors),
+        furniture=(),
+    )
+    layout = Layout(
+        plan,
+        unit,
+        squares=tuple(frozenset(room) for room in squares),
         open=tuple(run for pair, run in runs if pair in opened),
     )
     return cost, layout

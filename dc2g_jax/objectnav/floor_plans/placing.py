@@ -14,7 +14,7 @@ from jaxtyping import Bool
 from dc2g_jax.grid.ground import component_numbers
 from dc2g_jax.objectnav.floor_plans.layouts import Layout
 from dc2g_jax.objectnav.plan_cells import MARGIN, world_from_plan
-from dc2g_jax.objectnav.plans import Furniture, HousePlan, Segment
+from dc2g_jax.objectnav.plans import Furniture, Segment
 from dc2g_jax.objectnav.starts import passable
 
 #: Side of the cells with which reachability is checked, meters.
@@ -101,9 +101,8 @@ class Floor:
     """The floor of a house in cells, and which of them are free."""
 
     def __init__(self, layout: Layout) -> None:
-        plan = HousePlan(layout.rooms, layout.walls, layout.doors, ())
-        world = world_from_plan(plan, CHECK_CELLS)
-        corners = np.array(layout.walls).reshape(-1, 2)
+        world = world_from_plan(layout.plan, CHECK_CELLS)
+        corners = np.array(layout.plan.walls).reshape(-1, 2)
         self.free, self.rooms = np.asarray(world.free).copy(), np.asarray(world.rooms)
         self._left, self._top = float(corners[:, 0].min()) - MARGIN, float(corners[:, 1].max()) + MARGIN
 
@@ -130,14 +129,14 @@ class RoomSketch:
     """
 
     def __init__(self, rng: np.random.Generator, layout: Layout, number: int, floor: Floor) -> None:
-        self.rng, self.kind, self.pieces = rng, layout.kinds[number], list[Furniture]()
+        self.rng, self.kind, self.pieces = rng, layout.plan.rooms[number].kind, list[Furniture]()
         self._squares, self._unit, self._floor = layout.squares[number], layout.unit, floor
         self._walls = _walls_of(layout, number)
-        corners = layout.rooms[number].outline
+        corners = layout.plan.rooms[number].outline
         area = Rectangle(*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist())
         self._window = floor.cells(area, 3 * CHECK_CELLS)
         inside = floor.rooms == number + 1
-        doors = [door for door in layout.doors if np.any(inside[floor.cells(_widened(door, CHECK_CELLS))])]
+        doors = [door for door in layout.plan.doors if np.any(inside[floor.cells(_widened(door, CHECK_CELLS))])]
         for door in doors:
             # The path to a door has to stay open too.
             opening = floor.cells(_widened(door, CHECK_CELLS))
@@ -272,7 +271,7 @@ def _widened(door: Segment, reach: float) -> Rectangle:
 
 def _walls_of(layout: Layout, number: int) -> list[Wall]:
     """The walls of a room, including those with doors, without open borders."""
-    outline = layout.rooms[number].outline
+    outline = layout.plan.rooms[number].outline
     walls = []
     for (x0, y0), (x1, y1) in zip(outline.tolist(), np.roll(outline, -1, axis=0).tolist(), strict=True):
         length = math.hypot(x1 - x0, y1 - y0)
