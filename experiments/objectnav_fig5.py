@@ -183,7 +183,7 @@ def moment_of(robot: IndoorRobot, agent: Agent, name: str) -> SearchMoment:
 
 
 def main(options: Options) -> None:
-    """Search, draw, say what came of it."""
+    """Search, draw, and print the result."""
     for name in ("samples", "limit"):
         if getattr(options, name) < 1:
             raise InputError(f"--{name} {getattr(options, name)}: give 1 or more")
@@ -214,7 +214,7 @@ def main(options: Options) -> None:
     print(
         f"{house.name}, {episode.target}, {AGENT_TITLES[options.agent]}: {came} after {steps} steps ({steps / 10:g} s)"
     )
-    print(f"driven {result.driven:.1f} m, shortest way {result.shortest:.1f} m, bumps {result.bumps}")
+    print(f"driven {result.driven:.1f} m, shortest path {result.shortest:.1f} m, bumps {result.bumps}")
     print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
 
 

@@ -50,9 +50,9 @@ class Options(SearchOptions):
     """Run the agents of Table I in houses they have not seen, and set them beside the paper's figures.
 
     Attributes:
-      agents: which ones: true_cost knows the way, random drives at random until it sees its target, frontier explores
+      agents: which ones: true_cost knows the path, random drives at random until it sees its target, frontier explores
         what is nearest, predicted drives down the costs that the network predicts as the paper's agent does, promising
-        goes to the frontier where these and the way there are least.
+        goes to the frontier where these and the distance to it are least.
       network: folder of the network, as experiments.objectnav_train writes it; the one that comes with the package
         where not given.
       out: folder to write to; a new one below outputs/ where not given.

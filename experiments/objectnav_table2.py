@@ -92,7 +92,7 @@ def open_networks(folders: tuple[Path, ...]) -> dict[str, PredictedCosts[CostMap
 def prediction_metrics(
     costs: PredictedCosts[CostMapEstimator], houses: list[IndoorHouse], options: Options
 ) -> dict[str, float]:
-    """`METRICS` on partial maps of robots under way in the houses."""
+    """`METRICS` on partial maps of robots in the houses."""
     largest = max(max(house.world.free.shape) for house in houses)
     samples = collect(houses, costs.encoder, CollectionConfig(largest=largest, data_seed=options.seed))
     config = CostMapConfig(costs.estimator.architecture)

@@ -195,13 +195,12 @@ class SearchSummary(NamedTuple):
     bumps: float
 
 
-def summarize(results: Sequence[SearchResult], *, resamples: int = 10_000, seed: int = 0) -> SearchSummary:
+def summarize(results: Sequence[SearchResult], *, resamples: int = 10_000) -> SearchSummary:
     """The means and intervals of some results.
 
     Args:
       results: at least one result.
       resamples: number of bootstrap samples of houses.
-      seed: seed of the bootstrap.
     """
     houses = [result.house for result in results]
 
@@ -210,7 +209,7 @@ def summarize(results: Sequence[SearchResult], *, resamples: int = 10_000, seed:
 
     def interval(name: str) -> tuple[float, float]:
         values = [float(getattr(result, name)) for result in results]
-        return house_bootstrap(values, houses, resamples=resamples, seed=seed)
+        return house_bootstrap(values, houses, resamples=resamples, seed=0)
 
     return SearchSummary(
         episodes=len(results),
@@ -243,16 +242,13 @@ class Difference(NamedTuple):
     spl_interval: tuple[float, float]
 
 
-def difference(
-    better: Sequence[SearchResult], worse: Sequence[SearchResult], *, resamples: int = 10_000, seed: int = 0
-) -> Difference:
+def difference(better: Sequence[SearchResult], worse: Sequence[SearchResult], *, resamples: int = 10_000) -> Difference:
     """Compare two agents search by search.
 
     Args:
       better: results of one agent.
       worse: results of the other agent, in the same order.
       resamples: number of bootstrap samples of houses.
-      seed: seed of the bootstrap.
 
     Raises:
       ValueError: the searches differ.
@@ -266,6 +262,6 @@ def difference(
 
     def gain(name: str) -> tuple[float, tuple[float, float]]:
         gains = [float(getattr(one, name)) - float(getattr(other, name)) for one, other in pairs]
-        return float(np.mean(gains)), house_bootstrap(gains, houses, resamples=resamples, seed=seed)
+        return float(np.mean(gains)), house_bootstrap(gains, houses, resamples=resamples, seed=0)
 
     return Difference(*gain("success"), *gain("spl"))

@@ -18,15 +18,10 @@ STOP = 0.2
 LEAST_CELLS = 3
 
 
-def without_specks(cells: Bool[Array, "h w"], least: int = LEAST_CELLS) -> Bool[Array, "h w"]:
-    """The cells with enough cells of the same class around them. Isolated cells are usually false positives.
-
-    Args:
-      cells: cells in which a class has been seen.
-      least: least number of such cells in the 5 x 5 cells around a cell, including itself.
-    """
+def without_specks(cells: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
+    """The cells of a class with enough such cells around them. Isolated cells are usually false positives."""
     around = jax.lax.reduce_window(cells.astype(jnp.int32), 0, jax.lax.add, (5, 5), (1, 1), "SAME")
-    return cells & (around >= least)
+    return cells & (around >= LEAST_CELLS)
 
 
 def distance_to_object(

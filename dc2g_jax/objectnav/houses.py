@@ -1,11 +1,10 @@
 """Houses for object search, by split: procedural houses, or houses from ProcTHOR's files."""
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from dc2g_jax.datasets.houses import PROCEDURAL, tell_on_stderr
+from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.datasets.maps import SPLITS
 from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.floor_plans import draw_plan
@@ -40,7 +39,6 @@ def indoor_houses(
     cell_size: float = PLAN_CELL_SIZE,
     seed: int = 0,
     strict: bool = False,
-    log: Callable[[str], None] = tell_on_stderr,
 ) -> list[IndoorHouse]:
     """The first houses of a split.
 
@@ -53,7 +51,6 @@ def indoor_houses(
         cell_size: side of a cell, meters.
         seed: seed of the procedural houses.
         strict: whether an invalid house is an error, see `read_procthor`.
-        log: receives a line for each house that is skipped.
 
     Raises:
         InputError: the split, folder or file does not exist, a file is invalid, or it has fewer than `count` houses.
@@ -66,7 +63,7 @@ def indoor_houses(
         plans = [(index, draw_plan(seed, split, index)) for index in range(count or 20)]
     else:
         path = split_file(Path(location), split)
-        plans = read_procthor(path, strict=strict, log=log)
+        plans = read_procthor(path, strict=strict)
         if count is not None and count > len(plans):
             raise InputError(f"{path}: has {len(plans)} houses, less than {count}; ask for fewer")
     return [IndoorHouse(f"{split}-{number}", split, world_from_plan(plan, cell_size)) for number, plan in plans[:count]]

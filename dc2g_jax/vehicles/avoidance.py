@@ -21,9 +21,28 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float
 
-from dc2g_jax.vehicles.following import Following, Path, aim, steer
+from dc2g_jax.vehicles.following import Path, aim, steer
 from dc2g_jax.vehicles.footprint import Ground, clearance, free_straight, needed_clearance, surroundings
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, drive, reachable_command, wrapped
+
+#: Numbers of speeds and turn rates that are tried, evenly spaced over the reachable ones.
+_SPEEDS, _TURN_RATES = 5, 9
+
+#: Clearance from people, meters, and growth of a person's possible deviation from the prediction, meters per second.
+_MARGIN, _GROWTH = 0.05, 0.2
+
+#: Number of directions that a detour may take, evenly spaced over both sides, and the largest angle to the desired
+#: direction, radians.
+_DIRECTIONS, _WIDEST = 25, 1.8
+
+#: Time within which a direction must not meet anybody, seconds, and the number of moments that are checked in it.
+_HORIZON, _MOMENTS = 2.5, 10
+
+#: Additional angle of a detour that passes somebody so closely that the vehicle must slow down, radians.
+_SQUEEZE = 0.6
+
+#: Weight of a detour's angle to the vehicle's yaw relative to its angle to the desired direction.
+_STEADINESS = 0.2
 
 
 @struct.dataclass
@@ -41,35 +60,6 @@ class People:
     radius: float = struct.field(pytree_node=False)
 
 
-@struct.dataclass
-class Avoidance:
-    """Settings of collision avoidance.
-
-    Attributes:
-      speeds: number of speeds tried, evenly spaced over the reachable ones.
-      turn_rates: number of turn rates tried, likewise.
-      margin: clearance from people, meters.
-      growth: growth of a person's possible deviation from the prediction, meters per second.
-      directions: number of directions that a detour may take, evenly spaced over both sides.
-      widest: largest angle between a detour and the desired direction, radians.
-      horizon: time within which a direction must not meet anybody, seconds.
-      looks: number of moments checked within the horizon.
-      squeeze: additional angle of a detour that avoids passing somebody so near that it must slow down, radians.
-      steadiness: weight of the angle to the vehicle's yaw relative to the angle to the desired direction.
-    """
-
-    speeds: int = struct.field(pytree_node=False, default=5)
-    turn_rates: int = struct.field(pytree_node=False, default=9)
-    margin: float = struct.field(pytree_node=False, default=0.05)
-    growth: float = struct.field(pytree_node=False, default=0.2)
-    directions: int = struct.field(pytree_node=False, default=25)
-    widest: float = struct.field(pytree_node=False, default=1.8)
-    horizon: float = struct.field(pytree_node=False, default=2.5)
-    looks: int = struct.field(pytree_node=False, default=10)
-    squeeze: float = struct.field(pytree_node=False, default=0.6)
-    steadiness: float = struct.field(pytree_node=False, default=0.2)
-
-
 def navigate(
     state: VehicleState, path: Path, ground: Ground, people: People, limits: VehicleLimits
 ) -> Float[Array, "2"]:
@@ -82,15 +72,12 @@ def navigate(
       people: people around the vehicle.
       limits: limits of the vehicle.
     """
-    following, avoidance = Following(), Avoidance()
-    target = aim(state, path, ground, limits, following)
-    target = detour(state, target, ground, people, limits, avoidance)
-    return avoid(state, steer(state, target, path, limits, following), ground, people, limits, avoidance)
+    target = detour(state, aim(state, path, ground, limits), ground, people, limits)
+    return avoid(state, steer(state, target, path, limits), ground, people, limits)
 
 
 def detour(
     state: VehicleState, target: Float[Array, "2"], ground: Ground, people: People, limits: VehicleLimits,
-    avoidance: Avoidance,
 ) -> Float[Array, "2"]:  # fmt: skip
     """The point to drive to straight so as to meet nobody: the target if it is free or if no direction is better.
 
@@ -100,11 +87,10 @@ def detour(
       ground: allowed ground of the footprint.
       people: people around the vehicle, predicted at constant velocity.
       limits: limits of the vehicle.
-      avoidance: settings of collision avoidance.
     """
     offset = target - state.position
     bearing = jnp.arctan2(offset[1], offset[0])
-    aside = jnp.linspace(-avoidance.widest, avoidance.widest, avoidance.directions)
+    aside = jnp.linspace(-_WIDEST, _WIDEST, _DIRECTIONS)
     bearings = bearing + aside
     directions = jnp.stack([jnp.cos(bearings), jnp.sin(bearings)], axis=-1)
     # People matter as far as the vehicle gets within the horizon; obstacles matter within its braking distance.
@@ -115,19 +101,19 @@ def detour(
 
     def gap(direction: Float[Array, "2"]) -> Float[Array, ""]:
         """Smallest distance to any person along a direction, meters."""
-        time = avoidance.horizon * (1 + jnp.arange(avoidance.looks)) / avoidance.looks
+        time = _HORIZON * (1 + jnp.arange(_MOMENTS)) / _MOMENTS
         driven = jnp.minimum(pace * time, jnp.linalg.norm(offset))
         apart = (state.position + driven[:, None] * direction)[:, None] - people.positions
         apart -= time[:, None, None] * people.velocities
         nearest = jnp.sqrt(jnp.min(apart[..., 0] ** 2 + apart[..., 1] ** 2, initial=jnp.inf))
-        return nearest - limits.radius - people.radius - avoidance.margin
+        return nearest - limits.radius - people.radius - _MARGIN
 
     # What `avoid` asks for at full speed.
-    roomy = avoidance.growth * limits.max_speed / limits.max_acceleration
+    roomy = _GROWTH * limits.max_speed / limits.max_acceleration
     gaps = jax.vmap(gap)(directions)
     free = (gaps > 0) & free_straight(state.position, distance * directions, around, limits.radius)
-    cost = jnp.abs(aside) + avoidance.steadiness * jnp.abs(wrapped(bearings - state.yaw))
-    cost += jnp.where(gaps > roomy, 0, avoidance.squeeze)
+    cost = jnp.abs(aside) + _STEADINESS * jnp.abs(wrapped(bearings - state.yaw))
+    cost += jnp.where(gaps > roomy, 0, _SQUEEZE)
     best = jnp.argmin(jnp.where(free, cost, jnp.inf))
     needless = ~jnp.any(free) | (gap(offset / jnp.maximum(jnp.linalg.norm(offset), 1e-6)) > roomy)
     return jnp.where(needless, target, state.position + distance * directions[best])
@@ -141,7 +127,6 @@ def braking(state: VehicleState, limits: VehicleLimits) -> Float[Array, "2"]:
 
 def avoid(
     state: VehicleState, wished: Float[Array, "2"], ground: Ground, people: People, limits: VehicleLimits,
-    avoidance: Avoidance,
 ) -> Float[Array, "2"]:  # fmt: skip
     """The admissible command nearest to the desired one; braking if there is none.
 
@@ -152,27 +137,24 @@ def avoid(
         not go deeper into them.
       people: people around the vehicle.
       limits: limits of the vehicle.
-      avoidance: settings of collision avoidance.
     """
-    commands = _commands(state, wished, limits, avoidance)
+    commands = _commands(state, wished, limits)
     paths = _braking_paths(state, commands, limits)
-    admissible = _stays_on_ground(paths, ground, limits) & _touches_nobody(paths, people, limits, avoidance)
+    admissible = _stays_on_ground(paths, ground, limits) & _touches_nobody(paths, people, limits)
     change = (commands - commands[0]) / jnp.array([limits.max_speed, limits.max_turn_rate], jnp.float32)
     best = jnp.argmin(jnp.where(admissible, jnp.sum(change**2, axis=-1), jnp.inf))
     return jnp.where(jnp.any(admissible), commands[best], commands[1])
 
 
-def _commands(
-    state: VehicleState, wished: Float[Array, "2"], limits: VehicleLimits, avoidance: Avoidance
-) -> Float[Array, "commands 2"]:
+def _commands(state: VehicleState, wished: Float[Array, "2"], limits: VehicleLimits) -> Float[Array, "commands 2"]:
     """Reachable commands: the one nearest to the desired one, then braking, then a grid over all reachable ones."""
 
     def within_reach(command: Float[Array, "2"]) -> Float[Array, "2"]:
         return reachable_command(state, command, limits, CONTROL_PERIOD)
 
     lowest, highest = (within_reach(jnp.full(2, bound, jnp.float32)) for bound in (-jnp.inf, jnp.inf))
-    speeds = jnp.linspace(lowest[0], highest[0], avoidance.speeds)
-    turn_rates = jnp.linspace(lowest[1], highest[1], avoidance.turn_rates)
+    speeds = jnp.linspace(lowest[0], highest[0], _SPEEDS)
+    turn_rates = jnp.linspace(lowest[1], highest[1], _TURN_RATES)
     grid = jnp.stack(jnp.meshgrid(speeds, turn_rates), axis=-1).reshape(-1, 2)
     return jnp.concatenate([jnp.stack([within_reach(wished), within_reach(braking(state, limits))]), grid])
 
@@ -228,9 +210,7 @@ def _stays_on_ground(paths: _Paths, ground: Ground, limits: VehicleLimits) -> Bo
     return jnp.all(clearance(paths.ends, around) >= needed, axis=0) & (now >= needed[0])
 
 
-def _touches_nobody(
-    paths: _Paths, people: People, limits: VehicleLimits, avoidance: Avoidance
-) -> Bool[Array, "commands"]:
+def _touches_nobody(paths: _Paths, people: People, limits: VehicleLimits) -> Bool[Array, "commands"]:
     """Whether the footprint keeps clear of everybody while the vehicle moves, at all their possible positions.
 
     People are expected to walk around a vehicle that has stopped.
@@ -244,13 +224,13 @@ def _touches_nobody(
 
     def clear_of(clear: Array, person: tuple[Array, Array]) -> tuple[Array, None]:
         position, velocity = person
-        apart = people.radius + avoidance.margin
+        apart = people.radius + _MARGIN
         now = jnp.linalg.norm(position - paths.start) - apart
         off_x, off_y = x - position[0], y - position[1]
         speed_squared = jnp.maximum(jnp.sum(velocity**2), 1e-6)
         since = jnp.clip((off_x * velocity[0] + off_y * velocity[1]) / speed_squared, 0, time)
         squared = (off_x - since * velocity[0]) ** 2 + (off_y - since * velocity[1]) ** 2
-        needed = needed_clearance(limits.radius, traveled, turned, now) + apart + avoidance.growth * time
+        needed = needed_clearance(limits.radius, traveled, turned, now) + apart + _GROWTH * time
         return clear & ((squared >= needed**2) | (traveled == 0)), None
 
     clear, _ = jax.lax.scan(clear_of, jnp.ones(x.shape, bool), (people.positions, people.velocities))

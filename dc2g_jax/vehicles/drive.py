@@ -35,7 +35,7 @@ from dc2g_jax.mapping.semantic_map import MapSettings, SemanticMap, empty_map, i
 from dc2g_jax.mapping.simulator import CAMERA_HEIGHT, CAMERA_PITCH, CAMERA_RANGE, render
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL, MapRevisingPlanner
 from dc2g_jax.vehicles.avoidance import People, navigate
-from dc2g_jax.vehicles.following import Following, Path, path_through
+from dc2g_jax.vehicles.following import ARRIVAL, Path, path_through
 from dc2g_jax.vehicles.footprint import Ground, cell_at, clearance, surroundings
 from dc2g_jax.vehicles.pedestrians import Pedestrians, Walking, place, walk, walkable_cells
 from dc2g_jax.vehicles.robot import DRIVING, SimulatedRobot, camera_pose
@@ -300,7 +300,7 @@ def _cell(vehicle: VehicleState, equipment: Equipment) -> Int[Array, "2"]:
 def _has_driven_path(robot: Robot) -> Bool[Array, ""]:
     """Whether the robot has stopped at the end of its path, at the path's final yaw."""
     vehicle, path = believed(robot), robot.path
-    near = jnp.linalg.norm(path.points[-1] - vehicle.position) < Following().arrival
+    near = jnp.linalg.norm(path.points[-1] - vehicle.position) < ARRIVAL
     turned = jnp.abs(wrapped(path.yaw - vehicle.yaw)) < _TURNED
     return near & turned & (vehicle.speed == 0)
 

@@ -17,6 +17,16 @@ from dc2g_jax.grid.poses import HEADINGS
 from dc2g_jax.vehicles.footprint import ROUNDING, Ground, cell_centers, free_straight, surroundings
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, wrapped
 
+#: Largest distance of the target point along the path, meters, and the number of evenly spaced points up to there that
+#: are tried, besides the one nearest to the vehicle.
+_LOOK_AHEAD, _CANDIDATES = 1.5, 6
+
+#: At a larger angle to the target point, the vehicle turns in place, radians.
+_LARGEST_TURN = 1.2
+
+#: Within this distance of the path's end, meters, the vehicle only turns to the final yaw.
+ARRIVAL = 0.1
+
 
 @struct.dataclass
 class Path:
@@ -29,23 +39,6 @@ class Path:
 
     points: Float[Array, "n 2"]
     yaw: Float[Array, ""]
-
-
-@struct.dataclass
-class Following:
-    """Settings of path following.
-
-    Attributes:
-      look_ahead: largest distance of the target point along the path, meters.
-      candidates: number of evenly spaced points of the path that are tried, besides the one nearest to the vehicle.
-      largest_turn: at a larger angle to the target point, the vehicle turns in place, radians.
-      arrival: within this distance of the path's end, meters, the vehicle only turns to the final yaw.
-    """
-
-    look_ahead: float = struct.field(pytree_node=False, default=1.5)
-    candidates: int = struct.field(pytree_node=False, default=6)
-    largest_turn: float = struct.field(pytree_node=False, default=1.2)
-    arrival: float = struct.field(pytree_node=False, default=0.1)
 
 
 def path_through(cells: Int[Array, "n 2"], length: ArrayLike, heading: ArrayLike, cell_size: float) -> Path:
@@ -63,8 +56,8 @@ def path_through(cells: Int[Array, "n 2"], length: ArrayLike, heading: ArrayLike
     return Path(points=cell_centers(cells[index], cell_size), yaw=wrapped(yaw))
 
 
-def _points_ahead(position: Float[Array, "2"], path: Path, following: Following) -> Float[Array, "points 2"]:
-    """The point of the path nearest to the vehicle, and points of the path up to `look_ahead` beyond it."""
+def _points_ahead(position: Float[Array, "2"], path: Path) -> Float[Array, "points 2"]:
+    """The point of the path nearest to the vehicle, and points of the path up to `_LOOK_AHEAD` beyond it."""
     begin, step = path.points[:-1], jnp.diff(path.points, axis=0)
     squared = jnp.sum(step**2, axis=-1)
     along = jnp.sum((position - begin) * step, axis=-1) / jnp.where(squared > 0, squared, 1)
@@ -72,13 +65,11 @@ def _points_ahead(position: Float[Array, "2"], path: Path, following: Following)
     nearest = jnp.argmin(jnp.sum((begin + along[:, None] * step - position) ** 2, axis=-1))
     driven = jnp.concatenate([jnp.zeros(1, jnp.float32), jnp.cumsum(jnp.sqrt(squared))])
     here = driven[nearest] + along[nearest] * (driven[nearest + 1] - driven[nearest])
-    ahead = here + jnp.linspace(0, following.look_ahead, following.candidates + 1)
+    ahead = here + jnp.linspace(0, _LOOK_AHEAD, _CANDIDATES + 1)
     return jax.vmap(jnp.interp, in_axes=(None, None, 1), out_axes=1)(ahead, driven, path.points)
 
 
-def aim(
-    state: VehicleState, path: Path, ground: Ground, limits: VehicleLimits, following: Following
-) -> Float[Array, "2"]:
+def aim(state: VehicleState, path: Path, ground: Ground, limits: VehicleLimits) -> Float[Array, "2"]:
     """The farthest point of the path ahead that the footprint can reach in a straight line, meters.
 
     If it can reach none, the point of the path nearest to the vehicle, which can be reached from anywhere in a cell of
@@ -89,13 +80,12 @@ def aim(
       path: path to follow.
       ground: allowed ground of the footprint.
       limits: limits of the vehicle.
-      following: settings of path following.
     """
-    points = _points_ahead(state.position, path, following)
+    points = _points_ahead(state.position, path)
     offsets = points - state.position
-    around = surroundings(ground, state.position, following.look_ahead + limits.radius)
+    around = surroundings(ground, state.position, _LOOK_AHEAD + limits.radius)
     # The surroundings are known no farther than this.
-    near = jnp.linalg.norm(offsets, axis=-1) < following.look_ahead + ROUNDING
+    near = jnp.linalg.norm(offsets, axis=-1) < _LOOK_AHEAD + ROUNDING
     free = near & free_straight(state.position, offsets, around, limits.radius)
     return points[jnp.max(jnp.where(free, jnp.arange(len(points)), 0))]
 
@@ -106,9 +96,7 @@ def _stopping(distance: Float[Array, ""], deceleration: float) -> Float[Array, "
     return deceleration * (jnp.sqrt(pause**2 + 2 * distance / deceleration) - pause)
 
 
-def steer(
-    state: VehicleState, target: Float[Array, "2"], path: Path, limits: VehicleLimits, following: Following
-) -> Float[Array, "2"]:
+def steer(state: VehicleState, target: Float[Array, "2"], path: Path, limits: VehicleLimits) -> Float[Array, "2"]:
     """The command that steers to a point: speed (meters per second) and turn rate (radians per second).
 
     At the end of the path it turns the vehicle to the path's final yaw.
@@ -118,16 +106,15 @@ def steer(
       target: the point, meters.
       path: path that the vehicle follows.
       limits: limits of the vehicle.
-      following: settings of path following.
     """
     offset = target - state.position
     distance = jnp.linalg.norm(offset)
-    arrived = jnp.linalg.norm(path.points[-1] - state.position) < following.arrival
+    arrived = jnp.linalg.norm(path.points[-1] - state.position) < ARRIVAL
     aside = wrapped(jnp.where(arrived, path.yaw, jnp.arctan2(offset[1], offset[0])) - state.yaw)
-    curvature = 2 * jnp.sin(aside) / jnp.maximum(distance, following.arrival)
+    curvature = 2 * jnp.sin(aside) / jnp.maximum(distance, ARRIVAL)
     speed = jnp.minimum(_stopping(distance, limits.max_acceleration), limits.max_speed)
     speed = jnp.minimum(speed, limits.max_turn_rate / jnp.maximum(jnp.abs(curvature), 1e-6))
     on_the_spot = jnp.sign(aside) * _stopping(jnp.abs(aside), limits.max_turn_acceleration)
     # Along the arc if the point is ahead, more and more on the spot the further aside it is.
-    ahead = jnp.where(arrived, 0, jnp.maximum(1 - jnp.abs(aside) / following.largest_turn, 0))
+    ahead = jnp.where(arrived, 0, jnp.maximum(1 - jnp.abs(aside) / _LARGEST_TURN, 0))
     return jnp.stack([ahead * speed, ahead * speed * curvature + (1 - ahead) * on_the_spot])

@@ -10,6 +10,9 @@ from jaxtyping import Array, Bool, Float, Int
 #: Clearance kept beyond the footprint, meters: more than rounding errors in single precision on the largest maps.
 ROUNDING = 1e-3
 
+#: Number of pieces of a straight line between the points at which its clearance is computed.
+_PROBES = 10
+
 
 @struct.dataclass
 class Ground:
@@ -105,7 +108,7 @@ def clearance(points: Float[Array, "*n 2"], around: Surroundings) -> Float[Array
 
 
 def free_straight(
-    position: Float[Array, "2"], offsets: Float[Array, "n 2"], around: Surroundings, radius: float, probes: int = 10
+    position: Float[Array, "2"], offsets: Float[Array, "n 2"], around: Surroundings, radius: float
 ) -> Bool[Array, "n"]:
     """Whether the footprint stays clear of blocked cells along straight lines from one place to others.
 
@@ -114,11 +117,10 @@ def free_straight(
       offsets: offsets of the ends from the start, meters.
       around: blocked cells, complete at least as far as the ends.
       radius: radius of the footprint, meters.
-      probes: number of points of each line at which the clearance is computed.
     """
-    shares = (jnp.arange(probes + 1) / probes)[:, None, None]
+    shares = (jnp.arange(_PROBES + 1) / _PROBES)[:, None, None]
     clear = clearance(position + shares * offsets, around)
-    needed = needed_clearance(radius, jnp.linalg.norm(offsets, axis=-1) / probes, 0.0, clear[0, 0])
+    needed = needed_clearance(radius, jnp.linalg.norm(offsets, axis=-1) / _PROBES, 0.0, clear[0, 0])
     return jnp.all(clear >= needed, axis=0)
 
 

@@ -36,7 +36,7 @@ def test_it_searches_and_draws(tmp_path, capsys):
     assert facts["driven"] <= 0.1 * facts["steps"]
     printed = capsys.readouterr().out
     assert "two_rooms, plant, privileged random" in printed
-    assert "shortest way" in printed
+    assert "shortest path" in printed
 
 
 def test_the_last_two_moments_show_the_goal_reacher_if_it_takes_over():

@@ -1,4 +1,4 @@
-"""A robot that looks for an object in a house of two rooms."""
+"""A robot that searches for an object in a house of two rooms."""
 
 import dataclasses
 
@@ -63,7 +63,7 @@ def robot_at(x, y, yaw=0.0, target=PLANT_TARGET, guide=None):
     return reset(KEY, jnp.array([x, y, yaw], jnp.float32), jnp.int32(target), agent_with(guide or NoIdea()), LIMIT)
 
 
-def test_the_distance_to_objects_is_that_of_the_way_around_walls(site):
+def test_the_distance_to_objects_is_that_of_the_path_around_walls(site):
     # From the far end of the bedroom to the plant: through the door.
     row, column = 28, 6
     assert 3.5 < float(site.distances[PLANT_TARGET, row, column]) < 5.5
@@ -84,14 +84,14 @@ def journey(site):
     return robots
 
 
-def test_a_robot_that_knows_the_way_gets_there(journey, site):
+def test_a_robot_with_true_costs_reaches_the_object(journey, site):
     last = journey[-1]
     steps = int(last.periods)
     assert int(last.status) == DECLARED
     assert 40 < steps < LIMIT
     track = np.asarray(last.track)
-    way = float(site.distances[PLANT_TARGET, 29, 6])
-    assert np.hypot(*np.diff(track[:, :2], axis=0).T).sum() < 1.25 * way
+    shortest = float(site.distances[PLANT_TARGET, 29, 6])
+    assert np.hypot(*np.diff(track[:, :2], axis=0).T).sum() < 1.25 * shortest
     # The plant's cells have their middles from x = 4.7 to 5.0 and y = -2.7 to -3.0.
     off = np.maximum(np.abs(track[steps, :2] - (4.85, -2.85)) - 0.2, 0)
     assert np.hypot(*off) < 1.0
@@ -242,7 +242,7 @@ def test_predicted_costs_do_not_lead_through_what_has_been_seen(guided):
     assert np.isfinite(distance[21, 15:39]).all()
 
 
-def test_the_promising_frontier_weighs_the_way_and_what_is_predicted_behind_it(guided):
+def test_the_promising_frontier_weighs_distance_and_predicted_costs(guided):
     # A corridor, open 1.3 m to the west of the robot and 2.4 m to the east of it.
     walls = [((12, 13), (6, 46)), ((20, 21), (6, 46))]
     robot = with_cells(robot_at(2.05, -1.55), floor=[((13, 20), (7, 45))], wall=walls)
@@ -255,7 +255,7 @@ def test_the_promising_frontier_weighs_the_way_and_what_is_predicted_behind_it(g
     np.testing.assert_allclose(far[31, 30] - far.min(), 2.5, atol=0.1)
 
 
-def test_a_robot_looks_around_before_it_sets_out():
+def test_a_robot_looks_around_at_the_start():
     robot, agent = robot_at(2.05, -1.55), agent_with(NoIdea())
     costs = lambda position, yaw: jnp.float32(0)  # noqa: E731
     turning = np.asarray(LookAround(MPC()).plan(KEY, robot, costs, agent))

@@ -35,7 +35,7 @@ def test_a_vehicle_drives_through_a_door_only_if_it_fits():
     assert np.isinf(from_other_side(0.45))
 
 
-def test_no_way_leads_through_a_gap_that_is_too_tight():
+def test_no_path_leads_through_a_gap_that_is_too_tight():
     free = np.ones((20, 30), bool)
     free[:, 15] = False
     free[10, 15] = True  # too narrow for the robot
@@ -48,7 +48,7 @@ def test_no_way_leads_through_a_gap_that_is_too_tight():
     filled = np.asarray(cost_maps.with_tight_cells(distance, free, fits, 0.1))
     fits, known = np.asarray(fits), np.isfinite(np.asarray(distance))
     assert (fits & ~known)[:, 18:].any()
-    np.testing.assert_array_equal(filled[fits], np.asarray(distance)[fits])  # no way through the gap
+    np.testing.assert_array_equal(filled[fits], np.asarray(distance)[fits])  # no path through the gap
     assert not fits[3, 6]
     assert 1.2 < filled[3, 6] < 1.6  # out of the gap, then as the crow flies until it touches the goal
     assert np.isinf(filled[~np.asarray(free)]).all()

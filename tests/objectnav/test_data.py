@@ -112,7 +112,7 @@ def test_labels_are_distances_to_the_nearest_goal(samples, world):
     for goal, label in zip(GOALS, distance, strict=True):
         assert (label[~free] == none).all()
         assert (label[free] != none).all() == (goal in (BED, PLANT))
-    # From beside the bed: less than a cell of way is left. From the far room: at least as far as the crow flies.
+    # From beside the bed: less than a cell is left to drive. From the far room: at least as far as the crow flies.
     rows, columns = np.nonzero(world.classes == BED)
     beside = rows.max() + 3, int(columns.mean())
     assert free[beside]
@@ -133,7 +133,7 @@ def test_normalized_costs():
 
 
 def test_the_network_is_shown_what_the_robots_map_would_show(world):
-    """The window around a robot, by way of the agent's own map of bits."""
+    """The window around a robot, from the agent's own map of bits."""
     codes = np.asarray(cell_codes(world))
     channels = np.asarray(map_channels(jnp.asarray(codes)))
     bits = sum(channel.astype(np.uint32) << number for number, channel in enumerate(channels))

@@ -49,7 +49,7 @@ def test_within_a_meter_counts_and_through_a_wall_does_not(house):
     assert not there[beyond].any()
 
 
-def test_a_success_is_weighed_with_its_way(house):
+def test_a_success_is_weighted_by_path_length(house):
     result = judged(house, (3.95, -1.0), (4.15, -2.3))
     assert result.success
     assert result.driven == pytest.approx(np.hypot(0.2, 1.3), rel=1e-5)

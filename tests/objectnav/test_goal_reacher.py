@@ -1,4 +1,4 @@
-"""The way to an object that has been seen, against plain loops and values known by hand."""
+"""Paths to an object that has been seen, against plain loops and values known by hand."""
 
 from collections import deque
 
@@ -15,14 +15,14 @@ def distances(obstacles, walls, goals):
 
 def test_specks_go_and_objects_stay():
     cells = np.random.default_rng(1).random((20, 30)) < 0.06
-    kept = np.asarray(without_specks(jnp.asarray(cells), 3))
+    kept = np.asarray(without_specks(jnp.asarray(cells)))
     for row, column in np.ndindex(cells.shape):
         around = cells[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3].sum()
         assert kept[row, column] == (cells[row, column] and around >= 3)
     assert 0 < kept.sum() < cells.sum()
 
 
-def test_the_way_ends_at_arms_length_from_a_plant_on_a_table():
+def test_the_path_ends_at_arms_length_from_a_plant_on_a_table():
     obstacles, goals = np.zeros((2, 40, 60), bool)
     obstacles[15:25, 30:40] = True
     goals[19:21, 34:36] = True

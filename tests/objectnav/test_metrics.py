@@ -67,6 +67,6 @@ def test_equal_costs_mean_staying():
     assert not np.asarray(best_actions(jnp.ones((3, 3)), NINE_ACTIONS)).any()
 
 
-def test_a_map_without_a_way_is_right():
+def test_a_map_without_a_path_is_correct():
     nowhere = jnp.full((3, 3), jnp.inf)
     assert float(action_accuracy(jnp.zeros((3, 3)), nowhere, FIVE_ACTIONS)) == 1

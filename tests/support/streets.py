@@ -51,7 +51,7 @@ class Episode(NamedTuple):
 
 
 def plan(cost: Array, cell: Array) -> Path:
-    """The next cells on the shortest way to the goal."""
+    """The next cells on the shortest path to the goal."""
 
     def step(cell: Array, _: None) -> tuple[Array, Array]:
         beside = jnp.concatenate([cell[None], cell + jnp.array(FORWARD)])

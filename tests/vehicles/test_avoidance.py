@@ -9,7 +9,7 @@ from dc2g_jax.datasets.procedural import procedural_training_houses
 from dc2g_jax.datasets.starts import start_cells
 from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.grid.terrain import GRASS, TRAVERSABLE
-from dc2g_jax.vehicles.avoidance import Avoidance, People, avoid
+from dc2g_jax.vehicles.avoidance import People, avoid
 from dc2g_jax.vehicles.footprint import Ground, cell_centers
 from dc2g_jax.vehicles.pedestrians import NOWHERE, Pedestrians, place, walkable_cells
 from dc2g_jax.vehicles.vehicle import VehicleState, at_rest, drive
@@ -19,7 +19,7 @@ from tests.support.streets import LIMITS, WALKING, Episode, episodes
 
 HOUSES, STARTS, PEOPLE, PERIODS = 2, 4, 6, 500
 
-#: A person comes along the only way to the door, and can step aside where it ends.
+#: A person comes along the only path to the door, and can step aside where it ends.
 NARROW = drawn("""
     ............S...
     ............S...
@@ -55,7 +55,7 @@ def standing(cell: tuple[int, int], heads_for: tuple[int, int]) -> Pedestrians:
 
 @pytest.fixture(scope="module")
 def maps() -> np.ndarray:
-    """Houses, a start each; then the narrow way, then the broad road."""
+    """Houses, a start each; then the narrow path, then the broad road."""
     houses = [sample_grid(house) for house in procedural_training_houses(HOUSES, seed=5)]
     return np.stack([house for house in houses for _ in range(STARTS)] + [framed(NARROW), framed(BROAD)])
 
@@ -75,7 +75,7 @@ def driven_episodes(maps) -> Episode:
     return jax.device_get(episodes(keys, jnp.asarray(maps), cells, yaws, everybody, PERIODS))
 
 
-def ways(episode: Episode, number: int, steps: int = 4) -> tuple[np.ndarray, np.ndarray]:
+def positions_of(episode: Episode, number: int, steps: int = 4) -> tuple[np.ndarray, np.ndarray]:
     """Vehicle [n 2] and people [n people 2] of one episode at several moments a period, up to its end."""
     state, end = episode.state, int(np.argmin(~episode.arrived[number])) or PERIODS
     vehicle = []
@@ -90,7 +90,7 @@ def ways(episode: Episode, number: int, steps: int = 4) -> tuple[np.ndarray, np.
 def test_every_robot_arrives_and_touches_nothing_and_nobody(driven_episodes, maps):
     assert np.all(driven_episodes.arrived[:, -1])
     for number, terrain in enumerate(maps):
-        vehicle, people = ways(driven_episodes, number)
+        vehicle, people = positions_of(driven_episodes, number)
         assert clearance(vehicle, TRAVERSABLE[terrain], 1.0).min() > LIMITS.radius
         assert np.linalg.norm(people - vehicle[:, None], axis=-1).min() > LIMITS.radius + WALKING.radius
 
@@ -106,8 +106,8 @@ def test_no_limit_is_exceeded(driven_episodes):
     assert speed.min() == 0
 
 
-def test_in_a_narrow_way_it_waits_until_the_person_turns_round(driven_episodes):
-    vehicle, people = ways(driven_episodes, -2)
+def test_on_a_narrow_path_it_waits_until_the_person_turns_round(driven_episodes):
+    vehicle, people = positions_of(driven_episodes, -2)
     apart = np.linalg.norm(people[:, 0] - vehicle, axis=-1)
     assert 0.55 < apart.min() < 1.2
     west = people[:, 0, 0]
@@ -117,7 +117,7 @@ def test_in_a_narrow_way_it_waits_until_the_person_turns_round(driven_episodes):
 
 
 def test_it_drives_around_a_person_who_stands(driven_episodes):
-    vehicle, people = ways(driven_episodes, -1)
+    vehicle, people = positions_of(driven_episodes, -1)
     assert np.ptp(people[:, 0], axis=0).max() == 0
     apart = np.linalg.norm(people[:, 0] - vehicle, axis=-1)
     assert 0.55 < apart.min() < 1.2
@@ -134,7 +134,7 @@ def guarded():
 
     def run(cells, state, wishes, people):
         def period(state, wish):
-            after = drive(state, avoid(state, wish, Ground(cells, 1.0), people, LIMITS, Avoidance()), LIMITS)
+            after = drive(state, avoid(state, wish, Ground(cells, 1.0), people, LIMITS), LIMITS)
             return after, after
 
         return jax.lax.scan(period, state, wishes)[1]
@@ -155,8 +155,8 @@ def test_whatever_is_wished_for_the_footprint_stays_on_the_ground(guarded):
         lambda one, more: np.concatenate([np.asarray(one)[:, None], more[:, :-1]], axis=1), start, states
     )
     for i in np.ndindex(ROBOTS, GUARDED):
-        way = driven(before.position[i], before.yaw[i], states.speed[i], states.turn_rate[i], 0.1, 3)
-        assert clearance(way, free, 1.0).min() > LIMITS.radius
+        places = driven(before.position[i], before.yaw[i], states.speed[i], states.turn_rate[i], 0.1, 3)
+        assert clearance(places, free, 1.0).min() > LIMITS.radius
     assert np.linalg.norm(np.diff(states.position, axis=1), axis=-1).sum(axis=1).min() > 1
 
 

@@ -1,4 +1,4 @@
-"""From camera to door on maps drawn by hand: what a robot comes to know, where it drives, and how it ends."""
+"""Drives from camera to door on maps drawn by hand."""
 
 import functools
 
@@ -42,7 +42,7 @@ def made(planner, noise=0.0):
 
 
 def drives(planner, *starts, noise=0.0, **options):
-    """What comes of driving from the starts."""
+    """Results of driving from the starts."""
     episodes = episodes_from(starts, {name: number for number, name in enumerate(HOUSES)})
     return fleet.drive_all(made(planner, noise), SITES, episodes, **options)
 
@@ -98,7 +98,7 @@ def test_houses_that_cannot_be_stacked_are_refused():
     refusal(lambda: fleet.sites_of([]), "no cells", "at least")
 
 
-def test_who_knows_the_map_drives_the_shortest_way():
+def test_a_robot_that_knows_the_map_drives_the_shortest_path():
     # From column 9 along the road to column 2, then down and along the path: 14 m, with a start and three corners.
     done = drives(Oracle(), EAST, WEST, MIDDLE, EAST, knows_map=True, time_limit=60.0)
     assert done.success.all()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax.grid.terrain import TRAVERSABLE
-from dc2g_jax.vehicles.following import Following, aim, path_through, steer
+from dc2g_jax.vehicles.following import aim, path_through, steer
 from dc2g_jax.vehicles.footprint import Ground
 from dc2g_jax.vehicles.vehicle import VehicleLimits, at_rest, drive
 from tests.oracles.vehicle_oracle import clearance, driven
@@ -23,8 +23,8 @@ MAZE = drawn("""
     ........
 """)
 #: Column and row; a cell that follows itself is a turn on the spot.
-WAY = [(1, 1), (2, 1), (3, 1), (3, 1), (3, 2), (3, 3), (2, 3), (1, 3), (1, 4), (1, 5), (2, 5), (3, 5), (4, 5), (5, 5)]
-WAY += [(6, 5), (6, 4), (6, 3), (5, 3), (5, 2), (5, 1), (6, 1)]
+CELLS = [(1, 1), (2, 1), (3, 1), (3, 1), (3, 2), (3, 3), (2, 3), (1, 3), (1, 4), (1, 5), (2, 5), (3, 5), (4, 5), (5, 5)]
+CELLS += [(6, 5), (6, 4), (6, 3), (5, 3), (5, 2), (5, 1), (6, 1)]
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +33,8 @@ def follows():
 
     def drive_along(free, path, state):
         def period(state, _):
-            target = aim(state, path, Ground(free, 1.0), LIMITS, Following())
-            after = drive(state, steer(state, target, path, LIMITS, Following()), LIMITS)
+            target = aim(state, path, Ground(free, 1.0), LIMITS)
+            after = drive(state, steer(state, target, path, LIMITS), LIMITS)
             return after, after
 
         return jax.lax.scan(period, state, length=PERIODS)[1]
@@ -43,26 +43,26 @@ def follows():
 
 
 def the_path(cells, heading):
-    padded = np.zeros((len(WAY) + 5, 2), np.int32)
+    padded = np.zeros((len(CELLS) + 5, 2), np.int32)
     padded[: len(cells)] = cells
     return path_through(jnp.asarray(padded), len(cells), heading, 1.0)
 
 
-def way_driven(start, states, steps=5) -> np.ndarray:
-    """Places on the way, several a period, in double precision."""
+def path_driven(start, states, steps=5) -> np.ndarray:
+    """Positions along the path, several per period, in double precision."""
     before = jax.tree.map(lambda first, all_: np.concatenate([np.asarray(first)[None], all_[:-1]]), start, states)
-    ways = []
+    pieces = []
     for i, command in enumerate(zip(states.speed, states.turn_rate, strict=True)):
-        ways.append(driven(before.position[i], before.yaw[i], *command, 0.1, steps))
-    return np.concatenate(ways)
+        pieces.append(driven(before.position[i], before.yaw[i], *command, 0.1, steps))
+    return np.concatenate(pieces)
 
 
 @pytest.mark.parametrize("yaw", [0.0, -3.1])
 def test_the_footprint_stays_in_a_corridor_one_cell_wide(follows, yaw):
-    free, path = TRAVERSABLE[MAZE], the_path(WAY, 3)
+    free, path = TRAVERSABLE[MAZE], the_path(CELLS, 3)
     start = at_rest(path.points[0], yaw)
     states = jax.device_get(follows(jnp.asarray(free), path, start))
-    assert clearance(way_driven(start, states), free, 1.0).min() > LIMITS.radius
+    assert clearance(path_driven(start, states), free, 1.0).min() > LIMITS.radius
     # 19 m with ten corners: three quarters of the highest speed on average.
     arrived = np.linalg.norm(states.position - np.array([6.5, -1.5]), axis=-1) < 0.1
     assert np.argmax(arrived) * 0.1 < 20 / (0.75 * LIMITS.max_speed)
@@ -93,5 +93,5 @@ def test_beside_a_corner_it_first_goes_back_to_its_path():
     path = path_through(jnp.array([[0, 1], [0, 0]]), 2, 3, 1.0)
     # Just clear of the blocked cell's corner (1, -1), which every line to a point further on the path comes nearer to.
     state = at_rest(jnp.array([0.94, -1.295]), 0.0)
-    target = jax.jit(lambda state, path: aim(state, path, ground, LIMITS, Following()))(state, path)
+    target = jax.jit(lambda state, path: aim(state, path, ground, LIMITS))(state, path)
     np.testing.assert_allclose(target, [0.5, -1.295], atol=1e-6)

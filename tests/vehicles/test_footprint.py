@@ -52,10 +52,10 @@ def test_cells_and_their_centers():
 def test_what_is_clear_at_both_ends_of_an_arc_is_clear_all_along(seed):
     rng = np.random.default_rng(seed)
     radius, traveled, turned = rng.uniform(0.1, 0.5), rng.uniform(0, 0.4), rng.uniform(-0.6, 0.6)
-    way = vehicle_oracle.driven([0, 0], rng.uniform(-3, 3), traveled, turned, 1.0, 50)
+    places = vehicle_oracle.driven([0, 0], rng.uniform(-3, 3), traveled, turned, 1.0, 50)
     needed = float(needed_clearance(radius, jnp.float32(traveled), jnp.float32(turned), jnp.float32(np.inf)))
     obstacles = rng.uniform(-1, 1, (400, 2)) * (radius + traveled)
-    apart = np.linalg.norm(obstacles[:, None] - way, axis=-1)
+    apart = np.linalg.norm(obstacles[:, None] - places, axis=-1)
     clear = np.minimum(apart[:, 0], apart[:, -1]) >= needed
     assert apart[clear].min(initial=np.inf) > radius
     assert needed <= np.hypot(radius + 0.001 + traveled * abs(turned) / 8, traveled / 2) + 1e-6

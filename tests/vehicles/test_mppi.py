@@ -203,8 +203,8 @@ def test_a_vehicle_reaches_the_goal_through_a_door():
     to_go = np.asarray(distance)[(-y / CELL).astype(int), (x / CELL).astype(int)]
     assert to_go[-1] <= 0.2
     arrived = np.argmax(to_go <= 0.2)
-    way = np.hypot(np.diff(x), np.diff(y))[:arrived].sum()
-    assert way <= 1.2 * float(distance[10, 10])
+    length = np.hypot(np.diff(x), np.diff(y))[:arrived].sum()
+    assert length <= 1.2 * float(distance[10, 10])
     rows, columns = np.nonzero(np.asarray(obstacles))
     off_x = np.maximum(np.abs(columns + 0.5 - x[:, None] / CELL) - 0.5, 0)
     off_y = np.maximum(np.abs(rows + 0.5 + y[:, None] / CELL) - 0.5, 0)

@@ -81,7 +81,7 @@ def test_people_walk_all_over_the_sidewalks_and_never_off_them(walks, people, si
     visited = np.zeros_like(free)
     visited[rows, columns] = True
     np.testing.assert_array_equal(visited, free)
-    # Nobody turns back: here, every way goes on.
+    # Nobody turns back: here, every path goes on.
     heads_for, came_from = walked.heads_for, walked.came_from
     changed = np.any(np.diff(heads_for, axis=0) != 0, axis=-1)
     assert changed.any()
