@@ -173,10 +173,10 @@ def moment_of(robot: IndoorRobot, agent: Agent, name: str) -> SearchMoment:
     leading = "true cost map" if name == "true_cost" else "goal reacher"
     return SearchMoment(
         step=int(robot.periods),
-        doing=leading if robot.to_goal else exploring,
+        doing=leading if robot.guidance.to_goal else exploring,
         cells=np.asarray(robot.map.cells),
         origin=np.asarray(robot.map.origin),
-        costs=np.asarray(robot.distance),
+        costs=np.asarray(robot.guidance.distance),
         corner=np.asarray(robot.local_middle) - agent.mapping.local // 2,
         plans=plans,
     )
@@ -201,12 +201,12 @@ def main(options: Options) -> None:
     track, steps = np.asarray(robot.track), int(robot.periods)
     ends = Searches(track[None], *(np.array([one]) for one in (robot.status == DECLARED, steps, robot.bumps)))
     (result,) = results_of(options.agent, [house], [episode], ends)
-    to_goal = np.array([bool(one.to_goal) for one in begun])
+    to_goal = np.array([bool(one.guidance.to_goal) for one in begun])
     moments = [moment_of(begun[number], agent, options.agent) for number in chosen(to_goal, _COLUMNS)]
     plot_search(out / "fig5", house.world, target, track, moments)
     facts = {
         **result._asdict(),
-        "goal_reacher_leads": [int(one.periods) for one in begun if one.to_goal],
+        "goal_reacher_leads": [int(one.periods) for one in begun if one.guidance.to_goal],
         "moments": [{"step": moment.step, "doing": moment.doing} for moment in moments],
     }
     write_json(out / "search.json", facts)

@@ -145,9 +145,8 @@ class IndoorRobot(SimulatedRobot):
       map: map of the house so far.
       frame: last camera frame.
       local_middle: row and column in the world's grid of the cell in the middle of the local map, at half its side.
-      distance: last costs of the guide.
+      guidance: last costs of the guide.
       costs: the same costs, with costs that lead back to them elsewhere.
-      to_goal: whether they lead to an object of the wanted class.
       controls: plan of the controller.
       bumps: control periods in which an obstacle stopped the robot.
       track: `TRACK` at the start and after each control period; constant after the end.
@@ -157,9 +156,8 @@ class IndoorRobot(SimulatedRobot):
     map: IndoorMap
     frame: Frame
     local_middle: Int[Array, "2"]
-    distance: Float[Array, "n n"]
+    guidance: Guidance
     costs: Float[Array, "n n"]
-    to_goal: Bool[Array, ""]
     controls: Float[Array, "h 2"]
     bumps: Int[Array, ""]
     track: Float[Array, "time 5"]
@@ -216,7 +214,7 @@ class LookAround:
     def plan(self, key: Key[Array, ""], robot: IndoorRobot, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
         """See `Steering`."""
         limits = agent.controller.limits
-        looks = ~robot.to_goal & (robot.periods * CONTROL_PERIOD * limits.max_turn_rate < 2 * math.pi)
+        looks = ~robot.guidance.to_goal & (robot.periods * CONTROL_PERIOD * limits.max_turn_rate < 2 * math.pi)
         turning = jnp.zeros_like(robot.controls).at[0, 1].set(limits.max_turn_rate)
         return jax.lax.cond(looks, lambda: turning, lambda: self.steering.plan(key, robot, costs, agent))
 
@@ -236,7 +234,7 @@ class RandomUntilSeen:
             least, most = jnp.array([0, -limits.max_turn_rate]), jnp.array([limits.max_speed, limits.max_turn_rate])
             return jax.random.uniform(key, robot.controls.shape, minval=least, maxval=most)
 
-        return jax.lax.cond(robot.to_goal, lambda: MPC().plan(key, robot, costs, agent), drawn)
+        return jax.lax.cond(robot.guidance.to_goal, lambda: MPC().plan(key, robot, costs, agent), drawn)
 
 
 def usual_camera() -> Intrinsics:
@@ -292,9 +290,8 @@ def reset(
         map=empty_map(vehicle.position, agent.mapping),
         frame=Frame(depth=jnp.zeros(image), classes=jnp.zeros(image, jnp.uint8), pose=indoor_camera(vehicle)),
         local_middle=grid_cell(vehicle.position, agent.mapping.cell_size),
-        distance=jnp.full((side, side), jnp.inf, jnp.float32),
+        guidance=Guidance(jnp.full((side, side), jnp.inf, jnp.float32), jnp.bool_(False)),
         costs=jnp.zeros((side, side), jnp.float32),
-        to_goal=jnp.bool_(False),
         controls=mppi.standing_still(agent.controller),
         periods=zero,
         bumps=zero,
@@ -322,8 +319,7 @@ def look_and_decide(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Indoo
         local_middle=grid_cell(position, cell_size),
     )
     guidance = agent.guide.guide(own_key, robot, site, agent)
-    costs = filled_costs(guidance.distance, cell_size)
-    return dataclasses.replace(robot, distance=guidance.distance, costs=costs, to_goal=guidance.to_goal)
+    return dataclasses.replace(robot, guidance=guidance, costs=filled_costs(guidance.distance, cell_size))
 
 
 def filled_costs(distance: Float[Array, "n n"], cell_size: float) -> Float[Array, "n n"]:
@@ -351,7 +347,7 @@ def act(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
     driven = drive(robot.vehicle, plan[0], limits)
     vehicle, bumped = stopped_by_obstacles(robot.vehicle, driven, Ground(site.free, size), limits.radius)
     row, column = grid_cell(vehicle.position, size) - first
-    arrived = robot.to_goal & (robot.distance[row, column] <= STOP)
+    arrived = robot.guidance.to_goal & (robot.guidance.distance[row, column] <= STOP)
     periods = robot.periods + 1
     return dataclasses.replace(
         robot,
@@ -373,7 +369,7 @@ def cost_of_pose(robot: IndoorRobot, agent: Agent) -> CostOfPose:
     side, size = agent.mapping.local, agent.mapping.cell_size
     first = robot.local_middle - side // 2
     corner = first[::-1].astype(jnp.float32) * jnp.array([size, -size], jnp.float32)
-    lookup, closed = cost_lookup(robot.costs, size, _OUTSIDE), ~jnp.isfinite(robot.distance)
+    lookup, closed = cost_lookup(robot.costs, size, _OUTSIDE), ~jnp.isfinite(robot.guidance.distance)
 
     def cost(position: Float[Array, "2"], yaw: Float[Array, ""]) -> Float[Array, ""]:
         row, column = jnp.clip(grid_cell(position, size) - first, 0, side - 1)

@@ -261,7 +261,7 @@ def test_a_robot_looks_around_at_the_start():
     turning = np.asarray(LookAround(MPC()).plan(KEY, robot, costs, agent))
     np.testing.assert_array_equal(turning[0], [0, LIMITS.max_turn_rate])
     later = dataclasses.replace(robot, periods=jnp.int32(32))
-    sighted = dataclasses.replace(robot, to_goal=jnp.bool_(True))
+    sighted = dataclasses.replace(robot, guidance=robot.guidance.replace(to_goal=jnp.bool_(True)))
     for one in (later, sighted):
         plans = [steering.plan(KEY, one, costs, agent) for steering in (LookAround(MPC()), MPC())]
         np.testing.assert_array_equal(*plans)
