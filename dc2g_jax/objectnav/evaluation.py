@@ -25,6 +25,7 @@ from dc2g_jax.objectnav.cost_maps import straight_distance, with_tight_cells
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.searches import Search, Searches
 from dc2g_jax.objectnav.starts import REACH, passable
+from dc2g_jax.objectnav.worlds import Leaf
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.statistics import house_bootstrap
 from dc2g_jax.vehicles.footprint import cell_at
@@ -83,8 +84,8 @@ class SuccessRegion(NamedTuple):
       cells: whether a cell belongs to the region.
     """
 
-    distance: Float[np.ndarray, "h w"]
-    cells: Bool[np.ndarray, "h w"]
+    distance: Float[Leaf, "h w"]
+    cells: Bool[Leaf, "h w"]
 
 
 def success_region(house: IndoorHouse, target: str) -> SuccessRegion:
@@ -96,22 +97,17 @@ def success_region(house: IndoorHouse, target: str) -> SuccessRegion:
     """
     world = house.world
     free, classes, cell_size = np.asarray(world.free), np.asarray(world.classes), float(world.cell_size)
-    near = _near(classes == OBJECT_CLASSES.index(target), ~free & (classes == NOTHING), cell_size)
-    cells = free & np.asarray(near)
-    distance = np.asarray(_distance_to_region(free, passable(free, cell_size), cells, cell_size))
-    return SuccessRegion(distance, cells)
+    goals, walls = classes == OBJECT_CLASSES.index(target), ~free & (classes == NOTHING)
+    region = _success_region(goals, walls, free, passable(free, cell_size), cell_size)
+    return SuccessRegion(*(np.asarray(leaf) for leaf in region))
 
 
 @functools.partial(jit, static_argnames=("cell_size",))
-def _near(goals: Array, closed: Array, cell_size: float) -> Bool[Array, "h w"]:
-    """Cells within the success distance of an object, see `straight_distance`."""
-    return jnp.isfinite(straight_distance(goals, closed, cell_size, REACH))
-
-
-@functools.partial(jit, static_argnames=("cell_size",))
-def _distance_to_region(free: Array, fits: Array, region: Array, cell_size: float) -> Float[Array, "h w"]:
-    """Distance to a region, meters. Where a robot does not fit, it leads over free floor to where it does."""
-    return with_tight_cells(geodesic_distance(fits, fits & region, cell_size), free, fits, cell_size)
+def _success_region(goals: Array, walls: Array, free: Array, fits: Array, cell_size: float) -> SuccessRegion:
+    """The success region. Where a robot does not fit, distances lead over free floor to where it does."""
+    cells = free & jnp.isfinite(straight_distance(goals, walls, cell_size, REACH))
+    distance = geodesic_distance(fits, fits & cells, cell_size)
+    return SuccessRegion(with_tight_cells(distance, free, fits, cell_size), cells)
 
 
 def results_of(

@@ -35,13 +35,9 @@ class TrueCost:
     def guide(self, key: Key[Array, ""], robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Guidance:
         """See `Guide`."""
         del key
-        return Guidance(true_distance(robot, site, agent), jnp.bool_(True))
-
-
-def true_distance(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Float[Array, "n n"]:
-    """Exact distance to the nearest object from each cell of the local map, meters."""
-    side = agent.mapping.local
-    return square(site.distances[robot.target], robot.local_middle - side // 2, side, jnp.inf)
+        side = agent.mapping.local
+        first = robot.local_middle - side // 2
+        return Guidance(square(site.distances[robot.target], first, side, jnp.inf), jnp.bool_(True))
 
 
 @struct.dataclass

@@ -28,7 +28,6 @@ from dc2g_jax.objectnav.guides import (
     Predicted,
     PromisingFrontier,
     TrueCost,
-    true_distance,
 )
 from dc2g_jax.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, IndoorMapSettings
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
@@ -162,7 +161,7 @@ def guided(site):
 
 def test_the_true_costs_lie_around_the_robot(site):
     robot = robot_at(2.05, -1.55)
-    distance = np.asarray(true_distance(robot, site, agent_with(TrueCost())))
+    distance = np.asarray(TrueCost().guide(KEY, robot, site, agent_with(TrueCost())).distance)
     world = np.asarray(site.distances[PLANT_TARGET])
     # The robot is in row 15 and column 20; the local map begins 30 cells before.
     np.testing.assert_array_equal(distance[15 : 15 + world.shape[0], 10 : 10 + world.shape[1]], world[:45, :50])
