@@ -36,7 +36,7 @@ from dc2g_jax.mapping.simulator import CAMERA_HEIGHT, CAMERA_PITCH, CAMERA_RANGE
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL, MapRevisingPlanner
 from dc2g_jax.vehicles.avoidance import People, navigate
 from dc2g_jax.vehicles.following import ARRIVAL, Path, path_through
-from dc2g_jax.vehicles.footprint import Ground, cell_at, clearance, surroundings
+from dc2g_jax.vehicles.footprint import Ground, cell_at, cell_centers, clearance, surroundings
 from dc2g_jax.vehicles.pedestrians import Pedestrians, Walking, place, walk, walkable_cells
 from dc2g_jax.vehicles.robot import DRIVING, SimulatedRobot, camera_pose
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive, wrapped
@@ -163,9 +163,8 @@ def reset(
     """
     key, own_key = jax.random.split(key)
     cell_size = equipment.mapping.cell_size
-    position = jnp.stack([(start.x + 0.5) * cell_size, -(start.y + 0.5) * cell_size]).astype(jnp.float32)
-    yaw = -start.heading * (2 * jnp.pi / HEADINGS)
     here = jnp.stack([start.x, start.y])
+    position, yaw = cell_centers(here, cell_size), -start.heading * (2 * jnp.pi / HEADINGS)
     nowhere = jnp.zeros(site.terrain.shape, bool)
     prior = jnp.where(knows_map, site.terrain, jnp.uint8(UNKNOWN))
     zero = jnp.int32(0)

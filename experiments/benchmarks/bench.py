@@ -15,7 +15,7 @@ from .machine import BANDWIDTH, WORD_ARITHMETIC
 from .rows import Row
 from .timing import Measured, Timing, measure
 from .work import count_work
-from .workload import Robots, Workload, robots_under_way, taken_over
+from .workload import Robots, Workload, active_robots, taken_over
 
 #: Robots in the middle of their episodes that batches are made of.
 _POOL = 2048
@@ -64,7 +64,7 @@ class Bench:
         if planner not in self._pools:
             if planner == "frontier":
                 count = 64 if self.quick else _POOL
-                self._pools[planner] = robots_under_way(self.workload, self.planner(planner), sensing, count)
+                self._pools[planner] = active_robots(self.workload, self.planner(planner), sensing, count)
             else:
                 self._pools[planner] = taken_over(self.robots("frontier"), self.planner(planner), sensing)
         return self._pools[planner]

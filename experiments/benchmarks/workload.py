@@ -156,7 +156,7 @@ def cycles(planner: Planner, sensing: Kernel, count: int) -> Callable[[Robots], 
     return jit(run)
 
 
-def robots_under_way(workload: Workload, leader: Planner, sensing: Kernel, count: int) -> Robots:
+def active_robots(workload: Workload, leader: Planner, sensing: Kernel, count: int) -> Robots:
     """Robots led by a planner, each after a random number of actions, none of them at its goal.
 
     Args:

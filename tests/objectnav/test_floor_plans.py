@@ -1,4 +1,6 @@
+import inspect
 import itertools
+import re
 
 import cv2
 import numpy as np
@@ -17,7 +19,8 @@ from dc2g_jax.objectnav.classes import (
     SINK,
     TOILET,
 )
-from dc2g_jax.objectnav.floor_plans import draw_plan, layouts
+from dc2g_jax.objectnav.floor_plans import draw_plan, furnishing, layouts
+from dc2g_jax.objectnav.floor_plans.catalog import CATALOG
 from dc2g_jax.objectnav.houses import indoor_houses
 from dc2g_jax.objectnav.plan_cells import world_from_plan
 from dc2g_jax.objectnav.starts import start_cells
@@ -83,6 +86,10 @@ def test_things_stand_where_they_belong(worlds):
     kinds = np.concatenate([world.room_kinds[1:] for world in worlds])
     toilets = sum(int(np.sum(world.objects.classes == TOILET)) for world in worlds)
     assert toilets >= 0.9 * np.sum(kinds == BATHROOM)
+
+
+def test_rooms_are_furnished_from_the_whole_catalog():
+    assert set(re.findall('"([a-z ]+)"', inspect.getsource(furnishing))) == set(CATALOG)
 
 
 def test_doors_stay_free_and_are_wide_enough(plans, worlds):

@@ -154,7 +154,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
 
     def benchmark(cls: type) -> None:
         one = workload.make_workload(DATASET, per_house=1)
-        workload.robots_under_way(one, cls(rules), rules.sensing, 2)
+        workload.active_robots(one, cls(rules), rules.sensing, 2)
 
     def replayed(planner: Any) -> None:
         replay(world, make_pose(0, 4, 0), np.zeros(2, np.int8), planner=planner, rules=rules)
