@@ -1,27 +1,11 @@
 """Metrics of predicted cost maps (section III-B). All functions take one map, except `occupancy_scores`."""
 
-from typing import NamedTuple
-
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 #: Steps of a local policy, (rows, columns). Staying comes first, because the first of equal costs counts.
 FIVE_ACTIONS: tuple[tuple[int, int], ...] = ((0, 0), (0, 1), (-1, 0), (0, -1), (1, 0))
 NINE_ACTIONS: tuple[tuple[int, int], ...] = (*FIVE_ACTIONS, (-1, 1), (-1, -1), (1, -1), (1, 1))
-
-
-class OccupancyScores(NamedTuple):
-    """Scores of predicted occupancy from 0 to 1, as means over the classes free and occupied.
-
-    Attributes:
-      accuracy: recall: share of a class's cells that are predicted as such (MPA).
-      f1: harmonic mean of recall and precision (mF1).
-      iou: intersection over union of the predicted and the true cells (mIoU).
-    """
-
-    accuracy: Float[Array, ""]
-    f1: Float[Array, ""]
-    iou: Float[Array, ""]
 
 
 def confusion(predicted: Bool[Array, "h w"], true: Bool[Array, "h w"]) -> Int[Array, "2 2"]:
@@ -31,11 +15,17 @@ def confusion(predicted: Bool[Array, "h w"], true: Bool[Array, "h w"]) -> Int[Ar
     )
 
 
-def occupancy_scores(counts: Float[Array, "2 2"] | Int[Array, "2 2"]) -> OccupancyScores:
-    """Scores from a confusion matrix. A class that is neither present nor predicted has score 1.
+def occupancy_scores(counts: Float[Array, "2 2"] | Int[Array, "2 2"]) -> dict[str, Float[Array, ""]]:
+    """Scores of predicted occupancy from 0 to 1, as means over the classes free and occupied.
+
+    A class that is neither present nor predicted has score 1.
 
     Args:
       counts: confusion matrix of one or more maps, see `confusion`.
+
+    Returns:
+      By the paper's names: `MPA`, the recall; `mF1`, the harmonic mean of recall and precision; and `mIoU`, the
+      intersection over union of predicted and true cells.
     """
     right = jnp.diagonal(counts)
     there, predicted = jnp.sum(counts, axis=1), jnp.sum(counts, axis=0)
@@ -43,11 +33,11 @@ def occupancy_scores(counts: Float[Array, "2 2"] | Int[Array, "2 2"]) -> Occupan
     def mean_share(part: Array, whole: Array) -> Float[Array, ""]:
         return jnp.mean(jnp.where(whole > 0, part / jnp.maximum(whole, 1), 1.0))
 
-    return OccupancyScores(
-        accuracy=mean_share(right, there),
-        f1=mean_share(2 * right, there + predicted),
-        iou=mean_share(right, there + predicted - right),
-    )
+    return {
+        "MPA": mean_share(right, there),
+        "mF1": mean_share(2 * right, there + predicted),
+        "mIoU": mean_share(right, there + predicted - right),
+    }
 
 
 def best_actions(costs: Float[Array, "h w"], actions: tuple[tuple[int, int], ...]) -> Int[Array, "h w"]:

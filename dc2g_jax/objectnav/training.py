@@ -213,9 +213,8 @@ def figures(estimator: CostMapEstimator, batches: list[Samples], config: CostMap
     """
     found = [jax.tree.map(np.asarray, _examine(estimator.weights, batch, config)) for batch in batches]
     counts = sum(batch["confusion"].astype(np.float64) for batch in found)
-    scores = occupancy_scores(jnp.asarray(counts, jnp.float32))
     mean = {name: float(np.mean([batch[name] for batch in found])) for name in found[0] if name != "confusion"}
-    percent: dict[str, Any] = {"MPA": scores.accuracy, "mF1": scores.f1, "mIoU": scores.iou}
+    percent: dict[str, Any] = occupancy_scores(jnp.asarray(counts, jnp.float32))
     percent |= {name: mean.pop(name) for name in ("aAP5", "aAP9")}
     return {
         **{name: round(value, 4) for name, value in mean.items()},
