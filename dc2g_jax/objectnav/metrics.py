@@ -10,9 +10,7 @@ NINE_ACTIONS: tuple[tuple[int, int], ...] = (*FIVE_ACTIONS, (-1, 1), (-1, -1), (
 
 def confusion(predicted: Bool[Array, "h w"], true: Bool[Array, "h w"]) -> Int[Array, "2 2"]:
     """Confusion matrix of a map: cells by truth (row) and prediction (column), free before occupied. It is additive."""
-    return jnp.stack(
-        [jnp.stack([jnp.sum((true == row) & (predicted == column)) for column in (0, 1)]) for row in (0, 1)]
-    )
+    return jnp.bincount((2 * true + predicted).ravel(), length=4).reshape(2, 2)
 
 
 def occupancy_scores(counts: Float[Array, "2 2"] | Int[Array, "2 2"]) -> dict[str, Float[Array, ""]]:
