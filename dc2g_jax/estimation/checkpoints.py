@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from flax import nnx
 
 from dc2g_jax.errors import InputError, require_extra
 from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
-from dc2g_jax.estimation.networks import compact_unet, pix2pix
-from dc2g_jax.estimation.networks.compact_unet import Architecture
-from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
-from dc2g_jax.estimation.weights import flattened, read_safetensors, read_weights, write_safetensors
+from dc2g_jax.estimation.networks.compact_unet import Architecture, CompactUNet
+from dc2g_jax.estimation.networks.pix2pix import Generator, TranslatorArchitecture
+from dc2g_jax.estimation.weights import flattened, read_safetensors, read_weights, shapes_of_weights, write_safetensors
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.digests import arrays_sha256
 from dc2g_jax.files.resources import resource
@@ -37,11 +37,11 @@ TrainedNetwork = NetworkCostToGo | TranslatorCostToGo
 
 
 class _Kind(NamedTuple):
-    """A kind of network: the estimator it makes, how its card is read, and what weights it needs."""
+    """A kind of network: the estimator it makes, how its card is read, and its class."""
 
     estimator: type[TrainedNetwork]
     read_architecture: Callable[[Any], Any]
-    weight_shapes: Callable[[Any], dict[str, Any]]
+    network: type[nnx.Module]
 
 
 def _read_compact(facts: Any) -> Architecture:
@@ -59,8 +59,8 @@ def _read_translator(facts: Any) -> TranslatorArchitecture:
 
 
 _KINDS = {
-    "compact_unet": _Kind(NetworkCostToGo, _read_compact, compact_unet.weight_shapes),
-    "pix2pix": _Kind(TranslatorCostToGo, _read_translator, pix2pix.weight_shapes),
+    "compact_unet": _Kind(NetworkCostToGo, _read_compact, CompactUNet),
+    "pix2pix": _Kind(TranslatorCostToGo, _read_translator, Generator),
 }
 
 
@@ -144,7 +144,7 @@ def _read_card(folder: Path) -> tuple[_Kind, Any, str | None]:
     architecture: Any = facts.get("architecture")
     try:
         known = kind.read_architecture(architecture)
-        kind.weight_shapes(known)
+        shapes_of_weights(kind.network, known)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{folder / _CARD}: architecture {architecture!r} is not one of this network's ({error}); {remedy}"
@@ -173,7 +173,7 @@ def load_network(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork
     """
     folder = Path(resource(SHIPPED_NETWORK) if folder is None else folder).absolute()
     kind, architecture, digest = _read_card(folder)
-    shapes, path = kind.weight_shapes(architecture), folder / _WEIGHTS
+    shapes, path = shapes_of_weights(kind.network, architecture), folder / _WEIGHTS
     if not path.exists() and (folder / _ORBAX_WEIGHTS / "_CHECKPOINT_METADATA").is_file():
         path = folder / _ORBAX_WEIGHTS
         weights = _read_orbax_weights(path, shapes)

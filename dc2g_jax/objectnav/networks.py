@@ -9,7 +9,6 @@ global map around the same center, averaged over 3x3 cells. Each has 16 semantic
 """
 
 import dataclasses
-import functools
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,7 +22,7 @@ from jaxtyping import Array, Bool, Float, Int, Integer, UInt8
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.networks.compact_unet import Down, Residual, Up, patches, unpatched
-from dc2g_jax.estimation.weights import fresh_weights, read_network, shapes_of_weights, with_weights, write_network
+from dc2g_jax.estimation.weights import read_network, with_weights, write_network
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES, SEMANTIC_CLASSES
 from dc2g_jax.objectnav.mapping import MAP_CHANNELS
 
@@ -203,13 +202,6 @@ class CostMapNetwork(nnx.Module):
             occupancy_logits=self.occupancy(bottleneck, skipped) + local,
             cost=self.cost(bottleneck, skipped),
         )
-
-
-#: Random initial weights for `(architecture, key)`, see `dc2g_jax.estimation.weights`.
-init_weights = functools.partial(fresh_weights, CostMapNetwork)
-
-#: Shapes and dtypes of the weights for `(architecture)`.
-weight_shapes = functools.partial(shapes_of_weights, CostMapNetwork)
 
 
 def apply(

@@ -11,6 +11,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
+from dc2g_jax.estimation.weights import fresh_weights
 from dc2g_jax.objectnav import networks
 from dc2g_jax.objectnav.data import (
     ALL_SYMMETRIES,
@@ -119,7 +120,7 @@ def _keys(seed: int) -> tuple[Array, Array]:
 def first_state(config: CostMapConfig) -> TrainingState:
     """The state before the first step."""
     weights_key, _ = _keys(config.seed)
-    weights = networks.init_weights(config.architecture, weights_key)
+    weights = fresh_weights(networks.CostMapNetwork, config.architecture, weights_key)
     return TrainingState(
         step=jnp.int32(0),
         weights=weights,

@@ -11,6 +11,7 @@ from dc2g_jax.estimation import images
 from dc2g_jax.estimation.estimators import TranslatorCostToGo
 from dc2g_jax.estimation.networks import pix2pix
 from dc2g_jax.estimation.networks.pix2pix import Discriminator, Generator, TranslatorArchitecture, init_weights
+from dc2g_jax.estimation.weights import shapes_of_weights
 from dc2g_jax.grid import gridworld
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.sampling import resize_nearest
@@ -39,7 +40,7 @@ def count(tree) -> int:
 def test_the_full_size_is_that_of_pix2pix():
     full = TranslatorArchitecture()
     assert full.widths == (64, 128, 256, 512, 512, 512, 512, 512)
-    assert count(pix2pix.weight_shapes(full)) == 54_419_459
+    assert count(shapes_of_weights(pix2pix.Generator, full)) == 54_419_459
     make = functools.partial(init_weights, Discriminator, full)
     assert count(jax.eval_shape(make, jax.random.key(0))) == 2_769_601
     picture = jax.ShapeDtypeStruct((1, 256, 256, 3), jnp.float32)

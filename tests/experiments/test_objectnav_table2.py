@@ -7,8 +7,9 @@ import jax
 import pytest
 
 from dc2g_jax.cli import searches
+from dc2g_jax.estimation.weights import fresh_weights
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, TrainedEncoder, init_encoder, save_encoder
-from dc2g_jax.objectnav.networks import ABLATIONS, CostMapArchitecture, CostMapEstimator, init_weights, save_estimator
+from dc2g_jax.objectnav.networks import ABLATIONS, CostMapArchitecture, CostMapEstimator, CostMapNetwork, save_estimator
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE
 from experiments import objectnav_table2
 from experiments.objectnav_table2 import METRICS, Options, main
@@ -29,7 +30,9 @@ def folders(tmp_path):
         small = EncoderArchitecture((4, 5, 6), features=7)
         save_encoder(folder / ENCODER_FILE, TrainedEncoder(init_encoder(small, KEY), small), {})
         architecture = dataclasses.replace(SMALL, inputs=ABLATIONS[name])
-        save_estimator(folder / NETWORK_FILE, CostMapEstimator(init_weights(architecture, KEY), architecture), {})
+        save_estimator(
+            folder / NETWORK_FILE, CostMapEstimator(fresh_weights(CostMapNetwork, architecture, KEY), architecture), {}
+        )
         made.append(folder)
     return tuple(made)
 
@@ -60,7 +63,7 @@ def test_it_compares_what_networks_are_shown(options, capsys):
         assert facts["navigation"][name]["episodes"] == 2
     assert set(facts["differences"]) == {"semantic"}
 
-    weights = init_weights(SMALL, jax.random.key(1))
+    weights = fresh_weights(CostMapNetwork, SMALL, jax.random.key(1))
     save_estimator(options.networks[1] / NETWORK_FILE, CostMapEstimator(weights, SMALL), {})
     again = dataclasses.replace(options, resume=True)
     refusal(lambda: main(again), options.out, "--networks", "has changed")

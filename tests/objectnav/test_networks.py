@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from dc2g_jax.estimation.weights import shapes_of_weights
 from dc2g_jax.objectnav import networks
 from dc2g_jax.objectnav.classes import SEMANTIC_CLASSES
 from dc2g_jax.objectnav.networks import (
@@ -17,6 +18,7 @@ from dc2g_jax.objectnav.networks import (
     SEMANTIC_ONLY,
     CostMapArchitecture,
     CostMapEstimator,
+    CostMapNetwork,
     Prediction,
     bin_regions,
     fused_cost,
@@ -24,7 +26,6 @@ from dc2g_jax.objectnav.networks import (
     load_estimator,
     oriented_features,
     save_estimator,
-    weight_shapes,
 )
 from tests.support.refusals import refusal
 
@@ -35,7 +36,9 @@ SMALL = CostMapArchitecture(widths=(6, 8), embedding=4, features=5, feature_widt
 def weights():
     """Random throughout: fresh ones have layers of zeros, behind which nothing is seen."""
     rng = np.random.default_rng(1)
-    return jax.tree.map(lambda leaf: rng.normal(0, 0.2, leaf.shape).astype(np.float32), weight_shapes(SMALL))
+    return jax.tree.map(
+        lambda leaf: rng.normal(0, 0.2, leaf.shape).astype(np.float32), shapes_of_weights(CostMapNetwork, SMALL)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +126,9 @@ def test_occupied_cells_lie_over_the_cost():
 
 
 def test_the_default_is_small():
-    sizes = [math.prod(leaf.shape) for leaf in jax.tree.leaves(weight_shapes(CostMapArchitecture()))]
+    sizes = [
+        math.prod(leaf.shape) for leaf in jax.tree.leaves(shapes_of_weights(CostMapNetwork, CostMapArchitecture()))
+    ]
     assert sum(sizes) <= 2_000_000
 
 

@@ -7,9 +7,10 @@ import jax
 import numpy as np
 import pytest
 
+from dc2g_jax.estimation.weights import fresh_weights
 from dc2g_jax.files.resources import resource
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, TrainedEncoder, init_encoder, save_encoder
-from dc2g_jax.objectnav.networks import BOTH, CostMapArchitecture, CostMapEstimator, init_weights, save_estimator
+from dc2g_jax.objectnav.networks import BOTH, CostMapArchitecture, CostMapEstimator, CostMapNetwork, save_estimator
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, load_costs
 from tests.support.refusals import refusal
 
@@ -18,7 +19,9 @@ KEY = jax.random.key(0)
 
 def save_network(folder, features):
     architecture = CostMapArchitecture(widths=(6, 8), embedding=4, features=features, feature_width=3)
-    save_estimator(folder / NETWORK_FILE, CostMapEstimator(init_weights(architecture, KEY), architecture), {})
+    save_estimator(
+        folder / NETWORK_FILE, CostMapEstimator(fresh_weights(CostMapNetwork, architecture, KEY), architecture), {}
+    )
 
 
 @pytest.fixture
@@ -42,7 +45,7 @@ def test_the_shipped_network_is_the_one_on_its_card():
 def test_both_files_are_read(folder):
     costs = load_costs(folder)
     assert costs.estimator.architecture.features == costs.encoder.size == 7
-    embedding = init_weights(costs.estimator.architecture, KEY)["target"]["embedding"]
+    embedding = fresh_weights(CostMapNetwork, costs.estimator.architecture, KEY)["target"]["embedding"]
     np.testing.assert_allclose(costs.estimator.weights["target"]["embedding"], embedding, rtol=1e-3)
 
 

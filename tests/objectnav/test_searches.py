@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax.mapping.camera import intrinsics
-from dc2g_jax.objectnav.agent import LIMITS, MPC, Agent, leg, reset, site_of, under_way
+from dc2g_jax.objectnav.agent import LIMITS, MPC, Agent, is_active, leg, reset, site_of
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax.objectnav.guides import GoalReacher, NearestFrontier
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
@@ -55,7 +55,7 @@ def test_robots_in_a_batch_do_what_they_do_one_by_one(found):
     @jax.jit
     @jax.vmap
     def next_leg(robot):
-        return jax.lax.cond(under_way(robot), lambda robot: leg(robot, site, AGENT), lambda robot: robot, robot)
+        return jax.lax.cond(is_active(robot), lambda robot: leg(robot, site, AGENT), lambda robot: robot, robot)
 
     for _ in range(3):
         robots = next_leg(robots)

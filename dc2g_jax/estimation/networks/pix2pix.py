@@ -212,10 +212,6 @@ def init_weights(network: Network, architecture: TranslatorArchitecture, key: Ar
     return jax.tree_util.tree_unflatten(structure, weights)
 
 
-#: Shapes and dtypes of the generator's weights for `(architecture)`.
-weight_shapes = functools.partial(shapes_of_weights, Generator)
-
-
 def translate(
     architecture: TranslatorArchitecture,
     weights: dict[str, Any],
