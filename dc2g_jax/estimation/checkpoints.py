@@ -230,12 +230,13 @@ class TrainingCheckpoints:
         else:
             write_json(folder / _CONFIG, wanted)
         self._folder = folder / _STATES
+        self._folder.mkdir(exist_ok=True)
         with _quiet():
             self._manager = self._orbax.CheckpointManager(
                 self._folder,
                 options=self._orbax.CheckpointManagerOptions(
                     max_to_keep=2,
-                    create=True,
+                    create=False,
                     # Each process has a folder of its own.
                     multiprocessing_options=self._orbax.options.MultiprocessingOptions(
                         primary_host=None, active_processes={jax.process_index()}
