@@ -12,13 +12,13 @@ from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command
 from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.datasets.drawn_masks import VARIANTS, drawn_masks
 from dc2g_jax.datasets.houses import House, open_dataset
-from dc2g_jax.datasets.image_pairs import houses_with_door
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.inspection.image_figures import Example, plot_translations
 from dc2g_jax.training.image_data import MASK_SEEDS
 from dc2g_jax.training.image_evaluation import compare, map_for
+from dc2g_jax.training.image_pairs import houses_with_door
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,7 +12,6 @@ import numpy as np
 from dc2g_jax.cli.common import DatasetOption, OutOption, command_line
 from dc2g_jax.cli.outputs import CommandOptions, number_or_null, output_folder
 from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset
-from dc2g_jax.datasets.image_pairs import houses_with_door
 from dc2g_jax.datasets.similarity import distance_to_training, similarity_scale
 from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.files.atomic import write_json
@@ -20,6 +19,7 @@ from dc2g_jax.files.tables import write_table
 from dc2g_jax.grid.sampling import resize_nearest
 from dc2g_jax.inspection.image_figures import METRIC_LABELS, HouseMetrics, plot_by_similarity
 from dc2g_jax.training.image_evaluation import GRID_CELLS, full_map_metrics
+from dc2g_jax.training.image_pairs import houses_with_door
 
 #: Pixels a side of the maps that are compared with the training maps.
 _SIZE = 256

@@ -9,7 +9,6 @@ import tyro
 
 from dc2g_jax.cli.outputs import command_written, commit, number_or_null
 from dc2g_jax.datasets.houses import HouseDataset
-from dc2g_jax.datasets.image_pairs import ImageSet, draw_image_pairs
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, newest_step, save_network
 from dc2g_jax.estimation.estimators import TranslatorCostToGo
@@ -17,6 +16,7 @@ from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
 from dc2g_jax.training.cost_to_go import check_numbers
 from dc2g_jax.training.image_data import MaskKind, image_set
 from dc2g_jax.training.image_evaluation import metrics_over_pairs
+from dc2g_jax.training.image_pairs import ImageSet, draw_image_pairs
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax.training.translator import TranslatorConfig, TranslatorState, init_translator, translator_step
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from dc2g_jax.datasets.drawn_masks import drawn_masks
 from dc2g_jax.datasets.houses import House, HouseDataset, stack_worlds
-from dc2g_jax.datasets.image_pairs import ImageSet, all_pairs, houses_with_door, labeled_maps
 from dc2g_jax.datasets.starts import sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import episodes_from
 from dc2g_jax.training.image_evaluation import GRID_CELLS
+from dc2g_jax.training.image_pairs import ImageSet, all_pairs, houses_with_door, labeled_maps
 from dc2g_jax.training.mask_collection import LEADERS, Masks, collect_masks, concatenate_masks, leading_planners
 
 #: `paper` draws strokes, blobs and strips; `rollout` takes what robots under way had seen.

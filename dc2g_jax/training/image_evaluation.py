@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt8
 
-from dc2g_jax.datasets.image_pairs import ImageSet, MaskedMap, labeled_grid, labeled_map, masked_map
 from dc2g_jax.estimation.estimators import Estimator, TranslatorCostToGo
 from dc2g_jax.estimation.images import cost_to_go_image, largest_cost
 from dc2g_jax.estimation.metrics import Comparison, ImageMetrics, compare_images
@@ -15,6 +14,7 @@ from dc2g_jax.grid.sampling import ClassImage, resize_nearest
 from dc2g_jax.grid.terrain import TRAVERSABLE
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.programs import jit
+from dc2g_jax.training.image_pairs import ImageSet, MaskedMap, labeled_grid, labeled_map, masked_map
 
 #: Cells a side of the gridworld (section IV-B).
 GRID_CELLS = 50

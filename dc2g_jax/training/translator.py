@@ -91,7 +91,7 @@ class TranslatorState:
 
 
 class ImageBatch(Protocol):
-    """Pairs of pictures, see `dc2g_jax.datasets.image_pairs.ImagePair`."""
+    """Pairs of pictures, see `dc2g_jax.training.image_pairs.ImagePair`."""
 
     @property
     def image(self) -> Float[Array, "b s s 3"]:

@@ -12,7 +12,12 @@ from scipy.sparse.csgraph import dijkstra
 
 from dc2g_jax.datasets.drawn_masks import drawn_masks
 from dc2g_jax.datasets.houses import House, HouseDataset, load_dataset
-from dc2g_jax.datasets.image_pairs import (
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.images import cost_to_go_image, largest_cost
+from dc2g_jax.grid import bitboard
+from dc2g_jax.grid.sampling import resize_nearest, sample_grid
+from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
+from dc2g_jax.training.image_pairs import (
     all_pairs,
     draw_image_pairs,
     houses_with_door,
@@ -20,11 +25,6 @@ from dc2g_jax.datasets.image_pairs import (
     labeled_map,
     masked_map,
 )
-from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.images import cost_to_go_image, largest_cost
-from dc2g_jax.grid import bitboard
-from dc2g_jax.grid.sampling import resize_nearest, sample_grid
-from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
 from tests.support import maps
 from tests.support.places import PUBLISHED
 
