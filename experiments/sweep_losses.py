@@ -25,8 +25,8 @@ from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
+from dc2g_jax.estimation.compact_unet import Architecture, multiply_accumulates
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.networks.compact_unet import Architecture, multiply_accumulates
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.inspection.training_figures import plot_sweep

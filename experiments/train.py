@@ -20,8 +20,8 @@ from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, load_network, newest_step, save_network
+from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.networks.compact_unet import Architecture
 from dc2g_jax.inspection.columns import viewer_sink
 from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_watch, next_file
 from dc2g_jax.rollouts.devices import first_copy, mesh_of, replicate

@@ -12,7 +12,7 @@ from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, newest_step, save_network
 from dc2g_jax.estimation.estimators import TranslatorCostToGo
-from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
+from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax.training.cost_to_go import check_numbers
 from dc2g_jax.training.image_data import MaskKind, image_set
 from dc2g_jax.training.image_evaluation import metrics_over_pairs

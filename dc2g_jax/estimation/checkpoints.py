@@ -15,9 +15,9 @@ import numpy as np
 from flax import nnx
 
 from dc2g_jax.errors import InputError, require_extra
+from dc2g_jax.estimation.compact_unet import Architecture, CompactUNet
 from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
-from dc2g_jax.estimation.networks.compact_unet import Architecture, CompactUNet
-from dc2g_jax.estimation.networks.pix2pix import Generator, TranslatorArchitecture
+from dc2g_jax.estimation.pix2pix import Generator, TranslatorArchitecture
 from dc2g_jax.estimation.weights import flattened, read_safetensors, read_weights, shapes_of_weights, write_safetensors
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.digests import arrays_sha256

@@ -9,10 +9,9 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, UInt8
 
-from dc2g_jax.estimation import images
-from dc2g_jax.estimation.networks import compact_unet, pix2pix
-from dc2g_jax.estimation.networks.compact_unet import Architecture
-from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
+from dc2g_jax.estimation import compact_unet, images, pix2pix
+from dc2g_jax.estimation.compact_unet import Architecture
+from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax.grid import bitboard, search
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import Pose

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from flax import nnx, struct
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt8
 
+from dc2g_jax.estimation import compact_unet
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.networks import compact_unet
 from dc2g_jax.grid.terrain import OUTSIDE
 from dc2g_jax.grid.world import World
 

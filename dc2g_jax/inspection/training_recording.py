@@ -17,8 +17,8 @@ from dc2g_jax.datasets.houses import HouseDataset, stack_worlds
 from dc2g_jax.datasets.pairs import Pair, make_pair
 from dc2g_jax.datasets.starts import sample_starts
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation import compact_unet
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.networks import compact_unet
 from dc2g_jax.inspection import legend
 from dc2g_jax.inspection.columns import TIMELINE, curve_style, image_style, open_recording
 from dc2g_jax.inspection.legend import CostScale

@@ -19,7 +19,7 @@ from flax import nnx, struct
 from jaxtyping import Array, Float, Int, UInt8
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.networks.compact_unet import patches
+from dc2g_jax.estimation.compact_unet import patches
 from dc2g_jax.estimation.weights import fresh_weights, read_network, read_safetensors, with_weights, write_network
 from dc2g_jax.mapping.camera import CameraPose, intrinsics, rays
 from dc2g_jax.mapping.scene import Scene

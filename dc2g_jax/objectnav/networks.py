@@ -21,7 +21,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Integer, UInt8
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.networks.compact_unet import Down, Residual, Up, patches, unpatched
+from dc2g_jax.estimation.compact_unet import Down, Residual, Up, patches, unpatched
 from dc2g_jax.estimation.weights import read_network, with_weights, write_network
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES, SEMANTIC_CLASSES
 from dc2g_jax.objectnav.mapping import MAP_CHANNELS

@@ -16,8 +16,8 @@ from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Float, Int, UInt8, UInt32
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.networks import compact_unet
-from dc2g_jax.estimation.networks.compact_unet import Architecture
+from dc2g_jax.estimation import compact_unet
+from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import mesh_of, platform
 from dc2g_jax.training.losses import LOSSES, map_loss

@@ -12,8 +12,8 @@ from flax import struct
 from jaxtyping import Array, Float, Int, UInt32
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.networks import pix2pix
-from dc2g_jax.estimation.networks.pix2pix import Discriminator, Generator, TranslatorArchitecture
+from dc2g_jax.estimation import pix2pix
+from dc2g_jax.estimation.pix2pix import Discriminator, Generator, TranslatorArchitecture
 from dc2g_jax.programs import jit
 from dc2g_jax.training.cost_to_go import check_numbers, loss_or_nan
 

@@ -12,7 +12,6 @@ from jax.sharding import PartitionSpec as P
 from dc2g_jax.cli.driving import DrivingOptions, equipment
 from dc2g_jax.cli.searches import agent_with, open_costs
 from dc2g_jax.cli.translation import TranslationOptions
-from dc2g_jax.datasets.image_pairs import ImageSet, draw_image_pairs
 from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.grid import bitboard
@@ -30,6 +29,7 @@ from dc2g_jax.rollouts.rollout import STEP_LIMIT, Episodes
 from dc2g_jax.training import cost_to_go, translator
 from dc2g_jax.training.cost_to_go import TrainingConfig
 from dc2g_jax.training.cost_to_go_data import DataConfig
+from dc2g_jax.training.image_pairs import ImageSet, draw_image_pairs
 from dc2g_jax.vehicles import fleet
 from dc2g_jax.vehicles.drive import Site
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax.estimation.networks import compact_unet
+from dc2g_jax.estimation import compact_unet
 from dc2g_jax.grid import bitboard, search
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import PoseSet, every_heading, unpack

@@ -11,11 +11,11 @@ import orbax.checkpoint as ocp
 import pytest
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation import pix2pix
 from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network, save_network
+from dc2g_jax.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
-from dc2g_jax.estimation.networks import pix2pix
-from dc2g_jax.estimation.networks.compact_unet import Architecture, init_weights
-from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
+from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.grid.terrain import CLASS_NAMES
 

@@ -9,9 +9,9 @@ import pytest
 from flax import nnx
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation import compact_unet
+from dc2g_jax.estimation.compact_unet import Architecture, CompactUNet, init_weights, weight_shapes
 from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, world_cost_to_go
-from dc2g_jax.estimation.networks import compact_unet
-from dc2g_jax.estimation.networks.compact_unet import Architecture, CompactUNet, init_weights, weight_shapes
 from dc2g_jax.grid.search import EIGHT_CONNECTED
 from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.grid.world import world_from_terrain

@@ -4,8 +4,8 @@ import jax
 import numpy as np
 import pytest
 
+from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.networks.compact_unet import Architecture
 from dc2g_jax.estimation.padding import PaddedNetwork
 from dc2g_jax.grid.terrain import OUTSIDE
 from tests.support import maps

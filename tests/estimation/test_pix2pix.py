@@ -7,10 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.estimation import images
+from dc2g_jax.estimation import images, pix2pix
 from dc2g_jax.estimation.estimators import TranslatorCostToGo
-from dc2g_jax.estimation.networks import pix2pix
-from dc2g_jax.estimation.networks.pix2pix import Discriminator, Generator, TranslatorArchitecture, init_weights
+from dc2g_jax.estimation.pix2pix import Discriminator, Generator, TranslatorArchitecture, init_weights
 from dc2g_jax.estimation.weights import shapes_of_weights
 from dc2g_jax.grid import gridworld
 from dc2g_jax.grid.poses import make_pose

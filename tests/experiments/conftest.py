@@ -6,8 +6,8 @@ import jax
 import pytest
 
 from dc2g_jax.estimation.checkpoints import save_network
+from dc2g_jax.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.networks.compact_unet import Architecture, init_weights
 
 
 @pytest.fixture(scope="session")

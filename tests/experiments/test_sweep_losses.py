@@ -3,7 +3,7 @@
 import csv
 import dataclasses
 
-from dc2g_jax.estimation.networks.compact_unet import Architecture
+from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.training.cost_to_go import TrainingConfig
 from dc2g_jax.training.loop import Log
 from experiments.sweep_losses import Options, kind_of, write_results

@@ -13,10 +13,10 @@ import pytest
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation import compact_unet
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.networks import compact_unet
-from dc2g_jax.estimation.networks.compact_unet import Architecture
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.terrain import TRAVERSABLE
 from dc2g_jax.inspection import legend

@@ -2,10 +2,10 @@
 
 import pytest
 
+from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.extents import CroppedEstimator, WindowedEstimator
-from dc2g_jax.estimation.networks.compact_unet import Architecture
-from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
+from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax.planning.named import NETWORK_PLANNERS, check_names, make, make_planner
 from dc2g_jax.planning.planners import DC2G, Frontier, Oracle
 from dc2g_jax.planning.rules import SETTINGS, complete_rules

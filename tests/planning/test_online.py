@@ -9,9 +9,9 @@ import pytest
 from flax import struct
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.estimation.estimators import Estimator, NetworkCostToGo
 from dc2g_jax.estimation.extents import Window, WindowedEstimator
-from dc2g_jax.estimation.networks.compact_unet import Architecture
 from dc2g_jax.grid.gridworld import belief_from_map
 from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax.grid.terrain import FRONT_DOOR

@@ -6,8 +6,8 @@ import pytest
 
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import Start
+from dc2g_jax.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.networks.compact_unet import Architecture, init_weights
 from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.planning.named import make
 from dc2g_jax.planning.planners import Frontier

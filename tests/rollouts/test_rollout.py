@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from dc2g_jax.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.networks.compact_unet import Architecture, init_weights
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.planners import DC2G, EXPLORE, GAVE_UP, TO_GOAL, Frontier, Oracle

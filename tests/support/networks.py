@@ -3,8 +3,8 @@
 import jax
 import numpy as np
 
+from dc2g_jax.estimation.compact_unet import Architecture, weight_shapes
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.networks.compact_unet import Architecture, weight_shapes
 
 
 def random_network(architecture: Architecture) -> NetworkCostToGo:

@@ -10,11 +10,11 @@ from flax import struct
 
 from dc2g_jax.datasets.drawn_masks import drawn_masks
 from dc2g_jax.datasets.houses import House
+from dc2g_jax.estimation import pix2pix
 from dc2g_jax.estimation.estimators import ExactCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.images import in_eight_bits
 from dc2g_jax.estimation.metrics import ImageMetrics, compare_images
-from dc2g_jax.estimation.networks import pix2pix
-from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
+from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax.grid.search import EIGHT_CONNECTED
 from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax.training.image_evaluation import as_floats, compare, full_map_metrics, map_for, metrics_over_pairs

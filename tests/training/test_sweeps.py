@@ -12,8 +12,8 @@ import pytest
 from dc2g_jax.datasets.pairs import TrainingSet, draw_pairs
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.estimation.estimators import world_cost_to_go
-from dc2g_jax.estimation.networks.compact_unet import Architecture
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.training import cost_to_go

@@ -11,9 +11,9 @@ import pytest
 from dc2g_jax.datasets.drawn_masks import drawn_masks
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation import pix2pix
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
-from dc2g_jax.estimation.networks import pix2pix
-from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
+from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax.training.image_pairs import ImageSet, all_pairs, draw_image_pairs
 from dc2g_jax.training.translator import (
     TRANSLATOR_LOSSES,
