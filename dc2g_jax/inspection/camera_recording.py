@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 
 from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.inspection import legend
-from dc2g_jax.inspection.columns import TIMELINE, image_style, open_recording, send, send_images
+from dc2g_jax.inspection.columns import SO_FAR, first_view, image_style, open_recording, send, send_images
 from dc2g_jax.mapping.camera import Frame, Intrinsics, points
 from dc2g_jax.mapping.semantic_map import MapSettings, SemanticMap
 from dc2g_jax.mapping.sequences import DEPTH_UNITS, depth_steps
@@ -30,11 +30,6 @@ _DRAWN = 0.94
 #: Entities. Images are children of the camera, so that they are shown in the world as well.
 _CAMERA, _IMAGE = "world/camera", "world/camera/image"
 _PICTURE, _DEPTH, _CLASSES = f"{_IMAGE}/picture", f"{_IMAGE}/depth", f"{_IMAGE}/classes"
-
-#: The path of the camera up to the moment shown.
-_SO_FAR = rrb.VisibleTimeRanges(
-    timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
-)
 
 _points = jit(points)
 
@@ -235,7 +230,7 @@ def _layout(settings: MapSettings, path: Float[np.ndarray, "n 3"]) -> rrb.Bluepr
             eye_controls=eye,
             background=legend.FRAME_COLOR,
             line_grid=False,
-            overrides=dict.fromkeys(("world/path", *so_far), _SO_FAR),
+            overrides=dict.fromkeys(("world/path", *so_far), SO_FAR),
         )
 
     images = [
@@ -245,9 +240,9 @@ def _layout(settings: MapSettings, path: Float[np.ndarray, "n 3"]) -> rrb.Bluepr
     bounds = rrb.VisualBounds2D(x_range=[-0.5, settings.columns + 0.5], y_range=[-0.5, settings.rows + 0.5])
     names = rrb.VisualBounds2D(x_range=[-0.5, 1.5], y_range=[-0.3, len(CLASS_NAMES) + 0.3])
     seen_from_above = rrb.Spatial2DView(
-        origin="/map", name="map as seen from above", visual_bounds=bounds, overrides={"map/path": _SO_FAR}
+        origin="/map", name="map as seen from above", visual_bounds=bounds, overrides={"map/path": SO_FAR}
     )
-    return rrb.Blueprint(
+    return first_view(
         rrb.Horizontal(
             rrb.Vertical(*images),
             world("voxels", ["/world/voxels", f"/{_PICTURE}"], []),
@@ -257,9 +252,5 @@ def _layout(settings: MapSettings, path: Float[np.ndarray, "n 3"]) -> rrb.Bluepr
             ),
             rrb.Spatial2DView(origin="/legend", name="legend", visual_bounds=names),
             column_shares=[2.2, 5, 3.4, 1.2],
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, fps=10.0),
-        auto_views=False,
+        )
     )

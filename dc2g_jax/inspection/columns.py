@@ -1,6 +1,6 @@
-"""Whole columns for a rerun recording: one call for all steps of an image, a set of cells, lines or a curve.
+"""Columns of a rerun recording: one call sends all steps of an image, a set of cells, lines or a curve.
 
-A call costs some 40 us whatever it sends, so nothing is sent step by step.
+A call takes about 40 us however much it sends, so data are not sent step by step.
 """
 
 from collections.abc import Sequence
@@ -17,6 +17,11 @@ from dc2g_jax.errors import InputError
 #: Name of the timeline: actions of a robot, or steps of an optimizer.
 TIMELINE = "step"
 
+#: The part of a path up to the moment shown.
+SO_FAR = rrb.VisibleTimeRanges(
+    timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
+)
+
 #: Address of a viewer on this machine that was started with `rerun`.
 VIEWER = "rerun+http://127.0.0.1:9876/proxy"
 
@@ -25,7 +30,7 @@ def viewer_sink(address: str) -> rr.GrpcSink:
     """A connection to a running viewer.
 
     Raises:
-      InputError: if this is no address of one. Whether a viewer runs there shows later.
+      InputError: the address is invalid. This does not check that a viewer runs there.
     """
     try:
         return rr.GrpcSink(address)
@@ -36,17 +41,17 @@ def viewer_sink(address: str) -> rr.GrpcSink:
 def open_recording(
     file: Path | None, viewer: str | None = None, *, name: str, blueprint: rrb.Blueprint, recording: str | None = None
 ) -> rr.RecordingStream:
-    """A recording that is written to a file, sent to a viewer, or both; apart from all others of the process.
+    """A recording that is written to a file, sent to a viewer, or both. It is independent of other recordings.
 
     Args:
-      file: to write; its folder is made. Not written where `None`.
-      viewer: address of a running viewer; not sent where `None`.
-      name: what the viewer calls the recording.
+      file: file to write, whose folder is created; `None` for no file.
+      viewer: address of a running viewer; `None` for no viewer.
+      name: name of the recording in the viewer.
       blueprint: the first view.
-      recording: what tells it from others; files with the same are parts of one recording. A new one where `None`.
+      recording: identifier; files with the same identifier are parts of one recording. `None` for a new one.
 
     Raises:
-      InputError: if the file cannot be written or the address is none.
+      InputError: the file cannot be written, or the address is invalid.
     """
     stream = rr.RecordingStream("dc2g_jax", recording_id=recording)
     sinks: list[Any] = [] if viewer is None else [viewer_sink(viewer)]
@@ -61,20 +66,31 @@ def open_recording(
     return stream
 
 
+def first_view(contents: rrb.Horizontal) -> rrb.Blueprint:
+    """The view in which a recording of steps opens, with the viewer's own panels collapsed."""
+    return rrb.Blueprint(
+        contents,
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, fps=10.0),
+        auto_views=False,
+    )
+
+
 def send(stream: rr.RecordingStream, entity: str, steps: Int[np.ndarray, "t"], columns: Any) -> None:
-    """One row of each column for every given step."""
+    """Send one row of each column for every given step."""
     stream.send_columns(entity, indexes=[rr.TimeColumn(TIMELINE, sequence=steps)], columns=columns)
 
 
 def image_style(stream: rr.RecordingStream, entity: str, context: rr.AnnotationContext, draw_order: float) -> None:
-    """Names and colors of class images, which are drawn cell by cell, without smoothing."""
+    """Set names and colors of class images, which are drawn cell by cell, without smoothing."""
     stream.log(entity, context, rr.SegmentationImage.from_fields(opacity=1.0, draw_order=draw_order), static=True)
 
 
 def send_images(
     stream: rr.RecordingStream, entity: str, steps: Int[np.ndarray, "t"], classes: UInt8[np.ndarray, "t h w"]
 ) -> None:
-    """Class images, one a step."""
+    """Send class images, one per step."""
     frames, height, width = classes.shape
     form = rr.components.ImageFormat(width=width, height=height, channel_datatype=rr.ChannelDatatype.U8)
     stream.log(entity, rr.SegmentationImage.from_fields(format=form), static=True)
@@ -83,12 +99,12 @@ def send_images(
 
 
 def centers(x: Int[np.ndarray, "n"], y: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n 2"]:
-    """Middles of cells in the viewer's coordinates, in which cell (0, 0) reaches from 0 to 1."""
+    """Centers of cells in the viewer's coordinates, in which cell (0, 0) extends from 0 to 1."""
     return np.stack([x, y], axis=-1).astype(np.float32) + 0.5
 
 
 def send_cells(stream: rr.RecordingStream, entity: str, cells: Bool[np.ndarray, "t h w"], style: Any) -> None:
-    """Dots in the middle of cells, any number a step."""
+    """Send dots at the centers of cells, any number per step."""
     frame, row, column = np.nonzero(cells)
     counts = np.bincount(frame, minlength=len(cells))
     stream.log(entity, style, static=True)
@@ -97,26 +113,21 @@ def send_cells(stream: rr.RecordingStream, entity: str, cells: Bool[np.ndarray, 
 
 
 def send_lines(stream: rr.RecordingStream, entity: str, lines: Sequence[Float[np.ndarray, "_ 2"]], style: Any) -> None:
-    """A line a step, through two points at least, and none at a step with fewer."""
+    """Send one line per step. A step with fewer than two points has no line."""
     drawn = [line for line in lines if len(line) > 1]
     stream.log(entity, style, static=True)
     if drawn:
         counts = np.array([len(line) > 1 for line in lines], int)
-        send(
-            stream,
-            entity,
-            np.arange(len(lines)),
-            rr.LineStrips2D.columns(strips=drawn).partition(lengths=counts),
-        )
+        send(stream, entity, np.arange(len(lines)), rr.LineStrips2D.columns(strips=drawn).partition(lengths=counts))
 
 
 def curve_style(stream: rr.RecordingStream, entity: str, name: str, color: tuple[int, ...]) -> None:
-    """Name and color of a curve."""
+    """Set name and color of a curve."""
     stream.log(entity, rr.SeriesLines(names=name, colors=color, widths=2.0), static=True)
 
 
 def send_curve(stream: rr.RecordingStream, entity: str, values: Float[np.ndarray, "t"]) -> None:
-    """A number a step, where it is finite."""
+    """Send the finite values of a curve, one per step."""
     known = np.flatnonzero(np.isfinite(values))
     if known.size:
         send(stream, entity, known, rr.Scalars.columns(scalars=values[known].astype(np.float64)))

@@ -74,11 +74,8 @@ def _draw_house(axes: Axes, house: House) -> None:
         [door.x for door in doors], [door.y for door in doors], "*", color="white", markersize=4.5,
         markeredgecolor="black", markeredgewidth=0.5,
     )  # fmt: skip
-    axes.set_xticks([])
-    axes.set_yticks([])
-    for spine in axes.spines.values():
-        spine.set_color("#999999")
-        spine.set_linewidth(0.4)
+    axes.set(xticks=[], yticks=[])
+    axes.spines[:].set(color="#999999", linewidth=0.4)
 
 
 def _doubt(house: House) -> str:

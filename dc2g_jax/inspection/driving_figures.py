@@ -11,12 +11,11 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
-from matplotlib.patches import Patch
 from matplotlib.path import Path
 
 from dc2g_jax.grid.terrain import CLASS_NAMES, TRAVERSABLE, UNKNOWN
 from dc2g_jax.inspection.costs import BLOCKED_COLOR, COST_COLORS, UNSEEN_COLOR, cost_image
-from dc2g_jax.inspection.figures import class_patch, map_image, plain_axes, present_classes, save_figure
+from dc2g_jax.inspection.figures import class_patch, legend_patch, map_image, plain_axes, present_classes, save_figure
 from dc2g_jax.vehicles.trace import Moment
 
 #: Network -> label, color, line and marker.
@@ -110,13 +109,11 @@ def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_
         arrow = MarkerStyle(ROBOT_ARROW).rotated(rad=float(moment.believed.yaw))
         for axes in (semantic, expected, planned):
             axes.plot(*way[number], marker=arrow, color="black", markeredgecolor="white", markersize=10)
-            axes.set_xlim(-0.5, width - 0.5)
-            axes.set_ylim(height - 0.5, -0.5)
-        for axes in panels[row]:
-            axes.set_xticks([])
-            axes.set_yticks([])
+            axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
     for axes, name in zip(panels[0], ("camera", "semantic map", "predicted cost-to-go", "planned path"), strict=True):
         axes.set_title(name, fontsize=9)
+    for axes in panels.flat:
+        axes.set(xticks=[], yticks=[])
     scale = ScalarMappable(Normalize(0, high), COST_COLORS)
     figure.colorbar(
         scale, ax=panels[:, 2], location="bottom", label="cost-to-go (cells)", shrink=0.9, extend="max", aspect=30
@@ -124,8 +121,7 @@ def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_
     classes = present_classes(np.stack([moment.robot.terrain for moment in chosen]))
     # The robot's own cell is ground without class until it has been observed.
     entries: list[Any] = [class_patch(index) for index in classes if CLASS_NAMES[index] != "traversable"]
-    for label, color in (("nothing predicted", UNSEEN_COLOR), ("not traversable", BLOCKED_COLOR)):
-        entries.append(Patch(facecolor=color, edgecolor="#777777", linewidth=0.4, label=label))
+    entries += [legend_patch("nothing predicted", UNSEEN_COLOR), legend_patch("not traversable", BLOCKED_COLOR)]
     for label, color in (("driven", "black"), ("planned", "#0072b2")):
         entries.append(Line2D([], [], color=color, linewidth=2, label=label))
     figure.legend(handles=entries, loc="outside lower center", ncols=8, fontsize=7, frameon=False)

@@ -1,4 +1,4 @@
-"""Figures of episodes: what robots knew and expected on their way (the paper's Fig. 8), and their whole ways."""
+"""Figures of episodes: maps and predictions at several moments (the paper's Fig. 8), and whole paths."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,7 +14,6 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.grid.ground import pieces
@@ -31,6 +30,7 @@ from dc2g_jax.inspection.costs import (
 from dc2g_jax.inspection.figures import (
     class_patch,
     hidden_patch,
+    legend_patch,
     map_image,
     planner_style,
     present_classes,
@@ -43,11 +43,11 @@ from dc2g_jax.rollouts.evaluation import EpisodeResult
 
 _GRAY = "#444444"
 
-#: Colors of the way, from its start on; the ends differ in gray.
+#: Color map of paths, from the start on; its ends differ in grayscale.
 _WAY_COLORS = "plasma"
 
-# Marks lie over lines and frames, and are whole at the edge of a map. The one of a goal that has been reached looks out
-# from under the robot.
+# Marks lie over lines and frames and are not cut off at the edge of a map. The mark of a reached goal is larger than
+# the robot that covers it.
 _EDGE: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "black", "clip_on": False, "zorder": 3}
 _START: dict[str, Any] = {"marker": "o", "color": "white", "markersize": 3.6, "markeredgewidth": 0.8, **_EDGE}
 _ROBOT: dict[str, Any] = {"color": "#f0e442", "markersize": 6, "markeredgewidth": 0.7, **_EDGE}
@@ -57,25 +57,25 @@ _SUBGOAL: dict[str, Any] = {"marker": "X", "color": "#ff6ec7", "markersize": 5, 
 _LINE_STYLE: dict[str, Any] = {"solid_joinstyle": "round", "scalex": False, "scaley": False}
 _HEADING_MARKERS = ">v<^"
 
-#: Points that a cell's side has where lines and marks have the sizes above.
+#: Side of a cell, in points, for which the sizes of lines and marks above are meant.
 _USUAL_CELL = 1.68
 
 
 def _entries(terrain: UInt8[np.ndarray, "h w"], *marks: tuple[str, dict[str, Any]]) -> list[Any]:
-    """What the legend says: the classes of a map, the largest first, and marks."""
+    """Entries of the legend: the classes of a map, the most frequent first, then marks."""
     classes = [class_patch(index) for index in present_classes(terrain)]
     return classes + [Line2D([], [], label=label, **style) for label, style in marks]
 
 
 def goal_marks(terrain: UInt8[np.ndarray, "h w"], robot: tuple[int, int]) -> tuple[list[tuple[int, int]], bool]:
-    """Columns and rows of the goals' marks, one a door; where the robot stands on a door, that one comes last.
+    """Columns and rows of the goals' marks, one per door. The door on which the robot stands, if any, comes last.
 
     Args:
       terrain: the map.
-      robot: column and row of the robot. A door that it has reached has its mark there.
+      robot: column and row of the robot. The mark of a reached door is placed there.
 
     Returns:
-      The places, and has the last one been reached?
+      The places, and whether the robot has reached the last one.
     """
     places = [(door.x, door.y) for door in pieces(terrain == FRONT_DOOR)]
     x, y = robot
@@ -90,13 +90,13 @@ _GOAL_MARK, _SUBGOAL_MARK = ("goal", _GOAL), ("subgoal", _SUBGOAL)
 
 
 def _name(axes: Axes, planner: str) -> None:
-    """A planner's name beside its row."""
+    """Write a planner's name beside its row."""
     style = planner_style(planner)
     axes.set_ylabel(style.label.replace(", ", ",\n"), fontsize=FONT, color=style.color, fontweight="bold", labelpad=3)
 
 
 def _scaled(axes: Axes, cells: int, style: Mapping[str, Any]) -> dict[str, Any]:
-    """Lines and marks for a panel so many cells wide: thinner and smaller where cells are small, and the other way."""
+    """The style of lines and marks, scaled to the size of a cell in a panel of the given number of columns."""
     points = axes.bbox.width * 72 / axes.figure.dpi / cells
     scale = float(np.clip(points / _USUAL_CELL, 0.6, 1.3))
     return {name: value * scale if name in ("linewidth", "markersize") else value for name, value in style.items()}
@@ -105,7 +105,7 @@ def _scaled(axes: Axes, cells: int, style: Mapping[str, Any]) -> dict[str, Any]:
 def _draw_map(
     axes: Axes, terrain: UInt8[np.ndarray, "h w"], seen: Bool[np.ndarray, "h w"], robot: tuple[int, int]
 ) -> None:
-    """Terrain, pale where not seen, and the goals; a robot that has reached one is drawn over it."""
+    """Draw the terrain, pale where not observed, and the goals."""
     axes.imshow(map_image(terrain, seen), interpolation="nearest", aspect="auto")
     axes.add_collection(LineCollection(cell_rim(seen), colors=_GRAY, linewidths=0.5), autolim=False)
     places, reached = goal_marks(terrain, robot)
@@ -122,7 +122,7 @@ def _place(pose: Pose, step: int) -> tuple[int, int]:
 
 
 def _draw_robot(axes: Axes, frames: Frames, frame: int) -> None:
-    """The way so far, its start, the subgoal of the plan, and the robot."""
+    """Draw the path so far, its start, the subgoal of the plan, and the robot."""
     x, y, width = frames.pose.x[: frame + 1], frames.pose.y[: frame + 1], frames.seen.shape[2]
     for color, thickness in (("white", 2.2), ("black", 1.1)):
         axes.plot(x, y, color=color, **_scaled(axes, width, {"linewidth": thickness, **_LINE_STYLE}))
@@ -135,7 +135,7 @@ def _draw_robot(axes: Axes, frames: Frames, frame: int) -> None:
 
 
 def _draw_way(axes: Axes, house: House, way: Pose) -> None:
-    """The whole map and a way on it, colored from its start to its end."""
+    """Draw the whole map and a path on it, colored from start to end."""
     _draw_map(axes, house.terrain, np.ones(house.terrain.shape, bool), _place(way, -1))
     points = np.stack([way.x, way.y], axis=-1).astype(float)
     segments = np.stack([points[:-1], points[1:]], axis=1)
@@ -156,24 +156,24 @@ def _way_bar(sheet: Sheet, place: float) -> None:
 
 
 def _draw_cost(axes: Axes, share: Float[np.ndarray, "h w"], shown: np.ndarray, blocked: np.ndarray) -> None:
-    """Costs-to-go, in parts of the one at the end of the colors; blocked ground and the rest in grays."""
+    """Draw costs-to-go, relative to the cost at the end of the colors, and blocked ground in gray."""
     axes.imshow(cost_image(share, shown, blocked), interpolation="nearest", aspect="auto")
-    # In gray, costs near the goal look like blocked ground: a line parts them.
+    # In grayscale, costs near the goal look like blocked ground: a line separates them.
     rims = cell_rim(shown + 2 * blocked)
     axes.add_collection(LineCollection(rims, colors=_GRAY, linewidths=0.5), autolim=False)
 
 
 def outcome(frames: Frames) -> str:
-    """What came of an episode."""
+    """The outcome of an episode, in words."""
     if frames.to_goal[-1] == 0:
         return "at the goal"
     return "gave up" if frames.mode[-1] == GAVE_UP else "step limit"
 
 
 def moments(frames: Frames, count: int) -> list[int]:
-    """Steps that tell an episode: its start, then evenly spaced up to the first plan to the goal, and its end.
+    """Steps to show of an episode: evenly spaced from its start to the first plan to the goal, and its end.
 
-    Evenly spaced throughout where the planner knew of the goal at once or never.
+    They are evenly spaced throughout if the planner knew of the goal at once or never.
     """
     last = len(frames) - 1
     known = np.flatnonzero(frames.mode == TO_GOAL)
@@ -185,7 +185,7 @@ def moments(frames: Frames, count: int) -> list[int]:
 
 
 def _titles(frames: Frames, chosen: Sequence[int]) -> list[str]:
-    """What stands above the chosen moments of an episode, and above its whole way."""
+    """Titles of the chosen moments of an episode and of its whole path."""
     titles = []
     for frame in chosen[:-1]:
         first = frames.mode[frame] == TO_GOAL and frame > 0 and frames.mode[frame - 1] != TO_GOAL
@@ -198,16 +198,16 @@ def _titles(frames: Frames, chosen: Sequence[int]) -> list[str]:
 def plot_episode(
     path: str | Path, house: House, frames_by_planner: Mapping[str, Frames], columns: int | None = None
 ) -> list[Path]:
-    """Draw planners from one start, as in Fig. 8: what each knew, what it expected, and its way on the whole map.
+    """Draw planners from one start, as in Fig. 8: observed maps, predictions, and paths on the whole map.
 
-    A row a planner: the observed map at several moments over the pale hidden one, and last its way on the whole map.
-    Below it, for planners that make an estimate, the cost-to-go they expected, and last the exact one.
+    Each planner has a row: the observed map at several moments over the pale hidden map, then its path on the whole
+    map. A planner that predicts the cost-to-go has a second row: its predictions, then the exact cost-to-go.
 
     Args:
-      path: where to write, without an ending.
+      path: output path without ending.
       house: the house.
       frames_by_planner: planner name -> its replayed episode, all from one start.
-      columns: moments shown of each episode, see `moments`; by the shape of the map where `None`.
+      columns: number of moments of each episode, see `moments`; `None` to choose it by the shape of the map.
 
     Returns:
       The files written: PNG and SVG.
@@ -218,7 +218,7 @@ def plot_episode(
     entries = _entries(house.terrain, _START_MARK, _ROBOT_MARK, _SUBGOAL_MARK, _GOAL_MARK)
     entries.append(hidden_patch(present_classes(house.terrain)[0]))
     if estimates:
-        entries.append(Patch(facecolor=BLOCKED_COLOR, edgecolor="#777777", linewidth=0.4, label="not traversable"))
+        entries.append(legend_patch("not traversable", BLOCKED_COLOR))
     titles = {planner: _titles(frames, moments(frames, count)) for planner, frames in frames_by_planner.items()}
     rows = len(frames_by_planner) + estimates
     sheet = empty_sheet((height, width), rows, count + 1, entries, [title for row in titles.values() for title in row])
@@ -246,7 +246,7 @@ def plot_episode(
 
 
 def _draw_costs(panels: Sequence[Axes], house: House, frames: Frames, chosen: Sequence[int], high: float) -> None:
-    """What a planner expected at the chosen moments, on the ground that it had seen."""
+    """Draw the costs-to-go that a planner predicted at the chosen moments, on observed ground."""
     unit = "" if frames.in_cells else "\n(relative)"
     panels[0].set_ylabel(f"predicted\ncost-to-go{unit}", fontsize=FONT, labelpad=3)
     ground, share = TRAVERSABLE[house.terrain], cost_shares(frames, high)
@@ -257,7 +257,7 @@ def _draw_costs(panels: Sequence[Axes], house: House, frames: Frames, chosen: Se
 
 
 def poses_along(result: EpisodeResult, house: House) -> Pose:
-    """Where the robot was before each action of an episode, and after the last: `[t]`, as NumPy arrays."""
+    """The poses before each action of an episode and after the last: `[t]`, as NumPy arrays."""
     height, width = house.terrain.shape
 
     def move(pose: Pose, action: jax.Array) -> tuple[Pose, Pose]:
@@ -272,13 +272,13 @@ def poses_along(result: EpisodeResult, house: House) -> Pose:
 def plot_trajectories(
     path: str | Path, house: House, result_by_planner: Mapping[str, EpisodeResult], columns: int = 3
 ) -> list[Path]:
-    """Draw the ways of planners on the whole map, colored from start to end, side by side.
+    """Draw the paths of planners on the whole map, side by side, colored from start to end.
 
     Args:
-      path: where to write, without an ending.
+      path: output path without ending.
       house: the house.
       result_by_planner: planner name -> its episode.
-      columns: panels in a row.
+      columns: number of panels in a row.
 
     Returns:
       The files written: PNG and SVG.

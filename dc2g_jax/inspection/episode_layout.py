@@ -6,12 +6,7 @@ from typing import Any
 import rerun as rr
 import rerun.blueprint as rrb
 
-from dc2g_jax.inspection.columns import TIMELINE
-
-#: The path of the robot up to the moment shown.
-_SO_FAR = rrb.VisibleTimeRanges(
-    timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
-)
+from dc2g_jax.inspection.columns import SO_FAR, first_view
 
 
 def episode_layout(shape: tuple[int, ...], estimates: Mapping[str, bool]) -> rrb.Blueprint:
@@ -26,7 +21,7 @@ def episode_layout(shape: tuple[int, ...], estimates: Mapping[str, bool]) -> rrb
     entities = {label: rr.new_entity_path([label]) for label in estimates}
 
     def grid_view(name: str, contents: Sequence[str], robot: str | None = None) -> rrb.Spatial2DView:
-        overrides: dict[Any, Any] = {} if robot is None else {f"{robot}/trajectory": _SO_FAR}
+        overrides: dict[Any, Any] = {} if robot is None else {f"{robot}/trajectory": SO_FAR}
         return rrb.Spatial2DView(origin="/", contents=contents, name=name, visual_bounds=bounds, overrides=overrides)
 
     def column(above: rrb.View, below: rrb.View, words: rrb.View) -> rrb.Vertical:
@@ -65,10 +60,4 @@ def episode_layout(shape: tuple[int, ...], estimates: Mapping[str, bool]) -> rrb
         row_shares=[6.4, 2.8, 2.8, 2.2],
     )
     columns = [hidden, *(of_planner(label) for label in estimates)]
-    return rrb.Blueprint(
-        rrb.Horizontal(*columns, aside, column_shares=[4.0] * len(columns) + [3.2]),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, fps=10.0),
-        auto_views=False,
-    )
+    return first_view(rrb.Horizontal(*columns, aside, column_shares=[4.0] * len(columns) + [3.2]))

@@ -14,6 +14,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.typing import ColorType
 
 from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.rollouts.evaluation import EpisodeResult
@@ -135,8 +136,7 @@ def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, 
     axes.tick_params(axis="x", length=0)
     axes.yaxis.grid(True, color="#dddddd", linewidth=0.6)
     axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 def save_figure(figure: Figure, path: str | Path, dpi: int = 160) -> list[Path]:
@@ -278,10 +278,14 @@ def whole_pixels(inches: float, dpi: int) -> float:
     return math.floor(inches * dpi) / dpi if inches * dpi >= _EVEN_PIXELS else inches
 
 
+def legend_patch(label: str, color: ColorType) -> Patch:
+    """The legend entry of a kind of cells on a map."""
+    return Patch(facecolor=color, edgecolor="#777777", linewidth=0.4, label=label)
+
+
 def class_patch(index: int) -> Patch:
     """The legend entry of a class."""
-    label = CLASS_NAMES[index].replace("_", " ") if index else "unknown"
-    return Patch(facecolor=FIGURE_COLORS[CLASS_NAMES[index]], edgecolor="#777777", linewidth=0.4, label=label)
+    return legend_patch(CLASS_NAMES[index].replace("_", " ") if index else "unknown", FIGURE_COLORS[CLASS_NAMES[index]])
 
 
 def hidden_color(index: int) -> tuple[float, float, float]:
@@ -292,7 +296,7 @@ def hidden_color(index: int) -> tuple[float, float, float]:
 
 def hidden_patch(index: int) -> Patch:
     """The legend entry of unobserved ground, in the color of a class."""
-    return Patch(facecolor=hidden_color(index), edgecolor="#777777", linewidth=0.4, label="not seen yet")
+    return legend_patch("not seen yet", hidden_color(index))
 
 
 def plain_axes(axes: Axes) -> None:
@@ -300,15 +304,13 @@ def plain_axes(axes: Axes) -> None:
     axes.grid(True, color="#dddddd", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=8)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 def bare_axes(axes: Axes, title: str) -> None:
     """Set a title and remove the ticks."""
     axes.set_title(title, fontsize=9)
-    axes.set_xticks([])
-    axes.set_yticks([])
+    axes.set(xticks=[], yticks=[])
 
 
 #: Heights in strip plots, inches: a planner's lane, the space between houses, and a group's headline.
@@ -358,8 +360,7 @@ def plot_house_strips(
         axes.tick_params(axis="x", labelsize=7.5)
         axes.xaxis.grid(True, color="#cccccc", linewidth=0.5)
         axes.set_axisbelow(True)
-        for side in ("top", "right", "left"):
-            axes.spines[side].set_visible(False)
+        axes.spines[["top", "right", "left"]].set_visible(False)
     lines = [f"extra steps beyond the oracle (%), {_SCALE_NOTE}", "bars: means"]
     figure.supxlabel(("\n" if len(pages) == 1 else "; ").join(lines), fontsize=8.5)
     handles = [
@@ -371,11 +372,11 @@ def plot_house_strips(
 
 
 def plot_results(results: Iterable[EpisodeResult], path: str | Path) -> list[Path]:
-    """Draw the extra steps of every episode, a strip a house, as `dc2g_jax.evaluate` gives them.
+    """Draw the extra steps of every episode in the results of `dc2g_jax.evaluate`, with one strip per house.
 
     Args:
-      results: episodes of any number of planners; the oracle's are left out.
-      path: where to write, without an ending.
+      results: episodes of any number of planners; those of the oracle are left out.
+      path: output path without ending.
 
     Returns:
       The files written: PNG and SVG.

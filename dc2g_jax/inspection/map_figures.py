@@ -81,8 +81,7 @@ def _panels(title: str, terrain: UInt8[np.ndarray, "h w"]) -> list[Axes]:
         axes.set_xlabel("column", fontsize=8.5, color="#444444")
         axes.set_ylabel("row", fontsize=8.5, color="#444444")
         axes.tick_params(labelsize=8, color="#999999", labelcolor="#444444")
-        for spine in axes.spines.values():
-            spine.set_color("#999999")
+        axes.spines[:].set_color("#999999")
         panels.append(axes)
     return panels
 

@@ -1,6 +1,6 @@
 """Recordings of episodes for the rerun viewer.
 
-A recording is for looking at: the viewer reads files of its own version and the one before. Results live elsewhere.
+The viewer reads files of its own version and of the previous one only, so results are also kept elsewhere.
 """
 
 from collections.abc import Mapping
@@ -41,8 +41,8 @@ class RecordedEpisode(NamedTuple):
     """An episode to record.
 
     Attributes:
-      result: what came out.
-      frames: its replay.
+      result: the result of the episode.
+      frames: the replay of the episode.
     """
 
     result: EpisodeResult
@@ -50,7 +50,7 @@ class RecordedEpisode(NamedTuple):
 
 
 def _send_maps(stream: rr.RecordingStream, entity: str, frames: Frames, scale: CostScale) -> None:
-    """Images: what is known, what lies over it, and the estimate."""
+    """Send the observed map, its layers, and the estimate as images."""
     steps = np.arange(len(frames))
     image_style(stream, f"{entity}/map", legend.terrain_context(), 0)
     send_images(stream, f"{entity}/map", steps, frames.terrain)
@@ -70,7 +70,7 @@ def _send_maps(stream: rr.RecordingStream, entity: str, frames: Frames, scale: C
 
 
 def _send_candidates(stream: rr.RecordingStream, entity: str, score: Float[np.ndarray, "t h w"]) -> None:
-    """Cells that the planner chooses from, with their scores, colored from the lowest of a step to the highest."""
+    """Send the candidates of the planner with their scores, colored by rank within a step."""
     frame, row, column = np.nonzero(~np.isnan(score))
     finite = np.where(np.isfinite(score), score, np.nan)
     lowest, highest = (of_all.reduce(finite, axis=(1, 2)) for of_all in (np.fmin, np.fmax))
@@ -84,7 +84,7 @@ def _send_candidates(stream: rr.RecordingStream, entity: str, score: Float[np.nd
 
 
 def _send_plan(stream: rr.RecordingStream, entity: str, frames: Frames) -> None:
-    """Where exploration could go on, what the planner chooses from, and the way to what it has chosen."""
+    """Send the frontier-expanding cells, the candidates, and the path to the chosen subgoal."""
     exploring = (frames.mode == EXPLORE)[:, None, None]
     expanding = rr.Points2D.from_fields(radii=0.18, colors=legend.EXPANDING_COLOR, draw_order=20)
     send_cells(stream, f"{entity}/frontier_expanding", frames.candidates.any(axis=1) & exploring, expanding)
@@ -97,14 +97,14 @@ def _send_plan(stream: rr.RecordingStream, entity: str, frames: Frames) -> None:
 
 
 def _cells_of(path: np.ndarray) -> Float[np.ndarray, "cells 2"]:
-    """Middles of the cells of a plan, each once however the robot turns on it."""
+    """Centers of the cells of a plan, without repetition where the robot turns in place."""
     moves = np.any(np.diff(path[:, :2], axis=0), axis=1)
     cells = path[np.concatenate([np.ones(min(len(path), 1), bool), moves])]
     return centers(cells[:, 0], cells[:, 1])
 
 
 def _send_robot(stream: rr.RecordingStream, entity: str, frames: Frames) -> None:
-    """Where the robot is, where it looks, and the way it came: a piece a step, which the viewer adds up."""
+    """Send the robot's position, heading and path: one segment of the path per step, which the viewer accumulates."""
     pose, steps = frames.pose, np.arange(len(frames))
     here = centers(np.asarray(pose.x), np.asarray(pose.y))
     ahead = 2.5 * np.asarray(FORWARD, np.float32)[pose.heading]
@@ -122,14 +122,14 @@ def _send_robot(stream: rr.RecordingStream, entity: str, frames: Frames) -> None
 
 
 def _outcome(result: EpisodeResult) -> str:
-    """How an episode ended."""
+    """The outcome of an episode, in words."""
     if result.success:
         return "goal reached"
     return "gave up" if result.mode == MODE_NAMES[GAVE_UP] else "step limit"
 
 
 def _status(episode: RecordedEpisode) -> list[str]:
-    """One line a step: how far, what the plan is, what it has cost."""
+    """One line per step: its number, the extra steps so far, and the plan."""
     result, frames = episode
     extra = running_extra_steps(frames)
     last = len(frames) - 1
@@ -149,13 +149,13 @@ def _status(episode: RecordedEpisode) -> list[str]:
 
 
 def _send_mode(stream: rr.RecordingStream, entity: str, label: str, episode: RecordedEpisode) -> None:
-    """A line of text whenever the plan mode changes, and what came of it at the end."""
+    """Send a line of text whenever the plan mode changes, and the outcome at the end."""
     result, frames = episode
     changes = np.flatnonzero(np.diff(frames.mode, prepend=-1)).tolist()
     lines = [(step, MODE_NAMES[frames.mode[step]]) for step in changes]
     others = int(np.sum(frames.action[:-1] != actions_from_letters(result.actions)))
     if others:
-        # Another network than the episode's, or another device, whose rounding settles a near tie otherwise.
+        # The network differs from the episode's, or the device does, whose rounding may decide a near tie differently.
         lines.append((0, f"plans shown are made anew, and {others} of their actions are not those taken"))
     lines.append((len(frames) - 1, _outcome(result)))
     steps = np.array([step for step, _ in lines])
@@ -165,7 +165,7 @@ def _send_mode(stream: rr.RecordingStream, entity: str, label: str, episode: Rec
 def _send_episode(
     stream: rr.RecordingStream, label: str, episode: RecordedEpisode, scale: CostScale, color: tuple[int, ...]
 ) -> None:
-    """Everything of one planner, below the entity of its label."""
+    """Send all data of one planner, below the entity of its label."""
     frames = episode.frames
     entity = rr.new_entity_path([label])
     _send_maps(stream, entity, frames, scale)
@@ -182,7 +182,7 @@ def _send_episode(
 
 
 def _send_house(stream: rr.RecordingStream, house: House, exact: np.ndarray, scale: CostScale, about: str) -> None:
-    """What no robot knows beforehand, the legend, and a line about the episodes."""
+    """Send the whole map, its exact cost-to-go and goals, the legend, and a line about the episodes."""
 
     def image(classes: np.ndarray) -> rr.SegmentationImage:
         return rr.SegmentationImage(classes, opacity=1.0)
@@ -200,10 +200,10 @@ def _send_house(stream: rr.RecordingStream, house: House, exact: np.ndarray, sca
 
 
 def _check(house: House, results: Mapping[str, EpisodeResult]) -> EpisodeResult:
-    """The first result, once all are known to be of one start in this house.
+    """The first result. Checks that all results have the same start in this house.
 
     Raises:
-      ValueError: where they are not.
+      ValueError: there is no result, or the results have different starts or houses.
     """
     if not results:
         raise ValueError("no episode to record; give the result of at least one planner")
@@ -218,19 +218,19 @@ def _check(house: House, results: Mapping[str, EpisodeResult]) -> EpisodeResult:
 
 
 def record_frames(path: str | Path, *, house: House, episodes: Mapping[str, RecordedEpisode]) -> Path:
-    """Write one rerun file (`.rrd`) of one start from episodes that have been replayed.
+    """Write a rerun file (`.rrd`) of replayed episodes from one start.
 
     Args:
-      path: file to write; its folder is made.
-      house: where the episodes took place.
-      episodes: what to call each planner -> its episode and replay. All are of one start.
+      path: file to write; its folder is created.
+      house: house of the episodes.
+      episodes: label of each planner -> its episode and replay. All have the same start.
 
     Returns:
       The path.
 
     Raises:
-      InputError: if the file cannot be written.
-      ValueError: if the episodes do not belong together or to the house.
+      InputError: the file cannot be written.
+      ValueError: the episodes have different starts, or took place in another house.
     """
     first = _check(house, {label: episode.result for label, episode in episodes.items()})
     exact = exact_cost_to_go(house)
@@ -260,24 +260,23 @@ def record_episode(
     rules: Rules,
     estimator: Estimator | None = None,
 ) -> Path:
-    """Write one rerun file (`.rrd`) of one start, with one or more planners side by side (as in the paper's Fig. 8).
+    """Write a rerun file (`.rrd`) of one start, with one or more planners side by side (as in the paper's Fig. 8).
 
-    Open it with `rerun FILE`. Needs no viewer, window or network, and touches no other recording of the process.
+    Open it with `rerun FILE`. Writing needs no viewer, window or network and does not affect other recordings.
 
     Args:
-      path: file to write; its folder is made.
-      house: where the episodes took place.
-      result_by_planner: what to call each planner -> its episode. All are of one start.
-      rules: what was seen and what counted as frontier.
+      path: file to write; its folder is created.
+      house: house of the episodes.
+      result_by_planner: label of each planner -> its episode. All have the same start.
+      rules: rules of the episodes.
       estimator: the network of `dc2g`.
 
     Returns:
       The path.
 
     Raises:
-      InputError: if the file cannot be written.
-      ValueError: if the episodes do not belong together, to the house or to the rules, or a `dc2g` episode comes
-        without an estimator.
+      InputError: the file cannot be written.
+      ValueError: the episodes have different starts, houses or rules, or there is no estimator for a `dc2g` episode.
     """
     _check(house, result_by_planner)
     for label, result in result_by_planner.items():

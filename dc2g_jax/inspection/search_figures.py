@@ -105,8 +105,7 @@ def plot_search(
         axes.set_ylabel(name, fontsize=FONT)
     for axes in panels.flat:
         axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[])
-        for spine in axes.spines.values():
-            spine.set(color="#888888", linewidth=0.5)
+        axes.spines[:].set(color="#888888", linewidth=0.5)
     bar = figure.colorbar(
         ScalarMappable(Normalize(0, high), _COSTS), ax=panels[2], location="bottom", fraction=0.05, pad=0.03, aspect=45,
         shrink=0.5, extend="max",

@@ -57,12 +57,9 @@ class Sheet(NamedTuple):
         """The panel in a row and a column."""
         x = _LEFT + column * self.column + (self.column - _GAP - self.width) / 2
         axes = self._axes(x, self._title + row * self._row, self.width, self.height)
-        axes.set_xticks([])
-        axes.set_yticks([])
+        axes.set(xticks=[], yticks=[])
         axes.set_title("\n".join(_title_lines(title, self.lines)), fontsize=FONT, pad=2, color=color)
-        for spine in axes.spines.values():
-            spine.set_color("#888888")
-            spine.set_linewidth(0.5)
+        axes.spines[:].set(color="#888888", linewidth=0.5)
         return axes
 
     def bar(self, place: float, colors: ScalarMappable, title: str, **options: Any) -> None:
