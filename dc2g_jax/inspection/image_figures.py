@@ -108,15 +108,9 @@ def plot_translations(
 
 def _moving_average(values: Float[np.ndarray, "n"], window: int) -> Float[np.ndarray, "n"]:
     """Mean over the last `window` values, or over all if there are fewer; NaN values are ignored."""
-    known = np.isfinite(values)
-
-    def last(counted: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        total = np.cumsum(np.concatenate([[0.0], counted]))
-        end = np.arange(1, len(values) + 1)
-        return total[end] - total[np.maximum(end - window, 0)]
-
-    count = last(known.astype(float))
-    return np.where(count > 0, last(np.where(known, values, 0.0)) / np.maximum(count, 1), np.nan)
+    padded = np.pad(values, (window - 1, 0), constant_values=np.nan)
+    means = np.ma.masked_invalid(np.lib.stride_tricks.sliding_window_view(padded, window)).mean(axis=1)
+    return np.ma.filled(means, np.nan)
 
 
 def plot_training(
