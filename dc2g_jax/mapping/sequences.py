@@ -285,7 +285,7 @@ def _read_bytes(file: Path, remedy: str = "put the image there, or repair the li
 
 
 def _read_gray(file: Path, bits: int, what: str) -> np.ndarray:
-    """A grayscale PNG of so many bits."""
+    """Read a grayscale PNG with `bits` bits per pixel."""
     return np.array(read_png(file, (f"{bits}-bit grayscale",), what))
 
 
