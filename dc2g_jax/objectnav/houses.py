@@ -2,7 +2,6 @@
 
 import dataclasses
 import os
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +25,7 @@ ENDINGS = (".jsonl.gz", ".jsonl")
 _ATTEMPTS = 100
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class IndoorHouse:
     """One house.
 
