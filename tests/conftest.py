@@ -9,6 +9,7 @@ import jaxtyping
 import numpy as np
 import pytest
 from hypothesis import settings
+from jax._src import compiler  # no public option chooses the emitters of programs that are compiled from here on
 
 from tests.support import typechecking
 from tests.support.places import PUBLISHED, ROOT, SHARED
@@ -25,9 +26,11 @@ os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.0"
 jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
-# Most tests spend their time on compiling programs that run but briefly: these do without most optimizations.
-# What runs for longer takes `optimized`. (Users' programs are optimized: `.ci/run` runs the main job as they do.)
+# Most tests spend their time on compiling programs that run but briefly: these do without most optimizations, and
+# their fusions are compiled by XLA's older and quicker emitters. What runs for longer, or is compared with recorded
+# episodes, takes `optimized`. (Users' programs are optimized: `.ci/run` runs the main job as they do.)
 os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
+os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_use_fusion_emitters=false"
 jax.config.update("jax_disable_most_optimizations", True)
 
 # Work is divided among two devices, so that every test of it covers the division.
@@ -49,10 +52,18 @@ def forget_programs():
 
 @pytest.fixture(scope="module")
 def optimized():
-    """Programs optimized as users have them."""
-    jax.config.update("jax_disable_most_optimizations", False)
-    yield
-    jax.config.update("jax_disable_most_optimizations", True)
+    """Programs compiled as users have them."""
+    default_options = compiler.get_compile_options
+
+    def options_of_users(*args, env_options_overrides=None, **kwargs):
+        overrides = {"xla_cpu_use_fusion_emitters": True, **(env_options_overrides or {})}
+        return default_options(*args, env_options_overrides=overrides, **kwargs)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiler, "get_compile_options", options_of_users)
+        jax.config.update("jax_disable_most_optimizations", False)
+        yield
+        jax.config.update("jax_disable_most_optimizations", True)
 
 
 @pytest.fixture
