@@ -5,23 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.mapping.camera import intrinsics
-from dc2g_jax.objectnav.agent import LIMITS, MPC, Agent, is_active, leg, reset, site_of
+from dc2g_jax.objectnav.agent import is_active, leg, reset, site_of
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
-from dc2g_jax.objectnav.guides import GoalReacher, NearestFrontier
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
 from dc2g_jax.objectnav.searches import sample_episodes, search_all
-from dc2g_jax.vehicles.mppi import MPPISettings
 from tests.support.refusals import refusal
-from tests.support.two_rooms import two_rooms
-
-AGENT = Agent(
-    guide=GoalReacher(NearestFrontier()),
-    steering=MPC(),
-    camera=intrinsics(90.0, 30, 40),
-    mapping=IndoorMapSettings(cells=120, local=60),
-    controller=MPPISettings(limits=LIMITS, samples=8, horizon=20),
-)
+from tests.support.two_rooms import AGENT, two_rooms
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,10 @@ import pytest
 
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.objectnav.data import JourneySet
-from dc2g_jax.objectnav.networks import CostMapArchitecture, CostMapEstimator
+from dc2g_jax.objectnav.networks import CostMapEstimator
 from dc2g_jax.objectnav.training import (
     BETTER_RECIPE,
     PAPER_RECIPE,
-    CostMapConfig,
     figures,
     first_state,
     optimizer,
@@ -21,31 +20,13 @@ from dc2g_jax.objectnav.training import (
     validation_samples,
 )
 from tests.support.states import assert_same_bits, infinite
-
-CONFIG = CostMapConfig(
-    architecture=CostMapArchitecture(patch=20, widths=(8, 8), embedding=4, features=2, feature_width=4),
-    recipe=dataclasses.replace(BETTER_RECIPE, peak=1e-2),
-    steps=24,
-    batch_size=4,
-)
+from tests.support.trainings import COST_MAPS as CONFIG
+from tests.support.trainings import journeys
 
 
 @pytest.fixture(scope="module")
 def data() -> JourneySet:
-    """Two empty rooms with a goal of one kind in the corner, and robots that have seen half of it."""
-    rows, columns = np.indices((40, 40))
-    free = (rows > 0) & (columns > 0) & (rows < 39) & (columns < 39)
-    meters = np.where(free, np.hypot(rows, columns) * 100, 65535).astype(np.uint16)
-    none = np.full_like(meters, 65535)
-    return JourneySet(
-        cells=jnp.asarray(np.stack([np.where(free, 1, 2)] * 2).astype(np.uint8)),
-        distance=jnp.asarray(np.stack([[meters] + [none] * 4, [none] * 4 + [meters]])),
-        house=jnp.asarray([0, 1], jnp.int32),
-        first_seen=jnp.asarray(np.stack([np.where(rows < 20, 0, 255)] * 2).astype(np.uint8)),
-        places=jnp.asarray(np.full((2, 3, 2), 20), jnp.int16),
-        headings=jnp.zeros((2, 3), jnp.float32),
-        features=jnp.zeros((2, 3, 2, 2), jnp.float16),
-    )
+    return journeys()
 
 
 def train(data, steps, state=None):

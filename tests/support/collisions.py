@@ -2,9 +2,11 @@
 
 JAX confuses two classes of equal structure only where their hashes happen to meet. Here they always meet: the first of
 two equal structures stands in for both. `python -m tests.support.collisions` prints, for each boundary, whether the
-second class was asked. A class that is asked says so with an exception.
+second class was asked. A class that is asked says so with an exception. A program with the first class's code in it is
+traced, which is all that the second needs in order to meet it; it is not compiled.
 """
 
+import contextlib
 import functools
 import inspect
 import json
@@ -18,6 +20,17 @@ import orbax.checkpoint  # noqa: F401
 from flax import nnx, struct  # noqa: F401
 
 _jit = jax.jit
+
+#: Calls of the first class's code.
+_calls: list[str] = []
+
+
+class Traced(Exception):
+    """A program has been traced that holds the code of the first class."""
+
+
+class Asked(Exception):
+    """The code of the second class runs."""
 
 
 def colliding_jit(function: Callable | None = None, **options: Any) -> Any:
@@ -40,14 +53,16 @@ def colliding_jit(function: Callable | None = None, **options: Any) -> Any:
     @functools.wraps(function)
     def call(*args, **kwargs):
         args = tuple(arg if name in static else mistaken(arg) for name, arg in zip(parameters, args, strict=False))
-        return program(*args, **{name: arg if name in static else mistaken(arg) for name, arg in kwargs.items()})
+        kwargs = {name: arg if name in static else mistaken(arg) for name, arg in kwargs.items()}
+        if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((args, kwargs))):
+            before = len(_calls)
+            program.trace(*args, **kwargs)
+            if len(_calls) > before:
+                raise Traced
+        return program(*args, **kwargs)
 
     call.lower, call.trace, call._cache_size = program.lower, program.trace, program._cache_size
     return call
-
-
-class Asked(Exception):
-    """The code of the second class runs."""
 
 
 def asked(*args, **kwargs):
@@ -56,9 +71,19 @@ def asked(*args, **kwargs):
 
 
 def variants(base: type, name: str) -> tuple[type, type]:
-    """Two classes like `base`, with equal structures; a method or property of the second says that it is asked."""
-    told = property(asked) if isinstance(inspect.getattr_static(base, name, None), property) else asked
-    return struct.dataclass(type("First", (base,), {})), struct.dataclass(type("Second", (base,), {name: told}))
+    """Two classes like `base`, with equal structures, that tell of the calls of a method or property."""
+    member = inspect.getattr_static(base, name)
+    kind, function = (property, member.fget) if isinstance(member, property) else (lambda same: same, member)
+
+    @functools.wraps(function)
+    def counted(*args, **kwargs):
+        _calls.append(name)
+        return function(*args, **kwargs)
+
+    first, second = (
+        type(title, (base,), {name: kind(told)}) for title, told in (("First", counted), ("Second", asked))
+    )
+    return struct.dataclass(first), struct.dataclass(second)
 
 
 def with_property(whole: Any, name: str) -> tuple[tuple[type, type], Callable[[type], Any]]:
@@ -89,12 +114,9 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     from dc2g_jax.training.mask_collection import collect_masks
     from dc2g_jax.training.sweeps import init_states, stacked_hyperparameters
     from experiments.benchmarks import workload
-    from tests.objectnav import test_searches
-    from tests.objectnav import test_training as test_indoor
+    from tests.support import drives, trainings
     from tests.support.houses import DATASET, STREET
-    from tests.support.two_rooms import two_rooms
-    from tests.training import test_cost_to_go, test_translator
-    from tests.vehicles import test_drive
+    from tests.support.two_rooms import AGENT, two_rooms
 
     rules = complete_rules(4)
     start = Start("street", 0, 4, 0)
@@ -106,7 +128,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     searched = searches.sample_episodes([house], 1, seed=2)
     environment, params = functional.front_door(DATASET.houses[:1], sensing_range=4, step_limit=60)
     of_params, make_params = with_property(params, "worlds")
-    of_indoor, make_indoor = with_property(test_indoor.data.__wrapped__(), "headings")
+    of_indoor, make_indoor = with_property(trainings.journeys(), "headings")
 
     @struct.dataclass
     class Drawer:
@@ -117,39 +139,39 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
         def pairs(self, draw, *args, **options):
             return draw(*args, self.data, **options)
 
-    draw_pairs = lambda key, data, **options: data.pairs(test_cost_to_go.DRAW, key, **options)  # noqa: E731
-    draw_images = lambda key, step, data: data.pairs(test_translator.DRAW, key, step)  # noqa: E731
+    draw_pairs = lambda key, data, **options: data.pairs(trainings.DRAW_PAIRS, key, **options)  # noqa: E731
+    draw_images = lambda key, step, data: data.pairs(trainings.DRAW_IMAGES, key, step)  # noqa: E731
 
     def run(planner: Any) -> None:
         runner.trajectories(planner, rules, [start])
 
     def train(cls: type) -> None:
-        config = test_cost_to_go.CONFIG
+        config = trainings.COST_TO_GO
         cost_to_go.train_step(
-            cost_to_go.first_state(config), config.hyperparameters, cls(test_cost_to_go.data.__wrapped__()),
+            cost_to_go.first_state(config), config.hyperparameters, cls(trainings.training_set()),
             recipe=config.recipe, draw_batch=draw_pairs,
         )  # fmt: skip
 
     def sweep(cls: type) -> None:
-        config = test_cost_to_go.CONFIG
+        config = trainings.COST_TO_GO
         numbers = stacked_hyperparameters([config, config])
-        data = cls(test_cost_to_go.data.__wrapped__())
+        data = cls(trainings.training_set())
         states = init_states(config.recipe, numbers)
         cost_to_go.train_step(states, numbers, data, recipe=config.recipe, draw_batch=draw_pairs)
 
     def translate(cls: type) -> None:
-        config = test_translator.CONFIG
+        config = trainings.TRANSLATOR
         state = translator.init_translator(config, seed=0)
-        data = cls(test_translator.data.__wrapped__())
+        data = cls(trainings.image_set())
         translator.translator_step(state, data, config=config, draw_batch=draw_images)
 
     def train_indoors(cls: type) -> None:
-        config = test_indoor.CONFIG
+        config = trainings.COST_MAPS
         state = indoor_training.first_state(config)
         indoor_training.train_step(state, make_indoor(cls), config=config)
 
     def search(guide: Any) -> None:
-        agent = test_searches.AGENT.replace(guide=guides.GoalReacher(guide))
+        agent = AGENT.replace(guide=guides.GoalReacher(guide))
         searches.search_all(agent, [house], searched, limit=12)
 
     def benchmark(cls: type) -> None:
@@ -160,7 +182,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
         replay(world, make_pose(0, 4, 0), np.zeros(2, np.int8), planner=planner, rules=rules)
 
     def drive(planner: Any) -> None:
-        test_drive.drives(planner, test_drive.EAST, time_limit=2.0)
+        drives.drives(planner, drives.EAST, time_limit=2.0)
 
     def picture(cls: type) -> None:
         side = np.kron(STREET, np.ones((2, 2), np.uint8))
@@ -193,7 +215,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
             lambda cls: OnlinePlanner(network=cls(), sensing_range=4, largest=STREET.shape).plan(shown, (0, 4, 0)),
             of_estimator,
         ),
-        "fleet": (lambda cls: drive(cls(test_drive.RULES)), of_planner),
+        "fleet": (lambda cls: drive(cls(drives.RULES)), of_planner),
         "searches, guide": (lambda cls: search(cls()), variants(guides.NearestFrontier, "guide")),
         "training": (train, variants(Drawer, "pairs")),
         "sweep": (sweep, variants(Drawer, "pairs")),
@@ -213,7 +235,8 @@ def main() -> None:
     jax.jit = colliding_jit
     verdicts = {}
     for name, (use, (first, second)) in boundaries().items():
-        use(first)
+        with contextlib.suppress(Traced):
+            use(first)
         try:
             use(second)
             verdicts[name] = "the first class ran for the second"

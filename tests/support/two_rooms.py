@@ -1,11 +1,25 @@
-"""A house of two rooms, 3 m deep, side by side, as cells of 10 cm: a bed in the one, a plant in the other."""
+"""A house of two rooms, 3 m deep, side by side, as cells of 10 cm: a bed in the one, a plant in the other; an agent."""
 
 import numpy as np
 
+from dc2g_jax.mapping.camera import intrinsics
+from dc2g_jax.objectnav.agent import LIMITS, MPC, Agent
 from dc2g_jax.objectnav.classes import BED, PLANT
+from dc2g_jax.objectnav.guides import GoalReacher, NearestFrontier
 from dc2g_jax.objectnav.houses import IndoorHouse
+from dc2g_jax.objectnav.mapping import IndoorMapSettings
 from dc2g_jax.objectnav.plan_cells import world_from_plan
 from dc2g_jax.objectnav.plans import Furniture, HousePlan, Room, Segment
+from dc2g_jax.vehicles.mppi import MPPISettings
+
+#: An agent with a small camera that samples few controls.
+AGENT = Agent(
+    guide=GoalReacher(NearestFrontier()),
+    steering=MPC(),
+    camera=intrinsics(90.0, 30, 40),
+    mapping=IndoorMapSettings(cells=120, local=60),
+    controller=MPPISettings(limits=LIMITS, samples=8, horizon=20),
+)
 
 
 def two_rooms() -> IndoorHouse:

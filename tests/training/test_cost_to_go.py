@@ -2,49 +2,30 @@
 
 import contextlib
 import dataclasses
-import functools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.pairs import TrainingSet, draw_pairs
+from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.estimation.compact_unet import Architecture
-from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.grid import bitboard
-from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.rollouts.devices import mesh_of
 from dc2g_jax.training import cost_to_go
 from dc2g_jax.training.cost_to_go import TrainingConfig, first_state, train_step
 from dc2g_jax.training.translator import TranslatorConfig
-from tests.support import maps
 from tests.support.states import assert_same_bits, infinite
-
-CONFIG = TrainingConfig(
-    architecture=Architecture(widths=(8,) * len(Architecture().widths)),
-    steps=60,
-    batch_size=8,
-    learning_rate=3e-3,
-    average_decay=0.9,
-)
-DRAW = functools.partial(draw_pairs, own_share=1.0, edge_weight=2.0, jitter=0.1, whole_share=0.1)
+from tests.support.trainings import COST_TO_GO as CONFIG
+from tests.support.trainings import DRAW_PAIRS as DRAW
+from tests.support.trainings import training_set
 
 
 @pytest.fixture(scope="module")
 def data() -> TrainingSet:
-    shape = (16, 16)
-    terrains = np.stack([maps.random_terrain(seed, shape, 0.85, doors=2) for seed in range(3)])
-    seen = np.stack([maps.random_cells(seed, shape, 0.8) for seed in range(6)])
-    return TrainingSet(
-        terrain=jnp.asarray(terrains),
-        cost_to_go=jnp.stack([world_cost_to_go(world_from_terrain(terrain)) for terrain in terrains]),
-        masks=jax.vmap(bitboard.pack)(jnp.asarray(seen)),
-        mask_world=jnp.arange(6, dtype=jnp.int32) % 3,
-        n_own=jnp.int32(6),
-    )
+    return training_set()
 
 
 def train(data, steps: int, state=None, config: TrainingConfig = CONFIG, devices=None):

@@ -8,13 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.drawn_masks import drawn_masks
-from dc2g_jax.datasets.houses import House
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import pix2pix
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
-from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
-from dc2g_jax.training.image_pairs import ImageSet, all_pairs, draw_image_pairs
+from dc2g_jax.training.image_pairs import ImageSet
 from dc2g_jax.training.translator import (
     TRANSLATOR_LOSSES,
     TranslatorConfig,
@@ -23,20 +20,17 @@ from dc2g_jax.training.translator import (
     init_translator,
     translator_step,
 )
-from tests.support import maps
 from tests.support.states import assert_same_bits, infinite
+from tests.support.trainings import DRAW_IMAGES as DRAW
+from tests.support.trainings import TRANSLATOR as CONFIG
+from tests.support.trainings import image_set
 
-CONFIG = TranslatorConfig(
-    architecture=TranslatorArchitecture(size=32, base_filters=4), batch_size=2, learning_rate=2e-3
-)
 STEPS = 30
-DRAW = functools.partial(draw_image_pairs, batch_size=CONFIG.batch_size, whole_share=0.1, augment=True)
 
 
 @pytest.fixture(scope="module")
 def data() -> ImageSet:
-    houses = [House(f"h{seed}", "train", maps.random_terrain(seed, (40, 32), 0.85)) for seed in range(2)]
-    return all_pairs(houses, drawn_masks(4, 32, seed=0))
+    return image_set()
 
 
 def train(data, steps: int, state=None, config: TranslatorConfig = CONFIG):

@@ -7,44 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.starts import Start
 from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.grid.sensing import line_of_sight
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
-from dc2g_jax.mapping.camera import intrinsics
-from dc2g_jax.mapping.noise import PAPER_LIKE, scaled
-from dc2g_jax.mapping.semantic_map import MapSettings
 from dc2g_jax.planning.planners import Frontier, Oracle
-from dc2g_jax.planning.rules import complete_rules
-from dc2g_jax.rollouts.evaluation import episodes_from
 from dc2g_jax.vehicles import fleet, trace
-from dc2g_jax.vehicles.drive import ARRIVED, NOTHING_LEFT, Equipment, reset, step
+from dc2g_jax.vehicles.drive import ARRIVED, NOTHING_LEFT, reset, step
 from dc2g_jax.vehicles.robot import DRIVING
 from dc2g_jax.vehicles.vehicle import VehicleLimits
+from tests.support.drives import EAST, MIDDLE, RULES, SHUT_OUT, SITES, WEST, drives, made
 from tests.support.refusals import refusal
-from tests.support.streets import STREET, WALLED
-
-RULES = complete_rules(4, line_of_sight)
-HOUSES = ("street", "walled")
-SITES = fleet.sites_of([STREET, WALLED])
-
-
-def made(planner, noise=0.0):
-    """A robot of small images, which are rendered quickly."""
-    return Equipment(
-        planner=planner,
-        sensing=RULES.sensing,
-        camera=intrinsics(90.0, 48, 64),
-        mapping=MapSettings(*STREET.shape, cell_size=1.0, reach=6.0),
-        noise=scaled(PAPER_LIKE, np.float32(noise)),
-        limits=VehicleLimits(),
-    )
-
-
-def drives(planner, *starts, noise=0.0, **options):
-    """Results of driving from the starts."""
-    episodes = episodes_from(starts, {name: number for number, name in enumerate(HOUSES)})
-    return fleet.drive_all(made(planner, noise), SITES, episodes, **options)
+from tests.support.streets import STREET
 
 
 @pytest.fixture(scope="module")
@@ -86,10 +58,6 @@ def test_a_vehicle_keeps_its_limits_and_its_time(explored):
     places = np.array([moment.robot.vehicle.position for moment in explored])
     assert np.max(np.linalg.norm(np.diff(places, axis=0), axis=1)) <= 2 * 0.1 * limits.max_speed + 1e-5
     assert [moment.seconds for moment in explored[:3]] == pytest.approx([0.0, 0.2, 0.4])
-
-
-EAST, WEST, MIDDLE = Start("street", 9, 2, 2), Start("street", 0, 1, 0), Start("street", 5, 1, 1)
-SHUT_OUT = Start("walled", 9, 2, 2)
 
 
 @pytest.mark.slow

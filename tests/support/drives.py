@@ -1,0 +1,40 @@
+"""Drives from camera to door in two streets, from the same few starts."""
+
+import numpy as np
+
+from dc2g_jax.datasets.starts import Start
+from dc2g_jax.grid.sensing import line_of_sight
+from dc2g_jax.mapping.camera import intrinsics
+from dc2g_jax.mapping.noise import PAPER_LIKE, scaled
+from dc2g_jax.mapping.semantic_map import MapSettings
+from dc2g_jax.planning.rules import complete_rules
+from dc2g_jax.rollouts.evaluation import episodes_from
+from dc2g_jax.vehicles import fleet
+from dc2g_jax.vehicles.drive import Equipment
+from dc2g_jax.vehicles.vehicle import VehicleLimits
+from tests.support.streets import STREET, WALLED
+
+RULES = complete_rules(4, line_of_sight)
+HOUSES = ("street", "walled")
+SITES = fleet.sites_of([STREET, WALLED])
+
+EAST, WEST, MIDDLE = Start("street", 9, 2, 2), Start("street", 0, 1, 0), Start("street", 5, 1, 1)
+SHUT_OUT = Start("walled", 9, 2, 2)
+
+
+def made(planner, noise=0.0):
+    """A robot of small images, which are rendered quickly."""
+    return Equipment(
+        planner=planner,
+        sensing=RULES.sensing,
+        camera=intrinsics(90.0, 48, 64),
+        mapping=MapSettings(*STREET.shape, cell_size=1.0, reach=6.0),
+        noise=scaled(PAPER_LIKE, np.float32(noise)),
+        limits=VehicleLimits(),
+    )
+
+
+def drives(planner, *starts, noise=0.0, **options):
+    """Results of driving from the starts."""
+    episodes = episodes_from(starts, {name: number for number, name in enumerate(HOUSES)})
+    return fleet.drive_all(made(planner, noise), SITES, episodes, **options)

@@ -1,0 +1,82 @@
+"""Small trainings: a configuration, and data to draw from."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from dc2g_jax.datasets.image_pairs import ImageSet, all_pairs, draw_image_pairs
+from dc2g_jax.estimation.networks.compact_unet import Architecture
+from dc2g_jax.estimation.networks.pix2pix import TranslatorArchitecture
+
+from dc2g_jax.datasets.drawn_masks import drawn_masks
+from dc2g_jax.datasets.houses import House
+from dc2g_jax.datasets.pairs import TrainingSet, draw_pairs
+from dc2g_jax.estimation.estimators import world_cost_to_go
+from dc2g_jax.grid import bitboard
+from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.objectnav.data import JourneySet
+from dc2g_jax.objectnav.networks import CostMapArchitecture
+from dc2g_jax.objectnav.training import BETTER_RECIPE, CostMapConfig
+from dc2g_jax.training.cost_to_go import TrainingConfig
+from dc2g_jax.training.translator import TranslatorConfig
+from tests.support import maps
+
+COST_TO_GO = TrainingConfig(
+    architecture=Architecture(widths=(8,) * len(Architecture().widths)),
+    steps=60,
+    batch_size=8,
+    learning_rate=3e-3,
+    average_decay=0.9,
+)
+DRAW_PAIRS = functools.partial(draw_pairs, own_share=1.0, edge_weight=2.0, jitter=0.1, whole_share=0.1)
+
+TRANSLATOR = TranslatorConfig(
+    architecture=TranslatorArchitecture(size=32, base_filters=4), batch_size=2, learning_rate=2e-3
+)
+DRAW_IMAGES = functools.partial(draw_image_pairs, batch_size=TRANSLATOR.batch_size, whole_share=0.1, augment=True)
+
+COST_MAPS = CostMapConfig(
+    architecture=CostMapArchitecture(patch=20, widths=(8, 8), embedding=4, features=2, feature_width=4),
+    recipe=dataclasses.replace(BETTER_RECIPE, peak=1e-2),
+    steps=24,
+    batch_size=4,
+)
+
+
+def training_set() -> TrainingSet:
+    """Three small maps, each with two masks."""
+    shape = (16, 16)
+    terrains = np.stack([maps.random_terrain(seed, shape, 0.85, doors=2) for seed in range(3)])
+    seen = np.stack([maps.random_cells(seed, shape, 0.8) for seed in range(6)])
+    return TrainingSet(
+        terrain=jnp.asarray(terrains),
+        cost_to_go=jnp.stack([world_cost_to_go(world_from_terrain(terrain)) for terrain in terrains]),
+        masks=jax.vmap(bitboard.pack)(jnp.asarray(seen)),
+        mask_world=jnp.arange(6, dtype=jnp.int32) % 3,
+        n_own=jnp.int32(6),
+    )
+
+
+def image_set() -> ImageSet:
+    """The pairs of two small houses and four masks."""
+    houses = [House(f"h{seed}", "train", maps.random_terrain(seed, (40, 32), 0.85)) for seed in range(2)]
+    return all_pairs(houses, drawn_masks(4, 32, seed=0))
+
+
+def journeys() -> JourneySet:
+    """Two empty rooms with a goal of one kind in the corner, and robots that have seen half of it."""
+    rows, columns = np.indices((40, 40))
+    free = (rows > 0) & (columns > 0) & (rows < 39) & (columns < 39)
+    meters = np.where(free, np.hypot(rows, columns) * 100, 65535).astype(np.uint16)
+    none = np.full_like(meters, 65535)
+    return JourneySet(
+        cells=jnp.asarray(np.stack([np.where(free, 1, 2)] * 2).astype(np.uint8)),
+        distance=jnp.asarray(np.stack([[meters] + [none] * 4, [none] * 4 + [meters]])),
+        house=jnp.asarray([0, 1], jnp.int32),
+        first_seen=jnp.asarray(np.stack([np.where(rows < 20, 0, 255)] * 2).astype(np.uint8)),
+        places=jnp.asarray(np.full((2, 3, 2), 20), jnp.int16),
+        headings=jnp.zeros((2, 3), jnp.float32),
+        features=jnp.zeros((2, 3, 2, 2), jnp.float16),
+    )
