@@ -1,7 +1,6 @@
 """Single kernels on robots in the middle of their episodes, beside the library functions one would reach for."""
 
 import functools
-import importlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -18,7 +17,7 @@ from dc2g_jax.planning import frontiers, planners
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import deal, mesh_of, on_each, replicate
 
-from ..baselines import libraries
+from ..baselines import libraries, numpy_gridworld
 from .bench import SENSING_RANGE, Bench, own
 from .machine import BANDWIDTH, FLOAT_ARITHMETIC
 from .programs import compile_program
@@ -99,17 +98,12 @@ def _peer(
 
 
 def _first_actions(maps: _Maps, number: int) -> int:
-    oracle = importlib.import_module("tests.oracles.gridworld_oracle")
-    actions = oracle.shortest_actions(maps.reachable[number], maps.poses[number], maps.subgoals[number])
+    actions = numpy_gridworld.shortest_actions(maps.reachable[number], maps.poses[number], maps.subgoals[number])
     return actions[0] if actions else 0
 
 
 def _peers(bench: Bench, maps: _Maps) -> Iterator[Row]:
     """Libraries and the plain NumPy program."""
-
-    def oracle() -> Any:
-        return importlib.import_module("tests.oracles.gridworld_oracle")
-
     last = [jnp.moveaxis(jnp.asarray(cells), 0, -1) for cells in (maps.traversable, maps.goals)]
     costs = np.moveaxis(np.asarray(search.cost_to_go(*last)), -1, 0)
     cases: list[tuple[str, str, Callable[[int], Any], Any]] = [
@@ -119,11 +113,16 @@ def _peers(bench: Bench, maps: _Maps) -> Iterator[Row]:
             lambda n: libraries.reachable_scipy(maps.free[n], *maps.poses[n][:2]),
             maps.reachable,
         ),
-        ("reachability", "NumPy", lambda n: oracle().reachable(maps.free[n], *maps.poses[n][:2]), maps.reachable),
+        (
+            "reachability",
+            "NumPy",
+            lambda n: numpy_gridworld.reachable(maps.free[n], *maps.poses[n][:2]),
+            maps.reachable,
+        ),
         (
             "frontier-expanding, reference",
             "NumPy",
-            lambda n: oracle().frontier_expanding_reference(
+            lambda n: numpy_gridworld.frontier_expanding_reference(
                 maps.seen[n], maps.reachable[n], maps.poses[n], SENSING_RANGE
             ),
             maps.subgoals,

@@ -21,7 +21,7 @@ from dc2g_jax.planning.named import make_planner
 from dc2g_jax.rollouts.devices import cores
 from dc2g_jax.rollouts.rollout import STEP_LIMIT, rollout
 
-from ..baselines import c_gridworld
+from ..baselines import c_gridworld, numpy_gridworld
 from ..baselines.problem import BaselineName, Outcome, Problem, empty_outcome
 from .bench import SENSING_RANGE, Bench, own
 from .kernels import network_pace_row
@@ -93,9 +93,8 @@ def plain_programs(
     yield attempt(numba_row, in_numba)
 
 
-def _in_numpy(bench: Bench, row: Row, planner: BaselineName, reference: np.ndarray) -> Row:
+def _in_numpy(bench: Bench, row: Row, planner: numpy_gridworld.PlannerName, reference: np.ndarray) -> Row:
     """Some of the episodes with the plain NumPy program the tests check everything against."""
-    oracle = importlib.import_module("tests.oracles.gridworld_oracle")
     workload = bench.workload
     every = len(workload.starts) // (1 if bench.quick else 8) or 1
     problem = workload.problem(sensing_range=SENSING_RANGE, step_limit=STEP_LIMIT, every=every)
@@ -103,7 +102,7 @@ def _in_numpy(bench: Bench, row: Row, planner: BaselineName, reference: np.ndarr
     def run() -> Outcome:
         outcome = empty_outcome(problem)
         for episode, (world, pose) in enumerate(zip(problem.world, problem.start.tolist(), strict=True)):
-            success, letters, _ = oracle.run_episode(
+            success, letters, _ = numpy_gridworld.run_episode(
                 workload.terrain[world],
                 tuple(pose),
                 planner,
@@ -169,6 +168,6 @@ def planner_rows(bench: Bench) -> Iterator[Row]:
         for variant in plain.get(planner, ()):
             row = own("planners", variant, PLANNER_UNIT, **case)
             yield from plain_programs(bench, row, problem, variant, actions, all_cores=True)
-            if variant == planner:
+            if variant != "frontier_lazy":
                 row = dataclasses.replace(row, by="NumPy", cores=1)
                 yield attempt(row, functools.partial(_in_numpy, bench, row, variant, actions))

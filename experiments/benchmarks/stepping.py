@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import importlib
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -17,7 +16,7 @@ from dc2g_jax.grid.terrain import ROAD
 from dc2g_jax.grid.world import World
 from dc2g_jax.rollouts.devices import cores
 
-from ..baselines import environments
+from ..baselines import environments, numpy_gridworld
 from ..baselines.environments import Environment
 from .bench import SENSING_RANGE, Bench, own
 from .programs import compile_program
@@ -69,7 +68,6 @@ def _peer_steps(bench: Bench, make: Callable[[int, int], Environment], row: Row,
 
 def _numpy_steps(bench: Bench, row: Row) -> Row:
     """One robot of the plain NumPy program."""
-    oracle = importlib.import_module("tests.oracles.gridworld_oracle")
     shape = (bench.workload.cells, bench.workload.cells)
     terrain = np.full(shape, ROAD, np.uint8)
     actions = np.random.default_rng(0).integers(3, size=_STEPS)
@@ -77,8 +75,8 @@ def _numpy_steps(bench: Bench, row: Row) -> Row:
     def run() -> np.ndarray:
         pose, seen = (shape[1] // 2, shape[0] // 2, 0), np.zeros(shape, bool)
         for action in actions:
-            pose = oracle.moved(pose, int(action), shape)
-            seen |= oracle.visible(pose, SENSING_RANGE, shape)
+            pose = numpy_gridworld.moved(pose, int(action), shape)
+            seen |= numpy_gridworld.visible(pose, SENSING_RANGE, shape)
         return np.where(seen, terrain, 0)
 
     return row.with_figures(bench.measure(run), float(_STEPS))

@@ -20,7 +20,7 @@ from dc2g_jax.planning.rules import complete_rules
 from dc2g_jax.rollouts.rollout import Episodes, rollout
 from dc2g_jax.training.cost_to_go_data import DataConfig
 from dc2g_jax.training.mask_collection import collect_masks, concatenate_masks
-from tests.oracles import gridworld_oracle as oracle
+from experiments.baselines import numpy_gridworld as oracle
 from tests.support import maps
 
 N_WORLDS, N_MASKS, N_OWN = 4, 30, 12

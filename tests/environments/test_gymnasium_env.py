@@ -17,7 +17,7 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
 from dc2g_jax.datasets.houses import HouseDataset, save_dataset  # noqa: E402
 from dc2g_jax.environments.gymnasium_env import GYMNASIUM_ID, RENDERED_ROBOT_COLOR, FrontDoorEnv, FrontDoorVectorEnv  # noqa: E402
 from dc2g_jax.grid.terrain import CLASS_COLORS  # noqa: E402
-from tests.oracles import gridworld_oracle as oracle  # noqa: E402
+from experiments.baselines import numpy_gridworld as oracle  # noqa: E402
 from tests.support.houses import DATASET, STREET, YARD, house, start_poses  # noqa: E402
 from tests.support.refusals import refusal  # noqa: E402
 

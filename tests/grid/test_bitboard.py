@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 
 from dc2g_jax.grid import bitboard
-from tests.oracles import gridworld_oracle as oracle
+from experiments.baselines import numpy_gridworld as oracle
 from tests.support import maps
 
 EXAMPLES = 25

@@ -15,7 +15,7 @@ from dc2g_jax.grid.ground import (
 )
 from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.grid.terrain import FRONT_DOOR, PATH, TRAVERSABLE
-from tests.oracles import gridworld_oracle as oracle
+from experiments.baselines import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.places import PUBLISHED
 

@@ -22,7 +22,7 @@ from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.online import OnlinePlanner
 from dc2g_jax.planning.planners import MODE_NAMES, Frontier
 from dc2g_jax.planning.rules import complete_rules
-from tests.oracles import gridworld_oracle as oracle
+from experiments.baselines import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.exploration import (
     SENSING,

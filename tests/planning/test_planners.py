@@ -22,7 +22,7 @@ from dc2g_jax.planning.rules import SETTINGS, complete_rules, reference_rules
 from dc2g_jax.planning.selection import ExpectedCost, Patience
 from dc2g_jax.rollouts.evaluation import action_letters
 from dc2g_jax.rollouts.rollout import Episodes, rollout
-from tests.oracles import gridworld_oracle as oracle
+from experiments.baselines import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.exploration import (
     EPISODES,

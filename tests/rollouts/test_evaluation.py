@@ -13,7 +13,7 @@ from dc2g_jax.planning.named import make
 from dc2g_jax.planning.planners import Frontier
 from dc2g_jax.planning.rules import SETTINGS, complete_rules
 from dc2g_jax.rollouts.evaluation import Results, Runner, episodes_from, evaluate
-from tests.oracles import gridworld_oracle as oracle
+from experiments.baselines import numpy_gridworld as oracle
 from tests.support.refusals import refusal, refusal_of
 
 RULES = complete_rules(4)

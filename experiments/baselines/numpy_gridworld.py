@@ -407,6 +407,7 @@ def run_episode(
             radii = {"sensing_radius": sensing_radius, "expanding_radius": expanding_radius}
             poses = explore_poses(seen, reached, pose, rules=rules, **radii)
             if planner == "dc2g":
+                assert cost_to_go is not None
                 poses = revealing_poses(poses, seen, reached, pose, **radii)
                 opening = opening_poses(poses, seen, rim_width, sensing_radius)
                 poses = opening if opening.any() else poses
