@@ -10,6 +10,7 @@ from .inspection.figures import plot_results as plot_results
 from .planning.online import OnlinePlanner as OnlinePlanner
 from .planning.decisions import Decision as Decision
 from .environments.task import make_env as make_env
+from .rollouts.devices import use_cores as use_cores
 from .estimation.checkpoints import load_network as load_network
 
 # Write a planner or an estimator.

@@ -66,31 +66,44 @@ def join_processes(
         jax.config.update("jax_cpu_collectives_implementation", None)
 
 
-def use_devices(count: int | None = None) -> None:
-    """Use so many accelerators, or so many cores of the CPU as a device each. Call it before JAX runs anything.
+def use_cores(count: int | None = None) -> None:
+    """Make each core of the CPU a device. Call it before JAX runs anything.
 
     Without this call JAX takes a CPU for one device, and rollouts keep to one core.
 
     Args:
-      count: how many; `None` for every accelerator, or every core.
+      count: how many, which may be more than there are; `None` for every core.
 
     Raises:
-      InputError: there are fewer accelerators, or JAX has already started with other devices.
+      InputError: less than 1, or JAX has already started with another number.
     """
-    if count is not None and count < 1:
-        raise InputError(f"{count} devices: give at least 1")
+    wanted = cores() if count is None else count
+    if wanted < 1:
+        raise InputError(f"{wanted} cores: give at least 1")
     try:
-        jax.config.update("jax_num_cpu_devices", count or cores())
-        if count is not None:
-            jax.config.update("jax_cuda_visible_devices", ",".join(map(str, range(count))))
+        jax.config.update("jax_num_cpu_devices", wanted)
     except RuntimeError:
-        pass  # JAX has started; perhaps it has that many
-    found = jax.local_device_count()
-    if found != (count or found):
-        raise InputError(
-            f"{count} devices: JAX has {found} ({jax.devices()[0].device_kind}); ask for those that there are, before "
-            "anything else uses JAX"
-        )
+        found = len(jax.local_devices(backend="cpu"))
+        if found != wanted:
+            raise InputError(
+                f"{wanted} cores: JAX has already started with {found}; call use_cores before anything else uses JAX"
+            ) from None
+
+
+def use_devices(count: int | None = None) -> None:
+    """Use so many accelerators in this process, or, where there are none, cores of the CPU; see `use_cores`.
+
+    Args:
+      count: how many; `None` for all.
+
+    Raises:
+      InputError: there are fewer accelerators, or JAX has already started with others.
+    """
+    if count is not None and count >= 1:
+        jax.config.update("jax_cuda_visible_devices", ",".join(map(str, range(count))))
+    use_cores(count)
+    if jax.local_device_count() != (count or jax.local_device_count()):
+        raise InputError(f"--devices {count}: there are {jax.local_device_count()} ({jax.local_devices()[0]})")
 
 
 def mesh_of(devices: Sequence[jax.Device] | None = None) -> Mesh:

@@ -1,0 +1,82 @@
+"""Work divided among devices and processes gives what one device gives."""
+
+import socket
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+
+from dc2g_jax.datasets.houses import procedural_dataset
+from dc2g_jax.datasets.starts import sample_starts
+from dc2g_jax.rollouts.devices import (
+    cores,
+    deal,
+    dealt_counts,
+    gather,
+    join_processes,
+    mesh_of,
+    not_repeated,
+    on_each,
+    use_cores,
+)
+from tests.support.places import ROOT
+from tests.support.refusals import refusal
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 8])
+@pytest.mark.parametrize("n_devices", [1, 2])
+def test_what_is_dealt_out_is_gathered_in_order(count, n_devices):
+    mesh, pieces = mesh_of(jax.devices()[:n_devices]), {"a": np.arange(count), "b": np.ones((count, 2))}
+    dealt = deal(pieces, count, mesh)
+    assert dealt["a"].shape == (n_devices, -(-count // n_devices))
+    jax.tree.map(np.testing.assert_array_equal, gather(dealt, count), pieces)
+    wanted = not_repeated(count, mesh)
+    assert sorted(np.asarray(dealt["a"])[wanted].tolist()) == list(range(count))
+    assert dealt_counts(count, mesh).sum() == wanted.sum() == count
+
+
+def test_each_device_works_on_its_part():
+    mesh = mesh_of()
+    dealt = deal(np.arange(5), 5, mesh)
+    made = on_each(lambda own, factor: factor * own + len(own), mesh, dealt, 10)
+    assert gather(made, 5).tolist() == [3, 13, 23, 33, 43]
+
+
+def test_cores_that_are_refused():
+    use_cores(jax.device_count())  # as it is
+    refusal(lambda: use_cores(0), "0 cores", "at least 1")
+    refusal(lambda: use_cores(7), "7 cores", "already started with 2", "before anything else")
+    assert cores() >= 1
+
+
+@pytest.mark.parametrize("given", [("host:1", 2, None), (None, 2, 0), ("host:1", None, None)])
+def test_processes_are_named_completely_or_not_at_all(given):
+    refusal(lambda: join_processes(*given), "--coordinator", "--num-processes", "--process-id")
+
+
+def test_the_number_of_a_process_is_checked():
+    refusal(lambda: join_processes("host:1", 2, 2), "--process-id 2", "0 to 1")
+
+
+def test_the_table_is_the_same_on_any_number_of_devices_and_processes(tmp_path):
+    starts = tmp_path / "starts.csv"
+    houses = [house for house in procedural_dataset().houses if house.split == "val"][:2]
+    rows = [",".join(map(str, start[:4])) for start in sample_starts(houses, 3, seed=0)]
+    starts.write_text("\n".join(["house,x,y,heading", *rows]))
+    command = [sys.executable, "-m", "experiments.run_episodes", "--starts", starts, "--dataset", "procedural"]
+    command += ["--planner", "frontier", "--step-limit", "60", "--out"]
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    together = ["--devices", "1", "--coordinator", address, "--num-processes", "2", "--process-id"]
+    runs = [["one", "--devices", "1"], ["eight", "--devices", "8"], *(["two", *together, str(n)] for n in range(2))]
+    processes = [
+        subprocess.Popen([*command, tmp_path / out, *options], cwd=ROOT, stderr=subprocess.PIPE)
+        for out, *options in runs
+    ]
+    for process in processes:
+        _, errors = process.communicate(timeout=300)
+        assert process.returncode == 0, errors.decode()
+    tables = {(tmp_path / name / "episodes.csv").read_bytes() for name in ("one", "eight", "two")}
+    assert len(tables) == 1
