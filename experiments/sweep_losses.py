@@ -1,8 +1,7 @@
 """Train networks with many losses, weights, learning rates, widths and seeds: `python -m experiments.sweep_losses`.
 
-Runs whose networks have one shape are trained together over one stack of weights: an accelerator takes a step of all of
-them at once, in one program, a CPU a run at a time on each core, which is faster there. Killed or interrupted, it goes
-on where it was when run again with --resume.
+Runs whose networks have one shape are trained together and divided among the devices. Killed or interrupted, it goes on
+where it was when run again with --resume.
 """
 
 import dataclasses
