@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from flax import nnx
 
@@ -262,12 +263,14 @@ class TrainingCheckpoints:
         template = jax.eval_shape(self._first_state)
         try:
             with _quiet():
-                return self._manager.restore(step, args=self._orbax.args.StandardRestore(template))
+                restored = self._manager.restore(step, args=self._orbax.args.StandardRestore(template))
         except Exception as error:  # Orbax raises many kinds
             raise InputError(
                 f"{self._folder / str(step)}: cannot be restored ({_reason(error)}); delete it to go on from an "
                 "earlier state, or train anew in another folder"
             ) from None
+        # Free to go to other devices than Orbax has put it on.
+        return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)), restored)
 
     def delete(self, *, after: int = -1) -> None:
         """Delete the states after a step: all of them where none is named."""

@@ -15,6 +15,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import pix2pix
 from dc2g_jax.estimation.pix2pix import Discriminator, Generator, TranslatorArchitecture
 from dc2g_jax.programs import jit
+from dc2g_jax.rollouts.devices import spread
 from dc2g_jax.training.cost_to_go import check_numbers, loss_or_nan
 
 
@@ -179,7 +180,7 @@ def translator_step(
     """
     architecture = config.architecture
     batch_key, dropout_key = jax.random.split(jax.random.wrap_key_data(state.key))
-    batch = draw_batch(batch_key, state.step, data)
+    batch, state = spread(draw_batch(batch_key, state.step, data), state)
     dropout_key = jax.random.fold_in(dropout_key, state.step)
     generated, backward = jax.vjp(
         lambda weights: pix2pix.translate(architecture, weights, batch.image, dropout_key), state.generator
