@@ -5,7 +5,7 @@ import functools
 import importlib
 import os
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Literal, get_args
+from typing import Any
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, ExactCostToGo, answers_in_cells
@@ -13,12 +13,6 @@ from dc2g_jax.planning.frontiers import facing_most
 from dc2g_jax.planning.planners import DC2G, Frontier, MapRevisingPlanner, Oracle
 from dc2g_jax.planning.rules import Rules, Settings, named_settings, nearest_goal
 from dc2g_jax.planning.selection import ExpectedCost, Patience, QuantileCost, Selection
-
-PlannerName = Literal["oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go"]
-
-#: Planner names, in the order of the tables.
-PLANNERS: tuple[PlannerName, ...] = get_args(PlannerName)
-
 
 #: Of planners on a network in the gridworld, where every decision is a step.
 STEP_PATIENCE = Patience(radius=8, decisions=30, price=0.25)
@@ -41,11 +35,21 @@ def _on_network(selection: Selection, estimator: Estimator, rules: Rules, patien
     )
 
 
+#: The planners that need no network, given the rules.
+_PLANNERS_BY_RULES: Mapping[str, Callable[[Rules], MapRevisingPlanner]] = {
+    "oracle": lambda rules: Oracle(),
+    "frontier": Frontier,
+    "true_cost_to_go": lambda rules: DC2G(ExactCostToGo(), rules),
+}
+
 #: The planners that run on a network, given it, the rules and, where it is another one, their patience.
 NETWORK_PLANNERS: Mapping[str, Callable[..., DC2G]] = {
     "dc2g": functools.partial(_on_network, ExpectedCost(distance_weight=0.5)),
     "dc2g_uncertain": functools.partial(_on_network, QuantileCost(level=0.7, distance_weight=0.5)),
 }
+
+#: Planner names, in the order of the tables.
+PLANNERS: tuple[str, ...] = ("oracle", "frontier", *NETWORK_PLANNERS, "true_cost_to_go")
 
 
 def make(
@@ -90,12 +94,8 @@ def make_planner(
     Raises:
       InputError: for an unknown name, or a planner that needs an estimator without one.
     """
-    if name == "oracle":
-        return Oracle()
-    if name == "frontier":
-        return Frontier(rules=rules)
-    if name == "true_cost_to_go":
-        return DC2G(estimator=ExactCostToGo(), rules=rules)
+    if name in _PLANNERS_BY_RULES:
+        return _PLANNERS_BY_RULES[name](rules)
     if name in NETWORK_PLANNERS and estimator is not None:
         # Where costs have no scale, no distance can be added to them: the paper's rule.
         if answers_in_cells(estimator):
