@@ -1,13 +1,13 @@
 """Train networks with many losses, weights, learning rates, widths and seeds: `python -m experiments.sweep_losses`.
 
-Runs whose networks have one shape are trained together and divided among the devices. Killed or interrupted, it goes on
-where it was when run again with --resume.
+Runs whose networks have one shape are trained together and divided among the devices, `--runs-at-once` of them at a
+time. Killed or interrupted, it goes on where it was when run again with --resume.
 """
 
 import dataclasses
 import functools
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,7 +23,7 @@ from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, save_network
+from dc2g_jax.estimation.checkpoints import CARD, TrainingCheckpoints, load_network, save_network
 from dc2g_jax.estimation.compact_unet import Architecture, multiply_accumulates
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.files.atomic import write_json
@@ -37,6 +37,7 @@ from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax.training.sweeps import (
     StackedCheckpoints,
     group_by_shape,
+    in_turns,
     init_states,
     runs_of_grid,
     stacked_hyperparameters,
@@ -64,6 +65,8 @@ class Options(CommandOptions):
       validate_every: steps between validations on pairs; the last step is one too. 0 for the last only.
       episodes: with `--no-episodes`, the planner is not run in validation houses with every network in the end.
       minutes_per_checkpoint: how often to save, in minutes.
+      runs_at_once: runs trained together, at most; the others wait their turn. Best a multiple of the devices. It may
+        change when the sweep is resumed.
       resume: go on with the run in `out`, begun with the same options, where it stopped.
     """
 
@@ -79,6 +82,7 @@ class Options(CommandOptions):
     validate_every: int = 200
     episodes: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
     minutes_per_checkpoint: float = 5.0
+    runs_at_once: int = 64
     resume: bool = False
 
     @property
@@ -119,8 +123,11 @@ def validation_errors(architecture: Architecture, weights: Any, pairs: Pair) -> 
 
 def train_group(
     options: Options, runs: Mapping[str, TrainingConfig], data: TrainingSet, pairs: Pair, facts: dict[str, Any]
-) -> dict[str, NetworkCostToGo]:
-    """Train runs of one shape to the end; their networks by name."""
+) -> None:
+    """Train runs of one shape to the end and save their networks, unless that has been done."""
+    networks = [network_folder(options.out, run) for run in runs]
+    if all((network / CARD).exists() for network in networks):
+        return
     configs = list(runs.values())
     recipe, hyperparameters = configs[0].recipe, stacked_hyperparameters(configs)
     draw, log = options.data.draw_batch, Log(options.out)
@@ -147,20 +154,23 @@ def train_group(
         validated=set.intersection(*(set(log.by_step(run)) for run in runs)),
         name=f"{len(runs)} runs",
     )
-    folders = [options.out / "runs" / run for run in runs]
     checkpoints = StackedCheckpoints(
         [
-            TrainingCheckpoints(folder, config, {**facts, "parts": config.parts}, first_state=first_state)
-            for folder, config in zip(folders, configs, strict=True)
+            TrainingCheckpoints(network.parent, config, {**facts, "parts": config.parts}, first_state=first_state)
+            for network, config in zip(networks, configs, strict=True)
         ]
     )
     states = train(task, options.out, checkpoints, options.pauses)
-    networks = {}
-    for index, (run, config) in enumerate(runs.items()):
-        weights = jax.tree.map(lambda leaf, index=index: fetch(leaf)[index], states.average)
-        networks[run] = NetworkCostToGo(weights=weights, architecture=recipe.architecture)
-        save_network(folders[index] / "network", networks[run], {"config": dataclasses.asdict(config), "facts": facts})
-    return networks
+    weights = jax.tree.map(fetch, states.average)
+    for index, config in enumerate(configs):
+        own = jax.tree.map(lambda leaf, index=index: leaf[index], weights)
+        network = NetworkCostToGo(weights=own, architecture=recipe.architecture)
+        save_network(networks[index], network, {"config": dataclasses.asdict(config), "facts": facts})
+
+
+def network_folder(out: Path, run: str) -> Path:
+    """Where the network of a run is kept."""
+    return out / "runs" / run / "network"
 
 
 def loss_name(config: TrainingConfig) -> str:
@@ -212,16 +222,17 @@ def write_results(
     return rows
 
 
-def run_episodes(validation: Validation, networks: Mapping[str, NetworkCostToGo], path: Path) -> dict[str, Any]:
-    """Extra steps in validation houses with every network; those found before are kept in a file."""
+def run_episodes(validation: Validation, runs: Collection[str], out: Path) -> dict[str, Any]:
+    """Extra steps in validation houses with the network of every run; those found before are kept in a file."""
+    path = out / "episodes.json"
     try:
         found: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read ({error}); delete it to run its episodes anew") from None
-    for number, (run, network) in enumerate(networks.items(), start=1):
+    for number, run in enumerate(runs, start=1):
         if run not in found:
-            print(f"episodes in validation houses: {run} ({number} of {len(networks)})", flush=True)
-            found[run] = validation.figures(network)
+            print(f"episodes in validation houses: {run} ({number} of {len(runs)})", flush=True)
+            found[run] = validation.figures(load_network(network_folder(out, run)))
             write_json(path, found)
     return found
 
@@ -230,20 +241,20 @@ def main(options: Options) -> None:
     """Train all, validate all, tabulate."""
     _, runs = options.pauses, options.runs  # refused before anything is written
     groups = group_by_shape(runs)
+    turns = [turn for group in groups for turn in in_turns(group, options.runs_at_once)]
     dataset = open_dataset(options.dataset)
     check_houses(dataset, extra=options.data.extra_houses, drawn=options.episodes, validated=True)
-    output_folder(options, "sweep_losses", free=("minutes_per_checkpoint",), inputs=digests(dataset))
+    output_folder(options, "sweep_losses", free=("minutes_per_checkpoint", "runs_at_once"), inputs=digests(dataset))
     facts = {"data": dataclasses.asdict(options.data), "dataset": dataset.name}
     # Houses that these cannot be made of are refused before minutes of collecting.
     pairs = validation_pairs(dataset, count=_PAIRS, edge_weight=options.data.edge_weight)
     validation = Validation(dataset, drawn=16) if options.episodes else None
     data = replicate(open_training_set(options.out, dataset, options.data), mesh_of())
     log = Log(options.out)
-    print(f"runs: {len(runs)}; programs that train them: {len(groups)}")
-    networks: dict[str, NetworkCostToGo] = {}
-    for group in groups:
-        networks |= train_group(options, group, data, pairs, facts)
-    episodes = run_episodes(validation, networks, options.out / "episodes.json") if validation else {}
+    print(f"runs: {len(runs)}; shapes of networks: {len(groups)}; turns: {len(turns)}")
+    for turn in turns:
+        train_group(options, turn, data, pairs, facts)
+    episodes = run_episodes(validation, runs, options.out) if validation else {}
     height, width = data.terrain.shape[1:]
     rows = write_results(options.out, runs, log, episodes, (height, width))
     errors: dict[str, list[dict[int, float]]] = {}

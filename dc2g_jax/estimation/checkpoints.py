@@ -28,7 +28,8 @@ from dc2g_jax.grid.terrain import CLASS_NAMES
 #: The trained networks that come with the package: for maps without errors, and for maps that a camera has made.
 SHIPPED_NETWORK, SHIPPED_NOISY_NETWORK = "weights/compact_unet", "weights/compact_unet_noisy"
 
-_CARD = "network.json"
+#: What a network is, written after its weights.
+CARD = "network.json"
 _WEIGHTS = "weights.safetensors"
 _ORBAX_WEIGHTS = "weights"
 _CONFIG = "config.json"
@@ -111,7 +112,7 @@ def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, An
         "sha256": arrays_sha256(network.weights),
         **(card or {}),
     }
-    write_json(folder / _CARD, facts)
+    write_json(folder / CARD, facts)
     return folder
 
 
@@ -130,25 +131,25 @@ def _read_json(path: Path, remedy: str) -> dict[str, Any]:
 def _read_card(folder: Path) -> tuple[_Kind, Any, str | None]:
     """Kind, architecture and digest of a saved network, once it is sure that this package can run it."""
     remedy = "give a folder written by `dc2g train` or `dc2g train-translator`"
-    if (folder / "network" / _CARD).exists():
+    if (folder / "network" / CARD).exists():
         remedy = f"give {folder / 'network'}"
-    facts = _read_json(folder / _CARD, remedy)
+    facts = _read_json(folder / CARD, remedy)
     named = facts.get("network")
     kind = _KINDS.get(str(named))
     if kind is None:
         raise InputError(
-            f"{folder / _CARD}: {f'its network is {named!r}' if named else 'names no kind of network'}, but planners "
+            f"{folder / CARD}: {f'its network is {named!r}' if named else 'names no kind of network'}, but planners "
             f"take {' or '.join(_KINDS)}; {remedy}"
         )
     if facts.get("classes") != list(CLASS_NAMES):
-        raise InputError(f"{folder / _CARD}: the network was trained on another list of terrain classes; train it anew")
+        raise InputError(f"{folder / CARD}: the network was trained on another list of terrain classes; train it anew")
     architecture: Any = facts.get("architecture")
     try:
         known = kind.read_architecture(architecture)
         shapes_of_weights(kind.network, known)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
-            f"{folder / _CARD}: architecture {architecture!r} is not one of this network's ({error}); {remedy}"
+            f"{folder / CARD}: architecture {architecture!r} is not one of this network's ({error}); {remedy}"
         ) from None
     return kind, known, facts.get("sha256")
 
@@ -182,7 +183,7 @@ def load_network(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork
         weights = read_weights(path, shapes, read_safetensors(path)[0])
     if digest not in (None, arrays_sha256(weights)):
         raise InputError(
-            f"{path}: the SHA-256 of the weights is not {digest}, as {_CARD} says; "
+            f"{path}: the SHA-256 of the weights is not {digest}, as {CARD} says; "
             "keep the two files of one training together"
         )
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(weights)):

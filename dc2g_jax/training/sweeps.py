@@ -72,6 +72,19 @@ def group_by_shape(runs: Mapping[str, TrainingConfig]) -> list[dict[str, Trainin
     return list(groups.values())
 
 
+def in_turns(runs: Mapping[str, TrainingConfig], at_once: int) -> list[dict[str, TrainingConfig]]:
+    """Runs in the order given, so many at a time.
+
+    Raises:
+      InputError: `at_once` is less than 1.
+    """
+    if at_once < 1:
+        raise InputError(f"--runs-at-once {at_once}: give at least 1")
+    names = list(runs)
+    turns = [names[first : first + at_once] for first in range(0, len(names), at_once)]
+    return [{name: runs[name] for name in turn} for turn in turns]
+
+
 def stacked_hyperparameters(configs: Sequence[TrainingConfig]) -> Hyperparameters:
     """The numbers of all runs of a group, stacked."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *(config.hyperparameters for config in configs))

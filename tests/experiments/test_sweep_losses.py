@@ -3,10 +3,16 @@
 import csv
 import dataclasses
 
+import jax
+import numpy as np
+
+from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.training.cost_to_go import TrainingConfig
 from dc2g_jax.training.loop import Log
-from experiments.sweep_losses import Options, kind_of, write_results
+from dc2g_jax.training.sweeps import group_by_shape, in_turns
+from experiments.sweep_losses import Options, kind_of, network_folder, train_group, write_results
+from tests.support.trainings import DRAW_PAIRS, training_set
 
 
 def test_runs_that_diverged_come_last(tmp_path):
@@ -35,3 +41,25 @@ def test_runs_are_of_a_kind_where_only_the_seed_differs(tmp_path):
     assert kind_of(options, config) == kind_of(options, other_seed) == "l1 + 0.5 log"
     options = Options(out=tmp_path, learning_rates=(1e-3, 2e-3), widths=("4,8,8,8", "4,4,4,4"))
     assert kind_of(options, config) == "l1 + 0.5 log, rate 0.002, widths 4-8-8-8"
+
+
+def test_runs_that_wait_their_turn_end_like_runs_trained_together(tmp_path):
+    data = training_set()
+    pairs = DRAW_PAIRS(jax.random.key(0), data, batch_size=64)
+
+    def weights(out, at_once, turns=slice(None)):
+        options = Options(out=out, losses=("l1",), widths=("4,4,4,4",), steps=3, batch_size=4, seeds=(0, 1, 2))
+        (group,) = group_by_shape(options.runs)
+        for turn in in_turns(group, at_once)[turns]:
+            train_group(options, turn, data, pairs, {})
+        return [load_network(network_folder(out, run)).weights for run in group] if turns == slice(None) else None
+
+    together = weights(tmp_path / "together", 64)
+    in_turn = weights(tmp_path / "in_turn", 2)
+    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-5), together, in_turn)
+    out = tmp_path / "resumed"
+    weights(out, 2, slice(1))
+    for state in out.glob("runs/*/config.json"):  # a turn that is done is not opened again
+        state.write_text("{}")
+    resumed = weights(out, 2)
+    jax.tree.map(np.testing.assert_array_equal, in_turn, resumed)

@@ -22,6 +22,7 @@ from dc2g_jax.training.losses import parse_losses
 from dc2g_jax.training.sweeps import (
     StackedCheckpoints,
     group_by_shape,
+    in_turns,
     init_states,
     runs_of_grid,
     stacked_hyperparameters,
@@ -111,6 +112,15 @@ def test_runs_of_one_shape_go_together():
         assert len({config.recipe for config in group.values()}) == 1
         for name, config in group.items():
             assert {loss: weight for loss, weight in config.losses if weight} == dict(runs[name].losses)
+
+
+def test_more_runs_than_fit_take_turns():
+    runs = grid(seeds=range(5))
+    turns = in_turns(runs, 2)
+    assert [len(turn) for turn in turns] == [2, 2, 1]
+    assert {name: config for turn in turns for name, config in turn.items()} == runs
+    with pytest.raises(InputError, match="--runs-at-once 0"):
+        in_turns(runs, 0)
 
 
 @pytest.fixture(params=["cpu", "gpu"])
