@@ -134,7 +134,7 @@ def train_group(
 
     def validate(states: TrainingState, step: int, losses: Losses | None) -> list[dict[str, Any]]:
         errors = np.asarray(validation_errors(recipe.architecture, jax.tree.map(fetch, states.average), pairs))
-        left_out = np.asarray(steps_left_out(states))
+        left_out = fetch(steps_left_out(states))
         return [
             {
                 "run": run,

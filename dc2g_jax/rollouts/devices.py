@@ -58,6 +58,7 @@ def join_processes(
     if num_processes is not None and process_id is not None and not 0 <= process_id < num_processes:
         raise InputError(f"--process-id {process_id}: give a number from 0 to {num_processes - 1}")
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
+    jax.config.update("jax_enable_preemption_service", False)  # it would catch SIGTERM, and nobody asks it
     try:
         jax.distributed.initialize(coordinator, num_processes, process_id, heartbeat_timeout_seconds=_SECONDS_TO_NOTICE)
     except (RuntimeError, ValueError) as error:
