@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import tyro
 
 from dc2g_jax.cli.common import (
@@ -24,7 +25,8 @@ from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import read_starts
 from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.rollouts.evaluation import Results, Runner
+from dc2g_jax.rollouts.evaluation import Runner, as_text
+from dc2g_jax.rollouts.statistics import summarize
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,9 +70,15 @@ def main(options: Options) -> None:
     # Of the rows, which are read: an annotation or another order of columns changes nothing.
     digest = hashlib.sha256(json.dumps(starts).encode()).hexdigest()
     out = output_folder(options, "run_episodes", inputs={"starts": digest, **digests(dataset, network=network)})
-    results = EpisodeTable(out / "episodes.csv").run(runner, starts, options.planner, network)
+    table = EpisodeTable(out / "episodes.csv")
+    summaries = {}
+    for planner in options.planner:
+        # Two columns of each shard, since all results of long runs would not fit in memory.
+        shards = table.shards(runner, starts, [planner], network)
+        columns = [np.array([(one.extra, one.success) for one in shard]) for shard in shards]
+        summaries[planner] = summarize(*np.concatenate(columns).T)
     print(f"houses of {dataset.name}, settings {options.settings}, episodes of each planner: {len(starts)}")
-    print(Results(results))
+    print(as_text(summaries))
     print(f"Written: {out / 'episodes.csv'}")
 
 

@@ -2,7 +2,7 @@
 
 import functools
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from tqdm import tqdm
@@ -11,6 +11,9 @@ from dc2g_jax.datasets.starts import Start
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.rollouts.evaluation import NO_PLANNERS, EpisodeResult, OwnPlanners, Runner
 from dc2g_jax.rollouts.results import ResumableTable
+
+#: Episodes of a planner that are run and written together, at most: what a kill can lose, and what memory holds.
+EPISODES_A_SHARD = 65_536
 
 
 class EpisodeProgress:
@@ -30,7 +33,7 @@ class EpisodeProgress:
 
 
 class EpisodeTable(ResumableTable[EpisodeResult]):
-    """`episodes.csv`, written anew whenever a planner has run all its episodes.
+    """`episodes.csv`, which grows as episodes end, a shard of a planner's at a time.
 
     Args:
       path: the file.
@@ -51,18 +54,30 @@ class EpisodeTable(ResumableTable[EpisodeResult]):
         *,
         own: OwnPlanners = NO_PLANNERS,
     ) -> list[EpisodeResult]:
-        """What `Runner.run` gives, planner by planner, each kept as soon as it is done.
+        """What `Runner.run` gives, each shard kept as soon as it is done.
 
         Raises:
           InputError: the file holds other episodes; or see there.
         """
-        rules = [runner.rules(start) for start in starts]
-        results: list[EpisodeResult] = []
+        return [result for shard in self.shards(runner, starts, planners, estimator, own=own) for result in shard]
+
+    def shards(
+        self,
+        runner: Runner,
+        starts: Sequence[Start],
+        planners: Sequence[str],
+        estimator: Estimator | None = None,
+        *,
+        own: OwnPlanners = NO_PLANNERS,
+    ) -> Iterator[list[EpisodeResult]]:
+        """The same in parts, for more episodes than fit in memory.
+
+        Raises:
+          InputError: as `run`.
+        """
         for planner in planners:
-            asked = [
-                (*start[:4], own_rules.sensing.radius, own_rules.expanding_range, planner)
-                for start, own_rules in zip(starts, rules, strict=True)
-            ]
-            run = functools.partial(runner.run, starts, [planner], estimator, own=own)
-            results += self.next_results(asked, run)
-        return results
+            for first in range(0, len(starts), EPISODES_A_SHARD):
+                part = starts[first : first + EPISODES_A_SHARD]
+                ranges = [(rules.sensing.radius, rules.expanding_range) for rules in map(runner.rules, part)]
+                asked = [(*start[:4], *both, planner) for start, both in zip(part, ranges, strict=True)]
+                yield self.next_results(asked, functools.partial(runner.run, part, [planner], estimator, own=own))

@@ -14,7 +14,7 @@ from jaxtyping import Bool, UInt8
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.resources import resource
-from dc2g_jax.files.tables import read_table
+from dc2g_jax.files.tables import table_lines
 from dc2g_jax.grid.ground import connected_to_goal, why_no_path
 from dc2g_jax.grid.poses import HEADINGS
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
@@ -168,11 +168,14 @@ def read_starts(path: str | Path, dataset: HouseDataset) -> list[Start]:
     """
     path = Path(path)
     remedy = f"give a CSV file with columns {', '.join(_REQUIRED)}"
-    rows = read_table(path, _REQUIRED, optional=(*_OPTIONAL, "planner"), remedy=remedy)
-    planners = sorted({row["planner"] for _, row in rows})
+    starts, of_planners = [], set()
+    for line, row in table_lines(path, _REQUIRED, optional=(*_OPTIONAL, "planner"), remedy=remedy):
+        of_planners.add(row["planner"])
+        starts.append(_read_start(path, line, row, dataset))
+    planners = sorted(of_planners)
     if len(planners) > 1:
         raise InputError(
             f"{path}: holds episodes of {len(planners)} planners, {', '.join(planners)}, so each start more than once; "
             "leave the lines of one"
         )
-    return [_read_start(path, line, row, dataset) for line, row in rows]
+    return starts

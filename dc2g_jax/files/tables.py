@@ -1,8 +1,7 @@
 """Strict reading of small CSV tables, with one-line errors that name file and line, and atomic writing."""
 
 import csv
-import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from dc2g_jax.errors import InputError
@@ -12,7 +11,18 @@ from dc2g_jax.files.atomic import replacing
 def read_table(
     path: Path, columns: Sequence[str], *, optional: Sequence[str] = (), remedy: str
 ) -> list[tuple[int, dict[str, str]]]:
-    """Read the named columns of a CSV file with a header row.
+    """Read the named columns of a CSV file with a header row; see `table_lines`.
+
+    Returns:
+        Its rows; at least one.
+    """
+    return list(table_lines(path, columns, optional=optional, remedy=remedy))
+
+
+def table_lines(
+    path: Path, columns: Sequence[str], *, optional: Sequence[str] = (), remedy: str
+) -> Iterator[tuple[int, dict[str, str]]]:
+    """Go through the named columns of a CSV file with a header row, whatever its length.
 
     A byte-order mark, CRLF line ends, blank lines, further columns and a missing final line end are accepted.
 
@@ -22,35 +32,41 @@ def read_table(
         optional: optional columns, which may be absent or empty; their values are then empty.
         remedy: end of the message about a missing file: what to do about it.
 
-    Returns:
+    Yields:
         A tuple `(line number, {column: value})` for each row, in file order; at least one.
 
     Raises:
         InputError: the file is missing, unreadable or not UTF-8, lacks a required column or a value in one, has a
             column twice, or has no rows.
     """
-    text = _read_text(path, remedy)
-    reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True)
-    rows = []
     header: list[str] | None = None
+    empty = True
     try:
-        for row in reader:
-            cells = [cell.strip() for cell in row]
-            if not any(cells):
-                continue
-            if header is None:
-                header = cells
-                _check_header(path, header, columns, optional)
-            else:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file, skipinitialspace=True)
+            for row in reader:
+                cells = [cell.strip() for cell in row]
+                if not any(cells):
+                    continue
+                if header is None:
+                    header = cells
+                    _check_header(path, header, columns, optional)
+                    continue
                 values = _pick(path, reader.line_num, header, cells, columns)
                 given = dict(zip(header, cells, strict=False))
-                rows.append((reader.line_num, values | {column: given.get(column, "") for column in optional}))
+                empty = False
+                yield reader.line_num, values | {column: given.get(column, "") for column in optional}
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; {remedy}") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); {remedy}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: {_first_byte_that_is_not_text(path)}; {remedy}") from None
     except csv.Error as error:
         raise InputError(f"{path}: line {reader.line_num} is not CSV ({error}); repair the file") from None
-    if not rows:
+    if empty:
         found = "is empty" if header is None else f"has the header {','.join(header)!r} but no rows"
         raise InputError(f"{path}: {found}; expected a header with {','.join(columns)} and one row an entry")
-    return rows
 
 
 def write_table(path: Path, columns: Sequence[str], rows: Iterable[Iterable[object]]) -> None:
@@ -67,18 +83,13 @@ def write_table(path: Path, columns: Sequence[str], rows: Iterable[Iterable[obje
         writer.writerows(rows)
 
 
-def _read_text(path: Path, remedy: str) -> str:
+def _first_byte_that_is_not_text(path: Path) -> str:
+    data = path.read_bytes()
     try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; {remedy}") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); {remedy}") from None
-    try:
-        return data.decode("utf-8-sig")
+        data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        byte = data[error.start]
-        raise InputError(f"{path}: byte 0x{byte:02x} at offset {error.start} is not UTF-8 text; {remedy}") from None
+        return f"byte 0x{data[error.start]:02x} at offset {error.start} is not UTF-8 text"
+    return "is not UTF-8 text"
 
 
 def _check_header(path: Path, header: list[str], columns: Sequence[str], optional: Sequence[str]) -> None:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Int
 
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset, stack_worlds
 from dc2g_jax.datasets.starts import Start, sample_starts
@@ -93,16 +94,20 @@ class Results(tuple[EpisodeResult, ...]):
         write_rows(Path(path), EpisodeResult, self)
 
     def __str__(self) -> str:
-        """A table: extra steps beyond the oracle and success, a line for each planner."""
-        table = self.summary()
-        width = max(map(len, ("planner", *table)))
-        lines = [f"{'planner':{width}}   extra steps %: mean   median   success %   episodes"]
-        for planner, row in table.items():
-            lines.append(
-                f"{planner:{width}}{row.mean_extra:>22.1f}{row.median_extra:>9.1f}{100 * row.success:>12.1f}"
-                f"{row.episodes:>11,}"
-            )
-        return "\n".join(lines)
+        """See `as_text`."""
+        return as_text(self.summary())
+
+
+def as_text(table: Mapping[str, Summary]) -> str:
+    """A table: extra steps beyond the oracle and success, a line for each planner."""
+    width = max(map(len, ("planner", *table)))
+    lines = [f"{'planner':{width}}   extra steps %: mean   median   success %   episodes"]
+    for planner, row in table.items():
+        lines.append(
+            f"{planner:{width}}{row.mean_extra:>22.1f}{row.median_extra:>9.1f}{100 * row.success:>12.1f}"
+            f"{row.episodes:>11,}"
+        )
+    return "\n".join(lines)
 
 
 def action_letters(trajectories: Trajectories, episode: int) -> str:
@@ -153,7 +158,7 @@ class Runner:
             raise InputError(f"step limit {step_limit}: give at least 1 (--step-limit)")
         self.step_limit = step_limit
         self._progress = progress
-        self._oracles: dict[tuple[Rules, tuple[Start, ...]], Trajectories] = {}
+        self._oracle_steps: dict[tuple[Rules, tuple[Start, ...]], Int[np.ndarray, episodes]] = {}
 
     def rules(self, start: Start) -> Rules:
         """The rules of an episode.
@@ -190,11 +195,19 @@ class Runner:
         )
 
     def _oracle(self, rules: Rules, starts: Sequence[Start]) -> Trajectories:
-        """The oracle's trajectories, run once for each set of starts."""
-        key = rules, tuple(starts)
-        if key not in self._oracles:
-            self._oracles[key] = self.trajectories(Oracle(), rules, starts, "oracle")
-        return self._oracles[key]
+        """The oracle's trajectories, of which the numbers of steps are kept.
+
+        Raises:
+          InputError: not even the oracle reaches a goal from a start within the step limit.
+        """
+        oracle = self.trajectories(Oracle(), rules, starts, "oracle")
+        if not np.all(oracle.success):
+            raise InputError(
+                f"{starts[int(np.argmin(oracle.success))]}: even with the map known no goal is reached within "
+                f"{self.step_limit} actions; give a larger step limit, or start elsewhere"
+            )
+        self._oracle_steps[rules, tuple(starts)] = oracle.steps
+        return oracle
 
     def run(
         self,
@@ -241,20 +254,18 @@ class Runner:
         for numbers in by_ranges.values():
             chosen = [starts[number] for number in numbers]
             rules = self.rules(chosen[0])
-            oracle = self._oracle(rules, chosen)
-            if not np.all(oracle.success):
-                lost = chosen[int(np.argmin(oracle.success))]
-                raise InputError(
-                    f"{lost}: even with the map known no goal is reached within {self.step_limit} actions; give a "
-                    "larger step limit, or start elsewhere"
-                )
+            key = rules, tuple(chosen)
+            needed = "oracle" in names or key not in self._oracle_steps
+            oracle = self._oracle(rules, chosen) if needed else None
             for name in names:
-                done = oracle
-                if name != "oracle":
+                if name == "oracle" and oracle is not None:
+                    done = oracle
+                else:
                     planner = own[name](rules) if name in own else make_planner(name, rules, estimator)
                     done = self.trajectories(planner, rules, chosen, name)
+                oracle_steps = self._oracle_steps[key]
                 for row, number in enumerate(numbers):
-                    results[name, number] = _result(chosen[row], rules, name, done, row, int(oracle.steps[row]))
+                    results[name, number] = _result(chosen[row], rules, name, done, row, int(oracle_steps[row]))
         return [results[name, number] for name in names for number in range(len(starts))]
 
 

@@ -1,13 +1,15 @@
 """Results of a run in a CSV file, kept as soon as they are there: the run can go on where it stopped."""
 
+import csv
 import itertools
-from collections.abc import Callable, Sequence
+import mmap
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import NoneType
 from typing import Any, Generic, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.files.tables import read_table, write_table
+from dc2g_jax.files.tables import table_lines, write_table
 
 #: A NamedTuple of text, numbers, yes and no; a row of the file, its fields the columns. It begins with the fields that
 #: say what it is the result of.
@@ -16,12 +18,20 @@ _Row = TypeVar("_Row", bound=tuple)
 
 def write_rows(path: Path, kind: type[_Row], rows: Sequence[_Row]) -> None:
     """Write rows of one type: yes and no as 1 and 0, `None` as nothing."""
-    cells = [[int(value) if isinstance(value, bool) else value for value in row] for row in rows]
-    write_table(path, [*get_type_hints(kind)], cells)
+    write_table(path, [*get_type_hints(kind)], map(_cells, rows))
+
+
+def _cells(row: tuple[Any, ...]) -> list[Any]:
+    return [int(value) if isinstance(value, bool) else value for value in row]
 
 
 def read_rows(path: Path, kind: type[_Row]) -> list[_Row]:
-    """Read what `write_rows` wrote. Fields with a default, or that may be `None`, may be empty or absent.
+    """All rows of a file; see `rows_of`."""
+    return list(rows_of(path, kind))
+
+
+def rows_of(path: Path, kind: type[_Row]) -> Iterator[_Row]:
+    """Read what `write_rows` wrote, row by row. Fields with a default, or that may be `None`, may be empty or absent.
 
     Raises:
       InputError: for a file that cannot be read, a missing column, or a value that is none; names the line.
@@ -29,16 +39,14 @@ def read_rows(path: Path, kind: type[_Row]) -> list[_Row]:
     types, defaults = get_type_hints(kind), getattr(kind, "_field_defaults", {})
     optional = [name for name, one in types.items() if name in defaults or NoneType in get_args(one)]
     columns = [name for name in types if name not in optional]
-    rows = []
-    for line, cells in read_table(path, columns, optional=optional, remedy="give the table of an earlier run"):
+    for line, cells in table_lines(path, columns, optional=optional, remedy="give the table of an earlier run"):
         try:
             values = {name: _value(types[name], cell) for name, cell in cells.items() if cell}
         except ValueError as error:
             raise InputError(
                 f"{path}: line {line}: {error}; repair the line, or remove the file to run it anew"
             ) from None
-        rows.append(kind(**{**dict.fromkeys(optional), **defaults, **values}))
-    return rows
+        yield kind(**{**dict.fromkeys(optional), **defaults, **values})
 
 
 def _value(kind: Any, text: str) -> Any:
@@ -53,10 +61,10 @@ def _value(kind: Any, text: str) -> Any:
 
 
 class ResumableTable(Generic[_Row]):
-    """A file of results, written anew whenever there are more.
+    """A file of results, to which new ones are added; neither they nor the file are held in memory.
 
     Opened where a run is resumed, it gives back what is there and has the rest made. A run asks in the same order every
-    time.
+    time; a kill may have cut its last results off anywhere.
 
     Args:
       path: the file.
@@ -68,30 +76,55 @@ class ResumableTable(Generic[_Row]):
 
     def __init__(self, path: Path, kind: type[_Row]):
         self._path, self._kind = path, kind
-        self._rows = read_rows(path, kind) if path.exists() else []
-        self._given = 0
+        self._kept: Iterator[_Row] = iter(())
+        if path.exists():
+            _drop_cut_off_line(path)
+            with path.open(encoding="utf-8", errors="replace") as file:
+                as_written_now = file.readline().strip() == ",".join(get_type_hints(kind))
+            if not as_written_now:  # rows are added below
+                write_rows(path, kind, read_rows(path, kind))
+            self._kept = rows_of(path, kind)
 
     def next_results(self, asked: Sequence[tuple[Any, ...]], make: Callable[[], list[_Row]]) -> list[_Row]:
-        """The next rows: from the file, or, where it ends, new ones, which it then holds too.
+        """The next rows: from the file, or, where it ends before the last of them, new ones, which it then holds too.
 
         Args:
           asked: the values that each row begins with.
           make: makes the rows.
 
         Raises:
-          InputError: the file holds other rows.
+          InputError: the file holds other rows, or one that cannot be read.
         """
-        first, after = self._given, self._given + len(asked)
-        if asked and first == len(self._rows):
-            self._rows += make()
-            write_rows(self._path, self._kind, self._rows)
-        rows = self._rows[first:after]
-        for row, values in itertools.zip_longest(rows, asked):
-            found = () if row is None else row[: len(values)]
-            if found != values:
+        rows = list(itertools.islice(self._kept, len(asked)))
+        self._check(rows, asked)
+        if len(rows) < len(asked):
+            made = make()
+            self._check(made, asked)
+            self._add(made[len(rows) :])
+            rows = made
+        return rows
+
+    def _check(self, rows: Sequence[_Row], asked: Sequence[tuple[Any, ...]]) -> None:
+        for row, values in zip(rows, asked, strict=False):
+            if row[: len(values)] != values:
                 raise InputError(
-                    f"{self._path}: has {','.join(map(str, found)) or 'nothing'} where this run has "
+                    f"{self._path}: has {','.join(map(str, row[: len(values)]))} where this run has "
                     f"{','.join(map(str, values))}; remove the file to run it anew"
                 )
-        self._given = after
-        return rows
+
+    def _add(self, rows: Sequence[_Row]) -> None:
+        if self._path.exists():
+            with self._path.open("a", newline="", encoding="utf-8") as file:
+                csv.writer(file, lineterminator="\n").writerows(map(_cells, rows))
+        else:
+            write_rows(self._path, self._kind, rows)
+
+
+def _drop_cut_off_line(path: Path) -> None:
+    """Remove what stands after the last line end."""
+    if size := path.stat().st_size:
+        with path.open("r+b") as file:
+            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+                end = data.rfind(b"\n") + 1
+            if end < size:
+                file.truncate(end)

@@ -37,7 +37,7 @@ class Summary(NamedTuple):
     episodes: int
 
 
-def summarize(extra: Sequence[float], success: Sequence[bool]) -> Summary:
+def summarize(extra: Sequence[float] | np.ndarray, success: Sequence[bool] | np.ndarray) -> Summary:
     """Summary of a non-empty set of episodes, each weighing the same.
 
     Raises:

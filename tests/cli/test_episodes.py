@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from dc2g_jax.cli import episodes
 from dc2g_jax.cli.episodes import EpisodeTable
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import Start
@@ -52,12 +53,14 @@ def test_episodes_are_read_as_they_were_written(results, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "mention"), [(",9,", ",nine,", "line 2: .*'nine'"), ("house,", "home,", "lacks the column 'house'")]
 )
-def test_a_damaged_table_is_refused(results, tmp_path, old, new, mention):
+def test_a_damaged_table_is_refused(dataset, results, tmp_path, old, new, mention):
     path = tmp_path / "episodes.csv"
     write_rows(path, EpisodeResult, results)
     path.write_text(path.read_text().replace(old, new, 1))
+    runner = Interrupted(dataset)
     with pytest.raises(InputError, match=mention):
-        EpisodeTable(path)
+        EpisodeTable(path).run(runner, STARTS, PLANNERS)
+    assert runner.asked == []
 
 
 def test_an_interrupted_run_goes_on_with_the_planner_it_was_at(dataset, results, tmp_path):
@@ -112,9 +115,25 @@ def test_other_episodes_are_refused_and_stay(dataset, results, tmp_path, kept, s
     assert path.read_text() == before
 
 
-def test_episodes_that_end_in_the_middle_of_a_planner_are_refused(dataset, results, tmp_path):
+@pytest.mark.parametrize("lost", [1, 20, 300])
+def test_a_table_that_a_kill_cut_off_ends_like_one_that_was_not(dataset, results, tmp_path, lost, monkeypatch):
+    monkeypatch.setattr(episodes, "EPISODES_A_SHARD", 3)
+    starts, path = [start for _ in range(4) for start in STARTS], tmp_path / "episodes.csv"
+    whole = EpisodeTable(path).run(Interrupted(dataset), starts, PLANNERS)
+    assert whole == Runner(dataset, SETTINGS["reference"]).run(starts, PLANNERS)
+    written = path.read_bytes()
+    path.write_bytes(written[:-lost])
+    runner = Interrupted(dataset)
+    assert EpisodeTable(path).run(runner, starts, PLANNERS) == whole
+    assert path.read_bytes() == written
+    assert 0 < len(runner.asked) < 6
+
+
+def test_a_kill_loses_one_shard_at_most(dataset, results, tmp_path, monkeypatch):
+    monkeypatch.setattr(episodes, "EPISODES_A_SHARD", 1)
     path = tmp_path / "episodes.csv"
-    write_rows(path, EpisodeResult, results[:1])
-    refusal(
-        lambda: EpisodeTable(path).run(Interrupted(dataset), STARTS, ["oracle"]), "has nothing where", "right,9,5,2"
-    )
+    runner = Interrupted(dataset)
+    shards = EpisodeTable(path).shards(runner, STARTS, PLANNERS)
+    assert [next(shards) for _ in range(3)] == [[result] for result in results[:3]]
+    assert read_rows(path, EpisodeResult) == results[:3]
+    assert runner.asked == ["oracle", "oracle", "frontier"]
