@@ -40,7 +40,7 @@ StepLimitOption = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavi
 
 
 def command_line(options: type[_Options], main: Callable[[_Options], None]) -> None:
-    """Run a command: parse its options, and turn bad input and Ctrl-C into one line and an exit status."""
+    """Run a command: parse its options, and turn bad input, lack of memory and Ctrl-C into a line and an exit status."""
     parsed = tyro.cli(options, prog=program(), config=(tyro.conf.FlagCreatePairsOff,))
     try:
         join_processes(parsed.coordinator, parsed.num_processes, parsed.process_id)
@@ -54,9 +54,12 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
         print(f"error: {error}", file=sys.__stderr__, flush=True)
         _leave(2)
     except jax.errors.JaxRuntimeError as error:
+        what = str(error).splitlines()[0]
+        if what.startswith("RESOURCE_EXHAUSTED"):
+            print(f"error: a device is out of memory; {_less_memory(parsed)} ({what})", file=sys.__stderr__, flush=True)
+            _leave(2)
         if not jax.distributed.is_initialized():
             raise
-        what = str(error).splitlines()[0]
         print(
             f"error: process {jax.process_index()} lost the others ({what}); start all again",
             file=sys.__stderr__,
@@ -89,6 +92,12 @@ def _silent_unless_first(parsed: _Options) -> _Options:
             parsed = dataclasses.replace(parsed, **changed)
     multihost_utils.sync_global_devices("copied")
     return parsed
+
+
+def _less_memory(parsed: CommandOptions) -> str:
+    """What to do so that less memory is needed."""
+    options = [f"--{name.replace('_', '-')}" for name in ("runs_at_once", "batch_size") if hasattr(parsed, name)]
+    return f"lower {' or '.join(options)}" if options else "end other programs that use it, or take smaller maps"
 
 
 def _leave(status: int) -> NoReturn:

@@ -4,7 +4,7 @@ import csv
 import functools
 import re
 import zlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -132,12 +132,15 @@ def _whole_number(path: Path, line: int, row: dict[str, str], column: str, low: 
     return number
 
 
-def _read_start(path: Path, line: int, row: dict[str, str], dataset: HouseDataset) -> Start:
+#: A house by name, the reason why no episode can be run in it, and the cells that its front doors can be reached from.
+_LookUp = Callable[[str], tuple[House, str | None, Bool[np.ndarray, "h w"]]]
+
+
+def _read_start(path: Path, line: int, row: dict[str, str], look_up: _LookUp) -> Start:
     try:
-        house = dataset.house(row["house"])
+        house, reason, connected = look_up(row["house"])
     except InputError as error:
         raise InputError(f"{path}: line {line}: {error}") from None
-    reason = why_no_episode(house)
     if reason is not None:
         raise InputError(f"{path}: line {line}: no episode can be run in {house.name}: {reason}; remove the line")
     height, width = house.terrain.shape
@@ -145,7 +148,7 @@ def _read_start(path: Path, line: int, row: dict[str, str], dataset: HouseDatase
     y = _whole_number(path, line, row, "y", 0, height - 1)
     if house.terrain[y, x] == FRONT_DOOR:
         raise InputError(f"{path}: line {line}: ({x}, {y}) in {house.name} is a front door already; start elsewhere")
-    if not connected_to_goal(house.terrain)[y, x]:
+    if not connected[y, x]:
         raise InputError(
             f"{path}: line {line}: no front door of {house.name} can be reached from ({x}, {y}); "
             "start on a traversable cell that is connected to one"
@@ -168,10 +171,16 @@ def read_starts(path: str | Path, dataset: HouseDataset) -> list[Start]:
     """
     path = Path(path)
     remedy = f"give a CSV file with columns {', '.join(_REQUIRED)}"
+
+    @functools.cache  # there may be a million starts in a few houses
+    def look_up(name: str) -> tuple[House, str | None, Bool[np.ndarray, "h w"]]:
+        house = dataset.house(name)
+        return house, why_no_episode(house), connected_to_goal(house.terrain)
+
     starts, of_planners = [], set()
     for line, row in table_lines(path, _REQUIRED, optional=(*_OPTIONAL, "planner"), remedy=remedy):
         of_planners.add(row["planner"])
-        starts.append(_read_start(path, line, row, dataset))
+        starts.append(_read_start(path, line, row, look_up))
     planners = sorted(of_planners)
     if len(planners) > 1:
         raise InputError(

@@ -183,6 +183,27 @@ def test_a_seed_that_is_none_is_refused_by_every_command(seed, monkeypatch, caps
     assert capsys.readouterr().err.startswith(f"error: --seed {seed}: give a number from 0")
 
 
+@pytest.mark.parametrize(
+    ("command", "options", "remedy"),
+    [
+        (sweep_losses, ["--out", "out"], "lower --runs-at-once or --batch-size"),
+        (train, ["--out", "out"], "lower --batch-size"),
+        (reproduce_fig7, [], "end other programs that use it, or take smaller maps"),
+    ],
+)
+def test_lack_of_memory_is_one_line_that_names_the_option_to_lower(command, options, remedy, monkeypatch, capfd):
+    def needs_too_much(parsed):
+        raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes.\nmore\nlines")
+
+    monkeypatch.setattr(sys, "argv", [f"{command.__name__}.py", *options])
+    with pytest.raises(SystemExit) as stopped:
+        command_line(command.Options, needs_too_much)
+    assert stopped.value.code == 2
+    assert capfd.readouterr().err == (
+        f"error: a device is out of memory; {remedy} (RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes.)\n"
+    )
+
+
 def test_commands_refuse_what_they_cannot_use(few_houses, tmp_path):
     """As above, without a process for each."""
     out = tmp_path / "out"
