@@ -40,7 +40,7 @@ StepLimitOption = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavi
 
 
 def command_line(options: type[_Options], main: Callable[[_Options], None]) -> None:
-    """Run a command: parse its options, and turn bad input, lack of memory and Ctrl-C into a line and an exit status."""
+    """Run a command: parse its options, and turn bad input, lack of memory and Ctrl-C into one line and a status."""
     parsed = tyro.cli(options, prog=program(), config=(tyro.conf.FlagCreatePairsOff,))
     try:
         join_processes(parsed.coordinator, parsed.num_processes, parsed.process_id)

@@ -1,0 +1,158 @@
+"""Work on two processes, one of which is killed now and then, ends like work that nobody disturbed."""
+
+import csv
+import hashlib
+import random
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from dc2g_jax.cli import episodes
+from dc2g_jax.datasets.houses import open_dataset
+from dc2g_jax.datasets.starts import sample_starts
+from dc2g_jax.estimation.weights import read_safetensors
+from tests.support import maps
+from tests.support.places import ROOT
+
+pytestmark = pytest.mark.slow
+
+#: Runs of the sweep, and how often a process is killed.
+RUNS, KILLS = 200, 5
+
+#: Seconds within which the other process ends.
+A_MINUTE = 60
+
+
+@pytest.fixture(scope="module")
+def houses(tmp_path_factory) -> Path:
+    """A tiny map of every split."""
+    folder = tmp_path_factory.mktemp("houses")
+    for number, split in enumerate(("train", "val", "test")):
+        (folder / split).mkdir()
+        np.save(folder / split / f"{split}.npy", maps.random_terrain(number, (10, 10), 0.85, doors=2))
+    return folder
+
+
+def started(command: list[object], n_processes: int, resume: bool) -> list[subprocess.Popen]:
+    """The processes of a command, each on one core."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    options = [[]]
+    if n_processes > 1:
+        shared = ["--coordinator", address, "--num-processes", n_processes]
+        options = [[*shared, "--process-id", number] for number in range(n_processes)]
+    words = [[*command, "--devices", 1, *own, *["--resume"] * resume] for own in options]
+    return [
+        subprocess.Popen(
+            [sys.executable, "-c", START, *map(str, one)], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            text=True,
+        )
+        for one in words
+    ]  # fmt: skip
+
+
+#: Runs a command with shards of few episodes.
+START = f"""
+import runpy, sys
+import {episodes.__name__} as episodes
+episodes.EPISODES_A_SHARD = 500
+name, *sys.argv[1:] = sys.argv[1:]
+runpy.run_module(f"experiments.{{name}}", run_name="__main__", alter_sys=True)
+"""
+
+
+def finish(processes: list[subprocess.Popen]) -> None:
+    """Wait until all have ended well."""
+    for process in processes:
+        _, errors = process.communicate(timeout=3000)
+        assert process.returncode == 0, errors
+
+
+def disturbed(command: list[object], out: Path, sign: str, kills: int) -> None:
+    """Run a command on two processes, and kill one of them so often at random before it is left to finish.
+
+    Args:
+      command: the command.
+      out: the folder it writes to.
+      sign: pattern of files there whose number grows; the moment of a kill is drawn from after the first new one.
+      kills: how often.
+    """
+    draw = random.Random(0)
+    for number in range(kills):
+        processes = started(command, 2, (out / "run.json").exists())
+        there, began = len(list(out.glob(sign))), time.monotonic()
+        while len(list(out.glob(sign))) <= there and time.monotonic() < began + 120:
+            if any(process.poll() is not None for process in processes):
+                break
+            time.sleep(0.05)
+        time.sleep(draw.uniform(0, 3))
+        victim = draw.randrange(2)
+        processes[victim].kill()
+        killed = time.monotonic()
+        _, errors = processes[1 - victim].communicate(timeout=A_MINUTE)
+        last = errors.replace("\r", "\n").strip().splitlines()[-1:]
+        print(f"kill {number}: process {victim}; the other ended after {time.monotonic() - killed:.1f} s: {last}")
+        processes[victim].communicate()
+        assert processes[1 - victim].returncode in (0, 1), errors
+        assert processes[1 - victim].returncode == 0 or last[0].startswith("error: process"), errors
+        assert "Traceback" not in errors
+    finish(started(command, 2, (out / "run.json").exists()))
+
+
+def weights_of(out: Path) -> dict[str, dict[str, np.ndarray]]:
+    """The weights of every run of a sweep."""
+    return {path.parts[-3]: read_safetensors(path)[0] for path in out.glob("runs/*/network/weights.safetensors")}
+
+
+def ranking(table: str) -> list[str]:
+    """The runs of a sweep, the best first."""
+    return [row["run"] for row in csv.DictReader(table.splitlines())]
+
+
+def test_a_sweep(houses, tmp_path):
+    def command(out: str) -> list[object]:
+        return [
+            "sweep_losses", "--dataset", houses, "--out", tmp_path / out, "--extra-houses", 0, "--starts-per-house", 1,
+            "--masks-per-episode", 2, "--ranges", 6, "--steps", 4, "--batch-size", 4, "--widths", "2,2,2,2",
+            "--losses", "l1", "l2", "--seeds", *range(RUNS // 2), "--validate-every", 0, "--no-episodes",
+            "--runs-at-once", 20,
+        ]  # fmt: skip
+
+    finish(started(command("whole"), 2, False))
+    disturbed(command("killed"), tmp_path / "killed", "runs/*/network", KILLS)
+    finish(started(command("alone"), 1, False))
+    whole, killed, alone = (weights_of(tmp_path / out) for out in ("whole", "killed", "alone"))
+    assert len(whole) == RUNS
+    jax.tree.map(np.testing.assert_array_equal, whole, killed)
+    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-5), whole, alone)
+    whole_table, killed_table, alone_table = (
+        (tmp_path / out / "results.csv").read_text() for out in ("whole", "killed", "alone")
+    )
+    assert whole_table == killed_table
+    assert ranking(whole_table) == ranking(alone_table)
+
+
+def test_episodes(houses, tmp_path):
+    starts = tmp_path / "starts.csv"
+    lines = [",".join(map(str, start[:4])) for start in sample_starts(open_dataset(houses).houses, 3000, seed=0)]
+    starts.write_text("\n".join(["house,x,y,heading", *lines]))
+
+    def command(out: str) -> list[object]:
+        return [
+            "run_episodes", "--starts", starts, "--dataset", houses, "--out", tmp_path / out, "--planner", "frontier",
+            "oracle", "--step-limit", 100,
+        ]  # fmt: skip
+
+    finish(started(command("whole"), 2, False))
+    disturbed(command("killed"), tmp_path / "killed", "episodes.csv", KILLS)
+    finish(started(command("alone"), 1, False))
+    digests = {
+        hashlib.sha256((tmp_path / out / "episodes.csv").read_bytes()).digest() for out in ("whole", "killed", "alone")
+    }
+    assert len(digests) == 1
