@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Literal
 
+import jax
+
 from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line
 from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.datasets.houses import open_dataset
@@ -14,6 +16,7 @@ from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 
 from .benchmarks import figures, machine, report
+from .benchmarks.accelerator import accelerator_rows
 from .benchmarks.bench import Bench
 from .benchmarks.compiling import program_rows
 from .benchmarks.kernels import kernel_rows, network_rows
@@ -56,10 +59,16 @@ _ABOUT = (
 class Options(CommandOptions):
     """Measure planners, environment, kernels and network, side by side with plain C, Numba, NumPy and libraries.
 
-    Writes `benchmark.json`, `benchmark.md` and `benchmark.png` and prints the table. Programs that are not installed
-    are left out with the reason; `pip install -e ".[benchmark]"` brings them.
+    Writes `benchmark.json`, `benchmark.md` and `benchmark.png` and prints the table; the first two after each row.
+    Programs that are not installed are left out with the reason; `pip install -e ".[benchmark]"` brings them.
 
     Attributes:
+      accelerator: measure what is worth knowing of an accelerator instead, the most important first: the same episodes
+        as on the CPU, planners by batch, Fig. 7, trainings, object goals, programs. Writes `accelerator.json` and
+        `accelerator.md`.
+      minutes: with --accelerator, what does not fit into this time is left out.
+      robots: with --accelerator, most robots side by side.
+      runs: with --accelerator, training runs side by side.
       only: parts to measure; all where not given.
       quick: small cases that show in a minute that everything runs; its figures mean little.
       repeats: how often everything is timed; 5, or 2 with --quick, where not given.
@@ -69,6 +78,10 @@ class Options(CommandOptions):
       out: folder to write to; a new one below outputs/ where not given.
     """
 
+    accelerator: bool = False
+    minutes: float = 9.0
+    robots: int = 262144
+    runs: tuple[int, ...] = (8, 64)
     only: tuple[Section, ...] = ()
     quick: bool = False
     repeats: int | None = None
@@ -78,23 +91,27 @@ class Options(CommandOptions):
     out: OutOption = None
 
 
-def measured(bench: Bench, sections: tuple[Section, ...]) -> list[Row]:
-    """All rows, told as they come."""
-    rows, started = [], time.monotonic()
-    for section in sections:
-        for row in _SECTIONS[section](bench):
-            seconds = time.monotonic() - started
-            print(f"{seconds:5.0f} s  {section}: {report.line_of(row)}", file=sys.stderr, flush=True)
-            rows.append(row)
-    return rows
+def check(options: Options) -> None:
+    """Refuse what cannot be measured.
 
-
-def main(options: Options) -> None:
-    """Measure and write."""
+    Raises:
+      InputError: names the option.
+    """
     if options.repeats is not None and options.repeats < 1:
         raise InputError(f"--repeats {options.repeats}: nothing would be measured; give 1 or more")
     if options.starts_per_house < 1:
         raise InputError(f"--starts-per-house {options.starts_per_house}: there would be no episode; give 1 or more")
+    if options.minutes <= 0 or min(options.robots, *options.runs, 8) < 1:
+        raise InputError(f"--minutes {options.minutes:g} --robots {options.robots}, --runs: give positive numbers")
+    if options.accelerator and not options.quick and jax.default_backend() == "cpu":
+        raise InputError("--accelerator: JAX finds none; install the extra `cuda`, or give --quick to see that it runs")
+    if options.accelerator and options.only:
+        raise InputError("--only: chooses parts of the other benchmark; leave out one of --only and --accelerator")
+
+
+def main(options: Options) -> None:
+    """Measure and write."""
+    check(options)
     started = time.monotonic()
     dataset = open_dataset(options.dataset)
     repeats = options.repeats or (2 if options.quick else 5)
@@ -121,7 +138,12 @@ def main(options: Options) -> None:
         quick=options.quick,
         peaks={resource: peak.rate for resource, peak in peaks.items()},
     )
-    rows = measured(bench, options.only or tuple(_SECTIONS))
+    if options.accelerator:
+        until = started + 60 * options.minutes
+        found = accelerator_rows(bench, dataset, robots=options.robots, runs=options.runs, until=until)
+    else:
+        found = (row for section in options.only or _SECTIONS for row in _SECTIONS[section](bench))
+    name = "accelerator" if options.accelerator else "benchmark"
     facts = {
         "machine": description,
         "about": _ABOUT,
@@ -130,10 +152,15 @@ def main(options: Options) -> None:
         "episodes": len(workload.starts),
         "repeats": repeats,
         "quick": options.quick,
-        "seconds": round(time.monotonic() - started, 1),
     }
-    written = report.write(out, facts, peaks, rows)
-    written += figures.plot(out / "benchmark", facts, rows)
+    rows: list[Row] = []
+    for row in found:
+        facts["seconds"] = round(time.monotonic() - started, 1)
+        print(f"{facts['seconds']:5.0f} s  {row.section}: {report.line_of(row)}", file=sys.stderr, flush=True)
+        rows.append(row)
+        written = report.write(out, name, facts, peaks, rows)
+    if not options.accelerator:
+        written += figures.plot(out / "benchmark", facts, rows)
     print(report.text(rows))
     print(f"Written: {', '.join(str(path) for path in written)}")
 

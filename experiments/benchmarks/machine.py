@@ -44,6 +44,14 @@ def _vector_instructions() -> str:
     return next((name for name in ("avx512f", "avx2", "asimd", "sse2") if name in flags), "unknown")
 
 
+def _driver() -> str:
+    """The accelerator's driver as the system names it, or the runtime that JAX runs it with."""
+    try:
+        return Path("/proc/driver/nvidia/version").read_text().splitlines()[0].split(":", 1)[1].strip()
+    except (OSError, IndexError):
+        return " ".join(str(jax.devices()[0].client.platform_version).split())
+
+
 def describe() -> dict[str, Any]:
     """What the figures were measured on."""
     device = jax.devices()[0]
@@ -55,6 +63,7 @@ def describe() -> dict[str, Any]:
         "load": round(load(), 2),
         "memory_gib": round(memory / 2**30, 1),
         "accelerators": [each.device_kind for each in jax.devices() if each.platform != "cpu"],
+        "driver": _driver(),
         "platform": device.platform,
         "system": f"{platform.system()} {platform.release()}",
         **versions(),

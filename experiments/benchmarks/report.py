@@ -22,6 +22,10 @@ SECTIONS = {
     "batch": "By batch",
     "grid": "By size of the map",
     "range": "By sensing range",
+    "golden": "The same episodes as on the CPU",
+    "fig7": "Fig. 7",
+    "translator": "Steps of the paper's translator",
+    "searches": "Searches for objects indoors",
 }
 _COLUMNS = ("what", "by", "cores", "batch", "cells", "range", "a second", "worst", "median", "share", "more")
 
@@ -103,15 +107,17 @@ def peak_lines(peaks: Mapping[str, Peak]) -> list[str]:
     ]
 
 
-def write(folder: Path, facts: Mapping[str, Any], peaks: Mapping[str, Peak], rows: Sequence[Row]) -> list[Path]:
-    """Write `benchmark.json` and `benchmark.md`."""
+def write(
+    folder: Path, name: str, facts: Mapping[str, Any], peaks: Mapping[str, Peak], rows: Sequence[Row]
+) -> list[Path]:
+    """Write `NAME.json` and `NAME.md`."""
     told = {resource: dataclasses.asdict(peak) for resource, peak in peaks.items()}
     data = {**facts, "peaks": told, "rows": [dataclasses.asdict(row) for row in rows]}
-    write_json(folder / "benchmark.json", data)
+    write_json(folder / f"{name}.json", data)
     machine = [f"- {name}: {value}" for name, value in facts["machine"].items()]
     lines = ["# Benchmark", "", *machine, *(f"- {line}" for line in peak_lines(peaks)), ""]
     lines += [facts["about"], ""]
     for section, own in _by_section(rows).items():
         lines += [f"## {SECTIONS[section]}", "", *_markdown(_table(own)), ""]
-    (folder / "benchmark.md").write_text("\n".join(lines))
-    return [folder / "benchmark.json", folder / "benchmark.md"]
+    (folder / f"{name}.md").write_text("\n".join(lines))
+    return [folder / f"{name}.json", folder / f"{name}.md"]

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import jax
 
@@ -41,13 +41,19 @@ def _slots(bench: Bench, row: Row, batch: int) -> Row:
     return own_episodes(bench, row, bench.workload, "frontier", slots=batch)[0]
 
 
+def planner_batches(bench: Bench, planners: Sequence[str], batches: Sequence[int]) -> Iterator[Row]:
+    """Planner steps of larger and larger batches of robots in the middle of their episodes."""
+    case = {"cells": bench.workload.cells, "sensing_range": SENSING_RANGE}
+    for planner in planners:
+        row = own("batch", f"{planner}, in the middle of episodes", PLANNER_UNIT, **case)
+        yield from growing(batches, row, functools.partial(_planner_steps, bench, planner))
+
+
 def batch_rows(bench: Bench) -> Iterator[Row]:
     """Batches from one to very many: robots, environments, maps."""
     batches = (4,) if bench.quick else tuple(4**power for power in range(9))
     case = {"cells": bench.workload.cells, "sensing_range": SENSING_RANGE}
-    for planner in ("frontier",) if bench.quick else ("oracle", "frontier", "dc2g"):
-        row = own("batch", f"{planner}, in the middle of episodes", PLANNER_UNIT, **case)
-        yield from growing(batches, row, functools.partial(_planner_steps, bench, planner))
+    yield from planner_batches(bench, ("frontier",) if bench.quick else ("oracle", "frontier", "dc2g"), batches)
     if not bench.quick:
         row = own("batch", "frontier, whole episodes by slots", PLANNER_UNIT, **case)
         yield from growing([size for size in batches if size <= 256], row, functools.partial(_slots, bench))

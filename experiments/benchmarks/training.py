@@ -1,7 +1,7 @@
 """Training: runs of a sweep together, and the same runs one after another."""
 
-from collections.abc import Callable, Iterator
-from typing import Any
+import functools
+from collections.abc import Callable, Collection, Iterator
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.grid import bitboard
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import mesh_of, replicate
-from dc2g_jax.training.cost_to_go import TrainingConfig, first_state, train_step
+from dc2g_jax.training.cost_to_go import Hyperparameters, TrainingConfig, TrainingState, first_state, train_step
 from dc2g_jax.training.cost_to_go_data import DataConfig
 from dc2g_jax.training.sweeps import (
     init_states,
@@ -41,36 +41,40 @@ def _data(bench: Bench) -> TrainingSet:
     )
 
 
-def training_rows(bench: Bench) -> Iterator[Row]:
-    """Runs an hour of a sweep over losses, seeds and learning rates, every way, with the same batches."""
-    data, n_runs = replicate(_data(bench), mesh_of()), 2 if bench.quick else 6
-    batch = 4 if bench.quick else TrainingConfig.batch_size
+def training_rows(
+    bench: Bench, n_runs: int | None = None, ways: Collection[str] = ("together", "one after another"), steps: int = 1
+) -> Iterator[Row]:
+    """Runs an hour of a sweep over losses, seeds and learning rates, every way, with the same batches.
+
+    Args:
+      bench: what to measure with.
+      n_runs: how many runs; a few where `None`.
+      ways: how they are trained.
+      steps: optimizer steps of each run in a call. An accelerator is given the next step before one has ended.
+    """
+    n_runs = n_runs or (2 if bench.quick else 6)
+    data, batch = replicate(_data(bench), mesh_of()), 4 if bench.quick else TrainingConfig.batch_size
     configs = [
         TrainingConfig(batch_size=batch, seed=number, losses=(("quantile", 1.0), ("l1", float(number % 2))))
         for number in range(n_runs)
     ]
-    recipe, hyperparameters = configs[0].recipe, stacked_hyperparameters(configs)
     draw = DataConfig(extra_houses=0).draw_batch
-    # Each call goes on where the last one stopped: states are used up.
-    stack = init_states(recipe, hyperparameters)
-    alone = [first_state(config) for config in configs]
+    step = functools.partial(train_step, data=data, recipe=configs[0].recipe, draw_batch=draw)
 
-    def together() -> jax.Array:
-        nonlocal stack
-        stack, losses = train_step(stack, hyperparameters, data, recipe=recipe, draw_batch=draw)
-        return losses
+    def trained(states: list[TrainingState], numbers: list[Hyperparameters]) -> list[jax.Array]:
+        # Each call goes on where the last one stopped: states are used up.
+        for _ in range(steps):
+            taken = [step(state, of_run) for state, of_run in zip(states, numbers, strict=True)]
+            states[:] = [state for state, _ in taken]
+        return [loss for _, loss in taken]
 
-    def one_after_another() -> list[jax.Array]:
-        losses = []
-        for number, config in enumerate(configs):
-            alone[number], loss = train_step(
-                alone[number], config.hyperparameters, data, recipe=recipe, draw_batch=draw
-            )
-            losses.append(loss)
-        return losses
-
-    ways: dict[str, Callable[[], Any]] = {"together": together, "one after another": one_after_another}
-    for what, call in ways.items():
-        row = own("training", f"{n_runs} runs {what}", "runs/h", batch=batch, cells=bench.workload.cells)
-        measured = bench.measure(call)
-        yield row.with_figures(measured, 3600 * n_runs / _STEPS_A_RUN, checksum=None)
+    stacked = stacked_hyperparameters(configs)
+    begun: dict[str, Callable[[], tuple[list[TrainingState], list[Hyperparameters]]]] = {
+        "together": lambda: ([init_states(configs[0].recipe, stacked)], [stacked]),
+        "one after another": lambda: ([first_state(each) for each in configs], [c.hyperparameters for c in configs]),
+    }
+    for way in ways:
+        row = own("training", f"{n_runs} runs {way}", "runs/h", batch=batch, cells=bench.workload.cells)
+        measured = bench.measure(functools.partial(trained, *begun[way]()))
+        facts = {"steps of a run/s": steps / measured.timing.median}
+        yield row.with_figures(measured, 3600 * n_runs * steps / _STEPS_A_RUN, checksum=None, facts=facts)

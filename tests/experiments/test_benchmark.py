@@ -3,7 +3,9 @@
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import get_args
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +13,12 @@ import numpy as np
 import pytest
 
 from dc2g_jax.datasets.houses import procedural_dataset
+from dc2g_jax.errors import InputError
+from experiments import benchmark
 from experiments.baselines.problem import BaselineUnavailable
+from experiments.benchmark import Section
+from experiments.benchmarks import accelerator
+from experiments.benchmarks.bench import own
 from experiments.benchmarks.machine import peaks
 from experiments.benchmarks.programs import TooLarge, compile_program
 from experiments.benchmarks.report import SECTIONS
@@ -67,13 +74,63 @@ def test_quick_benchmark_of_everything(tmp_path):
     result = run("--quick", "--repeats", 1, "--dataset", "procedural", "--out", tmp_path / "out")
     assert result.returncode == 0, result.stderr
     rows = facts_of(tmp_path / "out")["rows"]
-    assert {row["section"] for row in rows} == set(SECTIONS)
+    assert {row["section"] for row in rows} == set(get_args(Section))
     of_planners = {(row["what"], row["by"]) for row in rows if row["section"] == "planners"}
     assert {("oracle", "NumPy"), ("frontier", "C"), ("frontier", "Numba"), ("dc2g", "dc2g_jax")} <= of_planners
     table = (tmp_path / "out" / "benchmark.md").read_text()
-    assert all(f"## {heading}" in table for heading in SECTIONS.values())
+    assert all(f"## {SECTIONS[section]}" in table for section in get_args(Section))
     assert (tmp_path / "out" / "benchmark.png").stat().st_size > 10_000
     assert "Whole episodes" in result.stdout
+
+
+@pytest.mark.slow
+def test_what_is_measured_of_an_accelerator_runs_on_a_cpu(tmp_path):
+    options = ("--accelerator", "--quick", "--repeats", 1, "--dataset", "procedural")
+    result = run(*options, "--out", tmp_path / "out")
+    assert result.returncode == 0, result.stderr
+    facts = json.loads((tmp_path / "out" / "accelerator.json").read_text())
+    assert not any(row["missing"] for row in facts["rows"])
+    sections = list(dict.fromkeys(row["section"] for row in facts["rows"]))
+    assert sections == ["golden", "batch", "fig7", "training", "translator", "searches", "programs"]
+    assert facts["rows"][0]["facts"]["same actions"] == 1.0
+    table = (tmp_path / "out" / "accelerator.md").read_text()
+    assert all(f"## {SECTIONS[section]}" in table for section in sections)
+
+
+def test_without_an_accelerator_one_line_says_so(tmp_path):
+    with pytest.raises(InputError, match=r"--accelerator: JAX finds none.*--quick"):
+        benchmark.main(benchmark.Options(accelerator=True, out=tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+
+
+def test_failures_and_lack_of_time_or_memory_are_rows(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(accelerator.time, "monotonic", lambda: now[0])
+
+    def rows(*taken: float, fails: str = "") -> Iterator[Row]:
+        for number, seconds in enumerate(taken):
+            now[0] += seconds
+            yield own("batch", str(number), "maps", rate=1.0)
+        if fails:
+            raise RuntimeError(fails)
+
+    parts = (
+        accelerator._Part("batch", 10, "--robots", lambda: rows(5, fails="RESOURCE_EXHAUSTED: Out of memory")),
+        accelerator._Part("fig7", 10, "", lambda: rows(fails="it broke")),
+        accelerator._Part("training", 90, "", lambda: rows(1)),
+        accelerator._Part("searches", 10, "", lambda: rows(60, 60, 60)),
+    )
+    found = [(row.section, row.what, row.missing) for row in accelerator._in_time(parts, until=90.0)]
+    rest = "all that is left of it"
+    assert found == [
+        ("batch", "0", None),
+        ("batch", rest, "failed: RuntimeError: RESOURCE_EXHAUSTED: Out of memory; lower --robots"),
+        ("fig7", rest, "failed: RuntimeError: it broke"),
+        ("training", rest, "left out: 85 s are left; give more --minutes"),
+        ("batch", "0", None),
+        ("batch", "1", None),
+        ("searches", rest, "left out: 0 s are left; give more --minutes"),
+    ]
 
 
 @pytest.mark.parametrize("option", ["--repeats", "--starts-per-house"])

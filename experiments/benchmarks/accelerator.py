@@ -1,0 +1,213 @@
+"""What is worth knowing of an accelerator, in the few minutes that one may be lent for, the most important first."""
+
+import dataclasses
+import functools
+import hashlib
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from dc2g_jax.cli.searches import agent_with, open_costs
+from dc2g_jax.cli.translation import TranslationOptions
+from dc2g_jax.datasets.houses import HouseDataset
+from dc2g_jax.datasets.starts import Start, published_episodes, sample_starts
+from dc2g_jax.objectnav.agent import Agent
+from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
+from dc2g_jax.objectnav.mapping import IndoorMapSettings
+from dc2g_jax.objectnav.searches import TIME_LIMIT, sample_episodes, search_all
+from dc2g_jax.planning.named import PLANNERS
+from dc2g_jax.planning.rules import SETTINGS
+from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax.rollouts.rollout import rollout
+from dc2g_jax.training.cost_to_go import TrainingConfig
+from dc2g_jax.training.image_data import image_set
+from dc2g_jax.training.image_pairs import draw_image_pairs
+from dc2g_jax.training.translator import init_translator, translator_step
+
+from .bench import SENSING_RANGE, Bench, own
+from .compiling import program_rows
+from .planners import PLANNER_UNIT, own_episodes
+from .rows import Row, attempt, growing
+from .sweeps import planner_batches
+from .timing import Measured, measure
+from .training import training_rows
+from .workload import Workload
+
+#: Numbers of robots side by side below the most, and optimizer steps in a call.
+_BATCHES, _STEPS = (64, 1024, 8192, 65536), 20
+
+
+class _Part(NamedTuple):
+    """A part of what is measured.
+
+    Attributes:
+      section: where its rows stand in the report.
+      seconds: it is left out where fewer are left; the compiler's are most of them.
+      lower: the option to lower where memory does not suffice; '' for none.
+      rows: measures.
+    """
+
+    section: str
+    seconds: int
+    lower: str
+    rows: Callable[[], Iterator[Row]]
+
+
+def _up_to(most: int, sizes: Sequence[int]) -> list[int]:
+    return [*(size for size in sizes if size < most), most]
+
+
+def _once(call: Callable[[], Any]) -> Measured:
+    """Time a long call: as few repeats as show it with everything compiled."""
+    return measure(call, repeats=1, shortest_repeat=0.0)
+
+
+def _compared(bench: Bench, row: Row, workload: Workload, planner: str, reach: int) -> Row:
+    """Whole episodes here and on the CPU.
+
+    SHA-256 of all actions is compared, 52 bits of it are the checksum. Networks round differently on other machines, so
+    for `dc2g` it is the share of equal episodes that counts.
+    """
+    row, actions = own_episodes(bench, row, workload, planner, sensing_range=reach)
+    on_cpu = rollout(
+        bench.planner(planner, reach),
+        workload.worlds,
+        workload.episodes,
+        sensing=bench.rules(reach).sensing,
+        devices=jax.devices("cpu"),
+    ).actions
+    here, there = (hashlib.sha256(each.tobytes()).hexdigest() for each in (actions, on_cpu))
+    equal = {"equal episodes": float(np.mean(np.all(actions == on_cpu, axis=1)))}
+    agreement = equal if planner == "dc2g" else {"same actions": float(here == there)}
+    return dataclasses.replace(row, checksum=int(here[:13], 16), facts=row.facts | agreement)
+
+
+def _golden(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
+    """Episodes on the CPU too: sampled ones, and the published ones where the houses are the published."""
+    cases = {"": (bench.workload, SENSING_RANGE)}
+    if dataset.source == "published" and not bench.quick:
+        starts = tuple(episode.start for episode in published_episodes())
+        houses = tuple(dataset.house(name) for name in dict.fromkeys(start.house for start in starts))
+        cases[", published starts"] = (Workload(dataset.name, houses, starts), 5)
+    for what, (workload, reach) in cases.items():
+        for planner in ("frontier",) if bench.quick else ("oracle", "frontier", "dc2g"):
+            row = own("golden", planner + what, PLANNER_UNIT, cells=workload.cells, sensing_range=reach)
+            yield attempt(row, functools.partial(_compared, bench, row, workload, planner, reach))
+
+
+def _steps_of_all(row: Row, run: Callable[[], Sequence[EpisodeResult]]) -> Row:
+    measured = _once(lambda: np.array([result.steps for result in run()]))
+    return row.with_figures(measured, float(len(measured.output)))
+
+
+def _fig7(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
+    """All episodes of Fig. 7 with all its planners, from the starts to the results; nothing is drawn or written."""
+    cases = {"paper": sample_starts(dataset.split("test")[: 2 if bench.quick else None], 10, seed=0)}
+    if dataset.source == "published" and not bench.quick:
+        cases = {"published": [episode.start for episode in published_episodes()]} | cases
+    planners = ("oracle",) if bench.quick else PLANNERS
+    for settings, starts in cases.items():
+        row = own("fig7", f"{settings}: {len(starts)} episodes x {len(planners)} planners", "episodes")
+
+        def run(settings: str = settings, starts: Sequence[Start] = starts) -> list[EpisodeResult]:
+            # A runner keeps what the oracle did, so each call has a new one.
+            return Runner(dataset, SETTINGS[settings]).run(starts, planners, bench.network)
+
+        yield attempt(row, functools.partial(_steps_of_all, row, run))
+
+
+def _training(bench: Bench, runs: Sequence[int]) -> Iterator[Row]:
+    """One run is the default training."""
+    for count in runs:
+        way = "together" if count > 1 else "one after another"
+        (row,) = training_rows(bench, count, [way], steps=2 if bench.quick else _STEPS)
+        whole = TrainingConfig.steps / row.facts["steps of a run/s"]
+        yield dataclasses.replace(row, facts=row.facts | {f"{TrainingConfig.steps} steps, s, extrapolated": whole})
+
+
+def _translator(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
+    """Steps of the translator with the paper's loss."""
+    options = TranslationOptions(size=32, base_filters=4) if bench.quick else TranslationOptions()
+    config, steps = options.config("l1+gan"), 2 if bench.quick else _STEPS
+    data = image_set(dataset, "train", size=options.size, masks=options.masks, per_house=1)
+    draw = functools.partial(
+        draw_image_pairs, batch_size=config.batch_size, whole_share=options.whole_share, augment=options.augment
+    )
+    state = init_translator(config, seed=0)
+
+    def train() -> jax.Array:
+        nonlocal state
+        for _ in range(steps):
+            state, loss = translator_step(state, data, config=config, draw_batch=draw)
+        return loss
+
+    measured = bench.measure(train)
+    whole = options.steps * measured.timing.median / steps
+    row = own("translator", f"{options.base_filters} filters", "steps", batch=config.batch_size, cells=options.size)
+    yield row.with_figures(measured, steps, checksum=None, facts={f"{options.steps} steps, s, extrapolated": whole})
+
+
+def _searched(bench: Bench, agent: Agent, houses: Sequence[IndoorHouse], row: Row, batch: int) -> Row:
+    episodes = sample_episodes(houses, batch // len(houses))
+    limit = 5 if bench.quick else TIME_LIMIT
+    found = _once(lambda: search_all(agent, houses, episodes, limit=limit))
+    facts = {"searches/s": len(episodes) / found.timing.median}
+    return row.with_figures(found, float(np.sum(found.output.steps)), facts=facts, checksum=None)
+
+
+def _searches(bench: Bench, robots: int) -> Iterator[Row]:
+    """Searches for objects in procedural houses, by how many at once."""
+    houses = indoor_houses(split="val", count=1 if bench.quick else 8, cell_size=IndoorMapSettings.cell_size)
+    batches = (1,) if bench.quick else _up_to(min(robots, 4096), (320,))
+    for name in ("frontier",) if bench.quick else ("frontier", "promising"):
+        searched = functools.partial(_searched, bench, agent_with(name, open_costs(None)), houses)
+        yield from growing(batches, own("searches", name, "control periods"), searched)
+
+
+def accelerator_rows(
+    bench: Bench, dataset: HouseDataset, *, robots: int, runs: Sequence[int], until: float
+) -> Iterator[Row]:
+    """Rows as they come. What fails, or no longer fits into the time, is a row that says so.
+
+    Args:
+      bench: what to measure with.
+      dataset: the houses.
+      robots: most robots side by side.
+      runs: sizes of the sweeps of training runs; the default training is measured before them.
+      until: when to stop, as `time.monotonic` has it.
+    """
+    batches = (4,) if bench.quick else _up_to(robots, _BATCHES)
+    planners = ("frontier",) if bench.quick else ("frontier", "oracle", "dc2g")
+    sweeps = [2] if bench.quick else runs
+    parts = [
+        _Part("golden", 60, "--starts-per-house", lambda: _golden(bench, dataset)),
+        _Part("batch", 90, "--robots", lambda: planner_batches(bench, planners, batches)),
+        _Part("fig7", 60, "", lambda: _fig7(bench, dataset)),
+        _Part("training", 30, "", lambda: _training(bench, [1])),
+        _Part("translator", 40, "", lambda: _translator(bench, dataset)),
+        _Part("training", 60, "--runs", lambda: _training(bench, sweeps)),
+        _Part("searches", 90, "--robots", lambda: _searches(bench, robots)),
+        _Part("programs", 90, "", lambda: program_rows(bench)),
+    ]
+    if bench.quick:
+        parts = [part._replace(seconds=0) for part in parts]
+    return _in_time(parts, until)
+
+
+def _in_time(parts: Sequence[_Part], until: float) -> Iterator[Row]:
+    for part in parts:
+        whole, rows = own(part.section, "all that is left of it", ""), part.rows()
+        left, wanted = until - time.monotonic(), part.seconds
+        while left > wanted:
+            row = attempt(whole, functools.partial(next, rows, None))
+            if row is None:
+                break
+            if part.lower and "memory" in (row.missing or ""):
+                row = dataclasses.replace(row, missing=f"{row.missing}; lower {part.lower}")
+            yield row
+            left, wanted = until - time.monotonic(), 0
+        else:
+            yield dataclasses.replace(whole, missing=f"left out: {max(left, 0):.0f} s are left; give more --minutes")
