@@ -26,6 +26,7 @@ from dc2g_jax.grid.poses import Pose, PoseSet, every_heading
 from dc2g_jax.grid.terrain import OUTSIDE
 from dc2g_jax.grid.world import World
 from dc2g_jax.planning import frontiers
+from dc2g_jax.planning.nearby import Nearby, nearby
 from dc2g_jax.planning.rules import Rules
 from dc2g_jax.planning.selection import ENDLESS, ExpectedCost, Patience, Selection
 
@@ -206,10 +207,23 @@ class Frontier(AssessingPlanner):
 
     def assess(self, belief: Belief, state: Board) -> tuple[Assessment, Board]:
         """Head for the nearest frontier-expanding pose, or for the goal once it is reachable."""
-        reachable = reachable_cells(belief, state)
-        candidates = self.rules.frontier_expanding(belief, reachable)
-        plan = _explore_or_finish(belief, reachable, candidates, self.rules)
-        return Assessment(plan, reachable, candidates), reachable
+        near = nearby(belief, state, self.rules)
+
+        def by_the_whole_map() -> tuple[Assessment, Board]:
+            reachable = reachable_cells(belief, state)
+            candidates = self.rules.frontier_expanding(belief, reachable)
+            plan = _explore_or_finish(belief, reachable, candidates, self.rules)
+            return Assessment(plan, reachable, candidates), reachable
+
+        def by_what_is_near(near: Nearby) -> tuple[Assessment, Board]:
+            candidates = self.rules.frontier_expanding(belief, near.reachable)
+            mode = jnp.full_like(near.first.length, EXPLORE)
+            plan = Plan(action=near.first.action, mode=mode, length=near.first.length, subgoals=candidates)
+            return Assessment(plan, near.reachable, candidates), near.reachable
+
+        if near is None:
+            return by_the_whole_map()
+        return jax.lax.cond(near.certain, lambda: by_what_is_near(near), by_the_whole_map)
 
     def revised(self, state: Board, changed: Board) -> Board:
         """None of it: ground can be lost."""

@@ -24,12 +24,15 @@ class Rules:
       frontier_expanding: `(belief, reachable) ->` poses worth exploring from.
       goal_poses: `(belief, reachable goal cells, reachable) ->` poses to head for once a goal is reachable.
       expanding_range: range of the kernel in `frontier_expanding` in cells, where there is one.
+      reach: cells farther away than this, in x or y, do not matter to whether a pose is worth exploring from, except
+        for what is reachable; `None` where all may.
     """
 
     sensing: Kernel
     frontier_expanding: Callable[[Belief, Board], PoseSet]
     goal_poses: Callable[[Belief, Board, Board], PoseSet]
     expanding_range: int | None = None
+    reach: int | None = None
 
 
 def nearest_goal(belief: Belief, goals: Board, reachable: Board) -> PoseSet:
@@ -64,6 +67,7 @@ def complete_rules(sensing_range: int, view: Callable[[int], Kernel] = field_of_
         sensing=sensing,
         frontier_expanding=functools.partial(frontiers.complete, sensing=sensing),
         goal_poses=nearest_goal,
+        reach=sensing.radius + 2,
     )
 
 
@@ -82,6 +86,7 @@ def reference_rules(sensing_range: int, expanding_range: int | None = None) -> R
         frontier_expanding=functools.partial(frontiers.reference, expanding=expanding),
         goal_poses=first_goal,
         expanding_range=expanding_range,
+        reach=expanding.radius + 1,
     )
 
 
