@@ -1,11 +1,12 @@
-"""Look at a map of your own before planning on it: `python -m experiments.check_map my.png --palette palette.csv`."""
+"""Check a map of your own before planning on it: `python -m experiments.check_map my.png --palette palette.csv`."""
 
 import dataclasses
 
 import numpy as np
 
-from dc2g_jax.cli.common import OutOption, command_line
+from dc2g_jax.cli.common import command_line
 from dc2g_jax.cli.map_options import MapOptions, doubts_about, terrain_of
+from dc2g_jax.cli.options import OutOptions
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.maps import require_path_to_goal
 from dc2g_jax.estimation.estimators import world_cost_to_go
@@ -14,23 +15,17 @@ from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE, UNKNOWN
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.inspection.map_figures import plot_map
 
-#: Pieces of a map whose places a line names.
+#: Number of pieces of ground that a line names.
 _NAMED_PIECES = 5
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(MapOptions):
-    """Show what a planner would see of a map: classes, ground, goals and cost-to-go, as text and as a figure.
-
-    Attributes:
-      out: folder to write to; a new one below outputs/ where not given.
-    """
-
-    out: OutOption = None
+class Options(MapOptions, OutOptions):
+    """Show what a planner would see of a map: classes, ground, goals and cost-to-go, as text and as a figure."""
 
 
 def places(found: list[Piece]) -> str:
-    """How many cells each piece has and the column and row of its middle, the largest first."""
+    """Number of cells of each piece, with the column and row of its middle, the largest first."""
     named = [
         f"{piece.cells:,} {'at' if piece.cells == 1 else 'around'} ({piece.x}, {piece.y})"
         for piece in found[:_NAMED_PIECES]
@@ -40,7 +35,7 @@ def places(found: list[Piece]) -> str:
 
 
 def report(terrain: np.ndarray, cost_to_go: np.ndarray) -> list[str]:
-    """The facts of a map, a line each."""
+    """Facts about a map, one per line."""
     lines = []
     cells = np.bincount(terrain.ravel(), minlength=len(CLASS_NAMES))
     for index in np.argsort(-cells, kind="stable")[: np.count_nonzero(cells)]:
@@ -58,7 +53,7 @@ def report(terrain: np.ndarray, cost_to_go: np.ndarray) -> list[str]:
 
 
 def warnings(terrain: np.ndarray) -> list[str]:
-    """What a planner can live with but is probably not meant, a line each."""
+    """Things that planners accept but that are probably mistakes, one per line."""
     lines = []
     if islands := pieces(TRAVERSABLE[terrain] & ~connected_to_goal(terrain)):
         lines.append(f"traversable cells that lead to no goal: {places(islands)}")
@@ -68,7 +63,7 @@ def warnings(terrain: np.ndarray) -> list[str]:
 
 
 def main(options: Options) -> None:
-    """Read, report, draw; a map of no use is drawn as well, and then refused."""
+    """Read, report and draw the map. A map without a path to a goal is drawn too, then rejected."""
     terrain = terrain_of(options)
     out = output_folder(options, "check_map")
     cost_to_go = np.asarray(world_cost_to_go(world_from_terrain(terrain)))

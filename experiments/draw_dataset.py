@@ -6,30 +6,27 @@ from typing import Literal
 
 from tqdm import tqdm
 
-from dc2g_jax.cli.common import DatasetOption, OutOption, command_line
-from dc2g_jax.cli.outputs import CommandOptions, output_folder
+from dc2g_jax.cli.common import command_line
+from dc2g_jax.cli.options import DatasetOptions, OutOptions
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.inspection.contact_sheets import contact_pages, plot_contact_page
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(CommandOptions):
-    """Draw contact sheets of a dataset: every house as a small map with its name, by group; pages as PNG and SVG.
+class Options(DatasetOptions, OutOptions):
+    """Draw contact sheets of a dataset: every house as a small map with its name, by group. Pages are PNG and SVG.
 
     Attributes:
-      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
-      splits: which houses.
-      out: folder to write to; a new one below outputs/ where not given.
+      splits: splits to draw.
     """
 
-    dataset: DatasetOption = None
     splits: tuple[Literal["train", "val", "test"], ...] = ("train", "val", "test")
-    out: OutOption = None
 
 
 def main(options: Options) -> None:
-    """Draw page by page."""
+    """Draw all pages."""
     dataset = open_dataset(options.dataset)
     houses = [house for house in dataset.houses if house.split in options.splits]
     if not houses:

@@ -1,4 +1,4 @@
-"""Figures of episodes that have been run: `python -m experiments.draw_episodes outputs/RUN/episodes.csv`."""
+"""Draw figures of earlier episodes: `python -m experiments.draw_episodes outputs/RUN/episodes.csv`."""
 
 import dataclasses
 import sys
@@ -8,8 +8,9 @@ from typing import Annotated
 import tyro
 from tqdm import tqdm
 
-from dc2g_jax.cli.common import DatasetOption, OutOption, PlannersOption, command_line
-from dc2g_jax.cli.outputs import CommandOptions, output_folder
+from dc2g_jax.cli.common import PlannersOption, command_line
+from dc2g_jax.cli.options import DatasetOptions, OutOptions
+from dc2g_jax.cli.outputs import output_folder, print_files
 from dc2g_jax.datasets.houses import group_of, open_dataset
 from dc2g_jax.datasets.starts import published_episodes
 from dc2g_jax.errors import InputError
@@ -20,33 +21,29 @@ from dc2g_jax.rollouts.results import read_rows
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(CommandOptions):
-    """Draw episodes from an `episodes.csv`: extra steps house by house, and the ways of planners on the map.
+class Options(DatasetOptions, OutOptions):
+    """Draw episodes from an `episodes.csv`: extra steps by house, and the paths of planners on the map.
 
-    Episodes of other sensing ranges have a figure of their own.
+    Each sensing range has its own figure. `--dataset` must be the dataset of that run.
 
     Attributes:
       episodes: the `episodes.csv` of an earlier run.
-      planner: planners to draw, as that run names them.
-      house: draw the ways in this house, a figure a start; several can be named.
-      dataset: the dataset of that run; where not given, DC2G_DATA, the cache, or a download.
-      out: folder to write to; a new one below outputs/ where not given.
+      planner: planners to draw, by their names in that run.
+      house: houses to draw paths in, one figure per start.
     """
 
     episodes: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CSV")]
     planner: PlannersOption = ("frontier", "dc2g")
     house: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...", help_behavior_hint="")] = ()
-    dataset: DatasetOption = None
-    out: OutOption = None
 
 
 def ranges_of(result: EpisodeResult) -> str:
-    """The ranges of an episode, as they stand in the names of figures."""
+    """The sensing ranges of an episode, as part of a file name."""
     return f"-r{result.range}" + (f"-e{result.expanding_range}" if result.expanding_range else "")
 
 
 def main(options: Options) -> None:
-    """Read, draw."""
+    """Read the episodes and draw them."""
     dataset = open_dataset(options.dataset)
     results = [result for result in read_rows(options.episodes, EpisodeResult) if result.planner in options.planner]
     if not results:
@@ -55,7 +52,7 @@ def main(options: Options) -> None:
     if not compared and not options.house:
         raise InputError(
             f"{options.episodes}: extra steps are counted from the oracle's; give another --planner as well, or a "
-            "--house to draw the oracle's ways in"
+            "--house to draw the oracle's paths in"
         )
     published = {one.start.house: one.group for one in published_episodes()} if dataset.source == "published" else {}
     group_by_house = {
@@ -78,7 +75,7 @@ def main(options: Options) -> None:
             by_start.setdefault(name, {})[one.planner] = one
     for name, own in tqdm(by_start.items(), desc="drawing", unit="figure", file=sys.stderr):
         plot_trajectories(out / name, dataset.house(next(iter(own.values())).house), own)
-    print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+    print_files(out)
 
 
 if __name__ == "__main__":

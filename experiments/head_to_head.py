@@ -1,6 +1,6 @@
-"""The authors' network against our planner, episode by episode: `python -m experiments.head_to_head`.
+"""Compare the authors' network with our planner, episode by episode: `python -m experiments.head_to_head`.
 
-Both run the 400 published episodes: same houses, same starts, same sensing; the authors' step counts are their own.
+Both run the 400 published episodes with the same houses, starts and sensing. The authors published their step counts.
 """
 
 import dataclasses
@@ -9,18 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dc2g_jax.cli.common import (
-    DatasetOption,
-    NetworkOption,
-    OutOption,
-    PlannerOption,
-    check_planners,
-    command_line,
-    digests,
-    network_for,
-)
+from dc2g_jax.cli.common import PlannerOption, check_planners, command_line, digests, network_for
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
-from dc2g_jax.cli.outputs import CommandOptions, output_folder
+from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, require_positive
+from dc2g_jax.cli.outputs import output_folder, print_files
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import PublishedEpisode, published_episodes
 from dc2g_jax.errors import InputError
@@ -38,26 +30,20 @@ GROUPS = ("train", "same_neighborhood", "new_neighborhood", "urban", "all")
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(CommandOptions):
+class Options(DatasetOptions, NetworkOptions, OutOptions, ResumeOptions):
     """Run DC2G from the 400 published starts and compare it with the authors' own runs, episode by episode.
 
+    `--dataset` must hold the published houses.
+
     Attributes:
-      planner: planner to compare in the place of DC2G; one of your own as package.module:Class.
-      dataset: folder of the published houses; where not given, DC2G_DATA, the cache, or a download.
-      network: folder of a trained network; the shipped one where not given.
-      resamples: draws of houses for the bootstrap intervals.
-      seed: of the draws.
-      out: folder to write to; a new one below outputs/ where not given.
-      resume: go on with the run in `out`, begun with the same options, where it stopped.
+      planner: planner to compare instead of DC2G; package.module:Class for one of your own.
+      resamples: bootstrap samples of the houses, for the intervals.
+      seed: seed of the bootstrap.
     """
 
     planner: PlannerOption = "dc2g"
-    dataset: DatasetOption = None
-    network: NetworkOption = None
     resamples: int = 10_000
     seed: int = 0
-    out: OutOption = None
-    resume: bool = False
 
 
 class EpisodePair(NamedTuple):
@@ -170,7 +156,7 @@ def compare(pairs: Sequence[EpisodePair], *, resamples: int, seed: int) -> dict[
 
 
 def print_comparison(tables: dict[str, dict[str, Any]]) -> None:
-    """The tables side by side, a column a group."""
+    """Print the comparisons, one column per group."""
     rows = (
         ("episodes", "{episodes}"),
         ("mean extra steps, ours %", "{mean_extra:.1f}"),
@@ -192,9 +178,8 @@ def print_comparison(tables: dict[str, dict[str, Any]]) -> None:
 
 
 def main(options: Options) -> None:
-    """Run, compare, write."""
-    if options.resamples < 1:
-        raise InputError(f"--resamples {options.resamples}: give at least 1")
+    """Run the episodes, compare them, write the tables."""
+    require_positive(options, "resamples")
     dataset = open_dataset(options.dataset)
     if dataset.source != "published":
         raise InputError(
@@ -228,7 +213,7 @@ def main(options: Options) -> None:
         out / "head_to_head",
         {group: [(pair.authors_extra, pair.extra) for pair in groups[group]] for group in GROUPS[:-1]},
     )
-    print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+    print_files(out)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""How long a robot waits for a decision: `python -m experiments.latency`; on one core, `taskset -c 0` before it.
+"""Time the decisions of the online planner: `python -m experiments.latency`; for one core, put `taskset -c 0` first.
 
-Robots explore houses that no result is reported on, as `dc2g_jax.planning.online.OnlinePlanner` leads them; every call
-of its `plan` is timed.
+`dc2g_jax.planning.online.OnlinePlanner` leads robots through houses that no result is reported on. Each call of its
+`plan` is timed.
 """
 
 import dataclasses
@@ -16,16 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax.cli.common import (
-    DatasetOption,
-    NetworkOption,
-    OutOption,
-    PlannerOption,
-    check_planners,
-    command_line,
-    network_for,
-)
-from dc2g_jax.cli.outputs import CommandOptions, output_folder
+from dc2g_jax.cli.common import PlannerOption, check_planners, command_line, network_for
+from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, require_positive
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
@@ -42,18 +35,15 @@ from .benchmarks.workload import Workload, make_workload, resized
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(CommandOptions):
-    """Time the planner's decisions, one call at a time, on a robot's way through whole episodes.
+class Options(DatasetOptions, NetworkOptions, OutOptions):
+    """Time the planner's decisions, one call at a time, in whole episodes.
 
     Attributes:
-      cells: sides of the maps, in cells.
-      calls: decisions to time on each.
-      repeats: how many times, the same decisions each time.
-      planner: `frontier`, `dc2g` or `dc2g_uncertain`; one of your own as package.module:Class.
-      sensing_range: reach of the field of view, in cells.
-      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
-      network: folder of a trained network; the shipped one where not given.
-      out: folder to write to; a new one below outputs/ where not given.
+      cells: side lengths of the maps, in cells.
+      calls: decisions to time on each map size.
+      repeats: number of repeats, with the same decisions.
+      planner: `frontier`, `dc2g` or `dc2g_uncertain`; package.module:Class for one of your own.
+      sensing_range: range of the field of view, in cells.
     """
 
     cells: tuple[int, ...] = (50, 100)
@@ -61,21 +51,18 @@ class Options(CommandOptions):
     repeats: int = 3
     planner: PlannerOption = "dc2g"
     sensing_range: int = 8
-    dataset: DatasetOption = None
-    network: NetworkOption = None
-    out: OutOption = None
 
 
 class LatencyRow(NamedTuple):
-    """One repeat; times in milliseconds.
+    """One repeat. Times are in milliseconds.
 
     Attributes:
-      cells: side of the map.
-      calls: decisions timed, the first among them.
-      first: the first call.
-      p50: half of the calls took less.
-      p99: all but one in a hundred took less.
-      worst: the slowest.
+      cells: side length of the map.
+      calls: timed decisions, including the first.
+      first: time of the first call.
+      p50: median.
+      p99: 99th percentile.
+      worst: time of the slowest call.
     """
 
     cells: int
@@ -87,7 +74,7 @@ class LatencyRow(NamedTuple):
 
 
 def waits(planner: OnlinePlanner, workload: Workload, sensing_range: int) -> Iterator[float]:
-    """Seconds of one decision after the other, in one episode after the other."""
+    """Yield the duration of each decision in seconds, episode after episode."""
     sensing = field_of_view(sensing_range)
     reset = jit(functools.partial(gridworld.reset, sensing=sensing))
     step = jit(functools.partial(gridworld.step, sensing=sensing))
@@ -107,9 +94,7 @@ def waits(planner: OnlinePlanner, workload: Workload, sensing_range: int) -> Ite
 
 def main(options: Options) -> None:
     """Time the decisions, print a table and write `latency.json`."""
-    for name in ("calls", "repeats", "sensing_range"):
-        if getattr(options, name) < 1:
-            raise InputError(f"--{name.replace('_', '-')} {getattr(options, name)}: give 1 or more")
+    require_positive(options, "calls", "repeats", "sensing_range")
     if min(options.cells, default=0) < 1:
         raise InputError(f"--cells {' '.join(map(str, options.cells))}: give one side at least, each of 1 or more")
     houses = make_workload(open_dataset(options.dataset), per_house=1)
@@ -125,7 +110,7 @@ def main(options: Options) -> None:
         planner = OnlinePlanner(
             options.planner, network=network, sensing_range=options.sensing_range, largest=(cells, cells)
         )
-        # Else Python's collector looks through all that JAX has made, for a tenth of a second, during some call.
+        # Otherwise, garbage collection would scan all of JAX's objects during some call, for a tenth of a second.
         gc.collect()
         gc.freeze()
         for _ in range(options.repeats):

@@ -1,4 +1,4 @@
-"""From a recorded camera to a map: `python -m experiments.map_recording --sequence FOLDER`."""
+"""Map a recorded sequence of depth images: `python -m experiments.map_recording --sequence FOLDER`."""
 
 import dataclasses
 import math
@@ -13,9 +13,10 @@ import tyro
 from jaxtyping import Array
 from tqdm import tqdm
 
-from dc2g_jax.cli.common import DatasetOption, OutOption, command_line
+from dc2g_jax.cli.common import command_line
 from dc2g_jax.cli.map_options import StartOption, start_in
-from dc2g_jax.cli.outputs import CommandOptions, output_folder
+from dc2g_jax.cli.options import DatasetOptions, OutOptions
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import House, open_dataset
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
@@ -41,38 +42,35 @@ SequenceOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_beh
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(CommandOptions):
-    """Map a recorded sequence of depth images with classes, frame by frame: the map, a figure and a rerun recording.
+class Options(DatasetOptions, OutOptions):
+    """Map a recorded sequence of depth and class images: writes the map, a figure and a rerun recording.
 
     Attributes:
-      sequence: folder of the sequence, laid out as by the TUM RGB-D benchmark, with class images (classes.txt) and
-        intrinsics (camera.txt) besides; `dc2g_jax.mapping.sequences` says how.
-      simulate: make the sequence instead, by driving a simulated camera along the shortest way in this house.
-      dataset: where the house is, a folder or `procedural`; where not given, DC2G_DATA, the cache, or a download.
-      start: where the simulated drive starts: column, row (growing downward) and heading (0 right, 1 down, 2 left,
-        3 up); sampled where not given.
-      seed: of the sampled start.
+      sequence: folder of the sequence, in the layout of the TUM RGB-D benchmark, with class images (classes.txt) and
+        intrinsics (camera.txt); see `dc2g_jax.mapping.sequences`.
+      simulate: simulate the sequence instead, with a camera that drives along the shortest path in this house of the
+        dataset.
+      start: start of the simulated drive: column, row (growing downward) and heading (0 right, 1 down, 2 left, 3 up);
+        sampled by default.
+      seed: seed of the sampled start.
       image_size: width and height of the simulated images, pixels.
-      cell_size: side of the map's cells, meters.
-      reach: returns from farther away are skipped, meters from the camera.
-      ground: height of the ground in the world of the sequence, meters.
-      out: folder to write to; a new one below outputs/ where not given.
+      cell_size: side length of the map's cells, meters.
+      reach: longest depth that is used, meters.
+      ground: height of the ground in the frame of the sequence, meters.
     """
 
     sequence: SequenceOption = None
     simulate: HouseOption = None
-    dataset: DatasetOption = None
     start: StartOption = None
     seed: int = 0
     image_size: ImageSizeOption = (160, 120)
     cell_size: float = CELL_SIZE
     reach: float = 10.0
     ground: float = 0.0
-    out: OutOption = None
 
 
-def way_to_goal(house: House, start: Start) -> list[Pose]:
-    """The poses of a shortest way from a start to the nearest goal, one a step. There is one."""
+def path_to_goal(house: House, start: Start) -> list[Pose]:
+    """The poses of a shortest path from a start to the nearest goal, one per step. A path must exist."""
     world = world_from_terrain(house.terrain)
 
     @jit
@@ -80,14 +78,14 @@ def way_to_goal(house: House, start: Start) -> list[Pose]:
         action = first_action(pose, every_heading(world.goals), world.traversable).action
         return moved(pose, action, *house.terrain.shape)
 
-    way = [make_pose(start.x, start.y, start.heading)]
-    while house.terrain[way[-1].y, way[-1].x] != FRONT_DOOR:
-        way.append(step(way[-1]))
-    return way
+    path = [make_pose(start.x, start.y, start.heading)]
+    while house.terrain[path[-1].y, path[-1].x] != FRONT_DOOR:
+        path.append(step(path[-1]))
+    return path
 
 
 def simulate(options: Options, house: House, start: Start, folder: Path) -> None:
-    """Write what a simulated camera sees along the shortest way of a house."""
+    """Write the sequence of a simulated camera on the shortest path in a house."""
     width, height = options.image_size
     camera = intrinsics(FIELD_OF_VIEW, height, width)
     scene = scene_from_terrain(house.terrain, options.cell_size)
@@ -98,7 +96,7 @@ def simulate(options: Options, house: House, start: Start, folder: Path) -> None
         return render(scene, camera, pose), picture(scene, camera, pose)
 
     def shots() -> Iterator[Shot]:
-        for pose in tqdm(way_to_goal(house, start), desc="driving", unit="frame", file=sys.stderr):
+        for pose in tqdm(path_to_goal(house, start), desc="driving", unit="frame", file=sys.stderr):
             frame, colors = jax.device_get(look(pose))
             yield Shot(frame, colors)
 
@@ -106,10 +104,13 @@ def simulate(options: Options, house: House, start: Start, folder: Path) -> None
 
 
 def map_sequence(sequence: ImageSequence, settings: MapSettings, out: Path, name: str) -> tuple[np.ndarray, int]:
-    """Take in all frames, and record it.
+    """Integrate and record all frames.
 
     Returns:
-      The map as seen from above, and how many frames were left out because something is wrong with them.
+      The map seen from above, and the number of invalid frames that were skipped.
+
+    Raises:
+      InputError: all frames are invalid.
     """
     take = jit(integrate, static_argnums=3)
     read = jit(terrain_map, static_argnums=1)
@@ -134,7 +135,11 @@ def map_sequence(sequence: ImageSequence, settings: MapSettings, out: Path, name
 
 
 def check_options(options: Options) -> None:
-    """Refuse options that make no map, before anything is written."""
+    """Check the options before anything is written.
+
+    Raises:
+      InputError: they are invalid.
+    """
     if (options.sequence is None) == (options.simulate is None):
         raise InputError("give either --sequence with the folder of a sequence, or --simulate with a house")
     for option, value in (("--cell-size", options.cell_size), ("--reach", options.reach)):
@@ -147,7 +152,7 @@ def check_options(options: Options) -> None:
 
 
 def main(options: Options) -> None:
-    """Make or read the sequence, map it, draw and write the map."""
+    """Simulate or read the sequence, map it, draw and write the map."""
     check_options(options)
     house = None
     if options.sequence is not None:

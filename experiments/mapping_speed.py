@@ -1,6 +1,6 @@
-"""How many depth images a second go into semantic maps: `python -m experiments.mapping_speed`.
+"""Time the integration of depth images into semantic maps: `python -m experiments.mapping_speed`.
 
-Each robot looks, from the middle of its map, at ground and at a wall 7 m ahead, with noise of 1 % of the depth.
+Each robot stands in the middle of its map and sees ground and a wall 7 m ahead, with 1 % depth noise.
 """
 
 import dataclasses
@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
-from dc2g_jax.cli.common import OutOption, command_line
-from dc2g_jax.cli.outputs import CommandOptions, output_folder
-from dc2g_jax.errors import InputError
+from dc2g_jax.cli.common import command_line
+from dc2g_jax.cli.options import OutOptions, require_positive
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.grid.terrain import HOUSE, ROAD
 from dc2g_jax.mapping.camera import Frame, Intrinsics, intrinsics, level_camera, rays
@@ -24,7 +24,7 @@ from .benchmarks.timing import measure
 
 
 class Case(NamedTuple):
-    """Robots that each have a camera of their own and a map of 50 x 50 m."""
+    """Robots with one camera and one map of 50 x 50 m each."""
 
     robots: int
     image: tuple[int, int]
@@ -33,35 +33,33 @@ class Case(NamedTuple):
 
 CASES = (Case(1, (480, 640), 50), Case(1, (480, 640), 200), Case(1, (120, 160), 50), Case(256, (48, 64), 50))
 
-#: Side of every map, meters; height of the cameras and how far ahead of them the wall is.
+#: Side length of the maps, height of the cameras and distance to the wall, meters.
 _SIDE, _CAMERA_HEIGHT, _WALL = 50.0, 1.0, 7.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(CommandOptions):
-    """Time how depth images with classes are taken into voxel maps, and how the 2D maps are read off.
+class Options(OutOptions):
+    """Time the integration of depth and class images into voxel maps, and the projection to 2D maps.
 
     Attributes:
-      repeats: how many times to measure each case.
-      out: folder to write to; a new one below outputs/ where not given.
+      repeats: measurements of each case.
     """
 
     repeats: int = 15
-    out: OutOption = None
 
 
 class MappingRow(NamedTuple):
-    """One case; times in milliseconds for all its robots together.
+    """One case. Times are in milliseconds for all robots together.
 
     Attributes:
-      robots: how many.
+      robots: number of robots.
       image: rows and columns of each camera's image.
-      cells: sides of each map.
-      integrate: one frame for each robot, median.
-      worst: the slowest repeat.
-      frames_a_second: of all robots together, by the median.
-      terrain: reading off all 2D maps, median.
-      gib: most memory held, by the process or on the device.
+      cells: side length of each map.
+      integrate: median time of one frame per robot.
+      worst: time of the slowest repeat.
+      frames_a_second: frames of all robots per second, from the median.
+      terrain: median time to project all 2D maps.
+      gib: peak memory of the process or the device, GiB.
     """
 
     robots: int
@@ -75,7 +73,7 @@ class MappingRow(NamedTuple):
 
 
 def look(robot: Int[Array, ""], camera: Intrinsics) -> Frame:
-    """What a robot's camera delivers; each robot looks another way."""
+    """The frame of a robot's camera. Each robot has its own direction."""
     pose = level_camera(_SIDE / 2, -_SIDE / 2, _CAMERA_HEIGHT, 0.3 * robot, 0.2)
     descent = -rays(camera, pose)[..., 2]
     ground = jnp.where(descent > 0, _CAMERA_HEIGHT / descent, jnp.inf)
@@ -108,8 +106,7 @@ def run(case: Case, repeats: int) -> MappingRow:
 
 def main(options: Options) -> None:
     """Measure all cases, print a table and write `mapping_speed.json`."""
-    if options.repeats < 1:
-        raise InputError(f"repeats is {options.repeats}; give 1 or more")
+    require_positive(options, "repeats")
     out = output_folder(options, "mapping_speed")
     machine = describe()
     print(f"{machine['cpu']}, {machine['cores']} cores, {machine['platform']}, load {machine['load']}; times in ms")

@@ -1,4 +1,4 @@
-"""The whole loop from camera to door, with more and more noise: `python -m experiments.noisy_mapping`."""
+"""Drive from camera to door with increasing noise: `python -m experiments.noisy_mapping`."""
 
 import dataclasses
 import functools
@@ -8,9 +8,10 @@ from typing import Literal
 
 import numpy as np
 
-from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line, digests
+from dc2g_jax.cli.common import NetworkOption, command_line, digests
 from dc2g_jax.cli.driving import DriveResult, DrivingOptions, drive, equipment
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
+from dc2g_jax.cli.options import DatasetOptions, OutOptions, ResumeOptions
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import sample_starts
@@ -28,41 +29,35 @@ from dc2g_jax.vehicles.drive import ARRIVED, STATUS_NAMES, Equipment
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DrivingOptions):
+class Options(DrivingOptions, DatasetOptions, OutOptions, ResumeOptions):
     """Drive vehicles with cameras to front doors (section IV-D), with noise on depth, classes, pixels and pose.
 
-    Extra time is measured against a vehicle that knows the map, and put beside the extra steps of a gridworld robot
+    Extra time is relative to a vehicle that knows the map. It is compared with the extra steps of a gridworld robot
     from the same starts, with and without occlusion.
 
     Attributes:
-      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
-      split: houses to drive in: choose on validation houses (`val`), report on `test`.
+      split: houses to drive in: `val` to make choices, `test` to report results.
       starts_per_house: sampled starts in each house.
-      levels: noise levels: 0 is none, 1 as much as the paper's maps may have had.
-      network: folder of a network that was trained on clean maps; the shipped one where not given.
-      noisy_network: folder of a network that was trained with mapping noise; the shipped one where not given.
-      seed: of starts, noise and pedestrians.
-      out: folder to write to; a new one below outputs/ where not given.
-      resume: go on with the run in `out`, begun with the same options, where it stopped.
+      levels: noise levels; 0 is no noise, 1 the presumed noise of the paper's maps.
+      network: folder of a network trained on clean maps; the shipped one by default.
+      noisy_network: folder of a network trained with mapping noise; the shipped one by default.
+      seed: seed of starts, noise and pedestrians.
     """
 
-    dataset: DatasetOption = None
     split: Literal["train", "val", "test"] = "test"
     starts_per_house: int = 3
     levels: tuple[float, ...] = (0.0, 0.5, 1.0, 2.0)
     network: NetworkOption = None
     noisy_network: NetworkOption = None
     seed: int = 0
-    out: OutOption = None
-    resume: bool = False
 
 
 def summary(drives: Sequence[DriveResult], oracle: Sequence[DriveResult]) -> dict[str, float]:
-    """Figures of a run.
+    """Statistics of a run.
 
     Args:
-      drives: of the run.
-      oracle: from the same starts, with the map known.
+      drives: drives of the run.
+      oracle: drives from the same starts with a known map.
     """
     extra = [100 * (one.seconds / knowing.seconds - 1) for one, knowing in zip(drives, oracle, strict=True)]
     low, high = house_bootstrap(extra, [one.house for one in drives], resamples=2000, seed=0)
@@ -77,7 +72,7 @@ def summary(drives: Sequence[DriveResult], oracle: Sequence[DriveResult]) -> dic
     }
 
 
-def tell(results: Mapping[str, Mapping[str, float]]) -> None:
+def print_table(results: Mapping[str, Mapping[str, float]]) -> None:
     """Print the table."""
     columns = ("extra", "median_extra", "success", "seconds_off_ground", "seconds_touching_people")
     heads = ("extra time %", "median %", "success %", "s off ground", "s touching")
@@ -88,7 +83,7 @@ def tell(results: Mapping[str, Mapping[str, float]]) -> None:
 
 
 def main(options: Options) -> None:
-    """Drive in the gridworld, then on wheels, level by level."""
+    """Run the gridworld episodes, then drive at each noise level."""
     if not options.levels or not all(0 <= level < math.inf for level in options.levels):
         raise InputError(f"--levels {' '.join(map(str, options.levels))}: give one at least, all of them from 0 on")
     dataset = open_dataset(options.dataset)
@@ -121,7 +116,7 @@ def main(options: Options) -> None:
             drives = run(f"{trained}_{level:g}", equipment("dc2g", network, size, level, options))
             results[f"trained {trained}, noise {level:g}"] = summary(drives, oracle)
     write_json(out / "results.json", results)
-    tell(results)
+    print_table(results)
     files = plot_noise(out / "noisy_mapping", options.levels, results, f"{len(starts)} starts in {dataset.name}")
     print(f"Written to {out}: {', '.join(str(path.name) for path in files)}, results.json, drives/")
 

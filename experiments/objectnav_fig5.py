@@ -1,12 +1,11 @@
-"""A search for an object: Fig. 5 of the paper on dense cost maps, `python -m experiments.objectnav_fig5`.
+"""Draw a search for an object, as in Fig. 5 of the paper on dense cost maps: `python -m experiments.objectnav_fig5`.
 
-At a few moments: the house, the robot's own map of it, and the costs that its controller drives by, with the plans that
-it samples.
+For several moments, the figure shows the house, the robot's map, and the costs and sampled plans of its controller.
 """
 
 import dataclasses
 import sys
-from typing import Annotated, Literal
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -15,15 +14,15 @@ import tyro
 from jaxtyping import Array, Bool, Float
 from tqdm import tqdm
 
-from dc2g_jax.cli.common import NetworkOption, OutOption, command_line
-from dc2g_jax.cli.outputs import CommandOptions, output_folder
-from dc2g_jax.cli.searches import AGENT_TITLES, AgentName, agent_with, costs_for
+from dc2g_jax.cli.common import command_line
+from dc2g_jax.cli.options import NetworkOptions, require_positive
+from dc2g_jax.cli.outputs import output_folder, print_files
+from dc2g_jax.cli.searches import AGENT_TITLES, AgentName, SearchOptions, agent_with, costs_for
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.inspection.search_figures import SearchMoment, plot_search
 from dc2g_jax.objectnav.agent import (
-    CONTROLLER,
     DECLARED,
     MPC,
     Agent,
@@ -40,43 +39,29 @@ from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax.objectnav.evaluation import results_of
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
-from dc2g_jax.objectnav.searches import TIME_LIMIT, Search, Searches, sample_episodes
+from dc2g_jax.objectnav.searches import Search, Searches, sample_episodes
 from dc2g_jax.objectnav.starts import sample_starts
 from dc2g_jax.programs import jit
 
-#: Moments that the figure shows.
+#: Number of moments in the figure.
 _COLUMNS = 5
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Options(CommandOptions):
-    """Search a house for an object, and draw how the search went.
+class Options(SearchOptions, NetworkOptions):
+    """Search a house for an object and draw the search.
+
+    Networks come from experiments.objectnav_train.
 
     Attributes:
-      houses: folder of ProcTHOR houses (`train`, `val` and `test`.jsonl.gz, `asset_boxes.json`), or `procedural` for
-        the procedural floor plans.
-      split: `test`, or `val` while anything is still being chosen.
-      house: name of the house, such as `val-3`; the first one of the split where not given.
-      target: class of the object: bed, chair, sink, plant or couch; drawn among those of the house where not given.
-      agent: who searches, see experiments.objectnav_table1.
-      network: folder of the network, as experiments.objectnav_train writes it; the one that comes with the package
-        where not given.
-      samples: copies of the plan that the controller drives at each step.
-      limit: steps of 0.1 s after which the search ends without success.
-      seed: of start, target and the robot's noise.
-      out: folder to write to; a new one below outputs/ where not given.
+      house: name of the house, such as `val-3`; the first one of the split by default.
+      target: class of the object: bed, chair, sink, plant or couch; by default a random class in the house.
+      agent: the agent that searches; see experiments.objectnav_table1.
     """
 
-    houses: Annotated[str, tyro.conf.arg(metavar="FOLDER")] = PROCEDURAL
-    split: Literal["val", "test"] = "test"
     house: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     target: Annotated[str | None, tyro.conf.arg(metavar="CLASS", help_behavior_hint="")] = None
     agent: AgentName = "promising"
-    network: NetworkOption = None
-    samples: int = CONTROLLER.samples
-    limit: int = TIME_LIMIT
-    seed: int = 0
-    out: OutOption = None
 
 
 def house_of(options: Options) -> IndoorHouse:
@@ -93,7 +78,7 @@ def house_of(options: Options) -> IndoorHouse:
                 f"--house {options.house}: the procedural houses of the split {options.split} are called "
                 f"{options.split}-0, {options.split}-1 and so on; give one of these, or another --split"
             )
-        count = int(number) + 1  # there is no end of them
+        count = int(number) + 1  # procedural houses are unlimited
     houses = indoor_houses(options.houses, options.split, count=count, cell_size=IndoorMapSettings.cell_size)
     for house in houses:
         if options.house in (None, house.name):
@@ -105,10 +90,10 @@ def house_of(options: Options) -> IndoorHouse:
 
 
 def episode_in(house: IndoorHouse, options: Options) -> Search:
-    """The search to be made.
+    """The search to run.
 
     Raises:
-      InputError: the target is no class of goals, or the house has none that can be searched for.
+      InputError: the target is not a goal class, or the house has no reachable object of this class.
     """
     if options.target is None:
         return sample_episodes([house], 1, seed=options.seed)[0]
@@ -124,10 +109,10 @@ def episode_in(house: IndoorHouse, options: Options) -> Search:
 
 
 def search(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> tuple[list[IndoorRobot], IndoorRobot]:
-    """Search to the end.
+    """Run a search to the end.
 
     Returns:
-      The robot at the beginning of each leg, when it has looked and decided and is about to act; and at the end.
+      The robot at the beginning of each leg, after it decided and before it acts; and the robot at the end.
     """
     first_part, second_part, begun = jit(look_and_decide), jit(act_on), []
     with tqdm(total=len(robot.track) - 1, desc="searching", unit="step", file=sys.stderr) as progress:
@@ -139,13 +124,13 @@ def search(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> tuple[list[Ind
 
 
 def chosen(to_goal: Bool[np.ndarray, " leg"], count: int) -> list[int]:
-    """Moments for the figure, by leg: evenly over the search, its last leg among them.
+    """Legs to show in the figure: spread evenly over the search, including the last.
 
-    A goal reacher that takes over only after the last but one is shown there from where it takes over.
+    If the goal reacher takes over after the second to last of these, the leg in which it takes over is shown instead.
 
     Args:
-      to_goal: does the goal reacher lead?
-      count: how many, fewer if there are not as many legs.
+      to_goal: whether the goal reacher leads, for each leg.
+      count: number of legs to show; fewer if the search has fewer legs.
     """
     last = len(to_goal) - 1
     numbers = np.linspace(0, last, count)
@@ -158,7 +143,7 @@ def chosen(to_goal: Bool[np.ndarray, " leg"], count: int) -> list[int]:
 
 @jit
 def sampled_plans(robot: IndoorRobot, agent: Agent) -> tuple[Float[Array, "k h 2"], Bool[Array, ""]]:
-    """Where the plans lead that the controller samples in the robot's next period, and whether it drives by them."""
+    """Paths of the plans that the controller samples for the robot's next period, and whether it follows them."""
     _, key = jax.random.split(robot.key)
     costs = cost_of_pose(robot, agent)
     plan, samples = MPC().weighed(key, robot, costs, agent)
@@ -166,7 +151,7 @@ def sampled_plans(robot: IndoorRobot, agent: Agent) -> tuple[Float[Array, "k h 2
 
 
 def moment_of(robot: IndoorRobot, agent: Agent, name: str) -> SearchMoment:
-    """What the figure shows of a robot that is about to act; `name` is the agent's."""
+    """The moment of a search before a robot acts. `name` is the agent's."""
     paths, used = sampled_plans(robot, agent)
     plans = np.asarray(paths) if used else np.zeros((0, *paths.shape[1:]), np.float32)
     exploring = "exploring" if used or name == "random" else "looking around"
@@ -183,10 +168,8 @@ def moment_of(robot: IndoorRobot, agent: Agent, name: str) -> SearchMoment:
 
 
 def main(options: Options) -> None:
-    """Search, draw, and print the result."""
-    for name in ("samples", "limit"):
-        if getattr(options, name) < 1:
-            raise InputError(f"--{name} {getattr(options, name)}: give 1 or more")
+    """Search, draw and print the result."""
+    require_positive(options, "samples", "limit")
     house = house_of(options)
     episode = episode_in(house, options)
     agent = agent_with(options.agent, costs_for([options.agent], options.network), options.samples)
@@ -210,12 +193,11 @@ def main(options: Options) -> None:
         "moments": [{"step": moment.step, "doing": moment.doing} for moment in moments],
     }
     write_json(out / "search.json", facts)
-    came = "success" if result.success else "declared too early" if result.declared else "not found in time"
-    print(
-        f"{house.name}, {episode.target}, {AGENT_TITLES[options.agent]}: {came} after {steps} steps ({steps / 10:g} s)"
-    )
+    outcome = "success" if result.success else "declared too early" if result.declared else "not found in time"
+    search_name = f"{house.name}, {episode.target}, {AGENT_TITLES[options.agent]}"
+    print(f"{search_name}: {outcome} after {steps} steps ({steps / 10:g} s)")
     print(f"driven {result.driven:.1f} m, shortest path {result.shortest:.1f} m, bumps {result.bumps}")
-    print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+    print_files(out)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""Searching houses for objects: Table I of the paper on dense cost maps, `python -m experiments.objectnav_table1`.
+"""Search houses for objects, as in Table I of the paper on dense cost maps: `python -m experiments.objectnav_table1`.
 
-All agents make the same searches: the same houses, starts and targets. The paper's houses (Matterport3D) and its
-simulator are others, so its figures stand beside ours for orientation only.
+All agents run the same searches: the same houses, starts and targets. The paper used other houses (Matterport3D) and
+another simulator, so its figures are shown for orientation only.
 """
 
 import dataclasses
@@ -10,12 +10,13 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from dc2g_jax.cli.common import NetworkOption, OutOption, command_line
+from dc2g_jax.cli.common import command_line
+from dc2g_jax.cli.options import NetworkOptions
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.cli.searches import (
     AGENT_TITLES,
     AgentName,
-    SearchOptions,
+    ComparisonOptions,
     SearchTable,
     agent_with,
     conclude,
@@ -27,7 +28,7 @@ from dc2g_jax.objectnav.evaluation import SearchResult, SearchSummary, summarize
 
 
 class Table1Line(NamedTuple):
-    """A line of Table I of the paper; see `SearchSummary`."""
+    """A row of Table I of the paper; see `SearchSummary`."""
 
     success: float
     spl: float
@@ -37,7 +38,7 @@ class Table1Line(NamedTuple):
     jerk: tuple[float, float]
 
 
-#: Table I of the paper, on its own houses; "Our Approach" there is its network.
+#: Table I of the paper, on its houses. `predicted` is its "Our Approach".
 PAPER_TABLE1 = {
     "true_cost": Table1Line(1.000, 0.922, 0.211, 147.459, (0.15, 2.041), (2.371, 35.006)),
     "random": Table1Line(0.250, 0.208, 7.214, 402.795, (1.607, 8.920), (28.004, 156.095)),
@@ -46,27 +47,22 @@ PAPER_TABLE1 = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(SearchOptions):
-    """Run the agents of Table I in houses they have not seen, and set them beside the paper's figures.
+class Options(ComparisonOptions, NetworkOptions):
+    """Run the agents of Table I in unseen houses, and compare them with the paper's figures.
+
+    Networks come from experiments.objectnav_train.
 
     Attributes:
-      agents: which ones: true_cost knows the path, random drives at random until it sees its target, frontier explores
-        what is nearest, predicted drives down the costs that the network predicts as the paper's agent does, promising
-        goes to the frontier where these and the distance to it are least.
-      network: folder of the network, as experiments.objectnav_train writes it; the one that comes with the package
-        where not given.
-      out: folder to write to; a new one below outputs/ where not given.
-      resume: go on with the run in `out`, begun with the same options, where it stopped.
+      agents: agents to run: true_cost knows the path; random drives at random until it sees its target; frontier goes
+        to the nearest frontier; predicted follows the costs that the network predicts, as the paper's agent does;
+        promising goes to the frontier with the least predicted cost plus distance.
     """
 
     agents: tuple[AgentName, ...] = ("true_cost", "random", "frontier", "predicted", "promising")
-    network: NetworkOption = None
-    out: OutOption = None
-    resume: bool = False
 
 
 def table(summaries: Mapping[str, SearchSummary]) -> str:
-    """Table I as text: a line an agent, and the paper's below it where it has one."""
+    """Table I as text: a row per agent, followed by the paper's row if it has one."""
     columns = ("success (95 %)", "SPL (95 %)", "DTS m", "steps", "acc m/s2, rad/s2", "jerk m/s3, rad/s3")
     lines = [_line("", columns)]
     for name, one in summaries.items():
@@ -95,7 +91,7 @@ def _line(title: str, cells: Sequence[str]) -> str:
 
 
 def main(options: Options) -> None:
-    """Run the agents, print and write the table."""
+    """Run the agents; print and write the table."""
     options.check()
     if not options.agents or len(set(options.agents)) < len(options.agents):
         raise InputError(f"--agents {' '.join(options.agents)}: give each agent once, one at least")

@@ -1,6 +1,7 @@
-"""What the network should be shown: Table II of the paper on dense cost maps, `python -m experiments.objectnav_table2`.
+"""Compare the inputs of the network, as in Table II of the paper on dense cost maps.
 
-Each network predicts costs for the same partial maps of unseen houses, and guides the same searches.
+`python -m experiments.objectnav_table2`: each network predicts costs for the same partial maps of unseen houses, and
+guides the same searches.
 """
 
 import dataclasses
@@ -10,9 +11,9 @@ from typing import Annotated, NamedTuple
 
 import tyro
 
-from dc2g_jax.cli.common import OutOption, command_line
+from dc2g_jax.cli.common import command_line
 from dc2g_jax.cli.outputs import output_folder
-from dc2g_jax.cli.searches import ON_NETWORK, SearchOptions, SearchTable, agent_with, conclude, digests, open_costs
+from dc2g_jax.cli.searches import ON_NETWORK, ComparisonOptions, SearchTable, agent_with, conclude, digests, open_costs
 from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect
 from dc2g_jax.objectnav.evaluation import SearchResult, SearchSummary, summarize
@@ -21,18 +22,18 @@ from dc2g_jax.objectnav.networks import ABLATIONS, CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 from dc2g_jax.objectnav.training import CostMapConfig, figures, validation_samples
 
-#: What the lines are called, by name of the ablation.
+#: Titles of the rows, by name of the ablation.
 ABLATION_TITLES = {"both": "both", "semantic": "only semantic map", "midlevel": "only mid-level"}
 
-#: Metrics of the prediction, percent.
+#: Metrics of the prediction, in percent.
 METRICS = ("MPA", "mF1", "mIoU", "aAP5", "aAP9")
 
-#: Partial maps are predicted so many at a time.
+#: Partial maps per prediction.
 MAPS_A_BATCH = CostMapConfig.batch_size
 
 
 class Table2Line(NamedTuple):
-    """A line of Table II of the paper: `METRICS` in percent, success, SPL and distance to success in meters."""
+    """A row of Table II of the paper: `METRICS` in percent, success, SPL and distance to success in meters."""
 
     metrics: tuple[float, float, float, float, float]
     success: float
@@ -40,7 +41,7 @@ class Table2Line(NamedTuple):
     distance: float
 
 
-#: Table II of the paper, on its own houses.
+#: Table II of the paper, on its houses.
 PAPER_TABLE2 = {
     "semantic": Table2Line((79.17, 76.32, 63.34, 36.49, 32.47), 0.377, 0.290, 4.803),
     "midlevel": Table2Line((79.11, 76.32, 63.47, 37.21, 33.11), 0.402, 0.287, 4.716),
@@ -49,42 +50,40 @@ PAPER_TABLE2 = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(SearchOptions):
-    """Compare networks that are shown semantic maps, mid-level features or both, in houses they have not seen.
+class Options(ComparisonOptions):
+    """Compare networks with semantic maps, mid-level features or both as inputs, in unseen houses.
 
     Attributes:
-      networks: folders of networks, as experiments.objectnav_train writes them with `--inputs semantic` and so on, the
-        one to compare the others with last; the one that comes with the package where not given.
-      agent: how costs guide the robot: promising or predicted, see experiments.objectnav_table1.
-      maps: partial maps to predict costs for.
-      out: folder to write to; a new one below outputs/ where not given.
-      resume: go on with the run in `out`, begun with the same options, where it stopped.
+      networks: folders of networks, from experiments.objectnav_train with `--inputs semantic` and so on; the last one
+        is compared with the others. The shipped network by default.
+      agent: how costs guide the robot: promising or predicted; see experiments.objectnav_table1.
+      maps: number of partial maps to predict costs for.
     """
 
     networks: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FOLDER ...")] = ()
     agent: Annotated[str, tyro.conf.arg(metavar="NAME")] = "promising"
     maps: int = 2048
-    out: OutOption = None
-    resume: bool = False
 
 
 def ablation(estimator: CostMapEstimator) -> str:
-    """The name of what a network is shown."""
+    """The name of a network's inputs."""
     return next(name for name, inputs in ABLATIONS.items() if inputs == estimator.architecture.inputs)
 
 
 def open_networks(folders: tuple[Path, ...]) -> dict[str, PredictedCosts[CostMapEstimator]]:
-    """The networks by what they are shown.
+    """The networks by name of their inputs.
 
     Raises:
-      InputError: two are shown the same.
+      InputError: two networks have the same inputs.
     """
     found: dict[str, PredictedCosts[CostMapEstimator]] = {}
     for folder in folders or (None,):
         costs = open_costs(folder)
         name = ablation(costs.estimator)
         if name in found:
-            raise InputError(f"--networks {folder}: another one is shown {ABLATION_TITLES[name]} too; give one of each")
+            raise InputError(
+                f"--networks {folder}: another one has these inputs ({ABLATION_TITLES[name]}); give one of each"
+            )
         found[name] = costs
     return found
 
@@ -92,7 +91,7 @@ def open_networks(folders: tuple[Path, ...]) -> dict[str, PredictedCosts[CostMap
 def prediction_metrics(
     costs: PredictedCosts[CostMapEstimator], houses: list[IndoorHouse], options: Options
 ) -> dict[str, float]:
-    """`METRICS` on partial maps of robots in the houses."""
+    """`METRICS` on partial maps collected by robots in the houses."""
     largest = max(max(house.world.free.shape) for house in houses)
     samples = collect(houses, costs.encoder, CollectionConfig(largest=largest, data_seed=options.seed))
     config = CostMapConfig(costs.estimator.architecture)
@@ -101,7 +100,7 @@ def prediction_metrics(
 
 
 def table(metrics: dict[str, dict[str, float]], summaries: dict[str, SearchSummary]) -> str:
-    """Table II as text, the paper's line below each of ours."""
+    """Table II as text, with the paper's row below each of ours."""
     lines = [_line("", ("MPA %", "mF1 %", "mIoU %", "aAP5 %", "aAP9 %", "success", "SPL", "DTS m"))]
     for name, one in summaries.items():
         values = (*metrics[name].values(), one.success, one.spl, one.distance)
@@ -120,10 +119,10 @@ def _line(title: str, cells: tuple[str, ...]) -> str:
 
 
 def main(options: Options) -> None:
-    """Predict, search, print and write the table."""
+    """Predict and search; print and write the table."""
     options.check()
     if options.agent not in ON_NETWORK:
-        raise InputError(f"--agent {options.agent}: give {' or '.join(ON_NETWORK)}, which go by a network")
+        raise InputError(f"--agent {options.agent}: give {' or '.join(ON_NETWORK)}, which use a network")
     if options.maps < MAPS_A_BATCH or options.maps % MAPS_A_BATCH:
         raise InputError(f"--maps {options.maps}: give a multiple of {MAPS_A_BATCH}")
     networks = open_networks(options.networks)

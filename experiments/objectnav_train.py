@@ -1,6 +1,6 @@
 """Train the network that predicts cost maps indoors: `python -m experiments.objectnav_train --out checkpoints/indoors`.
 
-Interrupted or killed, it goes on where it was when run again with --resume.
+After an interruption, --resume continues where it stopped.
 """
 
 import dataclasses
@@ -16,7 +16,8 @@ import numpy as np
 import tyro
 
 from dc2g_jax.cli.common import check_seed, command_line
-from dc2g_jax.cli.outputs import CommandOptions, command_written, commit, output_folder
+from dc2g_jax.cli.options import TrainingOptions, require_positive
+from dc2g_jax.cli.outputs import command_written, commit, output_folder
 from dc2g_jax.cli.training_sets import kept_arrays
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
@@ -44,42 +45,39 @@ from dc2g_jax.rollouts.devices import first_copy
 from dc2g_jax.training.cost_to_go import TrainingState
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 
-#: The encoder that is trained where none is given: houses of the training split, pictures of each.
+#: Training houses for the encoder and pictures of each, if no encoder is given.
 _ENCODER_HOUSES, _PICTURES_A_HOUSE = 200, 40
 
-#: The journeys of validation houses have another seed.
+#: Added to the seed for journeys in validation houses.
 _VALIDATION_SEED = 1_000_003
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(CommandOptions):
-    """Train the network that predicts cost maps for object goals indoors (section II), training houses only.
+class Options(TrainingOptions):
+    """Train the network that predicts cost maps for object goals indoors (section II), on training houses only.
 
     Attributes:
-      out: folder for checkpoints, the network and the log.
       houses: `procedural`, or a folder of houses in ProcTHOR's format.
-      count: training houses; all of a folder's where not given, 500 procedural ones.
-      strict: refuse a file of houses for its first line that is none, instead of skipping it.
-      validation_houses: houses of the validation split to try the network on.
-      collection: what to collect in the houses.
-      encoder: safetensors file with an encoder of pictures, such as another training's `encoder.safetensors`, copied
-        to `out`; where not given one is trained first.
+      count: number of training houses; by default all of a folder, or 500 procedural ones.
+      strict: reject a file of houses at its first invalid line, instead of skipping the line.
+      validation_houses: number of houses of the validation split.
+      collection: samples to collect in the houses.
+      encoder: safetensors file with an image encoder, such as `encoder.safetensors` of another training, which is
+        copied to `out`; by default one is trained first.
       encoder_steps: optimizer steps of that encoder.
-      recipe: `paper` for the paper's, `better` for the one that does better in minutes.
-      learning_rate: the highest one, where it is to be another than the recipe's.
-      inputs: what the network is shown: semantic classes, mid-level features, or both (Table II).
-      patch: side of the square of cells that the network's first layer takes as one.
-      widths: channels of the network, from the first layer down to the bottleneck.
+      recipe: `paper` for the paper's, `better` for the one that is better after minutes of training.
+      learning_rate: peak learning rate; the recipe's by default.
+      inputs: inputs of the network: semantic classes, mid-level features, or both (Table II).
+      patch: side length of the network's input patches, in cells.
+      widths: channels of the network, from the first layer to the bottleneck.
       steps: optimizer steps.
-      batch_size: samples a step.
-      seed: of weights and batches.
-      validate_every: steps between validations; the last step is one too.
-      validation_samples: how many samples to validate on.
-      minutes_per_checkpoint: how often to save, in minutes.
-      resume: go on with the run in `out`, begun with the same options, where it stopped.
+      batch_size: samples per step.
+      seed: seed of weights and batches.
+      validate_every: steps between validations; the last step is validated too.
+      validation_samples: number of samples to validate on.
+      minutes_per_checkpoint: minutes between checkpoints.
     """
 
-    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     houses: str = PROCEDURAL
     count: Annotated[int | None, tyro.conf.arg(help_behavior_hint="")] = None
     strict: bool = False
@@ -98,13 +96,12 @@ class Options(CommandOptions):
     validate_every: int = 1000
     validation_samples: int = 512
     minutes_per_checkpoint: float = 2.0
-    resume: bool = False
 
     def training(self, features: int) -> CostMapConfig:
-        """How to train a network that is given so many mid-level features.
+        """The training configuration for this number of mid-level features.
 
         Raises:
-          InputError: a number makes no sense.
+          InputError: a number is invalid.
         """
         try:
             architecture = CostMapArchitecture(
@@ -123,7 +120,7 @@ class Options(CommandOptions):
 
 
 def open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
-    """The encoder that is named, or the one that was trained for this run, or is now."""
+    """The given encoder, or the one of this run, which is trained if it does not exist."""
     own = options.out / ENCODER_FILE
     if options.encoder is not None and not own.exists():
         shutil.copyfile(options.encoder, own)
@@ -144,17 +141,17 @@ def open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
     facts = {"steps": options.encoder_steps, "seed": options.seed}
     checkpoints = TrainingCheckpoints(folder, EncoderArchitecture(), facts, first_state=lambda _: task.init())
     train(task, folder, checkpoints, Pauses(0, options.minutes_per_checkpoint))
-    # From the file, in half precision: as it will be used.
+    # Load the half-precision weights that will be used.
     return load_encoder(own)
 
 
 def kept(path: Path, make: Callable[[Callable[[int], None]], JourneySet], houses: int) -> JourneySet:
-    """A training set from a file, collected and kept there the first time.
+    """A training set from a file, collected and saved there the first time.
 
     Args:
       path: the file.
-      make: collects it; given a function to tell how many houses are done.
-      houses: how many there are.
+      make: collects the set; takes a function to report the number of finished houses.
+      houses: total number of houses.
     """
     names = [field.name for field in dataclasses.fields(JourneySet)]
 
@@ -169,7 +166,7 @@ def kept(path: Path, make: Callable[[Callable[[int], None]], JourneySet], houses
 def training_task(
     options: Options, config: CostMapConfig, data: JourneySet, validation: JourneySet
 ) -> Task[TrainingState]:
-    """What is trained; the network is saved in each validation."""
+    """The training task. Each validation saves the network."""
     batches = validation_samples(validation, config, options.validation_samples)
 
     def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
@@ -199,10 +196,10 @@ def training_task(
 
 
 def house_digests(location: str) -> dict[str, str]:
-    """SHA-256 of the files that houses are read from; none where they are drawn.
+    """SHA-256 of the files of houses; empty for procedural houses.
 
     Raises:
-      InputError: the folder lacks the file of a split.
+      InputError: the file of a split is missing.
     """
     if location == PROCEDURAL:
         return {}
@@ -212,18 +209,15 @@ def house_digests(location: str) -> dict[str, str]:
 
 
 def write_card(folder: Path, card: dict[str, Any]) -> None:
-    """Write the card of a network beside it, as `network.json`, with what tells whether the files are whole."""
+    """Write the card of a network as `network.json`, with checksums of the network files."""
     digests = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in (NETWORK_FILE, ENCODER_FILE)}
     write_json(folder / "network.json", {**card, "sha256": digests})
 
 
 def main(options: Options) -> None:
-    """Collect, train, save and validate."""
-    options.training(1)  # refused before anything is written
-    for name in ("count", "validation_houses", "encoder_steps", "validation_samples"):
-        value = getattr(options, name)
-        if value is not None and value < 1:
-            raise InputError(f"--{name.replace('_', '-')} {value}: give at least 1")
+    """Collect samples; train, validate and save the network."""
+    options.training(1)  # raises before anything is written
+    require_positive(options, "count", "validation_houses", "encoder_steps", "validation_samples")
     check_seed(options.collection.data_seed, "data-seed")
     pauses = Pauses(options.validate_every, options.minutes_per_checkpoint)
     if options.encoder is not None and not (options.out / ENCODER_FILE).exists():

@@ -1,16 +1,16 @@
 """The paper's Fig. 5: three losses compared on validation pairs throughout training.
 
-`python -m experiments.reproduce_fig5 --out outputs/fig5`. Interrupted, it goes on where it was with --resume.
+`python -m experiments.reproduce_fig5 --out outputs/fig5`. After an interruption, --resume continues it.
 """
 
 import dataclasses
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from dc2g_jax.cli.common import DatasetOption, check_seed, command_line, digests
-from dc2g_jax.cli.outputs import CommandOptions, output_folder
+from dc2g_jax.cli.common import check_seed, command_line, digests
+from dc2g_jax.cli.options import DatasetOptions, TrainingOptions
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.cli.translation import TranslationOptions, train_translator, translation_data
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
@@ -21,32 +21,26 @@ from dc2g_jax.training.translator import TRANSLATOR_LOSSES
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(CommandOptions):
-    """Reproduce Fig. 5: train with each loss several times, and plot validation metrics over the training steps.
+class Options(DatasetOptions, TrainingOptions):
+    """Reproduce Fig. 5: train with each loss several times and plot validation metrics over training steps.
 
     Attributes:
-      out: folder for the runs and the figure.
-      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
-      losses: which losses.
-      seeds: a run of every loss for each.
-      window: validations in the moving average that smooths each run.
-      training: how each run is trained.
-      resume: go on with the run in `out`, begun with the same options, where it stopped.
+      losses: losses to compare.
+      seeds: seeds to train each loss with.
+      window: number of validations in the moving average of each run.
+      training: training of each run.
     """
 
-    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
-    dataset: DatasetOption = None
     losses: tuple[str, ...] = tuple(TRANSLATOR_LOSSES)
     seeds: tuple[int, ...] = (0, 1, 2)
     window: int = 5
     training: Annotated[TranslationOptions, tyro.conf.arg(name="")] = dataclasses.field(
         default_factory=TranslationOptions
     )
-    resume: bool = False
 
 
 def main(options: Options) -> None:
-    """Train all runs one after another, then draw them."""
+    """Train all runs in sequence, then plot them."""
     if not options.losses or not options.seeds or options.window < 1 or options.training.validate_every < 1:
         raise InputError("losses, seeds, window and validate-every: Fig. 5 needs at least one of each")
     for seed in options.seeds:

@@ -1,4 +1,4 @@
-"""The paper's Fig. 6: cost-to-go pictures on whole test maps, against how unlike the training houses each is.
+"""The paper's Fig. 6: cost-to-go images of whole test maps, against each map's distance from the training houses.
 
 `python -m experiments.reproduce_fig6 --network checkpoints/translator/network checkpoints/mine/network`
 """
@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dc2g_jax.cli.common import DatasetOption, OutOption, command_line
-from dc2g_jax.cli.outputs import CommandOptions, number_or_null, output_folder
+from dc2g_jax.cli.common import command_line
+from dc2g_jax.cli.options import DatasetOptions, OutOptions
+from dc2g_jax.cli.outputs import number_or_null, output_folder, print_files
 from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset
 from dc2g_jax.datasets.similarity import distance_to_training, similarity_scale
 from dc2g_jax.estimation.checkpoints import load_network
@@ -21,23 +22,19 @@ from dc2g_jax.inspection.image_figures import METRIC_LABELS, HouseMetrics, plot_
 from dc2g_jax.training.image_evaluation import GRID_CELLS, full_map_metrics
 from dc2g_jax.training.image_pairs import houses_with_door
 
-#: Pixels a side of the maps that are compared with the training maps.
+#: Side length, in pixels, of the maps for the comparison with training maps.
 _SIZE = 256
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(CommandOptions):
-    """Reproduce Fig. 6: five metrics of each network on every test house, against the house's distance from training.
+class Options(DatasetOptions, OutOptions):
+    """Reproduce Fig. 6: five metrics of each network on every test house, against its distance from training houses.
 
     Attributes:
-      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
-      network: folders of trained networks, of either kind; the shipped one where not given.
-      out: folder to write to; a new one below outputs/ where not given.
+      network: folders of trained networks, of either kind; the shipped one by default.
     """
 
-    dataset: DatasetOption = None
     network: tuple[Path, ...] = ()
-    out: OutOption = None
 
 
 def distances(dataset: HouseDataset, houses: Sequence[House]) -> list[float]:
@@ -51,9 +48,9 @@ def distances(dataset: HouseDataset, houses: Sequence[House]) -> list[float]:
 
 
 def points_of(distance: Sequence[float], rows: Sequence[dict[str, float]]) -> HouseMetrics:
-    """A network's metrics by name, with the straight line that fits each best in the least-squares sense.
+    """A network's metrics by name, with a least-squares line for each.
 
-    Houses that are all equally far from training have no such line; a house without a value has no part in it.
+    There is no line if all houses have the same distance. Houses without a value are ignored.
     """
     metrics = {name: [row[name] for row in rows] for name in METRIC_LABELS}
     fits = {}
@@ -67,13 +64,13 @@ def points_of(distance: Sequence[float], rows: Sequence[dict[str, float]]) -> Ho
 
 
 def mean_of(values: Sequence[float]) -> float:
-    """Mean over the houses that have a value; no number where none has."""
+    """Mean over the houses with a value; NaN if there are none."""
     known = [value for value in values if np.isfinite(value)]
     return float(np.mean(known)) if known else float("nan")
 
 
 def print_table(networks: dict[str, HouseMetrics]) -> None:
-    """Mean of every metric, and the slope of its line."""
+    """Print the mean of every metric and the slope of its line."""
     print("mean over the test houses (slope of the line)")
     print(f"{'':24}" + "".join(f"{name:>24}" for name in METRIC_LABELS))
     for network, points in networks.items():
@@ -85,7 +82,7 @@ def print_table(networks: dict[str, HouseMetrics]) -> None:
 
 
 def write_houses(path: Path, houses: Sequence[House], networks: dict[str, HouseMetrics]) -> None:
-    """Write `houses.csv`: one line a network and house."""
+    """Write `houses.csv`: one row per network and house."""
     rows = []
     for network, points in networks.items():
         for number, house in enumerate(houses):
@@ -96,7 +93,7 @@ def write_houses(path: Path, houses: Sequence[House], networks: dict[str, HouseM
 
 
 def main(options: Options) -> None:
-    """Measure, tabulate, draw."""
+    """Compute the metrics; print, write and plot them."""
     dataset = open_dataset(options.dataset, cells=None)
     houses = houses_with_door(dataset, "test")
     chosen = {str(folder): load_network(folder) for folder in options.network} or {"shipped": load_network()}
@@ -127,7 +124,7 @@ def main(options: Options) -> None:
         },
     }
     write_json(out / "results.json", facts)
-    print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+    print_files(out)
 
 
 if __name__ == "__main__":

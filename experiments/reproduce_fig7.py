@@ -14,19 +14,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from dc2g_jax.cli.common import (
-    DatasetOption,
-    NetworkOption,
-    OutOption,
-    PlannersOption,
-    StepLimitOption,
-    check_planners,
-    command_line,
-    digests,
-    network_for,
-)
+from dc2g_jax.cli.common import PlannersOption, check_planners, command_line, digests, network_for
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
-from dc2g_jax.cli.outputs import CommandOptions, output_folder
+from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset, tell_on_stderr
 from dc2g_jax.datasets.starts import Start, published_episodes, sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
@@ -45,38 +36,27 @@ from dc2g_jax.rollouts.statistics import Summary, extra_steps, summarize
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(CommandOptions):
-    """Reproduce Fig. 7: percent of steps beyond an oracle's that each planner needs to find a front door.
+class Options(DatasetOptions, NetworkOptions, StepLimitOptions, OutOptions, ResumeOptions):
+    """Reproduce Fig. 7: extra steps, in percent of an oracle's, that each planner needs to find a front door.
 
     Attributes:
-      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
       settings: `published` runs the paper's 400 episodes (5-cell sensing; published dataset only), `paper` runs
         sampled starts in every test house with 8-cell sensing, `both` runs both.
-      planner: planners to compare, by name; one of your own as package.module:Class.
+      planner: planners to compare; package.module:Class for one of your own.
       starts_per_house: sampled starts in each test house.
-      seed: of the sampled starts.
-      step_limit: actions after which an episode from a sampled start ends without success; where not given, 500, and on
-        maps of over 50 x 50 cells one action for every five cells of the map.
-      network: folder of a trained network for `dc2g` and `dc2g_uncertain`; the shipped one where not given.
-      record: write rerun recordings (.rrd) and figures of this many episodes of each setting, spread over those run.
-      out: folder to write to; a new one below outputs/ where not given.
-      resume: go on with the run in `out`, begun with the same options, where it stopped.
+      seed: seed of the sampled starts.
+      record: number of episodes of each setting to write rerun recordings (.rrd) and figures of, spread evenly.
     """
 
-    dataset: DatasetOption = None
     settings: Literal["both", "published", "paper"] = "both"
     planner: PlannersOption = PLANNERS
     starts_per_house: int = 10
     seed: int = 0
-    step_limit: StepLimitOption = None
-    network: NetworkOption = None
     record: int = 0
-    out: OutOption = None
-    resume: bool = False
 
 
 class ExtraSteps(NamedTuple):
-    """What a table is made of: one planner's extra steps in one episode of one group."""
+    """One planner's extra steps in one episode, with its group."""
 
     planner: str
     group: str
@@ -85,7 +65,7 @@ class ExtraSteps(NamedTuple):
     success: bool
 
 
-#: Groups of the table, in order, and the one that takes everything.
+#: Groups of the tables, in order; the last holds all episodes.
 PUBLISHED_GROUPS = ("train", "same_neighborhood", "new_neighborhood", "urban", "all")
 PAPER_GROUPS = ("same_neighborhood", "new_neighborhood", "urban", "test")
 
@@ -113,7 +93,7 @@ def _episode(result: EpisodeResult, group: str) -> ExtraSteps:
 def run_published(
     dataset: HouseDataset, planners: Sequence[str], network: TrainedNetwork | None, table: EpisodeTable
 ) -> tuple[list[EpisodeResult], list[ExtraSteps]]:
-    """The 400 published episodes: our results, and table entries with the authors' own beside ours."""
+    """Run the 400 published episodes. Returns our results, and table entries for ours and the authors'."""
     published = published_episodes()
     runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())
     results = table.run(runner, [episode.start for episode in published], planners, network)
@@ -126,9 +106,9 @@ def run_published(
 
 
 def frontier_over_dc2g(results: list[EpisodeResult]) -> dict[str, dict[str, float]]:
-    """Mean of frontier steps / DC2G steps, less one, in percent, by group: the paper's "189 % faster".
+    """Mean of frontier steps / DC2G steps - 1, in percent, by group: the paper's "189 % faster".
 
-    Nothing where one of the two was not run.
+    Empty if one of the two was not run.
     """
     if not {"frontier", "dc2g"} <= {result.planner for result in results}:
         return {}
@@ -156,11 +136,10 @@ def frontier_over_dc2g(results: list[EpisodeResult]) -> dict[str, dict[str, floa
 
 
 def sampled_episodes(dataset: HouseDataset, options: Options) -> tuple[Runner, list[Start]]:
-    """As many sampled starts in every test house in which an episode can be run, so that houses weigh equally; and what
-    runs them.
+    """A runner and sampled starts: the same number in every test house that can be run, so that houses weigh equally.
 
     Raises:
-      InputError: there are none, or the houses cannot be run together.
+      InputError: there are no starts, or the houses cannot be run together.
     """
     houses: tuple[House, ...] = dataset.split("test")
     if not houses:
@@ -172,7 +151,7 @@ def sampled_episodes(dataset: HouseDataset, options: Options) -> tuple[Runner, l
 
 
 def drawn(planners: Sequence[str]) -> list[str]:
-    """Planners that figures of single houses show: DC2G, frontier exploration and the user's own, else whatever ran."""
+    """Planners in figures of single houses: DC2G, frontier exploration and the user's own; all if none of these ran."""
     ran = [planner for planner in planners if planner != "oracle"]
     return [planner for planner in ran if planner in ("dc2g", "frontier") or planner not in PLANNERS] or ran
 
@@ -185,7 +164,7 @@ def record(
     network: TrainedNetwork | None,
     count: int,
 ) -> None:
-    """Record `count` episodes, spread evenly over those run: for the rerun viewer and as a figure."""
+    """Write rerun recordings and figures of `count` episodes, spread evenly."""
     rules = SETTINGS[settings].rules()
     planners = list(dict.fromkeys(result.planner for result in results))
     n_starts = len(results) // len(planners)
@@ -205,7 +184,7 @@ def record(
 
 
 def print_table(title: str, table: Table, groups: tuple[str, ...]) -> None:
-    """Mean extra steps by planner and group, with the median behind it."""
+    """Print mean and median extra steps by planner and group."""
     present = [group for group in groups if any(group in row for row in table.values())]
     print(f"\n{title}\nmean extra steps beyond the oracle, % (median)")
     width = max(18, *(len(planner) + 1 for planner in table))
@@ -238,7 +217,7 @@ def write_tables(out: Path, tables: dict[str, Table], entries: dict[str, list[Ex
 
 
 def as_json(table: Table) -> dict[str, dict[str, dict[str, float]]]:
-    """The part of a table that `results.json` holds."""
+    """The columns of a table that `results.json` holds."""
     keys = ("mean_extra", "median_extra", "success", "episodes")
     return {
         planner: {group: {key: getattr(summary, key) for key in keys} for group, summary in row.items()}
@@ -247,7 +226,7 @@ def as_json(table: Table) -> dict[str, dict[str, dict[str, float]]]:
 
 
 def main(options: Options) -> None:
-    """Run, tabulate, draw."""
+    """Run the episodes; print, write and plot their tables."""
     began = time.perf_counter()
     if options.record < 0:
         raise InputError(f"--record {options.record}: give the number of episodes to record, 0 for none")

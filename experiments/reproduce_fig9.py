@@ -1,4 +1,4 @@
-"""The paper's Fig. 9: from camera to door, `python -m experiments.reproduce_fig9`."""
+"""The paper's Fig. 9: a drive from camera to door, `python -m experiments.reproduce_fig9`."""
 
 import dataclasses
 import math
@@ -12,17 +12,10 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from dc2g_jax.cli.common import (
-    DatasetOption,
-    NetworkOption,
-    OutOption,
-    PlannerOption,
-    check_planners,
-    command_line,
-    network_for,
-)
+from dc2g_jax.cli.common import NetworkOption, PlannerOption, check_planners, command_line, network_for
 from dc2g_jax.cli.driving import SECONDS_LIMIT, DrivingOptions, equipment
 from dc2g_jax.cli.map_options import StartOption, start_in
+from dc2g_jax.cli.options import DatasetOptions, OutOptions
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import why_no_episode
@@ -36,37 +29,33 @@ from dc2g_jax.vehicles.drive import STATUS_NAMES, Equipment, reset
 from dc2g_jax.vehicles.fleet import sites_of
 from dc2g_jax.vehicles.trace import Moment, moments
 
-#: Moments that the figure shows.
+#: Number of moments in the figure.
 _ROWS = 4
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DrivingOptions):
-    """Drive one vehicle with a camera to a front door (section IV-D): a figure, and a recording of every frame.
+class Options(DrivingOptions, DatasetOptions, OutOptions):
+    """Drive one vehicle with a camera to a front door (section IV-D): writes a figure and a recording of every frame.
 
     Attributes:
-      house: name of the house; the first test house in which an episode can be run where not given.
-      start: column, row (growing downward) and heading (0 right, 1 down, 2 left, 3 up); sampled where not given.
-      noise: level of noise: 0 is none, 1 as much as the paper's maps may have had.
-      planner: planner to drive by; one of your own as package.module:Class.
-      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
-      network: folder of the trained network; where not given, the shipped one that was trained with mapping noise.
-      seed: of the sampled start, noise and pedestrians.
-      out: folder to write to; a new one below outputs/ where not given.
+      house: name of the house; by default the first test house in which an episode can be run.
+      start: column, row (growing downward) and heading (0 right, 1 down, 2 left, 3 up); sampled by default.
+      noise: noise level; 0 is no noise, 1 the presumed noise of the paper's maps.
+      planner: planner to run; package.module:Class for one of your own.
+      network: folder of a trained network; by default the shipped one that was trained with mapping noise.
+      seed: seed of the sampled start, noise and pedestrians.
     """
 
     house: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     start: StartOption = None
     noise: float = 1.0
     planner: PlannerOption = "dc2g"
-    dataset: DatasetOption = None
     network: NetworkOption = None
     seed: int = 0
-    out: OutOption = None
 
 
 def record(file: Path, drive: list[Moment], robot: Equipment, name: str) -> None:
-    """Write the recording."""
+    """Write the rerun recording of a drive."""
     path = np.stack([np.asarray(moment.frame.pose.position) for moment in drive])
     with CameraRecording(file, camera=robot.camera, settings=robot.mapping, path=path, name=name) as recording:
         for moment in tqdm(drive, desc="recording", unit="frame", file=sys.stderr):
@@ -78,7 +67,7 @@ def first_house(dataset: HouseDataset) -> House:
     """The first test house in which an episode can be run.
 
     Raises:
-      InputError: if there is none.
+      InputError: there is none.
     """
     for house in dataset.split("test"):
         if why_no_episode(house) is None:
@@ -87,7 +76,7 @@ def first_house(dataset: HouseDataset) -> House:
 
 
 def main(options: Options) -> None:
-    """Drive, draw, record."""
+    """Drive; write the figure and the recording."""
     if not 0 <= options.noise < math.inf:
         raise InputError(f"--noise {options.noise:g}: give a number from 0 on")
     check_planners([options.planner])

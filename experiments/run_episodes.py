@@ -1,4 +1,4 @@
-"""Run exactly the episodes listed in a CSV file: `python -m experiments.run_episodes --starts starts.csv --out DIR`."""
+"""Run the episodes listed in a CSV file: `python -m experiments.run_episodes --starts starts.csv --out DIR`."""
 
 import dataclasses
 import hashlib
@@ -9,19 +9,10 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
-from dc2g_jax.cli.common import (
-    DatasetOption,
-    NetworkOption,
-    OutOption,
-    PlannersOption,
-    StepLimitOption,
-    check_planners,
-    command_line,
-    digests,
-    network_for,
-)
+from dc2g_jax.cli.common import PlannersOption, check_planners, command_line, digests, network_for
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
-from dc2g_jax.cli.outputs import CommandOptions, output_folder
+from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import read_starts
 from dc2g_jax.planning.rules import SETTINGS
@@ -30,32 +21,21 @@ from dc2g_jax.rollouts.statistics import summarize
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(CommandOptions):
+class Options(DatasetOptions, NetworkOptions, StepLimitOptions, OutOptions, ResumeOptions):
     """Run the episodes listed in a CSV file and write `episodes.csv`.
 
     Attributes:
       starts: CSV file with columns house,x,y,heading (0 = +x, 1 = +y, 2 = -x, 3 = -y; y grows downward) and,
         optionally, range and, for the settings `published` and `reference`, expanding_range in cells.
-      planner: planners to run, by name; one of your own as package.module:Class.
-      settings: rules. `published`: as the paper's 400 episodes were run, 5-cell sensing. `reference`: as the authors'
-        code at any range. `paper`: as the paper's text says, 8-cell sensing. `occluded`: the same,
-        but houses, trees and other tall things hide what is behind them. A range in the file wins.
-      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
-      network: folder of a trained network for `dc2g` and `dc2g_uncertain`; the shipped one where not given.
-      step_limit: actions after which an episode ends without success; where not given, 500, and on
-        maps of over 50 x 50 cells one action for every five cells of the map.
-      out: folder to write to; a new one below outputs/ where not given.
-      resume: go on with the run in `out`, begun with the same options, where it stopped.
+      planner: planners to run; package.module:Class for one of your own.
+      settings: rules. `published`: those of the paper's 400 episodes, 5-cell sensing. `reference`: those of the
+        authors' code, any range. `paper`: those of the paper's text, 8-cell sensing. `occluded`: the same, but houses,
+        trees and other tall objects hide what is behind them. A range in the file takes precedence.
     """
 
     starts: Annotated[Path, tyro.conf.arg(metavar="CSV")]
     planner: PlannersOption = ("oracle", "frontier", "dc2g")
     settings: Literal["published", "reference", "paper", "occluded"] = "paper"
-    dataset: DatasetOption = None
-    network: NetworkOption = None
-    step_limit: StepLimitOption = None
-    out: OutOption = None
-    resume: bool = False
 
 
 def main(options: Options) -> None:
@@ -66,8 +46,8 @@ def main(options: Options) -> None:
     network = network_for(options.planner, options.network)
     runner = Runner(dataset, SETTINGS[options.settings], step_limit=options.step_limit, progress=EpisodeProgress())
     for start in starts:
-        runner.rules(start)  # a range that cannot be had is refused before anything is written
-    # Of the rows, which are read: an annotation or another order of columns changes nothing.
+        runner.rules(start)  # an invalid range raises before anything is written
+    # The digest is of the parsed rows, so annotations and the order of columns do not matter.
     digest = hashlib.sha256(json.dumps(starts).encode()).hexdigest()
     out = output_folder(options, "run_episodes", inputs={"starts": digest, **digests(dataset, network=network)})
     table = EpisodeTable(out / "episodes.csv")

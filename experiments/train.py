@@ -1,6 +1,6 @@
 """Train the cost-to-go network: `python -m experiments.train --out checkpoints/mine`.
 
-Interrupted or killed, it goes on where it was when run again with --resume.
+After an interruption, --resume continues where it stopped.
 """
 
 import contextlib
@@ -14,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from dc2g_jax.cli.common import DatasetOption, NetworkOption, command_line, digests
-from dc2g_jax.cli.outputs import WHERE, CommandOptions, command_written, commit, output_folder
+from dc2g_jax.cli.common import NetworkOption, command_line, digests
+from dc2g_jax.cli.options import DatasetOptions, TrainingOptions
+from dc2g_jax.cli.outputs import WHERE, command_written, commit, output_folder
 from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.errors import InputError
@@ -30,38 +31,33 @@ from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_hous
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax.training.losses import parse_losses
 
-#: Maps that a recording shows predictions on.
+#: Number of maps in a recording.
 _MAPS_RECORDED = 6
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(CommandOptions):
-    """Train the cost-to-go network on pairs of partial maps and exact cost-to-go (Algorithm 1), training houses only.
+class Options(DatasetOptions, TrainingOptions):
+    """Train the cost-to-go network on training houses, with pairs of partial maps and exact cost-to-go (Algorithm 1).
 
     Attributes:
-      out: folder for checkpoints, the network and the log.
-      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
       data: houses and masks.
-      after: folder of a trained network to go on from: training begins with its weights, and masks of robots that it
+      after: folder of a trained network to start from: training begins with its weights, and masks of robots that it
         leads are added to the others (DAgger).
       loss: quantile, l1, l2, huber or log, or a weighted sum of them such as quantile=1,log=0.5.
       widths: channels of the network at 1/2, 1/4, 1/8 and 1/16 of the map's resolution, such as 16 32 64 128.
-      quantiles: levels of the quantiles that the network answers with: the middles of equal parts of the distribution,
-        as planners take the answers to be equally likely.
+      quantiles: levels of the predicted quantiles: the middles of equal parts of the distribution, since planners treat
+        the predictions as equally likely.
       steps: optimizer steps.
-      batch_size: pairs a step; a multiple of 8 keeps up to eight cores of a CPU busy.
+      batch_size: pairs per step; a multiple of 8 keeps up to eight CPU cores busy.
       learning_rate: peak learning rate.
-      seed: of weights and batches.
-      validate_every: steps between validations; the last step is one too. 0 for none.
-      minutes_per_checkpoint: how often to save, in minutes.
-      record: write a recording of the training for the rerun viewer, `training-001.rrd`, and one more each time that it
-        is resumed; `rerun DIR/training-*.rrd` shows them as one, also while training goes on.
-      connect: address of a running rerun viewer to show training in, such as rerun+http://127.0.0.1:9876/proxy.
-      resume: go on with the run in `out`, begun with the same options, where it stopped.
+      seed: seed of weights and batches.
+      validate_every: steps between validations; the last step is validated too. 0 for none.
+      minutes_per_checkpoint: minutes between checkpoints.
+      record: write a rerun recording of the training, `training-001.rrd`, and another one each time it is resumed;
+        `rerun DIR/training-*.rrd` shows them together, even during training.
+      connect: address of a running rerun viewer to send the training to, such as rerun+http://127.0.0.1:9876/proxy.
     """
 
-    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
-    dataset: DatasetOption = None
     data: tyro.conf.OmitArgPrefixes[DataConfig] = dataclasses.field(default_factory=DataConfig)
     after: NetworkOption = None
     loss: str = "quantile"
@@ -75,20 +71,19 @@ class Options(CommandOptions):
     minutes_per_checkpoint: float = 2.0
     record: bool = False
     connect: Annotated[str | None, tyro.conf.arg(metavar="URL")] = None
-    resume: bool = False
 
     @property
     def training(self) -> TrainingConfig:
-        """How to train.
+        """The training configuration.
 
         Raises:
-          InputError: a number or a name makes no sense.
+          InputError: a number or a name is invalid.
         """
         count = len(self.quantiles)
         middles = [round((part + 0.5) / count, 3) for part in range(count)]
         if not np.allclose(self.quantiles, middles, atol=1e-3):
             raise InputError(
-                f"--quantiles {' '.join(map(str, self.quantiles))}: planners take the answers to be equally likely; "
+                f"--quantiles {' '.join(map(str, self.quantiles))}: planners treat the predictions as equally likely; "
                 f"give the middles of equal parts, such as {' '.join(map(str, middles))}"
             )
         return TrainingConfig(
@@ -105,7 +100,7 @@ def compact_network(folder: Path, architecture: Architecture) -> NetworkCostToGo
     """A trained network of this architecture.
 
     Raises:
-      InputError: if it is of another.
+      InputError: the network has another architecture.
     """
     network = load_network(folder)
     if not isinstance(network, NetworkCostToGo) or network.architecture != architecture:
@@ -118,14 +113,14 @@ def compact_network(folder: Path, architecture: Architecture) -> NetworkCostToGo
 def model_card(
     options: Options, dataset: HouseDataset, after: dict[str, Any] | None, step: int, figures: dict[str, float]
 ) -> dict[str, Any]:
-    """What to know about a network: where it comes from and how good it is on validation houses.
+    """The card of a network: its origin and its validation metrics.
 
     Args:
-      options: of the command.
+      options: options of the command.
       dataset: the houses.
-      after: the card of the network that training began with.
-      step: optimizer steps taken.
-      figures: of the validation.
+      after: card of the network that training started from.
+      step: number of optimizer steps.
+      figures: validation metrics.
     """
     data = options.data
     return {
@@ -144,7 +139,7 @@ def model_card(
 
 
 def open_recording(options: Options, dataset: HouseDataset) -> TrainingRecording | None:
-    """The recording that is asked for, if one is. It shows maps of validation houses, the same for every run."""
+    """The recording, if the options ask for one. It shows validation houses, the same ones for every run."""
     if not options.record and options.connect is None:
         return None
     maps = maps_to_watch(dataset, _MAPS_RECORDED)
@@ -158,18 +153,18 @@ def training_task(
     network: NetworkCostToGo | None,
     recording: TrainingRecording | None,
 ) -> Task[TrainingState]:
-    """What is trained, from a network on where one is given; it is saved and looked at in each validation."""
+    """The training task. It starts from `network` if given. Each validation saves the network."""
     after = None if options.after is None else json.loads((options.after / "network.json").read_text())
     config = options.training
     recipe, hyperparameters, draw = config.recipe, config.hyperparameters, options.data.draw_batch
-    validation = Validation(dataset) if options.validate_every else None  # refused before minutes of collecting
+    validation = Validation(dataset) if options.validate_every else None  # raises before minutes of data collection
     data = replicate(open_training_set(options.out, dataset, options.data, network), mesh_of())
 
     def init() -> TrainingState:
         state = first_state(config)
         if network is None:
             return state
-        fresh = [jax.tree.map(jnp.array, network.weights) for _ in range(2)]  # a step uses them up
+        fresh = [jax.tree.map(jnp.array, network.weights) for _ in range(2)]  # steps donate their buffers
         return dataclasses.replace(state, weights=fresh[0], average=fresh[1])
 
     def network_of(state: TrainingState) -> NetworkCostToGo:
@@ -204,12 +199,12 @@ def training_task(
 
 
 def main(options: Options) -> None:
-    """Train, save and validate."""
-    config = options.training  # refused before anything is written, as are all other options
+    """Train, validate and save the network."""
+    config = options.training  # raises before anything is written, as for all other options
     pauses = Pauses(options.validate_every, options.minutes_per_checkpoint)
     network = None if options.after is None else compact_network(options.after, config.architecture)
     if options.connect is not None:
-        viewer_sink(options.connect)  # an address that is none is refused before anything is written
+        viewer_sink(options.connect)  # an invalid address raises before anything is written
     dataset = open_dataset(options.dataset)
     watched = options.validate_every > 0 or options.record or options.connect is not None
     check_houses(dataset, extra=options.data.extra_houses, drawn=options.validate_every > 0, validated=watched)

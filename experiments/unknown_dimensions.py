@@ -1,7 +1,7 @@
-"""What it costs not to know how large the map is: `python -m experiments.unknown_dimensions`.
+"""Measure the effect of unknown map dimensions: `python -m experiments.unknown_dimensions`.
 
-DC2G asks its network about the whole map, about what has been observed, cropped and rescaled, or about a window around
-the robot; everything else, the starts included, is the same.
+The network of DC2G sees the whole map, a rescaled crop of the observed cells, or a window around the robot. Everything
+else, including the starts, is the same.
 """
 
 import dataclasses
@@ -13,16 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
-from dc2g_jax.cli.common import (
-    DatasetOption,
-    NetworkOption,
-    OutOption,
-    StepLimitOption,
-    command_line,
-    digests,
-)
+from dc2g_jax.cli.common import command_line, digests
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
-from dc2g_jax.cli.outputs import CommandOptions, output_folder
+from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
+from dc2g_jax.cli.outputs import output_folder, print_files
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
 from dc2g_jax.datasets.procedural import draw_neighborhood
 from dc2g_jax.datasets.procedural.suburbs import SUBURBS
@@ -43,37 +37,29 @@ from dc2g_jax.training.cost_to_go_data import drawn_houses, usable
 
 from .benchmarks.timing import measure
 
-#: Seeds of the drawn houses and neighborhoods of a split; those of training are below.
+#: Seeds of the procedural houses and neighborhoods of a split. Training uses smaller ones.
 SEEDS = {"val": 10_000, "test": 10_001}
 
-#: Cells of unknown ground around a house whose surroundings are not known to end with its map.
+#: Unknown cells added around a house, for maps that do not end at its edges.
 OPEN_MARGIN = 24
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(CommandOptions):
-    """Compare what DC2G's network may be asked about: the whole map, a rescaled crop, a window around the robot.
+class Options(DatasetOptions, NetworkOptions, StepLimitOptions, OutOptions, ResumeOptions):
+    """Compare inputs of DC2G's network: the whole map, a rescaled crop, a window around the robot.
 
     Attributes:
-      split: `val`, or `test` for the final figure.
-      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
-      network: folder of a trained network; the shipped one where not given.
+      split: `val` to make choices, `test` to report results.
       starts_per_house: sampled starts in each of the dataset's houses.
-      drawn: further, procedural houses, with two sampled starts in each.
-      rows: maps of several houses in a row, with two sampled starts in each; for each number of `doors`.
-      cells: side of the maps of several houses.
-      doors: houses of those maps that have a front door, at most.
-      windows: sides of the windows around the robot, in cells.
-      seed: of the sampled starts.
-      step_limit: actions after which an episode ends without success; where not given, 500, and on maps of over 50 x 50
-        cells one action for every five cells of the map.
-      out: folder to write to; a new one below outputs/ where not given.
-      resume: go on with the run in `out`, begun with the same options, where it stopped.
+      drawn: number of procedural houses besides, with two sampled starts in each.
+      rows: number of maps with several houses in a row, for each number of `doors`, with two sampled starts in each.
+      cells: side length of the maps with several houses.
+      doors: largest numbers of houses with a front door in these maps.
+      windows: side lengths of the windows around the robot, in cells.
+      seed: seed of the sampled starts.
     """
 
     split: Literal["val", "test"] = "val"
-    dataset: DatasetOption = None
-    network: NetworkOption = None
     starts_per_house: int = 10
     drawn: int = 32
     rows: int = 6
@@ -81,26 +67,23 @@ class Options(CommandOptions):
     doors: tuple[int, ...] = (100, 4)
     windows: tuple[int, ...] = (50,)
     seed: int = 0
-    step_limit: StepLimitOption = None
-    out: OutOption = None
-    resume: bool = False
 
 
 class Worlds(NamedTuple):
-    """Maps of one size, and where episodes start in them."""
+    """Maps of one size, and starts in them."""
 
     houses: list[House]
     starts: list[Start]
 
 
 def estimators_by_planner(network: Estimator, windows: Iterable[int]) -> dict[str, Estimator]:
-    """What DC2G is called with each extent, and its estimator."""
+    """Estimators of DC2G with each extent, by planner name."""
     windowed = {f"dc2g_window_{side}": WindowedEstimator(network, Window(side, prior=float(side))) for side in windows}
     return {"dc2g": network, "dc2g_crop": CroppedEstimator(network), **windowed}
 
 
 def open_ended(worlds: Worlds) -> Worlds:
-    """The same houses and starts in larger maps, in which nothing comes to light around the house."""
+    """The same houses and starts in larger maps, with unknown cells around the house."""
     houses = [
         House(f"{house.name}_open", house.split, np.pad(house.terrain, OPEN_MARGIN, constant_values=UNKNOWN))
         for house in worlds.houses
@@ -113,7 +96,7 @@ def open_ended(worlds: Worlds) -> Worlds:
 
 
 def neighborhoods(options: Options, doors: int) -> Worlds:
-    """Maps of several houses in a row, all suburban styles in turn."""
+    """Maps with several houses in a row. They alternate between all suburban styles."""
     styles, seed = list(SUBURBS), SEEDS[options.split] << 32
     houses = [
         House(f"row{number:03d}d{doors}", options.split, draw_neighborhood(seed + number, style, options.cells, doors))
@@ -123,7 +106,7 @@ def neighborhoods(options: Options, doors: int) -> Worlds:
 
 
 def all_worlds(options: Options, dataset: HouseDataset) -> dict[str, Worlds]:
-    """Everything that planners are compared on, by name."""
+    """All maps to compare planners on, by name."""
     own = usable(dataset, options.split)
     drawn = drawn_houses("v", options.split, options.drawn, SEEDS[options.split], own[0].terrain.shape[0])
     worlds = {
@@ -137,14 +120,14 @@ def all_worlds(options: Options, dataset: HouseDataset) -> dict[str, Worlds]:
 
 @jit
 def _ask(estimator: Estimator, terrain: UInt8[Array, "h w"], before: Float[Array, "1 h w"]) -> Float[Array, "1 h w"]:
-    """One estimate of a robot in the middle of a map, the mean of the outcomes."""
+    """The mean estimate for a robot in the middle of a map."""
     pose, extent = make_pose(terrain.shape[1] // 2, terrain.shape[0] // 2, 0), extent_of(estimator)
     outcomes = estimator.estimate(extent.part(terrain, pose), ())
     return extent.merged(jnp.mean(outcomes, axis=0, keepdims=True), pose, before)
 
 
 def milliseconds(estimators: Mapping[str, Estimator], house: House) -> dict[str, float]:
-    """Of one estimate on a map of which the middle has been observed, one map at a time."""
+    """Duration of one estimate by planner name, for a single map whose middle has been observed."""
     rows, columns = house.terrain.shape
     terrain = np.zeros_like(house.terrain)
     middle = slice(rows // 4, -rows // 4), slice(columns // 4, -columns // 4)
@@ -155,7 +138,7 @@ def milliseconds(estimators: Mapping[str, Estimator], house: House) -> dict[str,
 
 
 def main(options: Options) -> None:
-    """Run all planners on all maps, print and write tables."""
+    """Run all planners on all maps; print and write the tables."""
     if any(n < 1 for n in (options.starts_per_house, *options.doors, *options.windows)) or options.cells < 50:
         raise InputError("give --starts-per-house, --doors and --windows of at least 1, and --cells of at least 50")
     if min(options.drawn, options.rows) < 0:
@@ -187,7 +170,7 @@ def main(options: Options) -> None:
                 flush=True,
             )
     write_json(out / "results.json", {"split": options.split, "worlds": facts})
-    print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+    print_files(out)
 
 
 if __name__ == "__main__":

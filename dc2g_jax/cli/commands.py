@@ -1,6 +1,6 @@
-"""The command `dc2g`: every command of the package by name.
+"""The command `dc2g`, which runs all commands by name.
 
-Imports nothing heavy, so that the list of commands is there at once.
+The module imports nothing heavy, so that `dc2g --help` is fast.
 """
 
 import difflib
@@ -13,34 +13,34 @@ from typing import NoReturn
 
 from dc2g_jax.errors import InputError, require_extra
 
-#: Name of a command -> its module in `experiments`, and what it does.
+#: Command name -> its module in `experiments`, and its description.
 COMMANDS = {
-    "fig4": ("reproduce_fig4", "Fig. 4: what a network predicts on whole and partial maps of test houses"),
+    "fig4": ("reproduce_fig4", "Fig. 4: predictions of a network on whole and partial maps of test houses"),
     "fig5": ("reproduce_fig5", "Fig. 5: three losses compared throughout training"),
-    "fig6": ("reproduce_fig6", "Fig. 6: networks on every test house, against its distance from training"),
+    "fig6": ("reproduce_fig6", "Fig. 6: networks on every test house, against its distance from training houses"),
     "fig7": ("reproduce_fig7", "Fig. 7: extra steps beyond an oracle, by planner and neighborhood"),
     "fig8": ("reproduce_fig8", "Fig. 8: planners side by side from one start"),
     "fig9": ("reproduce_fig9", "Fig. 9: a vehicle with a camera drives to a front door"),
     "run": ("run_episodes", "run planners from the starts in a CSV file"),
     "head-to-head": ("head_to_head", "the authors' network against ours on the 400 published episodes"),
-    "unknown-dimensions": ("unknown_dimensions", "planning where the size of the map is unknown"),
-    "noisy-mapping": ("noisy_mapping", "from camera to door, with more and more noise"),
-    "map check": ("check_map", "look at a map of your own"),
+    "unknown-dimensions": ("unknown_dimensions", "planning without knowing the size of the map"),
+    "noisy-mapping": ("noisy_mapping", "drives from camera to door with increasing noise"),
+    "map check": ("check_map", "check a map of your own"),
     "map explore": ("explore_map", "run planners on a map of your own"),
     "map recording": ("map_recording", "map a recorded sequence of depth images"),
     "draw dataset": ("draw_dataset", "every house of a dataset as a small map"),
-    "draw episodes": ("draw_episodes", "figures of episodes that have been run"),
+    "draw episodes": ("draw_episodes", "figures of earlier episodes"),
     "train": ("train", "train the cost-to-go network"),
     "train-translator": ("train_translator", "train the paper's image-to-image translator"),
     "sweep": ("sweep_losses", "train networks with many losses, learning rates, widths and seeds"),
     "objectnav fig5": ("objectnav_fig5", "dense cost maps, Fig. 5: a search for an object"),
     "objectnav table1": ("objectnav_table1", "dense cost maps, Table I: searching houses for objects"),
-    "objectnav table2": ("objectnav_table2", "dense cost maps, Table II: what the network is shown"),
+    "objectnav table2": ("objectnav_table2", "dense cost maps, Table II: inputs of the network"),
     "objectnav train": ("objectnav_train", "train the network that predicts cost maps indoors"),
     "latency": ("latency", "time the decisions of the online planner"),
-    "mapping-speed": ("mapping_speed", "time how depth images are taken into maps"),
+    "mapping-speed": ("mapping_speed", "time the integration of depth images into maps"),
     "benchmark": ("benchmark", "time planners, environment, kernels and network beside other implementations"),
-    "compile-for": ("compile_for", "compile the programs that take the time for a GPU that need not be there"),
+    "compile-for": ("compile_for", "compile the hot programs for a GPU, without needing one"),
 }
 
 
@@ -54,7 +54,7 @@ def main() -> None:
         name = " ".join(words[:count])
         if name in COMMANDS:
             prepare()
-            # Where Python finds a planner of the user's by `package.module:Class`, as with `python -m`.
+            # As with `python -m`: Python finds the user's planners, `package.module:Class`, here.
             sys.path.append(os.getcwd())
             sys.argv = [f"dc2g {name}", *words[count:]]
             _run(COMMANDS[name][0])
@@ -65,20 +65,20 @@ def main() -> None:
 
 
 def _refuse(message: object) -> NoReturn:
-    """End the program for input that is not valid."""
+    """Exit with an error message for invalid input."""
     print(f"error: {message}", file=sys.stderr)
     sys.exit(2)
 
 
 def _overview() -> str:
-    """All commands, a line each."""
+    """All commands, one per line."""
     width = max(map(len, COMMANDS))
     lines = [f"  {name:{width}}  {words}" for name, (_, words) in COMMANDS.items()]
     return "\n".join(["usage: dc2g COMMAND [OPTIONS]", "", *lines, "", "Options of a command: dc2g COMMAND --help"])
 
 
 def _run(module: str) -> None:
-    """Run a module of `experiments`, which a wheel carries inside the package."""
+    """Run a module of `experiments`. A wheel has it inside the package."""
     package = "dc2g_jax.experiments" if importlib.util.find_spec("dc2g_jax.experiments") else "experiments"
     command = importlib.import_module(f"{package}.{module}")
     from dc2g_jax.cli.common import command_line
@@ -87,9 +87,9 @@ def _run(module: str) -> None:
 
 
 def prepare() -> None:
-    """Before anything is imported that takes seconds: Ctrl-C is no error, and log files hold few lines of progress.
+    """Set up a command before slow imports: handle Ctrl-C, and limit progress lines in log files.
 
-    Ends the program where the extra `all`, which every command needs, is not installed.
+    Exits if the extra `all`, which every command needs, is not installed.
     """
     if not sys.stderr.isatty():
         os.environ.setdefault("TQDM_MININTERVAL", "15")
@@ -101,7 +101,7 @@ def prepare() -> None:
 
 
 def _tell_exception(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Print what ended the program: one line for Ctrl-C."""
+    """Print the exception that ended the program; a single line for Ctrl-C."""
     if issubclass(kind, KeyboardInterrupt):
         print("interrupted", file=sys.stderr)
     else:

@@ -1,4 +1,4 @@
-"""Robots that drive by camera, for commands: what they are made of, and where they set out."""
+"""Robots that drive with a camera: their equipment, and drives from many starts."""
 
 import dataclasses
 import sys
@@ -27,20 +27,20 @@ from dc2g_jax.vehicles.drive import STATUS_NAMES, Equipment, StatusName
 from dc2g_jax.vehicles.fleet import drive_all, sites_of
 from dc2g_jax.vehicles.vehicle import VehicleLimits
 
-#: Cells that the camera sees ahead, as far as the planner is concerned, and its field of view.
+#: Sensing range that the planner assumes, in cells, and field of view of the camera.
 _SENSING_RANGE, _FIELD_OF_VIEW_DEGREES = 8, 90.0
 
-#: Seconds after which an episode ends without success: on the published maps, one for each of the gridworld's steps.
+#: Seconds after which an episode ends without success: one per gridworld step of the published maps' step limit.
 SECONDS_LIMIT = 500.0
 
 
 @dataclasses.dataclass(frozen=True)
 class DrivingOptions(CommandOptions):
-    """How robots drive.
+    """Robots that drive with a camera.
 
     Attributes:
-      pedestrians: people who walk on the sidewalks around each robot.
-      image_size: columns and rows of the camera's images.
+      pedestrians: number of pedestrians on the sidewalks around each robot.
+      image_size: width and height of the camera's images, pixels.
     """
 
     pedestrians: int = 0
@@ -59,16 +59,16 @@ def equipment(
     """A robot's planner, camera and vehicle.
 
     Args:
-      planner: its name.
-      estimator: what the planner goes by, if it goes by one.
+      planner: name of the planner.
+      estimator: estimator of the planner, if it uses one.
       size: rows and columns of the map.
-      noise: level of noise: 0 for none, 1 for as much as the paper's maps may have had.
-      options: of the command.
+      noise: noise level; 0 is no noise, 1 the presumed noise of the paper's maps.
+      options: options of the command.
     """
     rules = complete_rules(_SENSING_RANGE, line_of_sight)
     width, height = options.image_size
     return Equipment(
-        # It decides every second, moved or not: the number of decisions does not tell how long it has been somewhere.
+        # The planner decides every second, even if the robot has not moved, so decisions do not measure dwell times.
         planner=make_planner(planner, rules, estimator, patience=ENDLESS),
         sensing=rules.sensing,
         camera=intrinsics(_FIELD_OF_VIEW_DEGREES, height, width),
@@ -86,10 +86,10 @@ class DriveResult(NamedTuple):
       x: first column.
       y: first row.
       heading: first heading.
-      seconds: that it took.
-      status: how it ended, see `dc2g_jax.vehicles.drive`; under way where time was up.
-      off_ground: seconds for which the footprint touched ground where it should not be.
-      touched: seconds for which it touched a pedestrian.
+      seconds: duration.
+      status: outcome, see `dc2g_jax.vehicles.drive`; `under way` at the time limit.
+      off_ground: seconds in which the footprint touched forbidden ground.
+      touched: seconds in which it touched a pedestrian.
     """
 
     house: str
@@ -109,13 +109,13 @@ def drive(
     """Drive from every start.
 
     Args:
-      name: what the progress bar says.
-      houses: where the starts are; all of one size.
+      name: title of the progress bar.
+      houses: houses of the starts; all of one size.
       starts: first poses.
-      robot: what the robots are made of.
-      seed: of noise and pedestrians.
-      options: of the command.
-      knows_map: do the robots know the map beforehand?
+      robot: equipment of the robots.
+      seed: seed of noise and pedestrians.
+      options: options of the command.
+      knows_map: whether the robots know the map in advance.
     """
     episodes = episodes_from(starts, {house.name: number for number, house in enumerate(houses)})
     sites = sites_of([house.terrain for house in houses])

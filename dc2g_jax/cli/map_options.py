@@ -1,4 +1,4 @@
-"""Options that commands share: a map of one's own, and where an episode on it starts."""
+"""Shared options: a user's own map, and the start of an episode."""
 
 import dataclasses
 from pathlib import Path
@@ -19,7 +19,7 @@ from dc2g_jax.grid.ground import connected_to_goal
 from dc2g_jax.grid.poses import HEADINGS
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
 
-#: Where an episode starts: column, row and heading.
+#: Start of an episode: column, row and heading.
 StartOption = Annotated[tuple[int, int, int] | None, tyro.conf.arg(metavar="COLUMN ROW HEADING", help_behavior_hint="")]
 
 
@@ -28,11 +28,11 @@ class MapOptions(CommandOptions):
     """A map and how to read it.
 
     Attributes:
-      map: a class picture (.png), an array of class indices (.npy), or the YAML file of a ROS occupancy map.
-      palette: CSV file with the columns class,r,g,b: what the colors of a picture mean.
-      goals: goals besides the front doors that are drawn, x and y of one after the other.
-      goal_unit: `cells` are columns and rows of the grid, `metres` lie in the map frame of a ROS map.
-      cells: columns and rows of the grid that the map is sampled to; a pixel a cell where not given.
+      map: class image (.png), array of class indices (.npy), or YAML file of a ROS occupancy map.
+      palette: CSV file with the columns class,r,g,b: the colors of the classes in an image.
+      goals: goals besides the front doors on the map: x and y of each.
+      goal_unit: unit of the goals: `cells` for columns and rows of the grid, `metres` for the map frame of a ROS map.
+      cells: columns and rows of the grid that the map is resampled to; by default one cell per pixel.
     """
 
     map: tyro.conf.Positional[Path]
@@ -43,10 +43,10 @@ class MapOptions(CommandOptions):
 
 
 def terrain_of(options: MapOptions) -> UInt8[np.ndarray, "h w"]:
-    """The map's class indices, whether or not its goals can be reached.
+    """The map's class indices. Its goals may be unreachable.
 
     Raises:
-      InputError: for a map, a palette or a goal of no use.
+      InputError: the map, the palette or a goal is invalid.
     """
     palette = None if options.palette is None else read_palette(options.palette)
     goals = [Goal(x, y, options.goal_unit) for x, y in options.goals]
@@ -54,7 +54,7 @@ def terrain_of(options: MapOptions) -> UInt8[np.ndarray, "h w"]:
 
 
 def doubts_about(options: MapOptions) -> list[str]:
-    """What in a map's file is probably not meant, a line each."""
+    """Probable mistakes in a map's file, one per line."""
     if options.map.suffix.lower() not in YAML_ENDINGS:
         return []
     doubt = read_occupancy_map(options.map).doubt
@@ -62,16 +62,16 @@ def doubts_about(options: MapOptions) -> list[str]:
 
 
 def start_in(where: str, house: House, pose: tuple[int, int, int] | None, seed: int) -> Start:
-    """The start that was asked for, or a sampled one.
+    """The given start, or a sampled one.
 
     Args:
-      where: the map's file or name, which begins the message of an error.
-      house: where to start.
-      pose: column, row and heading, or `None`.
-      seed: of the sampled start.
+      where: file or name of the map, for error messages.
+      house: the map.
+      pose: column, row and heading, or `None` to sample a start.
+      seed: seed of the sampled start.
 
     Raises:
-      InputError: if no goal can be reached from there; names the nearest cell to start from.
+      InputError: no goal can be reached from there; the message names the nearest valid start.
     """
     if pose is None:
         if reason := why_no_episode(house):
@@ -91,7 +91,7 @@ def start_in(where: str, house: House, pose: tuple[int, int, int] | None, seed: 
 
 
 def _why_no_start(terrain: UInt8[np.ndarray, "h w"], x: int, y: int) -> str | None:
-    """Why no episode can start in a cell, or `None` where one can."""
+    """The reason why no episode can start in a cell, or `None`."""
     height, width = terrain.shape
     if not (0 <= x < width and 0 <= y < height):
         return f"column {x}, row {y} is off the map of {width} x {height} cells"
@@ -111,7 +111,7 @@ def _start_ground(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 
 def _nearest_start(terrain: UInt8[np.ndarray, "h w"], x: int, y: int) -> str:
-    """Where an episode can start nearby."""
+    """Describe the nearest cell in which an episode can start."""
     rows, columns = np.nonzero(_start_ground(terrain))
     if not len(rows):
         return "the map has no ground that leads to a goal"

@@ -1,14 +1,18 @@
-"""Planners from one start: run, put in a table, drawn, animated and recorded; for commands that look at one start."""
+"""Run planners from one start, then write their table, figures, animations and recordings."""
 
+import dataclasses
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from tqdm import tqdm
 
-from dc2g_jax.cli.common import check_planners, network_for
+from dc2g_jax.cli.common import PlannersOption, check_planners, network_for
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
+from dc2g_jax.cli.map_options import StartOption
+from dc2g_jax.cli.options import NetworkOptions, OutOptions
+from dc2g_jax.cli.outputs import output_folder, print_files
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
@@ -22,72 +26,78 @@ from dc2g_jax.planning.planners import GAVE_UP, MODE_NAMES
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
 
-#: Bytes that the replay of an episode takes for a cell and a step, and the most that all replays may take.
+#: Bytes that the replay of an episode needs per cell and step, and the limit for all replays together.
 _REPLAY_BYTES, _MOST_BYTES = 45, 6e9
 
-Animation = Literal["gif", "mp4"]
 
-
-class Request(NamedTuple):
-    """What to run.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class OneStartOptions(NetworkOptions, OutOptions):
+    """One episode, run by several planners.
 
     Attributes:
-      house: where.
-      start: from which pose, with which sensing range.
-      planners: names, in the order of the figures.
-      network: what planners on a network go by; `None` where none of them does.
-      runner: runs them, by the rules of the paper's text.
+      start: column, row (growing downward) and heading (0 right, 1 down, 2 left, 3 up); sampled by default, on the road
+        where there is one.
+      seed: seed of the sampled start.
+      planner: planners to run besides the oracle, in the order of the figures; package.module:Class for one of your
+        own.
+      sensing_range: number of cells that a robot sees ahead.
+      animation: formats of the animation.
     """
 
-    house: House
-    start: Start
-    planners: Sequence[str]
-    network: TrainedNetwork | None
-    runner: Runner
+    start: StartOption = None
+    seed: int = 0
+    planner: PlannersOption = ("dc2g", "frontier")
+    sensing_range: int = 8
+    animation: tuple[Literal["gif", "mp4"], ...] = ("gif",)
+
+    def check_sensing_range(self) -> None:
+        """Check that the sensing range is supported.
+
+        Raises:
+          InputError: it is not.
+        """
+        if not 1 <= self.sensing_range <= MAX_SENSING_RANGE:
+            raise InputError(f"--sensing-range {self.sensing_range}: give 1 to {MAX_SENSING_RANGE} cells")
 
 
-def make_request(
-    house: House, start: Start, planners: Sequence[str], network: Path | None, step_limit: int | None = None
-) -> Request:
-    """What is asked for, once it is sure that it can be run.
+def run_one_start(
+    options: OneStartOptions,
+    command: str,
+    name: str,
+    house: House,
+    start: Start,
+    *,
+    step_limit: int | None = None,
+    warnings: Sequence[str] = (),
+) -> None:
+    """Run the oracle and the planners from one start, print their results and write all files.
 
     Args:
-      house: where.
-      start: from which pose, with which sensing range.
-      planners: names, in the order of the figures.
-      network: folder of the network, `None` for the shipped one.
-      step_limit: actions after which an episode ends without success; `None` for as many as suit the map's size.
+      options: options of the command.
+      command: name of the command.
+      name: file name of figure, animation and recording, without extension.
+      house: the map.
+      start: first pose. The sensing range comes from the options.
+      step_limit: actions after which an episode ends without success; `None` for the default for the map's size.
+      warnings: printed before the episodes run.
 
     Raises:
-      InputError: a planner is unknown, the network cannot be read, or the step limit is less than 1.
+      InputError: a planner is unknown, the network or the output folder cannot be used, the step limit is less than 1,
+        or not even the oracle reaches a goal within it.
     """
-    check_planners(planners)
-    loaded = network_for(planners, network)
+    start = start._replace(sensing_range=options.sensing_range)
+    check_planners(options.planner)
+    network = network_for(options.planner, options.network)
     dataset = HouseDataset(house.name, "folder", (house,))
     runner = Runner(dataset, SETTINGS["paper"], step_limit=step_limit, progress=EpisodeProgress())
-    return Request(house, start, planners, loaded, runner)
-
-
-def require_sensing_range(cells: int) -> int:
-    """Refuse a sensing range that no kernel has."""
-    if not 1 <= cells <= MAX_SENSING_RANGE:
-        raise InputError(f"--sensing-range {cells}: give 1 to {MAX_SENSING_RANGE} cells")
-    return cells
-
-
-def run_request(request: Request, table: EpisodeTable) -> dict[str, EpisodeResult]:
-    """Run the oracle and the planners, and print their results.
-
-    Returns:
-      Planner -> its episode, the oracle first.
-
-    Raises:
-      InputError: if not even the oracle reaches a goal within the step limit.
-    """
-    names = list(dict.fromkeys(("oracle", *request.planners)))
-    results = table.run(request.runner, [request.start], names, request.network)
-    _print_results(results, request.house, request.runner.step_limit)
-    return {result.planner: result for result in results}
+    out = output_folder(options, command)
+    for warning in warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    planners = list(dict.fromkeys(("oracle", *options.planner)))
+    results = EpisodeTable(out / "episodes.csv").run(runner, [start], planners, network)
+    _print_results(results, house, runner.step_limit)
+    _draw(out, name, options, house, {result.planner: result for result in results}, network)
+    print_files(out)
 
 
 def _print_results(results: Sequence[EpisodeResult], house: House, limit: int) -> None:
@@ -107,41 +117,38 @@ def _print_results(results: Sequence[EpisodeResult], house: House, limit: int) -
         print(f"{result.planner:{width}}{result.steps:>8,}{extra:>14}   {outcome}")
 
 
-def draw_request(
-    out: Path, name: str, request: Request, results: dict[str, EpisodeResult], animations: Sequence[Animation]
+def _draw(
+    out: Path,
+    name: str,
+    options: OneStartOptions,
+    house: House,
+    results: Mapping[str, EpisodeResult],
+    network: TrainedNetwork | None,
 ) -> None:
-    """Write the figure, the ways on the map, the animations and the recording of an episode.
-
-    Args:
-      out: folder to write to.
-      name: of the files, without an ending.
-      request: what was run.
-      results: planner -> its episode.
-      animations: formats of the animation.
-    """
-    plot_trajectories(out / "trajectories", request.house, results)
-    chosen = _replayable({planner: results[planner] for planner in request.planners}, request.house.terrain.size)
+    """Write the figures, animations and recording of the episodes in `results`, given by planner."""
+    plot_trajectories(out / "trajectories", house, results)
+    chosen = _replayable({planner: results[planner] for planner in options.planner}, house.terrain.size)
     if not chosen:
         return
-    rules = SETTINGS["paper"].rules(request.start.sensing_range)
-    bar = tqdm(total=len(chosen) + len(animations) + 2, desc=f"{'drawing':>16}", unit="file", file=sys.stderr)
-    episodes = {}
-    for planner, result in chosen.items():
-        episodes[planner] = RecordedEpisode(result, replay_result(result, request.house, rules, request.network))
+    rules = SETTINGS["paper"].rules(options.sensing_range)
+    total = len(chosen) + len(options.animation) + 2
+    with tqdm(total=total, desc=f"{'drawing':>16}", unit="file", file=sys.stderr) as bar:
+        episodes = {}
+        for planner, result in chosen.items():
+            episodes[planner] = RecordedEpisode(result, replay_result(result, house, rules, network))
+            bar.update()
+        frames = {planner: episode.frames for planner, episode in episodes.items()}
+        plot_episode(out / name, house, frames)
         bar.update()
-    frames = {planner: episode.frames for planner, episode in episodes.items()}
-    plot_episode(out / name, request.house, frames)
-    bar.update()
-    for ending in animations:
-        animate(out / f"{name}.{ending}", request.house, frames)
+        for extension in options.animation:
+            animate(out / f"{name}.{extension}", house, frames)
+            bar.update()
+        record_frames(out / f"{name}.rrd", house=house, episodes=episodes)
         bar.update()
-    record_frames(out / f"{name}.rrd", house=request.house, episodes=episodes)
-    bar.update()
-    bar.close()
 
 
 def _replayable(results: Mapping[str, EpisodeResult], cells: int) -> dict[str, EpisodeResult]:
-    """The episodes that can be replayed in the memory there is; the longest are left out, with a line."""
+    """The episodes that fit into memory when replayed. The longest are left out, with a message."""
     kept = dict(results)
     while sum(result.steps + 1 for result in kept.values()) * cells * _REPLAY_BYTES > _MOST_BYTES:
         longest = max(kept, key=lambda planner: kept[planner].steps)
@@ -152,10 +159,3 @@ def _replayable(results: Mapping[str, EpisodeResult], cells: int) -> dict[str, E
         )
         del kept[longest]
     return kept
-
-
-def tell_files(out: Path) -> None:
-    """Print what has been written."""
-    print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
-    for recording in out.glob("*.rrd"):
-        print(f"Step through it: rerun {recording}")

@@ -1,4 +1,4 @@
-"""Folders that commands write to, and the record each of them holds of how to make it again."""
+"""Output folders of commands, with a record of how to reproduce them."""
 
 import dataclasses
 import datetime
@@ -23,20 +23,20 @@ from dc2g_jax.files.atomic import clear_unfinished, write_json
 if sys.platform != "win32":
     import fcntl
 
-#: File in every output folder that says how it was made.
+#: File in every output folder that records how it was made.
 RUN_FILE = "run.json"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CommandOptions:
-    """Options that every command has. They decide where it runs, not what comes out.
+    """Options of every command. They affect where it runs, not its results.
 
     Attributes:
-      devices: accelerators to use in each process, or cores of the CPU; where not given, all.
-      coordinator: host:port of the first of several processes that share the work; where not given, as Slurm, Open MPI,
-        Kubernetes or a TPU pod says.
-      num_processes: how many processes there are.
-      process_id: number of this process, from 0 on.
+      devices: number of accelerators, or of CPU cores, to use in each process; all by default.
+      coordinator: host:port of the first of several processes that share the work; by default, Slurm, Open MPI,
+        Kubernetes or a TPU pod provides it.
+      num_processes: number of processes.
+      process_id: index of this process, from 0.
     """
 
     devices: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
@@ -45,25 +45,24 @@ class CommandOptions:
     process_id: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
 
 
-#: Options that may change when a run is resumed.
+#: Options that may always change when a run is resumed.
 WHERE = ("out", "resume", *(field.name for field in dataclasses.fields(CommandOptions)))
 
-#: Folders that this process writes to, as absolute paths in the order taken, each with the open file that keeps other
-#: processes off it.
+#: Folders that this process writes to, as absolute paths in order, each with the open file that locks it.
 _held: dict[Path, int | None] = {}
 
 
 def number_or_null(value: float) -> float | None:
-    """A number as JSON can hold it, which knows no NaN."""
+    """The number, or `None` for NaN and infinities, which JSON does not have."""
     return value if math.isfinite(value) else None
 
 
 class OutputOptions(Protocol):
-    """Options of a command that writes to a folder; a dataclass. One with `resume` can go on where it stopped."""
+    """Options, as a dataclass, of a command that writes to a folder. With a field `resume`, runs can be resumed."""
 
     @property
     def out(self) -> Path | None:
-        """The folder; a new one below outputs/ where not given."""
+        """The folder; a new one under outputs/ if `None`."""
         ...
 
 
@@ -75,20 +74,20 @@ def output_folder(
     inputs: Mapping[str, str] | None = None,
     check: Callable[[Path], None] = lambda folder: None,
 ) -> Path:
-    """The folder to write to, with a `run.json` that holds the command, all options, versions, commit and time.
+    """Make or reopen the output folder, with a `run.json` of the command, all options, versions, commit and time.
 
-    Nothing that lies there is overwritten: a folder in use is refused, but for `--resume` with the options that it was
-    begun with; `run.json` then lists each time that the run was taken up.
+    Nothing is overwritten: the folder must be empty, except for `--resume` with the same options as before. In that
+    case, `run.json` lists each resumption.
 
     Args:
-      options: the command's options.
+      options: options of the command.
       command: name of the command.
-      free: further options that may differ from the run that is resumed.
-      inputs: name of an option -> SHA-256 of what is read where it says; the same when a run is resumed.
-      check: called with the folder of a run that is resumed; raises if it cannot go on.
+      free: further options that may change when a run is resumed.
+      inputs: option name -> SHA-256 of its data. They must be the same when a run is resumed.
+      check: called with the folder of a resumed run; raises if it cannot continue.
 
     Raises:
-      InputError: if the folder is in use, by another process too, cannot be made, or holds no such run to resume.
+      InputError: the folder is in use or cannot be written, or holds no such run to resume.
     """
     resume = bool(getattr(options, "resume", False))
     folder = options.out
@@ -132,7 +131,7 @@ def output_folder(
 
 
 def _make_new(folder: Path, *, resumable: bool) -> None:
-    """Make a folder that does not exist or is empty."""
+    """Make a folder, which must not exist or be empty."""
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             remedy = "; to go on with the run in it, add --resume" if resumable and (folder / RUN_FILE).exists() else ""
@@ -143,7 +142,7 @@ def _make_new(folder: Path, *, resumable: bool) -> None:
 
 
 def _hold(folder: Path) -> bool:
-    """Keep other processes off a folder until this one ends, where the system can; can it?"""
+    """Lock a folder until this process ends. Returns whether the system can."""
     folder = folder.resolve()
     if folder in _held:
         return _held[folder] is not None
@@ -171,12 +170,12 @@ def _hold(folder: Path) -> bool:
 
 
 def folder_in_use() -> Path | None:
-    """The folder that this process took last to write to, `None` before it has any."""
+    """The last output folder of this process, or `None`."""
     return next(reversed(_held), None)
 
 
 def _plain_options(options: Any) -> dict[str, Any]:
-    """Options as JSON has them, paths as text, tuples as lists; those of a group as `group.name`."""
+    """Options as JSON values: paths as strings, tuples as lists, options of a group as `group.name`."""
     plain: dict[str, Any] = {}
     for name, value in json.loads(json.dumps(dataclasses.asdict(options), default=str)).items():
         plain |= {f"{name}.{part}": one for part, one in value.items()} if isinstance(value, dict) else {name: value}
@@ -184,7 +183,7 @@ def _plain_options(options: Any) -> dict[str, Any]:
 
 
 def _read_run(folder: Path) -> dict[str, Any]:
-    """What `run.json` of a folder says."""
+    """The contents of a folder's `run.json`."""
     path = folder / RUN_FILE
     try:
         facts = json.loads(path.read_text())
@@ -200,7 +199,7 @@ def _read_run(folder: Path) -> dict[str, Any]:
 def _require_same(
     folder: Path, before: dict[str, Any], command: str, given: dict[str, Any], free: Collection[str]
 ) -> None:
-    """See that a run is resumed with the options that it was begun with."""
+    """Check that a run is resumed with the same options."""
     if before.get("experiment") != command:
         raise InputError(
             f"{folder}: holds a run of {before.get('experiment')}, not of {command}; give --out another folder"
@@ -216,7 +215,7 @@ def _require_same(
 
 
 def _require_same_inputs(folder: Path, before: Mapping[str, str], now: Mapping[str, str]) -> None:
-    """See that a run is resumed with what it has read so far."""
+    """Check that a run is resumed with the same data."""
     for name, digest in now.items():
         if name not in before:
             raise InputError(
@@ -231,21 +230,26 @@ def _require_same_inputs(folder: Path, before: Mapping[str, str], now: Mapping[s
             )
 
 
+def print_files(out: Path) -> None:
+    """Print the names of the files in an output folder, and how to open its recordings."""
+    print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+    for recording in out.glob("*.rrd"):
+        print(f"Step through it: rerun {recording}")
+
+
 def program() -> str:
-    """The command that runs, as it is typed: `dc2g NAME` or `python -m experiments.MODULE`."""
+    """The running command as typed: `dc2g NAME` or `python -m experiments.MODULE`."""
     return sys.argv[0] if sys.argv[0].startswith("dc2g ") else f"python -m experiments.{Path(sys.argv[0]).stem}"
 
 
 def command_written() -> str:
-    """The command as it was typed, with its options."""
+    """The command line as typed, with its options."""
     return " ".join([program(), *map(shlex.quote, sys.argv[1:])])
 
 
 @functools.cache
 def commit() -> str:
-    """The git commit of the code, with `+` after it where files have changed since; `unknown` outside a repository, or
-    without git.
-    """
+    """The git commit of the code, followed by `+` if files have changed; `unknown` without a repository or git."""
 
     def asked(*command: str) -> str:
         here = Path(__file__).parent
@@ -261,7 +265,7 @@ def commit() -> str:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what a result depends on, and the device it was made on."""
+    """Versions of Python and the packages that results depend on, and the device."""
     found = {name: importlib.metadata.version(name) for name in ("dc2g_jax", "jax", "flax", "numpy")}
     python = ".".join(str(part) for part in sys.version_info[:3])
     return {"python": python, **found, "device": jax.devices()[0].device_kind}

@@ -1,4 +1,4 @@
-"""What the commands for object goals share: options, agents by name, `episodes.csv`, and what is said in the end."""
+"""Shared by the commands for object goals: options, agents by name, `episodes.csv`, and the final report."""
 
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -9,7 +9,8 @@ import tyro
 
 from dc2g_jax.cli.common import NetworkOption
 from dc2g_jax.cli.episodes import EpisodeProgress
-from dc2g_jax.cli.outputs import CommandOptions
+from dc2g_jax.cli.options import OutOptions, ResumeOptions, require_positive
+from dc2g_jax.cli.outputs import print_files
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
@@ -34,16 +35,16 @@ from dc2g_jax.objectnav.predicted_costs import PredictedCosts, load_costs
 from dc2g_jax.objectnav.searches import TIME_LIMIT, Search, sample_episodes, search_all
 from dc2g_jax.rollouts.results import ResumableTable
 
-#: The network that comes with the package, and its encoder.
+#: The shipped network and its encoder.
 SHIPPED_INDOOR_NETWORK = "weights/cost_maps_indoors"
 
-#: What may be an agent.
+#: Names of the agents.
 AgentName = Literal["true_cost", "random", "frontier", "predicted", "promising"]
 
-#: Those that go by a network.
+#: Agents that use a network.
 ON_NETWORK = ("promising", "predicted")
 
-#: What tables call an agent.
+#: Titles of the agents in tables.
 AGENT_TITLES = {
     "true_cost": "true cost map",
     "random": "privileged random",
@@ -52,8 +53,7 @@ AGENT_TITLES = {
     "promising": "predicted, at frontiers",
 }
 
-
-#: What is said under every table.
+#: Printed below every table.
 CAVEAT = (
     "The paper's houses differ from these (they are scanned homes, Matterport3D in the Habitat simulator), and so do "
     "its robot's speed and camera; its agent with true costs stops as soon as it sees the object: compare its lines "
@@ -62,44 +62,51 @@ CAVEAT = (
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SearchOptions(CommandOptions):
-    """Where objects are searched for.
+class SearchOptions(OutOptions):
+    """A search for an object in a house.
 
     Attributes:
       houses: folder of ProcTHOR houses (`train`, `val` and `test`.jsonl.gz, `asset_boxes.json`), or `procedural` for
         the procedural floor plans.
-      split: `test`, or `val` while anything is still being chosen.
-      strict: refuse a file of houses for its first line that is none, instead of skipping it.
-      count: houses, the first ones of the split.
-      episodes: searches in each house, of random starts and targets.
-      samples: copies of the plan that the controller drives at each step.
+      split: `val` to make choices, `test` to report results.
+      samples: plans that the controller samples at each step.
       limit: steps of 0.1 s after which a search ends without success.
-      seed: of starts, targets and the robots' noise.
-      resamples: draws of houses for the bootstrap intervals.
+      seed: seed of starts, targets and the robots' noise.
     """
 
     houses: Annotated[str, tyro.conf.arg(metavar="FOLDER")] = PROCEDURAL
     split: Literal["val", "test"] = "test"
-    strict: bool = False
-    count: int = 8
-    episodes: int = 40
     samples: int = CONTROLLER.samples
     limit: int = TIME_LIMIT
     seed: int = 0
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ComparisonOptions(SearchOptions, ResumeOptions):
+    """Searches in several houses.
+
+    Attributes:
+      strict: reject a file of houses at its first invalid line, instead of skipping the line.
+      count: number of houses, from the first of the split on.
+      episodes: searches in each house, from random starts for random targets.
+      resamples: bootstrap samples of the houses, for the intervals.
+    """
+
+    strict: bool = False
+    count: int = 8
+    episodes: int = 40
     resamples: int = 10_000
 
     def check(self) -> None:
-        """Refuse numbers that are none.
+        """Check the numbers.
 
         Raises:
-          InputError: names the option.
+          InputError: one is below 1; the message names the option.
         """
-        for name in ("count", "episodes", "samples", "limit", "resamples"):
-            if getattr(self, name) < 1:
-                raise InputError(f"--{name} {getattr(self, name)}: give 1 or more")
+        require_positive(self, "count", "episodes", "samples", "limit", "resamples")
 
     def places(self) -> tuple[list[IndoorHouse], list[Search]]:
-        """The houses, and the searches to be made in them."""
+        """The houses and the searches in them."""
         houses = indoor_houses(
             self.houses, self.split, count=self.count, cell_size=IndoorMapSettings.cell_size, strict=self.strict
         )
@@ -113,33 +120,36 @@ class SearchOptions(CommandOptions):
 
 
 def open_costs(folder: NetworkOption) -> PredictedCosts[CostMapEstimator]:
-    """The network in a folder, or the one that comes with the package."""
+    """The network in a folder, or the shipped one."""
     return load_costs(resource(SHIPPED_INDOOR_NETWORK) if folder is None else folder)
 
 
 def costs_for(agents: Iterable[str], folder: NetworkOption) -> PredictedCosts[CostMapEstimator] | None:
-    """The network in a folder, see `open_costs`, if one of these agents goes by a network."""
+    """`open_costs` if one of these agents uses a network, else `None`."""
     return open_costs(folder) if set(ON_NETWORK) & set(agents) else None
 
 
 def digests(houses: Sequence[IndoorHouse], **networks: Any) -> dict[str, str]:
-    """SHA-256 by option of what searches depend on and a folder may hold another of when they are resumed.
+    """SHA-256 of the inputs of searches, by option. They must be the same when a run is resumed.
 
     Args:
-      houses: searched.
-      networks: by option, `PredictedCosts` or a mapping of them; those that are `None` are left out.
+      houses: houses to search.
+      networks: `PredictedCosts` or a mapping of them, by option; `None` is left out.
     """
     given = {"houses": [house.world for house in houses], **networks}
     return {name: tree_sha256(tree) for name, tree in given.items() if tree is not None}
 
 
 def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLER.samples) -> Agent:
-    """An agent. Those that explore by a rule look around first.
+    """The agent of this name. Agents with an exploration rule look around first.
 
     Args:
       name: one of `AgentName`.
-      costs: of the network, for agents that go by one.
-      samples: copies of the plan that the controller drives at each step.
+      costs: the network, for agents that use one.
+      samples: plans that the controller samples at each step.
+
+    Raises:
+      InputError: the agent needs a network.
     """
     steering: Steering = LookAround(MPC())
     guide: Guide
@@ -162,13 +172,13 @@ def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLE
 
 
 class SearchTable(ResumableTable[SearchResult]):
-    """`episodes.csv`: one line a search and agent, written anew whenever an agent has made all of its searches.
+    """`episodes.csv`: one row per search and agent, rewritten after each agent's last search.
 
     Args:
       path: the file.
 
     Raises:
-      InputError: the file is there and cannot be read.
+      InputError: the file exists and cannot be read.
     """
 
     def __init__(self, path: Path):
@@ -182,12 +192,12 @@ class SearchTable(ResumableTable[SearchResult]):
         episodes: Sequence[Search],
         options: SearchOptions,
     ) -> list[SearchResult]:
-        """Results of an agent's searches, made now or earlier.
+        """Results of an agent's searches, from the file or run now.
 
         Args:
-          name: of the agent, its column in the table.
-          agent: makes it; not called for searches that are there.
-          houses: those of the episodes.
+          name: name of the agent in the table.
+          agent: makes the agent; not called if the file has the searches.
+          houses: houses of the searches.
           episodes: the searches.
           options: time limit and seed.
 
@@ -208,23 +218,23 @@ class SearchTable(ResumableTable[SearchResult]):
 
 def conclude(
     out: Path,
-    options: SearchOptions,
+    options: ComparisonOptions,
     houses: Sequence[IndoorHouse],
     results: Mapping[str, Sequence[SearchResult]],
     titles: Mapping[str, str],
     table: str,
     facts: Mapping[str, Any],
 ) -> None:
-    """Print a table and how the last of its lines compares with the others, and write `results.json`.
+    """Print a table and compare its last row with the others; write `results.json`.
 
     Args:
       out: folder to write to.
-      options: of the command.
-      houses: where the searches were made.
-      results: the same searches for each line of the table, by its name.
-      titles: what the lines are called, by name.
-      table: as text.
-      facts: what `results.json` holds beside houses, split and differences.
+      options: options of the command.
+      houses: houses that were searched.
+      results: results of the same searches by row of the table.
+      titles: titles of the rows by name.
+      table: the table as text.
+      facts: contents of `results.json` besides houses, split and differences.
     """
     *others, last = results
     gains = {name: difference(results[last], results[name], resamples=options.resamples) for name in others}
@@ -239,7 +249,7 @@ def conclude(
         "differences": {name: gain._asdict() for name, gain in gains.items()},
     }
     write_json(out / "results.json", found)
-    print(f"Written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+    print_files(out)
 
 
 def _in_words(one: Difference) -> str:

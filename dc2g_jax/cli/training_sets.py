@@ -1,4 +1,4 @@
-"""What networks are trained on, kept in the folder of the training: what takes minutes to collect is collected once."""
+"""Training sets, saved in the folder of the training so that they are collected only once."""
 
 import sys
 import zipfile
@@ -25,18 +25,18 @@ from dc2g_jax.training.cost_to_go_data import (
 )
 from dc2g_jax.training.mask_collection import Masks
 
-#: Collects arrays by name; given a function to tell how many of how many parts are done.
+#: Collects arrays by name. Takes a function to report the finished and the total number of parts.
 Collect = Callable[[Callable[[int, int], None]], Mapping[str, npt.ArrayLike]]
 
 
 def kept_arrays(path: Path, names: Sequence[str], collect: Collect, *, unit: str) -> dict[str, np.ndarray]:
-    """Arrays from a file, collected and kept there the first time.
+    """Arrays from a file, collected and saved there the first time.
 
     Args:
       path: the file.
-      names: what the arrays are called.
-      collect: makes them.
-      unit: what the progress bar counts.
+      names: names of the arrays.
+      collect: collects the arrays.
+      unit: unit of the progress bar.
 
     Raises:
       InputError: the file cannot be read.
@@ -60,7 +60,7 @@ def kept_arrays(path: Path, names: Sequence[str], collect: Collect, *, unit: str
 
 
 def _kept_masks(path: Path, houses: Sequence[House], collect: Callable[[Callable[[int, int], None]], Masks]) -> Masks:
-    """Masks of these houses from a file, collected and kept there the first time."""
+    """Masks of these houses from a file, collected and saved there the first time."""
     masks = Masks(**kept_arrays(path, Masks._fields, lambda show: collect(show)._asdict(), unit="rollout"))
     check_masks(masks, houses, str(path))
     return masks
@@ -69,16 +69,16 @@ def _kept_masks(path: Path, houses: Sequence[House], collect: Callable[[Callable
 def open_training_set(
     folder: Path, dataset: HouseDataset, config: DataConfig, network: NetworkCostToGo | None = None
 ) -> TrainingSet:
-    """What to train the compact network on; its masks are kept in `folder`.
+    """The training set of the compact network. Its masks are saved in `folder`.
 
     Args:
-      folder: where masks are kept.
+      folder: folder for the masks.
       dataset: the houses.
-      config: what to train on.
-      network: a network whose robots' masks are added, where one is given.
+      config: configuration of the training set.
+      network: if given, masks of robots that this network leads are added.
 
     Raises:
-      InputError: no house can be trained on, or masks that are kept cannot be read or are of other houses.
+      InputError: no house can be trained on, or saved masks cannot be read or belong to other houses.
     """
     houses, n_own = training_houses(dataset, config)
     parts = [_kept_masks(folder / "masks.npz", houses, lambda show: observation_masks(config, houses, n_own, show))]

@@ -1,4 +1,4 @@
-"""What the commands about the image-to-image translator share: its training pairs and its training."""
+"""Shared by the commands for the image-to-image translator: its training pairs and its training."""
 
 import dataclasses
 from functools import partial
@@ -21,30 +21,30 @@ from dc2g_jax.training.image_pairs import ImageSet, draw_image_pairs
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax.training.translator import TranslatorConfig, TranslatorState, init_translator, translator_step
 
-#: A step takes seconds on a CPU.
+#: Steps between progress updates. A step takes seconds on a CPU.
 _STEPS_PER_LOOK = 10
 
 
 @dataclasses.dataclass(frozen=True)
 class TranslationOptions:
-    """How a translator is trained; the defaults are the paper's where it gives them.
+    """Training of a translator. The defaults are the paper's if it gives them.
 
     Attributes:
-      masks: what is observed: `paper` draws strokes, blobs and strips in place of the paper's, which
-        were not published, `rollout` takes what robots under way had seen.
+      masks: observation masks: `paper` draws strokes, blobs and strips instead of the paper's masks, which were not
+        published; `rollout` takes the observed cells of exploring robots.
       train_masks: observation masks of each training house.
       validation_masks: observation masks of each validation house.
-      whole_share: share of training pairs in which all of the map is observed. The paper does not say how many are;
-        a network that is never shown a whole map draws one as badly as if it had learned nothing.
-      augment: maps are shifted, enlarged and mirrored at random, as pix2pix does; not with `--no-augment`.
-      steps: optimizer steps in all.
-      batch_size: pairs a step.
-      learning_rate: of Adam.
-      size: rows and columns of the pictures; a power of two of at least 32.
-      base_filters: channels of the generator's and the discriminator's first layer.
-      compute_dtype: numbers that the networks compute with.
-      validate_every: steps between validations; the last step is one too. 0 for none.
-      minutes_per_checkpoint: how often to save, in minutes.
+      whole_share: share of training pairs with a fully observed map. The paper does not give it; a network that was
+        never trained on whole maps predicts them as badly as an untrained one.
+      augment: random shifts, scaling and flips, as in pix2pix; `--no-augment` turns them off.
+      steps: total number of optimizer steps.
+      batch_size: pairs per step.
+      learning_rate: learning rate of Adam.
+      size: rows and columns of the images; a power of two of at least 32.
+      base_filters: channels of the first layer of the generator and the discriminator.
+      compute_dtype: data type for computations of the networks.
+      validate_every: steps between validations; the last step is validated too. 0 for none.
+      minutes_per_checkpoint: minutes between checkpoints.
     """
 
     masks: MaskKind = "paper"
@@ -62,13 +62,13 @@ class TranslationOptions:
     minutes_per_checkpoint: float = 5.0
 
     def config(self, loss: str) -> TranslatorConfig:
-        """What the package is asked to train.
+        """The training configuration.
 
         Raises:
-          InputError: for networks that cannot be built.
+          InputError: an option is invalid.
         """
         check_numbers(self.learning_rate, steps=self.steps)
-        _ = self.pauses  # refused here as well
+        _ = self.pauses  # raises if invalid
         if not 0 <= self.whole_share <= 1:
             raise InputError(f"--whole-share {self.whole_share:g}: give a share from 0 to 1")
         architecture = TranslatorArchitecture(self.size, self.base_filters, self.compute_dtype)
@@ -80,20 +80,20 @@ class TranslationOptions:
         return Pauses(self.validate_every, self.minutes_per_checkpoint)
 
     def facts(self, dataset: HouseDataset, seed: int) -> dict[str, Any]:
-        """What must be the same for a run to be resumed, beside the configuration."""
+        """Besides the configuration, what must be the same when a run is resumed."""
         names = ("masks", "train_masks", "whole_share", "augment")
         return {"seed": seed, "dataset": dataset.name, **{name: getattr(self, name) for name in names}}
 
 
 class TranslationData(NamedTuple):
-    """Pairs to learn from and pairs to validate on."""
+    """Training pairs and validation pairs."""
 
     train: ImageSet
     validation: ImageSet
 
 
 def translation_data(dataset: HouseDataset, options: TranslationOptions) -> TranslationData:
-    """The pairs that options ask for: 7936 and 320 of the published houses unless told otherwise."""
+    """The pairs for the options: by default 7936 and 320 of the published houses."""
     make = partial(image_set, dataset, size=options.size, masks=options.masks)
     return TranslationData(
         train=make("train", per_house=options.train_masks), validation=make("val", per_house=options.validation_masks)
@@ -103,7 +103,7 @@ def translation_data(dataset: HouseDataset, options: TranslationOptions) -> Tran
 def _card(
     dataset: HouseDataset, config: TranslatorConfig, options: TranslationOptions, seed: int, step: int
 ) -> dict[str, Any]:
-    """What to know about a network: where it comes from."""
+    """The card of a network: its origin."""
     return {
         "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks}), "
         f"{100 * options.whole_share:g} % of pairs whole" + ", shifted, enlarged and mirrored" * options.augment,
@@ -117,7 +117,11 @@ def _card(
 
 
 def require_steps(steps: int, out: Path) -> None:
-    """Refuse to go on with a run of more steps than are asked for."""
+    """Check that a resumed run has not taken more than `steps` already.
+
+    Raises:
+      InputError: it has.
+    """
     taken = newest_step(out)
     if taken > steps:
         raise InputError(f"{out}: has {taken} steps behind it; give at least as many --steps, or another --out")
@@ -132,13 +136,13 @@ def train_translator(
     *,
     seed: int,
 ) -> None:
-    """Train a translator to the end, from where an earlier run in the same folder stopped; save at Ctrl-C.
+    """Train a translator, continuing an earlier run in the same folder. Ctrl-C saves a checkpoint.
 
-    Leaves `network/` and `log.jsonl` in the folder, with a line for every validation. As the learning rate stays what
-    it is, a run that is at its end can go on to more steps.
+    Writes `network/` and `log.jsonl` to the folder, with one line per validation. The learning rate is constant, so a
+    finished run can be continued with more steps.
 
     Raises:
-      InputError: the folder holds a run of other options or of more steps, or the loss is no number.
+      InputError: the folder holds a run with other options or more steps, or the loss is not finite.
     """
     require_steps(options.steps, out)
     first_state = partial(init_translator, seed=seed)

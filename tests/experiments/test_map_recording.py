@@ -98,11 +98,11 @@ def test_options_that_do_not_fit_are_refused(yards, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_the_way_to_the_goal_is_the_shortest(yards):
+def test_the_path_to_the_goal_is_the_shortest(yards):
     (house,) = map_dataset(yards).houses
     assert isinstance(house, House)
-    way = map_recording.way_to_goal(house, Start("yard", 0, 4, 0))
-    assert [(int(pose.x), int(pose.y)) for pose in way] == [
+    path = map_recording.path_to_goal(house, Start("yard", 0, 4, 0))
+    assert [(int(pose.x), int(pose.y)) for pose in path] == [
         *((x, 4) for x in range(5)), *((4, y) for y in range(4, -1, -1)),
     ]  # fmt: skip
-    assert [int(pose.heading) for pose in way] == [0] * 5 + [3] * 5
+    assert [int(pose.heading) for pose in path] == [0] * 5 + [3] * 5

@@ -1,0 +1,90 @@
+"""Options that several commands share, as base classes of their `Options`."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, StepLimitOption
+from dc2g_jax.cli.outputs import CommandOptions
+from dc2g_jax.errors import InputError
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class DatasetOptions(CommandOptions):
+    """Houses to run on.
+
+    Attributes:
+      dataset: folder of houses, or `procedural`; by default DC2G_DATA, the cache, or a download.
+    """
+
+    dataset: DatasetOption = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class NetworkOptions(CommandOptions):
+    """A network for the planners that use one.
+
+    Attributes:
+      network: folder of a trained network; the shipped one by default.
+    """
+
+    network: NetworkOption = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class StepLimitOptions(CommandOptions):
+    """The length of episodes.
+
+    Attributes:
+      step_limit: actions after which an episode ends without success; by default 500, and on maps of over 50 x 50 cells
+        one action for every five cells of the map.
+    """
+
+    step_limit: StepLimitOption = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class OutOptions(CommandOptions):
+    """A folder to write to.
+
+    Attributes:
+      out: folder to write to; a new one under outputs/ by default.
+    """
+
+    out: OutOption = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ResumeOptions(CommandOptions):
+    """Runs that can be resumed.
+
+    Attributes:
+      resume: continue the run in `out` where it stopped. It must have been started with the same options.
+    """
+
+    resume: bool = False
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainingOptions(ResumeOptions):
+    """Training runs.
+
+    Attributes:
+      out: folder for checkpoints, networks, logs and figures.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+
+
+def require_positive(options: object, *names: str) -> None:
+    """Check that options are at least 1; those that are `None` are skipped.
+
+    Raises:
+      InputError: one is not; the message names it.
+    """
+    for name in names:
+        value = getattr(options, name)
+        if value is not None and value < 1:
+            raise InputError(f"--{name.replace('_', '-')} {value}: give 1 or more")
