@@ -1,4 +1,4 @@
-"""What a robot should do, made out of distances, candidates and scores: plain NumPy and Python, one robot."""
+"""Decisions of one robot from distances, candidates and scores, in plain NumPy and Python."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -11,12 +11,12 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.grid.poses import ACTION_LETTERS, FORWARD, HEADINGS
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL
 
-#: Heading -> its name; y grows to the south.
+#: Names of the headings; y grows to the south.
 HEADING_NAMES = ("east", "south", "west", "north")
 
 
 class RobotPose(NamedTuple):
-    """A pose in plain numbers.
+    """A pose as Python integers.
 
     Attributes:
       x: column.
@@ -35,13 +35,13 @@ class Candidate(NamedTuple):
     Attributes:
       x: column.
       y: row.
-      heading: of those in which something new can be seen from there, the one that is reached soonest; of equal ones,
-        for a planner that weighs information gain, the one that faces the most unobserved cells.
-      cost_to_go: predicted cost from there to the door, in cells where the estimator answers in cells: the mean, or
-        what the planner's selection rule takes in its place; `None` for planners that predict nothing.
+      heading: the nearest heading in which the cell reveals something new; of equal ones, for planners that use
+        information gain, the one that faces the most unobserved cells.
+      cost_to_go: predicted cost from there to the door, in cells if the estimator's costs are: the mean, or the summary
+        of the planner's selection rule; `None` for planners without predictions.
       distance: actions from the robot to this pose.
-      score: what the planner compares, the lowest wins: for `dc2g`, the cost-to-go plus the weighted distance, less
-        what would be new in view from there; for frontier exploration, the distance.
+      score: the planner's score; the lowest wins. For `dc2g`, the cost-to-go plus weighted distance, minus weighted
+        information gain; for frontier exploration, the distance.
     """
 
     x: int
@@ -54,18 +54,18 @@ class Candidate(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Decision:
-    """What the robot should do next, and why.
+    """The next action of a robot, and the reason for it.
 
     Attributes:
-      action: the next action, "F" (one cell forward), "L" or "R" (turn on the spot); `None` when there is nothing left
-        to do: the robot stands on a door, or the planner gave up.
+      action: the next action, "F" (one cell forward), "L" or "R" (turn in place); `None` if the robot stands on a door
+        or the planner gave up.
       mode: "explore", "to_goal" (a door is reachable) or "gave_up".
-      subgoal: where the plan leads; `None` when the planner gave up.
-      path: poses from the robot's own to the subgoal, both included, along the shortest plan over observed ground.
-      actions: the plan as letters, one fewer than poses; its first is `action`.
-      candidates: what there was to choose from while exploring, one a cell, the subgoal first, then in ascending order
-        of score. Empty in the other modes.
-      why: the reason, one sentence.
+      subgoal: last pose of the plan; `None` if the planner gave up.
+      path: poses from the robot's own to the subgoal, inclusive, along a shortest plan over observed ground.
+      actions: the actions of the plan as letters, one fewer than poses. The first one is `action`.
+      candidates: candidates for exploration, one per cell: the subgoal first, then in ascending order of score. Empty
+        in the other modes.
+      why: the reason, in one sentence.
     """
 
     action: str | None
@@ -78,16 +78,16 @@ class Decision:
 
 
 class View(NamedTuple):
-    """All that a decision is made from.
+    """The inputs of a decision.
 
     Attributes:
-      distance: actions from the robot to every pose, -1 where there is no way.
+      distance: actions from the robot to every pose, -1 for unreachable poses.
       mode: plan mode.
-      subgoals: poses the plan leads into.
+      subgoals: poses at which the plan may end.
       candidates: poses to explore from.
-      cost_to_go: predicted for every cell, `None` if nothing is; without meaning, like `score`, when there is nothing
-        to choose.
-      score: of every cell with a candidate.
+      cost_to_go: predicted cost-to-go of every cell, `None` without predictions. Like `score`, it is only valid while
+        exploring.
+      score: score of every cell with a candidate.
     """
 
     distance: Int[np.ndarray, "heading h w"]
@@ -99,15 +99,15 @@ class View(NamedTuple):
 
 
 def decide(view: View, left: int, top: int) -> Decision:
-    """What a plan comes to: path, actions, ranked candidates and the reason.
+    """Make a decision: path, actions, ranked candidates and the reason.
 
     Args:
-      view: what to decide from.
+      view: inputs of the decision.
       left: column of the view's first cell, in the coordinates of the decision.
-      top: row of it.
+      top: row of the view's first cell.
 
     Raises:
-      InputError: if a score is not a number.
+      InputError: a score is NaN.
     """
     mode = MODE_NAMES[int(view.mode)]
     chosen_from = np.any(view.candidates & (view.distance >= 0), axis=0)
@@ -137,16 +137,16 @@ def decide(view: View, left: int, top: int) -> Decision:
 def shortest_plan(
     distance: Int[np.ndarray, "heading h w"], targets: Bool[np.ndarray, "heading h w"]
 ) -> tuple[list[tuple[int, int, int]], str]:
-    """The lexicographically smallest shortest plan into the targets: its poses (x, y, heading) and its letters.
+    """The lexicographically smallest shortest plan to the targets: its poses (x, y, heading) and its letters.
 
     Args:
-      distance: actions from the robot to every pose, -1 where there is no way.
-      targets: poses to reach, one of which can be reached at least.
+      distance: actions from the robot to every pose, -1 for unreachable poses.
+      targets: poses to reach, at least one of them reachable.
     """
     targets = targets & (distance >= 0)
     length = int(distance[targets].min())
     framed = np.pad(distance, ((0, 0), (1, 1), (1, 1)), constant_values=-1)
-    # Poses on shortest plans, by the actions done, from all of them back to none.
+    # Poses on shortest plans, layer by layer from the targets back to the robot.
     layers = [{(int(x), int(y), int(heading)) for heading, y, x in np.argwhere(targets & (distance == length))}]
     for done in reversed(range(length)):
         before = {pose for later in layers[-1] for pose in _next_to(later, -1)}
@@ -162,7 +162,7 @@ def shortest_plan(
 
 
 def _next_to(pose: tuple[int, int, int], forward: int) -> tuple[tuple[int, int, int], ...]:
-    """The poses one action later, in the order of the actions, or one action earlier where `forward` is -1."""
+    """The poses one action later, in the order of the actions, or one action earlier if `forward` is -1."""
     x, y, heading = pose
     dx, dy = FORWARD[heading]
     ahead = (x + forward * dx, y + forward * dy, heading)
@@ -170,7 +170,7 @@ def _next_to(pose: tuple[int, int, int], forward: int) -> tuple[tuple[int, int, 
 
 
 def _ranked(view: View, subgoal: tuple[int, int, int], left: int, top: int) -> tuple[Candidate, ...]:
-    """The candidates, one a cell: the subgoal, then in ascending order of score, of equal ones the nearest."""
+    """The candidates, one per cell: the subgoal, then in ascending order of score and distance."""
     reachable = view.candidates & (view.distance >= 0)
     y, x = np.nonzero(reachable.any(axis=0))
     distances = np.where(reachable[:, y, x], view.distance[:, y, x], view.distance.size)
@@ -191,7 +191,7 @@ def _actions(number: int) -> str:
 
 
 def _why_explore(subgoal: RobotPose, length: int, ranked: Sequence[Candidate]) -> str:
-    """The reason to explore from the subgoal, most often the first of the candidates."""
+    """The reason to explore from the subgoal, which is usually the first candidate."""
     place = f"explore: ({subgoal.x}, {subgoal.y}) facing {HEADING_NAMES[subgoal.heading]}"
     details = f"{_actions(length)} away"
     if not ranked or ranked[0][:2] != subgoal[:2]:

@@ -1,4 +1,4 @@
-"""The planners by name, those that run on a network with the numbers that were chosen on validation houses."""
+"""Planners by name. The parameters of those with a network were chosen on validation houses."""
 
 import dataclasses
 import functools
@@ -14,14 +14,15 @@ from dc2g_jax.planning.planners import DC2G, Frontier, MapRevisingPlanner, Oracl
 from dc2g_jax.planning.rules import Rules, Settings, named_settings, nearest_goal
 from dc2g_jax.planning.selection import ExpectedCost, Patience, QuantileCost, Selection
 
-#: Of planners on a network in the gridworld, where every decision is a step.
+#: Patience of planners with a network in the gridworld, where every decision is a step.
 STEP_PATIENCE = Patience(radius=8, decisions=30, price=0.25)
 
 
 def _on_network(selection: Selection, estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIENCE) -> DC2G:
-    """A planner that runs on a network, as it was chosen on validation houses (see docs/notebook).
+    """A planner with a network, with the parameters chosen on validation houses (see docs/notebook).
 
-    It asks about the map and its mirror image in turn, and heads for the nearest goal in reach, whatever the rules.
+    It alternates between the map and its mirror image as the network's input. It heads for the nearest reachable goal
+    under all rules.
     """
     return DC2G(
         estimator,
@@ -35,14 +36,14 @@ def _on_network(selection: Selection, estimator: Estimator, rules: Rules, patien
     )
 
 
-#: The planners that need no network, given the rules.
+#: Planners without a network, called with the rules.
 _PLANNERS_BY_RULES: Mapping[str, Callable[[Rules], MapRevisingPlanner]] = {
     "oracle": lambda rules: Oracle(),
     "frontier": Frontier,
     "true_cost_to_go": lambda rules: DC2G(ExactCostToGo(), rules),
 }
 
-#: The planners that run on a network, given it, the rules and, where it is another one, their patience.
+#: Planners with a network, called with the network, the rules and, optionally, their patience.
 NETWORK_PLANNERS: Mapping[str, Callable[..., DC2G]] = {
     "dc2g": functools.partial(_on_network, ExpectedCost(distance_weight=0.5)),
     "dc2g_uncertain": functools.partial(_on_network, QuantileCost(level=0.7, distance_weight=0.5)),
@@ -67,14 +68,14 @@ def make(
 
     Args:
       name: one of `PLANNERS`, or `package.module:Class` for a class of your own, which is called with the rules.
-      network: what `dc2g` and `dc2g_uncertain` run on: an estimator or the folder of a trained network; the shipped
-        network where `None`.
+      network: network of `dc2g` and `dc2g_uncertain`: an estimator or the folder of a trained network; `None` for the
+        shipped network.
       settings: the rules, one of `dc2g_jax.planning.rules.SETTINGS` or its name.
-      sensing_range: reach of the field of view in cells; the settings' own where `None`.
+      sensing_range: range of the field of view in cells; `None` for the default of the settings.
 
     Raises:
-      InputError: for an unknown planner or unknown settings, a sensing range out of bounds, or a network that cannot
-        be read.
+      InputError: the planner or the settings are unknown, the sensing range is out of bounds, or the network cannot be
+        read.
     """
     rules = named_settings(settings).rules(sensing_range)
     return make_planner(name, rules, open_estimator(network) if name in NETWORK_PLANNERS else None)
@@ -83,21 +84,21 @@ def make(
 def make_planner(
     name: str, rules: Rules, estimator: Estimator | None = None, *, patience: Patience = STEP_PATIENCE
 ) -> MapRevisingPlanner:
-    """A planner by name, from rules and an estimator at hand.
+    """Make a planner by name from rules and an estimator.
 
     Args:
       name: one of `PLANNERS`, or `package.module:Class` for a class of your own, which is called with the rules.
-      rules: what is seen and what counts as frontier.
-      estimator: the network of `dc2g` and `dc2g_uncertain`.
-      patience: that of `dc2g` and `dc2g_uncertain`.
+      rules: field of view and definition of frontiers.
+      estimator: network of `dc2g` and `dc2g_uncertain`.
+      patience: patience of `dc2g` and `dc2g_uncertain`.
 
     Raises:
-      InputError: for an unknown name, or a planner that needs an estimator without one.
+      InputError: the name is unknown, or the estimator is missing.
     """
     if name in _PLANNERS_BY_RULES:
         return _PLANNERS_BY_RULES[name](rules)
     if name in NETWORK_PLANNERS and estimator is not None:
-        # Where costs have no scale, no distance can be added to them: the paper's rule.
+        # Without a scale, no distance can be added to the costs. The paper's rule needs none.
         if answers_in_cells(estimator):
             return NETWORK_PLANNERS[name](estimator, rules, patience)
         return DC2G(estimator, rules)
@@ -107,10 +108,10 @@ def make_planner(
 
 
 def check_names(names: Iterable[str]) -> None:
-    """Check that every name is one of `PLANNERS` or a class that can be imported.
+    """Check that every name is one of `PLANNERS` or an importable class.
 
     Raises:
-      InputError: one is neither.
+      InputError: a name is neither.
     """
     for name in names:
         if name not in PLANNERS:
@@ -118,21 +119,21 @@ def check_names(names: Iterable[str]) -> None:
 
 
 def open_estimator(network: Estimator | str | os.PathLike[str] | None) -> Estimator:
-    """An estimator as it is, or the network in a folder; the shipped network for `None`.
+    """Load the network in a folder, or the shipped one for `None`. Estimators are returned as they are.
 
     Raises:
-      InputError: the folder holds no network that can be read.
+      InputError: the network cannot be read.
     """
     if network is not None and not isinstance(network, str | os.PathLike):
         return network
-    # Orbax takes a second to import, and only files need it.
+    # Orbax takes a second to import and is only needed for files.
     from dc2g_jax.estimation.checkpoints import load_network
 
     return load_network(network)
 
 
 def _imported(name: str) -> Any:
-    """A planner's class by `package.module:Class`."""
+    """Import a planner class given as `package.module:Class`."""
     module, colon, attribute = name.partition(":")
     if not colon:
         known = ", ".join(PLANNERS)

@@ -1,6 +1,6 @@
-"""The planner on a robot: the map so far and the pose go in, one call at a time, and a decision comes out.
+"""The planner for a real robot: each call takes the map so far and the pose, and returns a decision.
 
-No simulator, no batch. The robot's own software brings the map; cells may change and the map may grow between any two
+There is no simulator and no batch. The robot's software provides the map. Cells may change and the map may grow between
 calls.
 """
 
@@ -32,14 +32,14 @@ from dc2g_jax.planning.planners import Planner, assess, measured
 from dc2g_jax.planning.rules import Rules, complete_rules
 from dc2g_jax.programs import jit
 
-#: Planners that need no map but the robot's own.
+#: Planners that only need the robot's map.
 ONLINE_PLANNERS = ("frontier", *NETWORK_PLANNERS)
 
-#: Side of the smallest grid that a program is compiled for, in cells; each further one is twice as large.
+#: Side length of the smallest compiled grid, in cells. Each further one is twice as large.
 _SMALLEST_GRID = 32
 
-#: Unobserved cells thought around an open-ended map on each side, at least. The network learned on maps of 50 x 50
-#: cells: with so many around it, even the smallest map looks like one of them.
+#: Minimum number of unobserved cells on each side of an open-ended map. The network was trained on maps of 50 x 50
+#: cells; with this margin, even the smallest map looks like one of them.
 _OPEN_MARGIN = 24
 
 
@@ -63,27 +63,26 @@ class OnlinePlanner:
     decision = planner.plan(grid, (x, y, heading))
     ```
 
-    It plans anew at every call and remembers nothing, so cells of the map may change in any way. (So the network is
-    asked about the map and its mirror image at every call, not in turn, and patience has no end.) Exploration ends if
-    the robot, wherever it gets to, observes what its field of view covers there; cells that its sensor cannot make out
-    are to be marked `nothing`.
+    Each call plans from scratch and the planner keeps no memory, so cells of the map may change in any way. (Therefore
+    the network evaluates both the map and its mirror image at every call, and there is no penalty for staying in a
+    place.) Exploration ends if the robot observes everything in its field of view at every pose that it reaches. Mark
+    cells that its sensor cannot classify as `nothing`.
 
-    A program is compiled for each of a few sizes of grid when the planner is made, which takes some seconds each, and
-    longer the farther the robot sees. No call compiles anything after that, and the decision does not depend on the
-    grid that the map is laid into. An estimator other than a `NetworkCostToGo`, or a planner of your own, is given
-    grids of exactly the map's size: each new size compiles.
+    Creating the planner compiles a program for each of a few grid sizes. This takes some seconds each, and longer for
+    longer sensing ranges. After that, no call compiles anything, and decisions do not depend on the grid size. Other
+    estimators than `NetworkCostToGo` and planners of your own get grids of exactly the map's size; each new size is
+    compiled.
 
     Args:
-      planner: one of `ONLINE_PLANNERS`, or any planner; one that has `rules` goes by them.
-      network: the estimator of a planner by name, or the folder of a trained network; the shipped one where `None`.
-      sensing_range: reach of the robot's 90-degree field of view, in cells, 1 to 64.
-      largest: rows and columns of the largest map to come.
-      open_ended: does the world go on beyond the map's edges? Then the robot explores across them too. Otherwise the
-        map's size is the world's, and beyond it there is nothing to observe.
+      planner: one of `ONLINE_PLANNERS`, or any planner. If it has `rules`, they are used.
+      network: estimator of a planner by name, or the folder of a trained network; `None` for the shipped one.
+      sensing_range: range of the robot's 90-degree field of view, in cells, 1 to 64.
+      largest: rows and columns of the largest map.
+      open_ended: whether the world continues beyond the map's edges. If so, the robot explores across them too.
+        Otherwise the map's size is the world's, and there is nothing to observe beyond it.
 
     Raises:
-      InputError: for a planner that is unknown or sees to another range, a folder without a network, or sizes that
-        are none.
+      InputError: the planner is unknown or has another sensing range, the network cannot be read, or a size is invalid.
     """
 
     def __init__(
@@ -125,17 +124,17 @@ class OnlinePlanner:
     def plan(self, grid: npt.ArrayLike, pose: npt.ArrayLike, *, origin: npt.ArrayLike = (0, 0)) -> Decision:
         """Decide the next action (Algorithm 2).
 
-        All poses, those given and those returned, are in the coordinates that the origin is given in. So a map that
-        has grown to the left or to the top comes with a smaller origin, and everything in it stays where it was. Where
-        y grows upward instead of downward, "L" and "R" change places, and so do north and south.
+        All poses, given and returned, are in the coordinates of the origin. So a map that grows to the left or to the
+        top gets a smaller origin, and its cells keep their coordinates. If y grows upward instead of downward, "L" and
+        "R" are swapped, and so are north and south.
 
         Args:
-          grid: observed class indices, uint8 `[h w]`, 0 where nothing has been observed; see `dc2g_jax.grid.terrain`.
-          pose: column x, row y and heading of the robot, on an observed cell that can be driven on.
+          grid: observed class indices, uint8 `[h w]`, 0 for unobserved cells; see `dc2g_jax.grid.terrain`.
+          pose: column x, row y and heading of the robot, on an observed traversable cell.
           origin: column x and row y of the grid's first cell.
 
         Raises:
-          InputError: for a grid or a pose that makes no sense.
+          InputError: the grid or the pose is invalid.
         """
         left, top = _whole_numbers("origin", origin, 2)
         checked = _checked_grid(grid, self._largest)
@@ -145,7 +144,7 @@ class OnlinePlanner:
         return decide(self._view(self._laid_out(checked), in_view), left, top)
 
     def _laid_out(self, grid: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h2 w2"]:
-        """The map, with its margin, in the upper left corner of the smallest grid that there is a program for."""
+        """The map with its margin, in the upper left corner of the smallest compiled grid that fits it."""
         height, width = grid.shape
         rows, columns = height + 2 * self._margin, width + 2 * self._margin
         fitting = (shape for shape in self._shapes if rows <= shape[0] and columns <= shape[1])
@@ -155,20 +154,20 @@ class OnlinePlanner:
         return terrain
 
     def _view(self, terrain: UInt8[np.ndarray, "h w"], robot: RobotPose) -> View:
-        """What to decide from, in one call of the device."""
+        """The inputs of a decision, computed in one call of the device."""
         looked = _look(self._planner, terrain, np.array(robot, np.int32), rules=self._rules)
         return View(*jax.device_get(looked))
 
 
 def _shapes_up_to(rows: int, columns: int, *, larger_than: int) -> list[tuple[int, int]]:
-    """Shapes of the grids that a program is compiled for, ascending: squares, cut to the largest shape."""
+    """Shapes of the compiled grids, ascending: squares, limited to the largest shape."""
     doubled = (_SMALLEST_GRID << doublings for doublings in itertools.count())
     sides = itertools.takewhile(lambda side: side < max(rows, columns), doubled)
     return [*((min(side, rows), min(side, columns)) for side in sides if side > larger_than), (rows, columns)]
 
 
 def _whole_numbers(name: str, values: Any, count: int) -> list[int]:
-    """So many whole numbers, of whatever type they come in."""
+    """Exactly `count` integers from values of any integer type."""
     try:
         numbers = [operator.index(value) for value in values]
     except TypeError:
@@ -180,7 +179,7 @@ def _whole_numbers(name: str, values: Any, count: int) -> list[int]:
 
 
 def _checked_grid(grid: npt.ArrayLike, largest: tuple[int, int]) -> UInt8[np.ndarray, "h w"]:
-    """The grid, if it is one."""
+    """The grid, if it is valid."""
     grid = np.asarray(grid)
     if grid.dtype != np.uint8 or grid.ndim != 2:
         raise InputError(
@@ -201,7 +200,7 @@ def _checked_grid(grid: npt.ArrayLike, largest: tuple[int, int]) -> UInt8[np.nda
 
 
 def _checked_pose(pose: npt.ArrayLike, grid: UInt8[np.ndarray, "h w"], left: int, top: int) -> RobotPose:
-    """The pose, if a robot can be there."""
+    """The pose, if it is valid."""
     x, y, heading = _whole_numbers("pose", pose, 3)
     height, width = grid.shape
     if not 0 <= heading < HEADINGS:

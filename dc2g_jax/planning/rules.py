@@ -1,4 +1,4 @@
-"""The values in which the paper's text and the authors' published code differ, and the named settings made of them."""
+"""Rules in which the paper's text and the authors' published code differ, and named settings of them."""
 
 import dataclasses
 import functools
@@ -17,15 +17,15 @@ from dc2g_jax.planning import frontiers
 
 @dataclasses.dataclass(frozen=True)
 class Rules:
-    """What a robot sees and what its planner counts. Hashable, so a static value under `jit`.
+    """Field of view, frontiers and goals of a planner. Hashable, so that it can be a static argument of `jit`.
 
     Attributes:
       sensing: the field of view.
       frontier_expanding: `(belief, reachable) ->` poses worth exploring from.
-      goal_poses: `(belief, reachable goal cells, reachable) ->` poses to head for once a goal is reachable.
-      expanding_range: range of the kernel in `frontier_expanding` in cells, where there is one.
-      reach: cells farther away than this, in x or y, do not matter to whether a pose is worth exploring from, except
-        for what is reachable; `None` where all may.
+      goal_poses: `(belief, reachable goal cells, reachable) ->` poses to head for when a goal is reachable.
+      expanding_range: range of the kernel of `frontier_expanding` in cells, if it has one.
+      reach: distance in cells, along x or y, beyond which only reachability matters to whether a pose is worth
+        exploring from; `None` if there is no such limit.
     """
 
     sensing: Kernel
@@ -36,18 +36,18 @@ class Rules:
 
 
 def nearest_goal(belief: Belief, goals: Board, reachable: Board) -> PoseSet:
-    """Every pose on a reachable observed goal cell: a shortest plan ends in the nearest."""
+    """All poses on reachable observed goal cells. A shortest plan ends at the nearest."""
     del belief, reachable
     return every_heading(goals)
 
 
 def first_goal(belief: Belief, goals: Board, reachable: Board) -> PoseSet:
-    """The one pose the authors' code heads for: on the raster-first goal cell, in the heading it reaches soonest.
+    """The pose that the authors' code heads for: on the first goal cell in raster order, in the nearest heading.
 
     Ties between headings go to the smaller index.
     """
     x, y = bitboard.first(goals)
-    # Nothing is searched where there is nothing to find.
+    # Skip the search if there is no goal.
     free = jnp.where(bitboard.is_empty(goals), jnp.uint32(0), reachable)
     headings = search.first_headings(belief.pose, x, y, free)
     soonest = headings & (jnp.cumsum(headings, axis=0) == 1)
@@ -56,11 +56,11 @@ def first_goal(belief: Belief, goals: Board, reachable: Board) -> PoseSet:
 
 @functools.cache
 def complete_rules(sensing_range: int, view: Callable[[int], Kernel] = field_of_view) -> Rules:
-    """The algorithm as the paper's text means it, with a guarantee that exploration ends.
+    """The rules of the paper's text, with a guarantee that exploration ends.
 
     Args:
-      sensing_range: reach of the 90-degree field of view, in cells.
-      view: range -> what a robot sees: `field_of_view`, as in the paper, or `line_of_sight`.
+      sensing_range: range of the 90-degree field of view, in cells.
+      view: range -> field of view: `field_of_view`, as in the paper, or `line_of_sight`.
     """
     sensing = view(sensing_range)
     return Rules(
@@ -73,11 +73,11 @@ def complete_rules(sensing_range: int, view: Callable[[int], Kernel] = field_of_
 
 @functools.cache
 def reference_rules(sensing_range: int, expanding_range: int | None = None) -> Rules:
-    """What the authors' published code does, to the action.
+    """The rules of the authors' published code, which reproduce its actions exactly.
 
     Args:
-      sensing_range: reach of the 90-degree field of view, in cells.
-      expanding_range: range of the frontier-expanding kernel, in cells; the sensing range where `None`.
+      sensing_range: range of the 90-degree field of view, in cells.
+      expanding_range: range of the frontier-expanding kernel, in cells; `None` for the sensing range.
     """
     expanding_range = sensing_range if expanding_range is None else expanding_range
     expanding = expanding_kernel(expanding_range)
@@ -95,10 +95,9 @@ class Settings:
     """A named choice of rules.
 
     Attributes:
-      name: what users call it.
-      sensing_range: reach of the field of view in cells where an episode does not say.
-      expanding_range: range of the frontier-expanding kernel in cells where an episode does not say; `None` for the
-        sensing range.
+      name: name for users.
+      sensing_range: default range of the field of view, in cells.
+      expanding_range: default range of the frontier-expanding kernel, in cells; `None` for the sensing range.
       make_rules: `(sensing range, expanding range or None) ->` rules.
     """
 
@@ -108,13 +107,14 @@ class Settings:
     make_rules: Callable[[int, int | None], Rules]
 
     def rules(self, sensing_range: int | None = None, expanding_range: int | None = None) -> Rules:
-        """The rules for an episode that asks for these ranges, `None` for the setting's own.
+        """The rules for these ranges. `None` stands for the default.
 
-        Another sensing range than the setting's own brings an expanding range of its own, where none is given.
+        The default expanding range only applies together with the default sensing range; for other sensing ranges it
+        equals the sensing range.
 
         Raises:
-          InputError: a range is out of bounds, or an expanding range is asked for and these rules have no
-            frontier-expanding kernel.
+          InputError: a range is out of bounds, or an expanding range is given for rules without a frontier-expanding
+            kernel.
         """
         if sensing_range is not None and not 1 <= sensing_range <= MAX_SENSING_RANGE:
             raise InputError(f"sensing range {sensing_range}: give 1 to {MAX_SENSING_RANGE} cells")
@@ -130,8 +130,8 @@ class Settings:
         return rules
 
 
-#: What the 400 published episodes were run with; what the authors' code does at any range; what the paper's text says,
-#: as it is, and where houses and trees hide what is behind them.
+#: Settings by name: those of the 400 published episodes; the authors' code at any range; the paper's text; and the
+#: paper's text with occlusion by houses and trees.
 SETTINGS = {
     settings.name: settings
     for settings in (
@@ -144,10 +144,10 @@ SETTINGS = {
 
 
 def named_settings(settings: str | Settings) -> Settings:
-    """Settings by name; settings are returned as they are.
+    """Settings by name. `Settings` are returned as they are.
 
     Raises:
-      InputError: none have this name.
+      InputError: the name is unknown.
     """
     if isinstance(settings, Settings):
         return settings

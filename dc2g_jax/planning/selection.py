@@ -1,4 +1,4 @@
-"""Which subgoal to head for, given what each may cost: selection rules (Algorithm 2, line 11, and beyond)."""
+"""Rules that select a subgoal from estimated costs (Algorithm 2, line 11, and alternatives)."""
 
 import dataclasses
 from typing import Protocol
@@ -10,11 +10,11 @@ from dc2g_jax.grid.poses import Pose
 
 
 class Selection(Protocol):
-    """Scores subgoals; the lowest score wins. Hashable, so a static value under `jit`.
+    """Scores subgoals; the lowest score wins. Hashable, so that it can be a static argument of `jit`.
 
     Attributes:
-      distance_weight: cost of an action on the way to a subgoal, in units of the cost-to-go. With 0 the distance does
-        not matter, as in the paper.
+      distance_weight: cost of an action on the path to a subgoal, in units of the cost-to-go. 0 ignores the distance,
+        as in the paper.
     """
 
     @property
@@ -23,40 +23,40 @@ class Selection(Protocol):
         ...
 
     def summary(self, costs: Float[Array, "outcomes h w *batch"]) -> Float[Array, "kept h w *batch"]:
-        """What of an estimate is needed for the score, wherever the robot is: what a planner keeps.
+        """The part of an estimate that scores need, for any pose of the robot. The planner stores it.
 
         Args:
-          costs: equally likely costs-to-go of every cell, ascending.
+          costs: equally likely costs-to-go of every cell, in ascending order.
         """
         ...
 
     def __call__(
         self, summary: Float[Array, "kept h w *batch"], distance: Int[Array, "..."]
     ) -> Float[Array, "h w *batch"]:
-        """Score of heading for each cell.
+        """Score of each cell as a subgoal.
 
         Args:
-          summary: of the estimate.
-          distance: actions from the robot to every cell; any where `distance_weight` is 0.
+          summary: summary of the estimate.
+          distance: actions from the robot to every cell; arbitrary if `distance_weight` is 0.
         """
         ...
 
 
 @dataclasses.dataclass(frozen=True)
 class Patience:
-    """How long a robot believes in a place that goes on promising a goal and shows none.
+    """A penalty for staying near cells that look promising but reveal no goal.
 
-    A network may take the back of a house for its front whatever the robot sees there, and lead it into every corner.
-    So each decision made near a cell, beyond the first ones, adds to the cell's score: in the end another place is
-    better. A robot that gets along does not stay near anything for so long.
+    A network may mistake the back of a house for its front, whatever the robot observes there, and lead it into every
+    corner. So each decision near a cell, beyond the first ones, adds to the cell's score, until another place is
+    better. A robot that makes progress does not stay anywhere for so long.
 
-    With a price below the selection rule's distance weight exploration ends as it does without: each action on the way
-    takes off more than it adds, so the lowest score falls until something is revealed.
+    If the penalty is below the selection rule's distance weight, exploration still ends: each action toward a subgoal
+    lowers its score by more than the penalty, so the lowest score falls until something is revealed.
 
     Attributes:
-      radius: what is near, in cells, along either axis.
-      decisions: how many are free.
-      price: of each further one, in units of the score.
+      radius: distance along either axis within which cells are near, in cells.
+      decisions: number of decisions without penalty.
+      price: penalty of each further decision, in units of the score.
     """
 
     radius: int
@@ -72,11 +72,11 @@ class Patience:
         return (jnp.abs(rows - pose.y) <= self.radius) & (jnp.abs(columns - pose.x) <= self.radius)
 
     def cost(self, decided_near: Int[Array, "h w *batch"]) -> Float[Array, "h w *batch"]:
-        """What is added to the score of a cell near which so many decisions have been made."""
+        """The penalty of cells, given the number of decisions made near each."""
         return self.price * jnp.maximum(decided_near - self.decisions, 0)
 
 
-#: Patience without end.
+#: No penalty.
 ENDLESS = Patience(radius=0, decisions=0, price=0.0)
 
 
@@ -88,13 +88,13 @@ class _OneCost:
     def __call__(
         self, summary: Float[Array, "kept h w *batch"], distance: Int[Array, "..."]
     ) -> Float[Array, "h w *batch"]:
-        """Score of heading for each cell."""
+        """Score of each cell as a subgoal."""
         return summary[0] + self.distance_weight * distance
 
 
 @dataclasses.dataclass(frozen=True)
 class ExpectedCost(_OneCost):
-    """Mean cost-to-go, plus weighted distance: a subgoal far off must promise more than one close by.
+    """Mean cost-to-go plus weighted distance: distant subgoals must promise more than close ones.
 
     Weight 0 is the paper's rule (Algorithm 2, line 11).
     """
@@ -108,12 +108,12 @@ class ExpectedCost(_OneCost):
 
 @dataclasses.dataclass(frozen=True)
 class QuantileCost(_OneCost):
-    """A quantile of the cost-to-go, plus weighted distance: above 1/2 averse to risk, below 1/2 optimistic.
+    """A quantile of the cost-to-go plus weighted distance: risk-averse above 1/2, optimistic below 1/2.
 
     Attributes:
-      level: 0 to 1 (exclusive). Of n outcomes, each of which stands for its n-th of the distribution, the one in whose
-        part the level lies.
-      distance_weight: cost of an action on the way.
+      level: level of the quantile, 0 to 1 (exclusive). Each of n outcomes represents 1/n of the distribution; the one
+        whose part contains the level is used.
+      distance_weight: cost of an action on the path.
     """
 
     level: float
@@ -126,15 +126,15 @@ class QuantileCost(_OneCost):
 
 @dataclasses.dataclass(frozen=True)
 class ReservationCost:
-    """What is a try worth? The optimal rule for opening boxes of unknown cost one by one (Weitzman 1979).
+    """Reservation cost: the optimal rule for opening boxes of unknown cost one by one (Weitzman 1979).
 
-    Going to a subgoal to find out what it costs is opening a box, at the price of the way there. The reservation cost r
-    of a box with price p and random cost C solves E[max(r - C, 0)] = p: where something of cost r was to be had for
-    certain, opening it would neither gain nor lose. Opening boxes in the order of their reservation costs is optimal.
-    So a subgoal close by that might turn out cheap is tried before one of the same mean that cannot. With one outcome,
-    this is `ExpectedCost`.
+    Going to a subgoal to find out its cost is like opening a box; the price is the path there. The reservation cost r
+    of a box with price p and random cost C solves E[max(r - C, 0)] = p: with a certain alternative of cost r, opening
+    the box neither gains nor loses. Opening boxes in the order of their reservation costs is optimal. So a close
+    subgoal that might be cheap is tried before one with the same mean that cannot be. With one outcome, this is
+    `ExpectedCost`.
 
-    For n outcomes in ascending order, r = min over k of (their k smallest added up + n p) / k.
+    For n outcomes in ascending order, r = min over k of (sum of the k smallest + n p) / k.
     """
 
     distance_weight: float
@@ -146,7 +146,7 @@ class ReservationCost:
     def __call__(
         self, summary: Float[Array, "kept h w *batch"], distance: Int[Array, "..."]
     ) -> Float[Array, "h w *batch"]:
-        """Score of heading for each cell."""
+        """Score of each cell as a subgoal."""
         outcomes = len(summary)
         price = outcomes * self.distance_weight * distance
         smallest, least = jnp.zeros_like(summary[0]), jnp.full_like(summary[0], jnp.inf)
