@@ -1,4 +1,4 @@
-"""Networks (safetensors and a card) and training states (Orbax) on disk, checked before they are believed."""
+"""Networks (safetensors and a card) and training states (Orbax) on disk, validated when loaded."""
 
 import contextlib
 import dataclasses
@@ -25,7 +25,7 @@ from dc2g_jax.files.digests import arrays_sha256
 from dc2g_jax.files.resources import resource
 from dc2g_jax.grid.terrain import CLASS_NAMES
 
-#: The trained networks that come with the package: for maps without errors, and for maps that a camera has made.
+#: The shipped networks: for maps without errors, and for maps from a camera.
 SHIPPED_NETWORK, SHIPPED_NOISY_NETWORK = "weights/compact_unet", "weights/compact_unet_noisy"
 
 #: What a network is, written after its weights.
@@ -39,7 +39,7 @@ TrainedNetwork = NetworkCostToGo | TranslatorCostToGo
 
 
 class _Kind(NamedTuple):
-    """A kind of network: the estimator it makes, how its card is read, and its class."""
+    """A kind of network: its estimator, the function that reads its architecture, and its class."""
 
     estimator: type[TrainedNetwork]
     read_architecture: Callable[[Any], Any]
@@ -67,7 +67,7 @@ _KINDS = {
 
 
 def _orbax() -> Any:
-    """Orbax, which takes a second to import and serves only training states and networks of version 0.1."""
+    """Import Orbax, which takes a second and is only needed for training states and networks of version 0.1."""
     require_extra("orbax")
     import orbax.checkpoint
 
@@ -76,7 +76,7 @@ def _orbax() -> Any:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep Orbax's progress reports, which go to absl's logger, out of the way."""
+    """Silence Orbax's progress reports, which go to absl's logger."""
     loggers = [logging.getLogger(name) for name in ("absl", "asyncio")]
     before = [logger.level for logger in loggers]
     for logger in loggers:
@@ -89,17 +89,17 @@ def _quiet() -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str:
-    """What Orbax says is wrong, in a part of a line."""
+    """Orbax's error message, shortened."""
     return str(error).splitlines()[0][:120] if str(error) else type(error).__name__
 
 
 def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, Any] | None = None) -> Path:
-    """Save a network: `network.json` (what it is) and `weights.safetensors`. Replaces a network already there.
+    """Save a network as `network.json` (its card) and `weights.safetensors`. Replaces an existing network.
 
     Args:
-      folder: where to save.
-      network: what to save.
-      card: further facts about the network for `network.json`: data, seed, command, metrics.
+      folder: folder to save to.
+      network: the network.
+      card: further facts for `network.json`, such as data, seed, command and metrics.
     """
     folder = Path(folder).absolute()
     folder.mkdir(parents=True, exist_ok=True)
@@ -129,7 +129,7 @@ def _read_json(path: Path, remedy: str) -> dict[str, Any]:
 
 
 def _read_card(folder: Path) -> tuple[_Kind, Any, str | None]:
-    """Kind, architecture and digest of a saved network, once it is sure that this package can run it."""
+    """Kind, architecture and digest of a saved network, after checking that this package can run it."""
     remedy = "give a folder written by `dc2g train` or `dc2g train-translator`"
     if (folder / "network" / CARD).exists():
         remedy = f"give {folder / 'network'}"
@@ -155,12 +155,12 @@ def _read_card(folder: Path) -> tuple[_Kind, Any, str | None]:
 
 
 def _read_orbax_weights(path: Path, shapes: dict[str, Any]) -> dict[str, Any]:
-    """Weights in a folder of Orbax, as version 0.1 wrote them."""
+    """Weights in an Orbax folder, the format of version 0.1."""
     ocp = _orbax()
     try:
         with _quiet(), ocp.StandardCheckpointer() as checkpointer:
             return checkpointer.restore(path, shapes)
-    except Exception as error:  # Orbax raises many kinds for a damaged checkpoint
+    except Exception as error:  # Orbax raises many types for a damaged checkpoint
         raise InputError(f"{path}: cannot be read ({_reason(error)}); save or copy the network again") from None
 
 
@@ -168,10 +168,10 @@ def load_network(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork
     """Load a network of any kind saved by `save_network`.
 
     Args:
-      folder: where it was saved; the network that comes with the package where `None`.
+      folder: folder of the network; `None` for the shipped network.
 
     Raises:
-      InputError: if there is none, it cannot be read, or its weights are those of another architecture.
+      InputError: the network is missing, cannot be read, or has weights of another architecture.
     """
     folder = Path(resource(SHIPPED_NETWORK) if folder is None else folder).absolute()
     kind, architecture, digest = _read_card(folder)
@@ -192,21 +192,22 @@ def load_network(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork
 
 
 def newest_step(folder: str | Path) -> int:
-    """Steps behind the newest training state in a run's folder; 0 where there is none."""
+    """Number of steps of the newest training state in a run's folder; 0 if there is none."""
     return max((int(path.name) for path in (Path(folder) / _STATES).glob("*") if path.name.isdigit()), default=0)
 
 
 class TrainingCheckpoints:
-    """Training states of one run in a folder; the newest few are kept.
+    """Training states of one run in a folder. The newest two are kept.
 
     Args:
-      folder: where they are.
-      config: how the run trains. A folder that holds states of another configuration is refused.
-      facts: whatever else must be the same for a run to be resumed, such as the data; a JSON object.
-      first_state: `config -> state` before the first step, which has a `step`; states restored have its shapes.
+      folder: folder of the run.
+      config: training configuration. It must match the states in the folder.
+      facts: a JSON object of anything else that must match to resume the run, such as the data.
+      first_state: `config -> state` before the first step, with an attribute `step`. It defines the shapes of restored
+        states.
 
     Raises:
-      InputError: if the folder holds a run of another configuration, or Orbax is not installed.
+      InputError: the folder holds a run of another configuration, or Orbax is not installed.
     """
 
     def __init__(
@@ -239,7 +240,7 @@ class TrainingCheckpoints:
                 options=self._orbax.CheckpointManagerOptions(
                     max_to_keep=2,
                     create=False,
-                    # Each process has a folder of its own.
+                    # Each process has its own folder.
                     multiprocessing_options=self._orbax.options.MultiprocessingOptions(
                         primary_host=None, active_processes={jax.process_index()}
                     ),
@@ -247,14 +248,14 @@ class TrainingCheckpoints:
             )
 
     def steps(self) -> list[int]:
-        """Numbers of the steps after which there are states, ascending."""
+        """Steps with a saved state, ascending."""
         return sorted(self._manager.all_steps())
 
     def restore(self, step: int | None = None) -> Any:
-        """The state after a step, which becomes the newest; the newest where none is named, `None` if there is none.
+        """Restore the state after `step`, by default the newest, and delete later ones. `None` if there is no state.
 
         Raises:
-          InputError: the state is damaged, or of another version of the program.
+          InputError: the state is damaged, or from another version of the program.
         """
         if step is None:
             step = self._manager.latest_step()
@@ -265,22 +266,22 @@ class TrainingCheckpoints:
         try:
             with _quiet():
                 restored = self._manager.restore(step, args=self._orbax.args.StandardRestore(template))
-        except Exception as error:  # Orbax raises many kinds
+        except Exception as error:  # Orbax raises many types
             raise InputError(
                 f"{self._folder / str(step)}: cannot be restored ({_reason(error)}); delete it to go on from an "
                 "earlier state, or train anew in another folder"
             ) from None
-        # Free to go to other devices than Orbax has put it on.
+        # Not bound to the devices that Orbax put it on.
         return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)), restored)
 
     def delete(self, *, after: int = -1) -> None:
-        """Delete the states after a step: all of them where none is named."""
+        """Delete the states after a step; by default all states."""
         for step in self.steps():
             if step > after:
                 self._manager.delete(step)
 
     def save(self, state: Any) -> None:
-        """Save a state; returns when it is on disk."""
+        """Save a state and wait until it is on disk."""
         with _quiet():
             self._manager.save(int(state.step), args=self._orbax.args.StandardSave(jax.tree.map(np.asarray, state)))
             self._manager.wait_until_finished()

@@ -1,4 +1,4 @@
-"""Networks that read a partial map and write a cost-to-go grid."""
+"""A compact U-Net that maps a partial map to the cost-to-go of every cell."""
 
 import dataclasses
 import functools
@@ -14,22 +14,22 @@ from dc2g_jax.estimation.weights import fresh_weights, shapes_of_weights, with_w
 from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.programs import jit
 
-#: The network halves the resolution of its input this many times.
+#: Number of times that the network halves the resolution.
 _HALVINGS = 4
 
 
 @dataclasses.dataclass(frozen=True)
 class Architecture:
-    """What it takes to build a `CompactUNet` again.
+    """Architecture of a `CompactUNet`.
 
     Attributes:
       widths: channels at 1/2, 1/4, 1/8 and 1/16 of the map's resolution.
-      quantiles: levels of the quantiles of the cost-to-go that the network answers with, ascending, each between 0 and
-        1. Evenly spaced ones, (i + 1/2) / n, are equally likely outcomes.
+      quantiles: levels of the predicted quantiles of the cost-to-go, ascending, each between 0 and 1. Evenly spaced
+        ones, (i + 1/2) / n, are equally likely outcomes.
       cost_scale: cells of cost-to-go per unit of the last layer's output.
 
     Raises:
-      InputError: for widths or quantiles that make no network.
+      InputError: widths or quantiles are invalid.
     """
 
     widths: tuple[int, ...] = (16, 32, 64, 128)
@@ -47,7 +47,7 @@ class Architecture:
 
 
 def patches(grid: Shaped[Array, "b h w c"], side: int) -> Shaped[Array, "b h2 w2 c2"]:
-    """The square patches of a grid as features. Height and width are multiples of the patches' side."""
+    """The square patches of a grid as features. Height and width are multiples of `side`."""
     batch, height, width, channels = grid.shape
     split = grid.reshape(batch, height // side, side, width // side, side, channels)
     return split.transpose(0, 1, 3, 2, 4, 5).reshape(batch, height // side, width // side, side**2 * channels)
@@ -61,14 +61,14 @@ def unpatched(features: Float[Array, "b h2 w2 c2"], side: int) -> Float[Array, "
 
 
 class Residual(nnx.Module):
-    """Two 3x3 convolutions beside an identity."""
+    """A residual block of two 3x3 convolutions."""
 
     def __init__(self, width: int, *, rngs: nnx.Rngs):
         self.first = nnx.Conv(width, width, (3, 3), rngs=rngs)
         self.second = nnx.Conv(width, width, (3, 3), kernel_init=nnx.initializers.zeros, rngs=rngs)
 
     def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h w c"]:
-        """The features, refined."""
+        """Refine the features."""
         return features + self.second(nnx.relu(self.first(nnx.relu(features))))
 
 
@@ -85,7 +85,7 @@ class Down(nnx.Module):
 
 
 class Up(nnx.Module):
-    """Double the resolution and join what the encoder saw at that scale (the U-Net's skip connection)."""
+    """Double the resolution and add the encoder's features at that scale (the U-Net's skip connection)."""
 
     def __init__(self, width_in: int, width_out: int, *, rngs: nnx.Rngs):
         self.narrow = nnx.Linear(width_in, width_out, rngs=rngs)
@@ -97,15 +97,15 @@ class Up(nnx.Module):
         """Features at twice the resolution."""
         narrow = self.narrow(nnx.relu(features))
         doubled = jnp.repeat(jnp.repeat(narrow, 2, axis=1), 2, axis=2)
-        # Half of an odd number of rows or columns was rounded up.
+        # Halving an odd number of rows or columns rounds up.
         return self.residual(skipped + doubled[:, : skipped.shape[1], : skipped.shape[2]])
 
 
 class CompactUNet(nnx.Module):
     """A small U-Net from classes to quantiles of the cost-to-go, in cells.
 
-    The map is read one-hot, so an unobserved cell (class 0) differs from a cell outside the map (all zeros), and
-    through 2x2 patches: all convolutions work at half the map's resolution or less.
+    Classes are one-hot, so an unobserved cell (class 0) differs from a cell outside the map (all zeros). The input is
+    split into 2x2 patches, so all convolutions work at half the map's resolution or less.
     """
 
     def __init__(self, architecture: Architecture, *, rngs: nnx.Rngs):
@@ -154,7 +154,7 @@ def apply(
 
 
 def multiply_accumulates(architecture: Architecture, height: int, width: int) -> int:
-    """Multiplications with an addition that one map takes: half of the floating-point operations XLA counts."""
+    """Multiply-accumulates per map: half of the floating-point operations that XLA counts."""
     maps = jax.ShapeDtypeStruct((1, height, width), jnp.uint8)
     lowered = jit(functools.partial(apply, architecture)).lower(weight_shapes(architecture), maps)
     return round((lowered.cost_analysis() or {})["flops"] / 2)

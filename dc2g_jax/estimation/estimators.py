@@ -1,4 +1,4 @@
-"""The interface planners see: a partial map in, costs-to-go of every cell out, lower is better."""
+"""Estimators map a partial map to the cost-to-go of every cell; lower is better."""
 
 import functools
 from collections.abc import Callable
@@ -19,48 +19,48 @@ from dc2g_jax.grid.sampling import resize_nearest
 from dc2g_jax.grid.terrain import OUTSIDE
 from dc2g_jax.grid.world import World
 
-#: Estimates as a planner keeps them.
+#: Estimates as stored by a planner.
 Estimates = Float[Array, "kept h w *batch"]
 
 
 class Estimator(Protocol):
-    """Estimates the cost-to-go everywhere from a partial map (Algorithm 2, lines 9 and 10).
+    """Estimates the cost-to-go of every cell from a partial map (Algorithm 2, lines 9 and 10).
 
-    What lies beyond the sensing horizon is uncertain, so an estimate is a number of equally likely outcomes: evenly
-    spaced quantiles, or the members of an ensemble. An estimator that is sure of itself gives one.
+    Unobserved ground is uncertain, so an estimate is a set of equally likely outcomes: evenly spaced quantiles, or the
+    members of an ensemble. A deterministic estimator gives one outcome.
     """
 
     def init(self, world: World) -> Any:
-        """State for an episode in `world`. Only a privileged estimator may read the world."""
+        """The state for an episode in `world`. Only a privileged estimator may read the world."""
         ...
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "outcomes h w *batch"]:
-        """Costs-to-go of every cell given the observed class indices (0 = not observed). Finite, lower is better.
+        """The cost-to-go of every cell given the observed class indices (0 = not observed). Finite, lower is better.
 
-        Quantiles come in ascending order of their levels; a network's may cross by a little.
+        Quantiles are in ascending order of their levels; those of a network may cross slightly.
         """
         ...
 
 
 class Extent:
-    """Which part of the map an estimator is asked about: all of it (the paper's planner), or what a subclass says.
+    """The part of the map that an estimator is given: all of it, as in the paper, or a part defined by a subclass.
 
-    An estimator may have one as its attribute `extent`; a planner that knows where its robot is then asks through it.
-    Hashable, so a static value under `jit`.
+    An estimator may have an attribute `extent`; planners that know the robot's pose use it. Hashable, so that it can be
+    a static argument of `jit`.
     """
 
     @property
     def prior(self) -> float:
-        """What a cell costs of which no estimate has ever been made."""
+        """The cost of cells that have never been estimated."""
         return 0.0
 
     def part(self, terrain: UInt8[Array, "h w *batch"], pose: Pose) -> UInt8[Array, "h2 w2 *batch"]:
-        """The part of the observed class indices (0 = not observed) to ask about, where the robot is in this pose."""
+        """The part of the observed class indices (0 = not observed) for a robot in this pose."""
         del pose
         return terrain
 
     def merged(self, answer: Float[Array, "kept h2 w2 *batch"], pose: Pose, before: Estimates) -> Estimates:
-        """The new estimates of every cell: the answer to the part, and the old estimates elsewhere."""
+        """The new estimates of every cell: the answer in the part, and the old estimates elsewhere."""
         del pose, before
         return answer
 
@@ -69,17 +69,17 @@ WHOLE_MAP = Extent()
 
 
 def extent_of(estimator: Estimator) -> Extent:
-    """The part of the map that an estimator is to be asked about."""
+    """The extent of an estimator; the whole map by default."""
     return getattr(estimator, "extent", WHOLE_MAP)
 
 
 def answers_in_cells(estimator: Estimator | None) -> bool:
-    """Are its costs in cells, so that a distance can be added? They are, unless it says otherwise."""
+    """Whether an estimator's costs are in cells, so that a distance can be added. They are by default."""
     return getattr(estimator, "in_cells", True)
 
 
 def _call_sizes(n_robots: int, fewest: int) -> list[int]:
-    """Numbers of maps that an estimator is given at a time: the four largest powers of two up to half the robots."""
+    """Batch sizes for an estimator: the four largest powers of two up to half the number of robots."""
     largest = max(fewest, 1 << n_robots.bit_length() >> 2)
     return [largest >> halvings for halvings in range(4) if largest >> halvings >= fewest]
 
@@ -93,15 +93,15 @@ def update_estimates(
     *,
     fewest: int = 4,
 ) -> Float[Array, "kept h w *batch"]:
-    """Make new estimates for the wanted robots alone, a few at a time, and keep the other robots' old estimates.
+    """Make new estimates for some of the robots, a few at a time, and keep the old estimates of the others.
 
     Args:
       estimate: `(observed class indices, poses, old estimates, states) ->` new estimates.
-      wanted: which robots need a new estimate.
-      belief: what the robots know.
-      state: the estimator's state.
+      wanted: whether each robot needs a new estimate.
+      belief: beliefs of the robots.
+      state: state of the estimator.
       estimates: the old estimates.
-      fewest: the least number of maps at a time; the last bits of a convolution may depend on it where it is tiny.
+      fewest: smallest batch size; for tiny batches, the last bits of a convolution may depend on it.
     """
     batch_axes = wanted.ndim
 
@@ -114,16 +114,16 @@ def update_estimates(
     wanted, terrain, pose, old, state = jax.tree.map(flat, (wanted, terrain, belief.pose, estimates, state))
     n_robots = wanted.shape[0]
     sizes = _call_sizes(n_robots, fewest)
-    # Indices of the wanted robots first; the rest lie beyond the batch, where nothing is written.
+    # Indices of the wanted robots come first; the rest are out of bounds, where nothing is written.
     queue = jnp.nonzero(wanted, size=n_robots + sizes[-1], fill_value=n_robots)[0]
     n_wanted = jnp.sum(wanted, dtype=jnp.int32)
-    # Unpacked before the loop: inside it XLA would unpack every cell again for each of a network's one-hot inputs.
+    # Unpack before the loop: inside it, XLA would unpack every cell again for each of a network's one-hot inputs.
     terrain = jnp.moveaxis(terrain, -1, 0)
 
     def ask(at_a_time: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         asked, answers = carry
         robots = jax.lax.dynamic_slice_in_dim(queue, asked, at_a_time)
-        # Where the queue has run out the map is unknown throughout.
+        # Past the end of the queue, the map is all unknown.
         own_terrain = jnp.moveaxis(terrain.at[robots].get(mode="fill", fill_value=0), 0, -1)
         own_pose, own_state = jax.tree.map(lambda leaf: leaf.at[..., robots].get(mode="clip"), (pose, state))
         before = jnp.moveaxis(answers.at[robots].get(mode="clip"), 0, -1)
@@ -132,11 +132,11 @@ def update_estimates(
         return asked + at_a_time, answers.at[robots].set(answer, mode="drop")
 
     def asked_for_all(at_a_time: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Full calls as long as there are; the smallest size also takes what is left."""
+        """Run full batches while there are enough robots; the smallest size also takes the rest."""
         least = 1 if at_a_time == sizes[-1] else at_a_time
         return jax.lax.while_loop(lambda carry: carry[0] + least <= n_wanted, functools.partial(ask, at_a_time), carry)
 
-    # Robots first for the while, so that each answer is written in one piece.
+    # Move the robots' axis to the front, so that each answer is contiguous.
     carry = (jnp.int32(0), jnp.moveaxis(old, -1, 0))
     for at_a_time in sizes:
         carry = asked_for_all(at_a_time, carry)
@@ -146,23 +146,23 @@ def update_estimates(
 
 @struct.dataclass
 class NetworkCostToGo:
-    """A trained network's estimate.
+    """The estimate of a trained network.
 
     Attributes:
       weights: the network's weights.
-      architecture: the network.
+      architecture: the network's architecture.
     """
 
     weights: Any
     architecture: Architecture = struct.field(pytree_node=False)
 
     def init(self, world: World) -> tuple[()]:
-        """Nothing is kept between steps."""
+        """Return the empty state."""
         del world
         return ()
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "outcomes h w *batch"]:
-        """The network's answer to partial maps, in cells: an outcome for each of its quantiles."""
+        """The network's estimate for partial maps, in cells, with one outcome per quantile."""
         del state
         height, width, *batch = terrain.shape
         maps = jnp.moveaxis(terrain.reshape(height, width, -1), -1, 0)
@@ -172,11 +172,11 @@ class NetworkCostToGo:
 
 @struct.dataclass
 class TranslatorCostToGo:
-    """The paper's image-to-image translator: the map goes in as a picture, the cost-to-go is read off its answer.
+    """The paper's image-to-image translator. It reads an image of the map and draws one of the cost-to-go.
 
     Attributes:
       weights: the generator's weights.
-      architecture: the networks.
+      architecture: architecture of the networks.
     """
 
     weights: Any
@@ -185,21 +185,21 @@ class TranslatorCostToGo:
     in_cells: ClassVar[bool] = False
 
     def init(self, world: World) -> tuple[()]:
-        """Nothing is kept between steps."""
+        """Return the empty state."""
         del world
         return ()
 
     def translate(self, terrain: UInt8[Array, "b h w"]) -> Float[Array, "b s s 3"]:
-        """Pictures of the cost-to-go of partial maps, which are resized to the network's own size first."""
+        """Cost-to-go images of partial maps, which are first resized to the network's size."""
         size = self.architecture.size
         return self.answer(jax.vmap(lambda one: images.semantic_image(resize_nearest(one, size, size)))(terrain))
 
     def answer(self, pictures: Float[Array, "b s s 3"]) -> Float[Array, "b s s 3"]:
-        """Pictures of the cost-to-go, in 8 bits, of pictures of partial maps in the network's own size."""
+        """Cost-to-go images, quantized to 8 bits, for images of partial maps of the network's size."""
         return jax.vmap(images.in_eight_bits)(pix2pix.translate(self.architecture, self.weights, pictures))
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "1 h w *batch"]:
-        """1 - brightness in the network's picture; 1 where it shows ground that cannot be driven on."""
+        """1 - brightness of the network's image; 1 for pixels that are not traversable."""
         del state
         height, width, *batch = terrain.shape
         answers = self.translate(jnp.moveaxis(terrain.reshape(height, width, -1), -1, 0))
@@ -209,25 +209,25 @@ class TranslatorCostToGo:
 
 @struct.dataclass
 class ExactCostToGo:
-    """The exact cost-to-go of the hidden map in the network's place: an estimator that leaves nothing to gain.
+    """The exact cost-to-go of the hidden map: a perfect, privileged estimator.
 
     Attributes:
-      log_error: natural logarithm of a factor by which each cell's value is wrong; 0 for the exact values. A field of
-        it stands in for an imperfect network.
-      moves: steps between cells; those the robot can make by default, see `dc2g_jax.grid.search.cost_to_go`.
+      log_error: natural logarithm of a factor that multiplies each cell's value; 0 for exact values. A random field
+        simulates an imperfect network.
+      moves: moves between cells; by default those of the robot, see `dc2g_jax.grid.search.cost_to_go`.
     """
 
     log_error: Float[Array, "h w"] | float = 0.0
     moves: tuple[tuple[int, int], ...] = struct.field(pytree_node=False, default=search.FOUR_CONNECTED)
 
     def init(self, world: World) -> Float[Array, "h w *batch"]:
-        """Solve the whole map."""
+        """The cost-to-go of the whole map."""
         return world_cost_to_go(world, moves=self.moves)
 
     def estimate(
         self, terrain: UInt8[Array, "h w *batch"], state: Float[Array, "h w *batch"]
     ) -> Float[Array, "1 h w *batch"]:
-        """The values of the whole map, whatever has been observed."""
+        """The values of the whole map, independent of the observed cells."""
         factor = jnp.exp(jnp.asarray(self.log_error, jnp.float32))
         return (state * factor.reshape(*factor.shape, *(1 for _ in terrain.shape[factor.ndim :])))[None]
 
@@ -235,7 +235,7 @@ class ExactCostToGo:
 def world_cost_to_go(
     world: World, *, moves: tuple[tuple[int, int], ...] = search.FOUR_CONNECTED
 ) -> Float[Array, "h w *batch"]:
-    """Exact cost-to-go of a world, in cells; infinity where a robot cannot drive or cannot reach a goal."""
+    """Exact cost-to-go of a world, in cells; infinity for cells that are not traversable or cannot reach a goal."""
     return search.cost_to_go(
         bitboard.unpack(world.traversable, world.width), bitboard.unpack(world.goals, world.width), moves=moves
     )

@@ -1,8 +1,8 @@
-"""Asking a network about maps whose size nobody knows: crop and rescale, or a window around the robot.
+"""Estimators for maps of unknown size: crop and rescale, or a window around the robot.
 
-The paper's planner asks about the whole map, unobserved cells included, so it has to know the map's size (section IV).
-An estimator as it is does that. The two wrappers here need no size. They are for estimators that read nothing but the
-map they are asked about, whatever its size.
+The paper's planner gives the network the whole map, including unobserved cells, so it has to know the map's size
+(section IV). The two wrappers here do not need the size. They are for estimators that only read the map they are given,
+of any size.
 """
 
 import dataclasses
@@ -18,12 +18,12 @@ from dc2g_jax.grid.sampling import nearest_pixel
 from dc2g_jax.grid.terrain import UNKNOWN
 from dc2g_jax.grid.world import World
 
-#: Side of the maps that the shipped network was trained on, in cells.
+#: Side length of the training maps of the shipped network, in cells.
 _TRAINED_SIDE = 50
 
 
 def _count(number: int, like: Int[Array, "*batch"]) -> Int[Array, "number ..."]:
-    """0, 1, 2 ... along a new first axis."""
+    """0, 1, 2, ... along a new first axis."""
     return jnp.arange(number, dtype=jnp.int32).reshape(number, *(1 for _ in like.shape))
 
 
@@ -33,7 +33,7 @@ def _read(
     columns: Int[Array, "c *batch"],
     beyond: Shaped[Array, "..."],
 ) -> Shaped[Array, "kept r c *batch"]:
-    """The grid's values in so many rows and columns, and those of `beyond` where it has none."""
+    """The grid's values at these rows and columns; values of `beyond` outside the grid."""
     height, width = grid.shape[1:3]
     inside = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))[None]
     values = jnp.take_along_axis(grid, jnp.clip(rows, 0, height - 1)[None, :, None], axis=1)
@@ -42,23 +42,23 @@ def _read(
 
 
 def _span(lines: Bool[Array, "n *batch"]) -> tuple[Int[Array, "*batch"], Int[Array, "*batch"]]:
-    """The first of the lines that are marked, and how many there are up to the last of them."""
+    """The first marked line, and the number of lines up to the last marked one."""
     first, after_last = jnp.argmax(lines, axis=0), len(lines) - jnp.argmax(lines[::-1], axis=0)
     return first.astype(jnp.int32), (after_last - first).astype(jnp.int32)
 
 
 @struct.dataclass
 class CroppedEstimator:
-    """Asks about the square that holds everything observed, rescaled to one size (the authors' later code).
+    """Estimate on the square around all observed cells, rescaled to a fixed size (the authors' later code).
 
-    Rescaled costs are multiplied by the scale, so they stay in cells. Cells beyond the square, none of which has been
-    observed, cost what the nearest cell within does. In the authors' code they cost the most there is, and the square
-    extends from the observed cells to the lower right.
+    Costs are multiplied by the scale, so they stay in cells. Cells beyond the square, all unobserved, get the cost of
+    the nearest cell in it. In the authors' code, they get the highest cost, and the square extends from the observed
+    cells to the lower right.
 
     Attributes:
-      estimator: what is asked.
-      side: of the square that the estimator is given, in its own cells.
-      margin: unobserved cells around the observed ones on each side, at least.
+      estimator: the wrapped estimator.
+      side: side length of the rescaled square, in its own cells.
+      margin: minimum number of unobserved cells on each side of the observed ones.
     """
 
     estimator: Estimator
@@ -67,15 +67,15 @@ class CroppedEstimator:
 
     @property
     def in_cells(self) -> bool:
-        """Are the estimator's own costs?"""
+        """Whether the estimator's costs are in cells."""
         return answers_in_cells(self.estimator)
 
     def init(self, world: World) -> Any:
-        """The estimator's own state."""
+        """The state of the wrapped estimator."""
         return self.estimator.init(world)
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "outcomes h w *batch"]:
-        """The estimator's answer to the square, resampled by nearest neighbor there and back."""
+        """The estimate for the square, with nearest-neighbor resampling in both directions."""
         height, width = terrain.shape[:2]
         top, left, size = self.square(terrain)
         sample, row, column = (_count(number, size) for number in (self.side, height, width))
@@ -90,10 +90,10 @@ class CroppedEstimator:
     def square(
         self, terrain: UInt8[Array, "h w *batch"]
     ) -> tuple[Int[Array, "*batch"], Int[Array, "*batch"], Int[Array, "*batch"]]:
-        """First row, first column and side of the square, in cells. It may reach beyond the map.
+        """First row, first column and side length of the square, in cells. It may extend beyond the map.
 
-        The observed cells lie in its middle, half a cell to the upper left where they cannot. Without any, the square
-        is what is given to the estimator, in the map's upper left corner.
+        The observed cells are in its middle, or half a cell to the upper left. Without observed cells, the square has
+        side length `side` and is in the map's upper left corner.
         """
         observed = terrain != UNKNOWN
         anything = jnp.any(observed, axis=(0, 1))
@@ -105,15 +105,14 @@ class CroppedEstimator:
 
 @dataclasses.dataclass(frozen=True)
 class Window(Extent):
-    """A square with the robot in its middle. Beyond it, the estimates made when cells last were inside are kept.
+    """A square with the robot in its middle. Cells outside keep the estimates from when they were last inside.
 
-    Whatever a robot can head for it has seen, and what it sees lies inside while the field of view reaches no further
-    than half the side. So a cell that has never been inside has a pose to choose on it only where the robot sees
-    further than that.
+    A robot can only head for cells that it has seen. These were inside if its sensing range is at most half the side
+    length. So only with a longer sensing range can a subgoal be on a cell that has never been inside.
 
     Attributes:
-      side: in cells. Of an even number, the robot is in the first row and column of the second half.
-      prior: cost of a cell that has never been inside.
+      side: side length in cells. If it is even, the robot is in the first row and column of the second half.
+      prior: cost of cells that have never been inside.
     """
 
     side: int = _TRAINED_SIDE
@@ -124,23 +123,23 @@ class Window(Extent):
         return pose.y - self.side // 2, pose.x - self.side // 2
 
     def part(self, terrain: UInt8[Array, "h w *batch"], pose: Pose) -> UInt8[Array, "side side *batch"]:
-        """The window. Beyond the map nothing is observed."""
+        """The window. Cells beyond the map are unobserved."""
         (top, left), inside = self._first(pose), _count(self.side, pose.x)
         return _read(terrain[None], top + inside, left + inside, jnp.uint8(UNKNOWN))[0]
 
     def merged(self, answer: Float[Array, "kept side side *batch"], pose: Pose, before: Estimates) -> Estimates:
-        """The answer to the window, and the old estimates around it."""
+        """The new estimates in the window and the old ones around it."""
         (top, left), (height, width) = self._first(pose), before.shape[1:3]
         return _read(answer, _count(height, pose.x) - top, _count(width, pose.x) - left, before)
 
 
 @struct.dataclass
 class WindowedEstimator:
-    """Asks about a window around the robot, by a planner that knows where the robot is.
+    """Estimate on a window around the robot. The planner provides the robot's pose.
 
     Attributes:
-      estimator: what is asked. Costs in one window have to mean the same as in the next: those of a network that
-        answers in cells do, brightness relative to the brightest cell does not.
+      estimator: the wrapped estimator. Its costs must be comparable between windows, such as costs in cells; brightness
+        relative to the brightest cell is not.
       extent: the window.
     """
 
@@ -149,13 +148,13 @@ class WindowedEstimator:
 
     @property
     def in_cells(self) -> bool:
-        """Are the estimator's own costs?"""
+        """Whether the estimator's costs are in cells."""
         return answers_in_cells(self.estimator)
 
     def init(self, world: World) -> Any:
-        """The estimator's own state."""
+        """The state of the wrapped estimator."""
         return self.estimator.init(world)
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "outcomes h w *batch"]:
-        """The estimator's answer to a map, all of which is taken to be the window."""
+        """The estimate for a map that is the window itself."""
         return self.estimator.estimate(terrain, state)

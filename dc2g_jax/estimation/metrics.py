@@ -1,4 +1,4 @@
-"""How good a predicted cost-to-go picture is (section IV-A3)."""
+"""Metrics of predicted cost-to-go images (section IV-A3)."""
 
 from typing import NamedTuple
 
@@ -7,19 +7,19 @@ from jaxtyping import Array, Bool, Float, Int
 
 from dc2g_jax.estimation.images import brightness, looks_traversable
 
-#: A pixel that is gray and brighter than this is close to a goal (section IV-A3).
+#: Gray pixels that are brighter than this are close to a goal (section IV-A3).
 LOW_COST_BRIGHTNESS = 0.9
 
 
 class ImageMetrics(NamedTuple):
-    """Predicted pictures against the true ones. A share of nothing is no number.
+    """Metrics of predicted images. Precision and recall are NaN if there are no such pixels.
 
     Attributes:
-      l1: mean absolute difference over pixels and colors.
-      low_precision: of the pixels predicted to have a low cost-to-go, the share that has.
-      low_recall: of the pixels that have a low cost-to-go, the share predicted.
-      traversable_precision: the same of the pixels that can be driven on.
-      traversable_recall: the same of the pixels that can be driven on.
+      l1: mean absolute error over pixels and colors.
+      low_precision: precision of pixels with low cost-to-go.
+      low_recall: recall of pixels with low cost-to-go.
+      traversable_precision: precision of traversable pixels.
+      traversable_recall: recall of traversable pixels.
     """
 
     l1: Float[Array, ""]
@@ -30,7 +30,7 @@ class ImageMetrics(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """Pixels that are predicted to be in a set, that are in it, and both; of one picture, or of several added up."""
+    """Number of pixels that are predicted to be in a set, that are in it, and both; of one image or several."""
 
     predicted: Int[Array, ""]
     true: Int[Array, ""]
@@ -38,22 +38,22 @@ class Counts(NamedTuple):
 
     @property
     def precision(self) -> Float[Array, ""]:
-        """Of the predicted pixels, the share that is in the set."""
+        """Share of the predicted pixels that are in the set."""
         return self.both / self.predicted
 
     @property
     def recall(self) -> Float[Array, ""]:
-        """Of the pixels in the set, the share that is predicted."""
+        """Share of the pixels in the set that are predicted."""
         return self.both / self.true
 
 
 class Comparison(NamedTuple):
-    """What the metrics of a picture, or of several, are made of.
+    """Comparison of predicted and true images, from which metrics are computed. Comparisons can be summed.
 
     Attributes:
-      l1: mean absolute difference over pixels and colors; added up, where pictures are.
-      low: pixels of low cost-to-go.
-      traversable: pixels that can be driven on.
+      l1: mean absolute error over pixels and colors; summed over images.
+      low: pixels with low cost-to-go.
+      traversable: traversable pixels.
     """
 
     l1: Float[Array, ""]
@@ -61,13 +61,13 @@ class Comparison(NamedTuple):
     traversable: Counts
 
     def metrics(self, pictures: int = 1) -> ImageMetrics:
-        """The metrics of so many pictures that were added up."""
+        """The metrics of a sum over this number of images."""
         low, drivable = self.low, self.traversable
         return ImageMetrics(self.l1 / pictures, low.precision, low.recall, drivable.precision, drivable.recall)
 
 
 def low_cost(image: Float[Array, "h w 3"]) -> Bool[Array, "h w"]:
-    """Pixels of low cost-to-go (V > 0.9 and S < 0.3)."""
+    """Pixels with low cost-to-go (V > 0.9 and S < 0.3)."""
     return looks_traversable(image) & (brightness(image) > LOW_COST_BRIGHTNESS)
 
 
@@ -76,7 +76,7 @@ def _counts(predicted: Bool[Array, "h w"], true: Bool[Array, "h w"]) -> Counts:
 
 
 def compare_images(predicted: Float[Array, "h w 3"], true: Float[Array, "h w 3"]) -> Comparison:
-    """Compare a predicted picture with the true one; `jax.vmap` makes it take many."""
+    """Compare a predicted image with the true one; use `jax.vmap` for several."""
     return Comparison(
         l1=jnp.mean(jnp.abs(predicted - true)),
         low=_counts(low_cost(predicted), low_cost(true)),

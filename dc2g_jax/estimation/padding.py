@@ -1,7 +1,7 @@
-"""The network on a grid of which the map fills only a part, so that one compiled program serves maps of many sizes.
+"""The network on a grid larger than the map, so that one compiled program serves maps of many sizes.
 
-The map lies in the grid's upper left corner; all other cells are `OUTSIDE`, which the network reads as no class. The
-answer is the network's to the map alone: its convolutions see nothing beyond the map's edge, wherever the grid ends.
+The map is in the grid's upper left corner. All other cells are `OUTSIDE`, which the network reads as no class. The
+result is the same as for the map alone: convolutions see nothing beyond the map's edge.
 """
 
 import functools
@@ -28,9 +28,9 @@ def _convolved(
     padding: str,
     **options: Any,
 ) -> Float[Array, "1 h2 w2 d"]:
-    """`jax.lax.conv_general_dilated` with padding `SAME`, of the map's part of the features.
+    """`jax.lax.conv_general_dilated` with padding `SAME`, applied to the map's part of the features.
 
-    How many halvings made the features of the grid is seen from their shape; the map was halved as often.
+    The shape of the features tells how often the grid was halved; the map was halved as often.
     """
     del padding
     stride, shape = strides[0], features.shape[1:3]
@@ -39,7 +39,7 @@ def _convolved(
     for axis, size in enumerate(shape):
         map_size = -(-map_shape[axis] >> halvings)
         inside &= jax.lax.broadcasted_iota(jnp.int32, shape, axis) < map_size
-        # A frame of one cell before the first, but for an even number of cells under stride 2: then of none.
+        # Padding of one cell before the first; none for an even number of cells with stride 2.
         first.append(((map_size - 1) % stride != 0).astype(jnp.int32))
         sizes.append(stride * (-(-size // stride) - 1) + 3)
     features = jnp.where(inside[None, :, :, None], features, 0)
@@ -50,7 +50,7 @@ def _convolved(
 
 @struct.dataclass
 class PaddedNetwork:
-    """A trained network that is asked about maps in a larger grid, one at a time.
+    """A trained network for maps in a larger grid, one at a time.
 
     Attributes:
       network: the network.
@@ -60,11 +60,11 @@ class PaddedNetwork:
     knows_outside: ClassVar[bool] = True
 
     def init(self, world: World) -> tuple[()]:
-        """Nothing is kept between steps."""
+        """Return the empty state."""
         return self.network.init(world)
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "outcomes h w *batch"]:
-        """The network's answer to the map in a grid, in cells; without meaning where the grid is `OUTSIDE`.
+        """The network's estimate for the map in a grid, in cells; undefined for `OUTSIDE` cells.
 
         A batch holds one map.
         """
@@ -82,10 +82,10 @@ class PaddedNetwork:
 def mirrored(
     cells: Shaped[Array, "..."], axes: tuple[int, ...], inside: Bool[Array, "h w *batch"], first: int
 ) -> Shaped[Array, "..."]:
-    """Cells of a grid with the map's part of it mirrored along axes of the grid and left where it is.
+    """Mirror the map in a grid along axes, without moving it out of its corner.
 
     Args:
-      cells: whose rows are the axis `first`.
+      cells: cells of the grid; rows are axis `first`.
       axes: axes of the grid, 0 for rows and 1 for columns.
       inside: cells of the map.
       first: number of axes before the rows.

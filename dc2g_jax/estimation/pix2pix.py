@@ -1,10 +1,9 @@
 """The paper's image-to-image translator: the networks of pix2pix (section III-B; Isola et al., CVPR 2017).
 
-The details that the paper leaves open are those of the implementation it names, Hesse's pix2pix in TensorFlow: 4x4
-convolutions, weights drawn with standard deviation 0.02, and normalization by the statistics of the batch at hand, of
-one picture, which is instance normalization. The innermost feature is left as it is: it is a single pixel, whose
-normalized value would be zero. And nothing is dropped when the network is asked, so that an answer depends on its
-question alone; there, features are dropped then as well.
+Details that the paper leaves open follow the implementation it names, Hesse's pix2pix in TensorFlow: 4x4 convolutions,
+weights with standard deviation 0.02, and normalization by the statistics of a batch of one image, which is instance
+normalization. There are two differences. The innermost feature is not normalized: it is a single pixel, whose
+normalized value would be zero. Dropout is off at inference, so that outputs are deterministic; there, it stays on.
 """
 
 import dataclasses
@@ -26,24 +25,24 @@ _SPREAD = 0.02
 _EPSILON = 1e-5
 _LEAK = 0.2
 
-#: Share of features dropped in the first decoder levels, and how many levels these are.
+#: Dropout rate of the first decoder levels, and the number of these levels.
 _DROPOUT, _DROPOUT_LEVELS = 0.5, 3
 
-#: The discriminator halves its input this often; one of its outputs then sees 70x70 pixels.
+#: Halvings in the discriminator. Each output then has a receptive field of 70x70 pixels.
 _DISCRIMINATOR_HALVINGS = 3
 
-#: Numbers that the networks can compute with; weights are float32 in either case.
+#: Data types for computations; weights are always float32.
 COMPUTE_DTYPES = {"float32": jnp.float32, "bfloat16": jnp.bfloat16}
 
 
 @dataclasses.dataclass(frozen=True)
 class TranslatorArchitecture:
-    """What it takes to build the networks again.
+    """Architecture of the generator and the discriminator.
 
     Attributes:
-      size: rows and columns of the pictures, a power of two of at least 32. The generator halves a picture until it is
-        a single pixel: 8 times for 256.
-      base_filters: channels at half the pictures' resolution; doubled at every further level, up to 8 times as many.
+      size: rows and columns of the images, a power of two of at least 32. The generator halves an image down to a
+        single pixel: 8 times for 256.
+      base_filters: channels at half the images' resolution; doubled at each further level, up to 8 times.
       compute_dtype: `float32` or `bfloat16`.
     """
 
@@ -66,7 +65,7 @@ class TranslatorArchitecture:
 
 
 class _InstanceNorm(nnx.Module):
-    """Every channel of every picture to zero mean and unit variance, then scaled and shifted."""
+    """Normalize each channel of each image to zero mean and unit variance, then scale and shift."""
 
     def __init__(self, width: int):
         self.scale = nnx.Param(jnp.ones(width))
@@ -83,8 +82,8 @@ class _InstanceNorm(nnx.Module):
 class _Doubling(nnx.Module):
     """A transposed 4x4 convolution that doubles the resolution.
 
-    Written as matrix products whose 4x4 blocks overlap by two: XLA's CPU backend takes the gradients of a transposed
-    convolution some fifteen times slower.
+    It is written as matrix products whose 4x4 blocks overlap by two. In XLA's CPU backend, gradients of a transposed
+    convolution are about fifteen times slower.
     """
 
     def __init__(self, width_in: int, width_out: int, *, dtype: Any):
@@ -112,13 +111,13 @@ class _Doubling(nnx.Module):
 
 
 def _convolution(width_in: int, width_out: int, step: int, *, dtype: Any, rngs: nnx.Rngs) -> nnx.Conv:
-    """A 4x4 convolution that halves the resolution (step 2), or takes one pixel off it (step 1)."""
+    """A 4x4 convolution that halves the resolution (step 2), or reduces it by one pixel (step 1)."""
     options: dict[str, Any] = {"strides": (step, step), "padding": ((1, 1), (1, 1)), "dtype": dtype, "rngs": rngs}
     return nnx.Conv(width_in, width_out, _KERNEL, **options)
 
 
 class _Layer(nnx.Module):
-    """A convolution and, perhaps, normalization."""
+    """A convolution with optional normalization."""
 
     def __init__(self, convolution: nnx.Conv | _Doubling, width: int, *, normalize: bool):
         self.convolution = convolution
@@ -139,7 +138,7 @@ def _dropped(features: Array, key: Array) -> Array:
 
 
 class Generator(nnx.Module):
-    """The U-Net: an encoder down to a single pixel, and a decoder that sees the encoder's features at each level."""
+    """The U-Net: an encoder down to a single pixel, and a decoder with skip connections at each level."""
 
     def __init__(self, architecture: TranslatorArchitecture, *, rngs: nnx.Rngs):
         widths, dtype = architecture.widths, COMPUTE_DTYPES[architecture.compute_dtype]
@@ -153,7 +152,7 @@ class Generator(nnx.Module):
             setattr(self, f"up{level}", _Layer(double, below, normalize=level > 0))
 
     def __call__(self, images: Float[Array, "b s s 3"], key: Array | None = None) -> Float[Array, "b s s 3"]:
-        """Translate pictures. With a key, features are dropped at random, as in training."""
+        """Translate images. A key turns on dropout, as in training."""
         features, skipped = 2 * images - 1, []
         for level in range(self.levels):
             features = getattr(self, f"down{level}")(features if level == 0 else _leaky(features))
@@ -168,7 +167,7 @@ class Generator(nnx.Module):
 
 
 class Discriminator(nnx.Module):
-    """The 70x70 PatchGAN: for every patch, the log-odds that a picture is the true one for a given input."""
+    """The 70x70 PatchGAN: for every patch, the log-odds that an image is the true one for a given input."""
 
     def __init__(self, architecture: TranslatorArchitecture, *, rngs: nnx.Rngs):
         filters, dtype = architecture.base_filters, COMPUTE_DTYPES[architecture.compute_dtype]
@@ -183,7 +182,7 @@ class Discriminator(nnx.Module):
             width_in = width
 
     def __call__(self, images: Float[Array, "b s s 3"], answers: Float[Array, "b s s 3"]) -> Float[Array, "b p q"]:
-        """Log-odds for every patch of every pair of an input and an answer."""
+        """Log-odds for every patch of each pair of an input and an output image."""
         features = 2 * jnp.concatenate([images, answers], axis=-1) - 1
         for layer in range(self.layers):
             features = getattr(self, f"layer{layer}")(features if layer == 0 else _leaky(features))
@@ -195,9 +194,9 @@ Network = type[Generator] | type[Discriminator]
 
 @functools.partial(jit, static_argnums=(0, 1))
 def init_weights(network: Network, architecture: TranslatorArchitecture, key: Array) -> dict[str, Any]:
-    """Fresh weights of either network: a nested dictionary of float32 arrays.
+    """Random initial weights of either network: a nested dictionary of float32 arrays.
 
-    All are cut from one long draw, as a program with a draw for each takes long to compile.
+    All are slices of one sample, since a program that samples each array separately takes long to compile.
     """
     shapes = shapes_of_weights(network, architecture)
     leaves, structure = jax.tree_util.tree_flatten_with_path(shapes)
@@ -218,13 +217,13 @@ def translate(
     images: Float[Array, "b s s 3"],
     key: Array | None = None,
 ) -> Float[Array, "b s s 3"]:
-    """Translate pictures of maps to pictures of their cost-to-go.
+    """Translate images of maps to images of their cost-to-go.
 
     Args:
-      architecture: the networks.
-      weights: the generator's.
-      images: pictures of maps, see `dc2g_jax.estimation.images.semantic_image`.
-      key: for dropout in training; without it nothing is dropped, so that an answer depends on its question alone.
+      architecture: architecture of the networks.
+      weights: weights of the generator.
+      images: images of maps, see `dc2g_jax.estimation.images.semantic_image`.
+      key: key for dropout in training; without it, there is no dropout and the output is deterministic.
     """
     return with_weights(Generator, architecture, weights)(images, key)
 
@@ -235,5 +234,5 @@ def discriminate(
     images: Float[Array, "b s s 3"],
     answers: Float[Array, "b s s 3"],
 ) -> Float[Array, "b p q"]:
-    """Log-odds, patch by patch, that answers are true ones for these pictures; `weights` are the discriminator's."""
+    """Log-odds, for each patch, that `answers` are true images for `images`; `weights` are the discriminator's."""
     return with_weights(Discriminator, architecture, weights)(images, answers)

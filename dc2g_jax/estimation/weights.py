@@ -46,12 +46,12 @@ def with_weights(network: Callable[..., _Network], architecture: Any, weights: d
 
 
 def write_safetensors(path: str | Path, tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> None:
-    """Write arrays to a file, which is replaced at once, when all is written.
+    """Write arrays to a file. An existing file is replaced atomically.
 
     Args:
       path: the file.
       tensors: name -> array.
-      metadata: further facts, text by name.
+      metadata: further facts, as strings by name.
     """
     dense = {name: np.asarray(tensor, order="C") for name, tensor in tensors.items()}
     with replacing(path) as unfinished:
@@ -59,23 +59,23 @@ def write_safetensors(path: str | Path, tensors: Mapping[str, np.ndarray], metad
 
 
 def read_safetensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Read the arrays of a file, and its metadata.
+    """Read the arrays and the metadata of a file.
 
     Raises:
-      InputError: the file cannot be read or is not in the format; says what is wrong with it.
+      InputError: the file cannot be read or has another format; the message gives the reason.
     """
     try:
         with safe_open(path, framework="np") as file:
             names = file.keys()
             return {name: file.get_tensor(name) for name in names}, file.metadata() or {}
-    except (OSError, SafetensorError, AttributeError, TypeError) as error:  # the latter for numbers that NumPy lacks
+    except (OSError, SafetensorError, AttributeError, TypeError) as error:  # the latter for data types that NumPy lacks
         raise InputError(
             f"{path}: cannot be read ({error}); give an undamaged file in the safetensors format"
         ) from None
 
 
 def flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Arrays of a nested dictionary under one name each, its parts joined by dots."""
+    """Arrays of a nested dictionary, by their keys joined by dots."""
     flat: dict[str, Any] = {}
     for name, value in tree.items():
         flat |= flattened(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {prefix + name: value}
@@ -83,15 +83,15 @@ def flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def read_weights(path: str | Path, shapes: Mapping[str, Any], tensors: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Weights of a known network among the arrays of a file, as float32.
+    """Weights of a known network from the arrays of a file, as float32.
 
     Args:
       path: the file, for messages.
-      shapes: nested dictionary of what has the shapes that the network needs.
+      shapes: nested dictionary of values with the shapes of the network's weights.
       tensors: the arrays of the file.
 
     Raises:
-      InputError: one is missing or of another shape, or there are others.
+      InputError: an array is missing, unexpected or of another shape.
     """
     wanted = {name: tuple(leaf.shape) for name, leaf in flattened(shapes).items()}
     found = {name: tensor.shape for name, tensor in tensors.items()}
@@ -111,12 +111,12 @@ def read_weights(path: str | Path, shapes: Mapping[str, Any], tensors: Mapping[s
 
 
 def write_network(path: str | Path, weights: Mapping[str, Any], architecture: Any, card: Mapping[str, Any]) -> None:
-    """Write a network to one file: weights in half precision, and architecture and card as JSON in the metadata.
+    """Write a network to one file: weights in half precision, architecture and card as JSON in the metadata.
 
     Args:
       path: the file; replaced if it exists.
       weights: see `fresh_weights`.
-      architecture: the dataclass from which the network can be built again.
+      architecture: dataclass of the architecture.
       card: further facts about the network.
     """
     tensors = {name: np.asarray(leaf, np.float16) for name, leaf in flattened(weights).items()}
@@ -132,10 +132,10 @@ def read_network(
     Args:
       path: the file.
       network: class of the network.
-      read_architecture: makes its architecture from JSON.
+      read_architecture: converts JSON to the architecture.
 
     Returns:
-      Its weights in float32, architecture and card. The card is empty in files of version 0.1 without one.
+      Weights in float32, architecture and card. The card is empty for files of version 0.1 without one.
 
     Raises:
       InputError: the file cannot be read or holds no such network.
