@@ -1,7 +1,7 @@
-"""One mesh over every device: accelerators, or the cores of a CPU, of all processes.
+"""One mesh over all devices of all processes: accelerators, or the cores of a CPU.
 
-Pieces of work are dealt out: of n devices, device i gets the pieces i, i + n, i + 2 n and so on. Arrays that are dealt
-out have an axis of devices before all others.
+Pieces of work are dealt out round-robin: of n devices, device i gets the pieces i, i + n, i + 2 n and so on. The first
+axis of dealt arrays is that of the devices.
 """
 
 import os
@@ -24,15 +24,15 @@ AXIS = "devices"
 #: A pytree of arrays.
 _State = TypeVar("_State")
 
-#: Seconds that one call of a program should take: between two calls progress is reported, and an interrupt heard.
+#: Target duration of one call of a program, in seconds. Progress and interrupts are handled between calls.
 _SECONDS_PER_CALL = 0.3
 
-#: Seconds after which a process that has died is missed by the others, which then end.
+#: Seconds after which the other processes notice that one has died, and end.
 _SECONDS_TO_NOTICE = 30
 
 
 def cores() -> int:
-    """Cores of the CPU that this process may use."""
+    """Number of CPU cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -41,16 +41,16 @@ def join_processes(
 ) -> None:
     """Join the other processes that share the work, if there are any. Call it before JAX runs anything.
 
-    Without arguments this asks Slurm, Open MPI, Kubernetes or the TPU pod; where none of them runs several processes,
-    this one works alone.
+    Without arguments, Slurm, Open MPI, Kubernetes or the TPU pod provide them. If none of them runs several processes,
+    this process works alone.
 
     Args:
       coordinator: `host:port` of process 0.
-      num_processes: how many there are.
-      process_id: number of this one.
+      num_processes: number of processes.
+      process_id: index of this process.
 
     Raises:
-      InputError: some of the arguments are missing or wrong, or the others cannot be reached.
+      InputError: arguments are missing or invalid, or the other processes cannot be reached.
     """
     given = [value for value in (coordinator, num_processes, process_id) if value is not None]
     if len(given) not in (0, 3):
@@ -68,15 +68,15 @@ def join_processes(
 
 
 def use_cores(count: int | None = None) -> None:
-    """Make each core of the CPU a device. Call it before JAX runs anything.
+    """Make each CPU core a device. Call it before JAX runs anything.
 
-    Without this call JAX takes a CPU for one device, and rollouts keep to one core.
+    Without this call, JAX treats a CPU as one device, and rollouts use a single core.
 
     Args:
-      count: how many, which may be more than there are; `None` for every core.
+      count: number of devices, which may exceed the number of cores; `None` for all cores.
 
     Raises:
-      InputError: less than 1, or JAX has already started with another number.
+      InputError: the number is less than 1, or JAX has already started with another number.
     """
     wanted = cores() if count is None else count
     if wanted < 1:
@@ -92,10 +92,10 @@ def use_cores(count: int | None = None) -> None:
 
 
 def use_devices(count: int | None = None) -> None:
-    """Use so many accelerators in this process, or, where there are none, cores of the CPU; see `use_cores`.
+    """Choose the number of accelerators of this process, or of CPU cores if there are none; see `use_cores`.
 
     Args:
-      count: how many; `None` for all.
+      count: number of devices; `None` for all.
 
     Raises:
       InputError: there are fewer accelerators, or JAX has already started with others.
@@ -108,17 +108,17 @@ def use_devices(count: int | None = None) -> None:
 
 
 def mesh_of(devices: Sequence[jax.Device] | None = None) -> Mesh:
-    """A mesh of these devices; of all, in every process, where `None`."""
+    """A mesh of these devices; `None` for all devices of all processes."""
     return Mesh(np.array(jax.devices() if devices is None else devices), (AXIS,))
 
 
 def platform(mesh: Mesh) -> str:
-    """What kind of devices these are: `cpu`, `gpu`, `tpu`."""
+    """Platform of the devices: `cpu`, `gpu` or `tpu`."""
     return mesh.devices.flat[0].platform
 
 
 def replicate(tree: Any, mesh: Mesh) -> Any:
-    """The same arrays on every device."""
+    """Copy arrays to every device."""
     return jax.device_put(tree, NamedSharding(mesh, PartitionSpec()))
 
 
@@ -126,13 +126,13 @@ def deal(tree: Any, count: int, mesh: Mesh, own: int | None = None) -> Any:
     """Deal pieces of work out to the devices.
 
     Args:
-      tree: arrays, pieces on the first axis.
-      count: how many pieces.
+      tree: arrays with the pieces on the first axis.
+      count: number of pieces.
       mesh: the devices.
-      own: pieces a device, repeated up to this number; as few as possible where `None`.
+      own: pieces per device, reached by repeating pieces; `None` for as few as possible.
 
     Returns:
-      Arrays of shape `[devices, own, ...]`, each device's part on that device.
+      Arrays of shape `[devices, own, ...]`, with each device's part on that device.
     """
     own = -(-count // mesh.size) if own is None else own
     numbers = np.stack([np.resize(np.arange(first, count, mesh.size), own) for first in range(mesh.size)])
@@ -141,12 +141,12 @@ def deal(tree: Any, count: int, mesh: Mesh, own: int | None = None) -> Any:
 
 
 def dealt_counts(count: int, mesh: Mesh) -> Int[np.ndarray, "devices"]:
-    """How many pieces each device gets."""
+    """Number of pieces that each device gets."""
     return np.bincount(np.arange(count) % mesh.size, minlength=mesh.size).astype(np.int32)
 
 
 def not_repeated(count: int, mesh: Mesh) -> Bool[np.ndarray, "devices own"]:
-    """Which of the dealt pieces are not repetitions of others."""
+    """Whether each dealt piece is not a repetition."""
     counts = dealt_counts(count, mesh)
     return np.arange(counts.max()) < counts[:, None]
 
@@ -156,7 +156,7 @@ def gather(tree: Any, count: int) -> Any:
 
     Args:
       tree: arrays of results; those of repeated pieces are dropped.
-      count: how many pieces there were.
+      count: number of pieces.
     """
 
     def in_order(leaf: Array) -> np.ndarray:
@@ -167,18 +167,18 @@ def gather(tree: Any, count: int) -> Any:
 
 
 def fetch(array: Array | np.ndarray) -> np.ndarray:
-    """An array as NumPy's, whole, in every process."""
+    """The whole array as a NumPy array, in every process."""
     whole = isinstance(array, np.ndarray) or array.is_fully_addressable or array.is_fully_replicated
     return np.asarray(array if whole else multihost_utils.process_allgather(array, tiled=True))
 
 
 def in_any_process(flag: bool) -> bool:
-    """Is it so in any of the processes? All ask at the same point of their work, and hear the same."""
+    """Whether the flag is set in any process. All processes must call this at the same point."""
     return flag if jax.process_count() == 1 else bool(np.any(multihost_utils.process_allgather(np.array(flag))))
 
 
 def first_copy(tree: Any) -> Any:
-    """One device's copy of arrays that every device has, for programs that run on one."""
+    """One device's copy of replicated arrays, for programs that run on a single device."""
     return jax.tree.map(lambda leaf: leaf.addressable_data(0), tree)
 
 
@@ -188,11 +188,11 @@ def on_each(function: Callable[..., Any], mesh: Mesh, dealt: Any, *shared: Any) 
     Args:
       function: a pure function.
       mesh: the devices.
-      dealt: arrays with an axis of devices, which the function does not see.
-      *shared: the same for all.
+      dealt: arrays whose first axis is that of the devices. The function gets them without it.
+      *shared: arguments that are the same for all.
 
     Returns:
-      What it gives, with an axis of devices first.
+      The results, with a first axis of devices.
     """
 
     def own(dealt: Any, shared: Any) -> Any:
@@ -222,7 +222,7 @@ def spread(batch: Any, rest: Any) -> tuple[Any, Any]:
 
 
 def batched(mesh: Mesh) -> Callable[..., Any]:
-    """`jax.vmap` for accelerators; for a CPU a loop, which does not compute branches that are not taken."""
+    """`jax.vmap` on accelerators; on a CPU a loop, which skips branches that are not taken."""
 
     def one_by_one(call: Callable[..., Any]) -> Callable[..., Any]:
         return lambda *batch: jax.lax.map(lambda args: call(*args), batch)
@@ -239,20 +239,20 @@ def serve_paced(
     *,
     first_steps: int,
 ) -> _State:
-    """Do pieces of work, so many steps a call that each call takes about as long.
+    """Run pieces of work in calls of about the same duration.
 
     Args:
       state: the first state.
-      go_on: `(state, steps) ->` the state after at most so many more steps of each piece.
-      count_finished: `state ->` how many pieces each device has finished.
-      n_pieces: how many there are.
-      on_progress: called after each call with the number of pieces finished so far.
-      first_steps: steps of the first call that takes any.
+      go_on: `(state, steps) ->` the state after at most `steps` more steps of each piece.
+      count_finished: `state ->` number of pieces that each device has finished.
+      n_pieces: total number of pieces.
+      on_progress: called with the number of finished pieces, before the first call and after each call.
+      first_steps: steps of the first call.
 
     Returns:
       The state in which all pieces are finished.
     """
-    # Takes no step: this is where the program is compiled.
+    # Zero steps: this call only compiles the program.
     state = jax.block_until_ready(go_on(state, jnp.int32(0)))
     finished, steps = 0, first_steps
     while True:
@@ -265,5 +265,5 @@ def serve_paced(
         finished = min(int(fetch(count_finished(state)).sum()), n_pieces)
         pace = steps / (time.perf_counter() - began)
         steps = max(1, min(int(pace * _SECONDS_PER_CALL), 2 * steps))
-        if jax.process_count() > 1:  # all take the same number of calls
+        if jax.process_count() > 1:  # all make the same number of calls
             steps = int(multihost_utils.broadcast_one_to_all(np.int32(steps)))

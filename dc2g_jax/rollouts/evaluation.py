@@ -1,4 +1,4 @@
-"""Episodes by house name: planners run from given starts, beside the oracle (paper, section IV-B)."""
+"""Evaluate planners from given starts in houses, relative to the oracle (paper, section IV-B)."""
 
 import collections
 import functools
@@ -25,34 +25,34 @@ from dc2g_jax.rollouts.results import write_rows
 from dc2g_jax.rollouts.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
 from dc2g_jax.rollouts.statistics import Summary, extra_steps, summarize
 
-#: A map of this many cells has one more action in its step limit: 500 for the published ones, of 50 x 50 cells.
+#: Cells of a map per action of its step limit: the published maps, of 50 x 50 cells, have a limit of 500.
 _CELLS_A_STEP = 50 * 50 // STEP_LIMIT
 
-#: Planners beside those of the package: name -> what makes one from the rules of an episode.
+#: Planners besides those of the package: name -> function that makes the planner from the rules of an episode.
 OwnPlanners = Mapping[str, Callable[[Rules], Planner]]
 NO_PLANNERS: OwnPlanners = MappingProxyType({})
 
-#: A planner, or what makes one: a planner's name, or a class or function that is called with the rules of an episode.
+#: A planner's name, a planner, or a class or function that makes one from the rules of an episode.
 PlannerSource = str | Planner | Callable[[Rules], Planner]
 
 
 class EpisodeResult(NamedTuple):
-    """One episode of one planner; the columns of `episodes.csv`.
+    """One episode of one planner, a row of `episodes.csv`.
 
     Attributes:
       house: name of the house.
       x: first column.
       y: first row.
       heading: first heading.
-      range: reach of the field of view, in cells.
-      expanding_range: range of the frontier-expanding kernel in cells, `None` where the rules have none.
-      planner: its name.
-      success: did the robot reach a goal within the step limit?
-      steps: actions taken.
-      oracle_steps: actions the oracle took from the same start.
+      range: range of the field of view, in cells.
+      expanding_range: range of the frontier-expanding kernel in cells, `None` if the rules have none.
+      planner: name of the planner.
+      success: whether the robot reached a goal within the step limit.
+      steps: number of actions.
+      oracle_steps: number of actions of the oracle from the same start.
       extra: extra steps beyond the oracle's, in percent.
       mode: plan mode of the last decision.
-      actions: the actions as letters F, L, R; none where it gave up at once.
+      actions: the actions as letters F, L, R; empty if the planner gave up at once.
     """
 
     house: str
@@ -71,7 +71,7 @@ class EpisodeResult(NamedTuple):
 
 
 class Results(tuple[EpisodeResult, ...]):
-    """Episodes of one or more planners, planner by planner, each in the order of the starts: a tuple of results.
+    """A tuple of results of one or more planners: planner by planner, each in the order of the starts.
 
     `print(results)` shows the summary of each planner.
     """
@@ -81,7 +81,7 @@ class Results(tuple[EpisodeResult, ...]):
         return Results(result for result in self if result.planner == planner)
 
     def summary(self) -> dict[str, Summary]:
-        """Mean and median of the extra steps in percent, and the success rate, by planner; episodes weigh equally."""
+        """Mean and median extra steps in percent, and success rate, by planner. Episodes have equal weight."""
         planners = dict.fromkeys(result.planner for result in self)
         by_planner = {planner: self.of(planner) for planner in planners}
         return {
@@ -90,7 +90,7 @@ class Results(tuple[EpisodeResult, ...]):
         }
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write `episodes.csv`: one line an episode and planner, `success` as 0 or 1, `extra` in percent."""
+        """Write `episodes.csv`: one row per episode and planner, with `success` as 0 or 1 and `extra` in percent."""
         write_rows(Path(path), EpisodeResult, self)
 
     def __str__(self) -> str:
@@ -116,7 +116,7 @@ def action_letters(trajectories: Trajectories, episode: int) -> str:
 
 
 def episodes_from(starts: Sequence[Start], index: Mapping[str, int]) -> Episodes:
-    """Starts as a rollout wants them, given each house's index in the stack of worlds."""
+    """Convert starts to `Episodes`, given each house's index in the stack of worlds."""
     table = np.array([(index[start.house], start.x, start.y, start.heading) for start in starts], np.int32)
     world, x, y, heading = table.reshape(-1, 4).T
     return Episodes(world=jnp.asarray(world), start=make_pose(x, y, heading))
@@ -128,9 +128,9 @@ class Runner:
     Args:
       dataset: the houses.
       settings: rules by sensing range.
-      step_limit: actions after which an episode ends without success; `None` for 500, and on maps of over
-        50 x 50 cells, the size of the published ones, one for every five cells of the largest.
-      progress: called as `progress(planner, finished, episodes)` now and then.
+      step_limit: actions after which an episode ends without success; `None` for 500, and on maps of over 50 x 50
+        cells, the size of the published ones, one action for every five cells of the largest map.
+      progress: called as `progress(planner, finished, episodes)` between calls of the device.
 
     Attributes:
       step_limit: actions after which an episode ends without success.
@@ -149,7 +149,7 @@ class Runner:
     ):
         self._dataset = dataset
         self._index = {house.name: number for number, house in enumerate(dataset.houses)}
-        # Every house of the dataset, whether used or not: the compiled program is then the same for all requests.
+        # All houses of the dataset, even unused ones, so that the same compiled program serves all calls.
         self._worlds = stack_worlds(dataset.houses)
         self._settings = settings
         if step_limit is None:
@@ -164,21 +164,21 @@ class Runner:
         """The rules of an episode.
 
         Raises:
-          InputError: the start asks for an expanding range, and the settings know none.
+          InputError: the start has an expanding range, and the rules have no frontier-expanding kernel.
         """
         return self._settings.rules(start.sensing_range, start.expanding_range)
 
     def trajectories(self, planner: Planner, rules: Rules, starts: Sequence[Start], name: str = "") -> Trajectories:
-        """Run one planner from every start, whatever ranges the starts ask for.
+        """Run one planner from every start, ignoring the ranges of the starts.
 
         Args:
           planner: the planner.
-          rules: whose field of view the robots have.
+          rules: rules with the robots' field of view.
           starts: first poses.
-          name: what progress is reported under.
+          name: name for progress reports.
 
         Raises:
-          KeyError: for a start in a house that the dataset lacks.
+          KeyError: a start is in a house that the dataset does not have.
         """
         episodes = episodes_from(starts, self._index)
         report = None
@@ -220,20 +220,19 @@ class Runner:
         """Run planners by name from every start.
 
         Args:
-          starts: first poses; each may ask for its own ranges.
-          planners: names as `make_planner` takes them, or out of `own`.
-          estimator: the network of `dc2g`.
-          own: further planners, or others in the place of those but the oracle, by name: each is made from the rules
-            of an episode.
+          starts: first poses; each may have its own ranges.
+          planners: names for `make_planner`, or names in `own`.
+          estimator: network of `dc2g`.
+          own: further planners by name, made from the rules of an episode. They replace other planners of the same
+            name, except the oracle.
 
         Returns:
-          Results, planner by planner in the order given, each in the order of the starts.
+          Results, planner by planner in the given order, each in the order of the starts.
 
         Raises:
-          ValueError: for a start that is no pose on the map, or on a front door: there is nothing to look for; for an
-            `oracle` of one's own, by which all are measured.
-          InputError: a planner has no known name, not even the oracle reaches a goal from a start within the step
-            limit, or a start asks for an expanding range, and the settings know none.
+          ValueError: a start is not on the map or is on a front door, or `own` has an `oracle`.
+          InputError: a planner is unknown, the oracle does not reach a goal from a start within the step limit, or a
+            start has an expanding range and the rules have no frontier-expanding kernel.
         """
         if "oracle" in own:
             raise ValueError("own: holds an oracle, by which all are measured; give the planner another name")
@@ -304,7 +303,7 @@ def evaluate(
     step_limit: int | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Results:
-    """Run planners from the same starts and set every episode beside the oracle's.
+    """Run planners from the same starts and compare each episode with the oracle's.
 
     ```
     results = dc2g_jax.evaluate(["frontier", "dc2g"], "procedural", split="val")
@@ -313,23 +312,24 @@ def evaluate(
     ```
 
     Args:
-      planners: names, each one of `dc2g_jax.PLANNERS` or `package.module:Class`; or a name of your choice -> one of
-        these, a planner, or what makes a planner from the rules, such as its class.
+      planners: names, each one of `dc2g_jax.PLANNERS` or `package.module:Class`; or a mapping from a name of your
+        choice to one of these, to a planner, or to a function or class that makes a planner from the rules.
       dataset: houses, a folder of them, or `procedural`; `None` for the published ones, see `open_dataset`.
-      split: houses that starts are sampled in: `train`, `val` or `test`.
-      starts: first poses; sampled where `None`.
-      starts_per_house: how many are sampled in each house.
-      seed: of the sampled starts.
+      split: split of the houses to sample starts in: `train`, `val` or `test`.
+      starts: first poses; `None` to sample them.
+      starts_per_house: number of sampled starts in each house.
+      seed: seed of the sampled starts.
       settings: the rules, one of `dc2g_jax.SETTINGS` or its name.
-      sensing_range: reach of the field of view in cells, for starts that do not say; the settings' own where `None`.
-      network: what `dc2g` and `dc2g_uncertain` run on: an estimator or the folder of a trained network; the shipped
-        network where `None`.
-      step_limit: actions after which an episode ends without success; `None` for as many as suit the maps' size.
-      progress: called as `progress(planner, finished, episodes)` now and then.
+      sensing_range: range of the field of view in cells, for starts without one; `None` for the settings' default.
+      network: network of `dc2g` and `dc2g_uncertain`: an estimator or the folder of a trained network; `None` for the
+        shipped network.
+      step_limit: actions after which an episode ends without success; `None` for the default for the maps' size, see
+        `Runner`.
+      progress: called as `progress(planner, finished, episodes)` between calls of the device.
 
     Raises:
-      InputError: an argument is not valid, no episode can be run in any of the houses, or a planner was made for
-        another field of view than that of the episodes.
+      InputError: an argument is invalid, no episode can be run in any house, or a planner was made for another field of
+        view than that of the episodes.
     """
     named: Mapping[str, PlannerSource]
     if isinstance(planners, Mapping):
@@ -355,7 +355,7 @@ def evaluate(
 
 
 def _made(name: str, source: PlannerSource, estimator: Estimator | None, rules: Rules) -> Planner:
-    """The planner, once it is sure that it goes by the field of view of the episodes."""
+    """Make a planner and check that it uses the episodes' field of view."""
     if isinstance(source, str):
         return make_planner(source, rules, estimator)
     ready = hasattr(source, "plan") and not isinstance(source, type)

@@ -1,4 +1,4 @@
-"""Extra steps, and what they come to over many episodes (paper, section IV-B)."""
+"""Extra steps, and their statistics over many episodes (paper, section IV-B)."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -7,10 +7,10 @@ import numpy as np
 
 
 def extra_steps(steps: int, oracle_steps: int) -> float:
-    """Steps beyond the oracle's in percent, 100 (t - t_oracle) / t_oracle (paper, section IV-B).
+    """Extra steps beyond the oracle's in percent, 100 (t - t_oracle) / t_oracle (paper, section IV-B).
 
     Raises:
-      ValueError: if the oracle took no step, so that there is nothing to compare with.
+      ValueError: the oracle took no step.
     """
     if oracle_steps < 1:
         raise ValueError(f"the oracle took {oracle_steps} steps; extra steps need a start off the goal")
@@ -18,7 +18,7 @@ def extra_steps(steps: int, oracle_steps: int) -> float:
 
 
 class Summary(NamedTuple):
-    """Extra steps over a set of episodes, in percent; houses weigh equally in the mean only where it says so.
+    """Extra steps over a set of episodes, in percent. Each episode has the same weight.
 
     Attributes:
       mean_extra: mean.
@@ -26,7 +26,7 @@ class Summary(NamedTuple):
       quartile_25: lower quartile.
       quartile_75: upper quartile.
       success: share of episodes that reached a goal, 0 to 1.
-      episodes: how many.
+      episodes: number of episodes.
     """
 
     mean_extra: float
@@ -38,10 +38,10 @@ class Summary(NamedTuple):
 
 
 def summarize(extra: Sequence[float] | np.ndarray, success: Sequence[bool] | np.ndarray) -> Summary:
-    """Summary of a non-empty set of episodes, each weighing the same.
+    """Summarize a set of episodes. Each has the same weight.
 
     Raises:
-      ValueError: for an empty set.
+      ValueError: there are no episodes.
     """
     if len(extra) == 0:
         raise ValueError("no episode to summarize")
@@ -59,22 +59,22 @@ def summarize(extra: Sequence[float] | np.ndarray, success: Sequence[bool] | np.
 def house_bootstrap(
     values: Sequence[float] | np.ndarray, houses: Sequence[str], *, resamples: int, seed: int, share: float = 0.95
 ) -> tuple[float, float]:
-    """Interval of a mean over episodes, by drawing whole houses anew: episodes of one house are not independent.
+    """Bootstrap interval of a mean over episodes. It resamples houses, since episodes of a house are not independent.
 
     For a paired comparison, give the differences.
 
     Args:
-      values: one value an episode.
+      values: one value per episode.
       houses: the house of each episode.
-      resamples: how many sets of houses are drawn, with replacement, as many as there are.
-      seed: of the draws.
-      share: share of the drawn means that the interval holds, 0 to 1.
+      resamples: number of bootstrap samples, each with as many houses as there are, drawn with replacement.
+      seed: seed of the bootstrap.
+      share: share of the bootstrap means inside the interval, 0 to 1.
 
     Returns:
-      Lower and upper end; both the mean where all is of one house, which tells nothing of others.
+      Lower and upper end. With a single house, both are the mean.
 
     Raises:
-      ValueError: for no values.
+      ValueError: there are no values.
     """
     if len(values) == 0:
         raise ValueError("no episode to draw from")
