@@ -1,4 +1,4 @@
-"""Training a cost-to-go network: its numbers, its state, one step."""
+"""Training of a cost-to-go network: configuration, state and step."""
 
 import dataclasses
 import functools
@@ -22,18 +22,18 @@ from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import mesh_of, platform
 from dc2g_jax.training.losses import LOSSES, map_loss
 
-#: Equal parts that a batch is made of, at most; as many devices can share it.
+#: Maximum number of equal parts of a batch, which devices can share.
 _MOST_PARTS = 8
 
-#: Axes of the devices in training: groups that runs are divided among, and the devices of a group.
+#: Axes of the mesh in training: runs are divided among the first, parts of a batch among the second.
 _RUNS, _PARTS = "runs", "parts"
 
 
 def check_numbers(learning_rate: float, **counts: int) -> None:
-    """Refuse numbers that no training can have.
+    """Check the learning rate and counts such as the number of steps.
 
     Raises:
-      InputError: names the number.
+      InputError: a number is invalid; the message names it.
     """
     for name, count in counts.items():
         if count < 1:
@@ -44,20 +44,20 @@ def check_numbers(learning_rate: float, **counts: int) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class TrainingConfig:
-    """How to train.
+    """Training configuration.
 
     Attributes:
-      architecture: the network.
-      steps: optimizer steps in all; the learning rate falls to zero over them.
-      batch_size: pairs a step; a multiple of 8 keeps up to eight devices busy.
-      losses: names of losses, see `dc2g_jax.training.losses.LOSSES`, and the weight of each.
-      learning_rate: peak, after a short linear warm-up.
+      architecture: architecture of the network.
+      steps: total number of optimizer steps, over which the learning rate decays to zero.
+      batch_size: pairs per step; a multiple of 8 keeps up to eight devices busy.
+      losses: names of losses, see `dc2g_jax.training.losses.LOSSES`, with their weights.
+      learning_rate: peak learning rate, after a short linear warm-up.
       weight_decay: decoupled weight decay.
-      average_decay: decay of the running average of the weights, which is what is kept in the end.
-      seed: of weights and batches.
+      average_decay: decay of the running average of the weights, which is the final network.
+      seed: seed of weights and batches.
 
     Raises:
-      InputError: for numbers that no training can have.
+      InputError: a number is invalid.
     """
 
     architecture: Architecture = dataclasses.field(default_factory=Architecture)
@@ -76,18 +76,18 @@ class TrainingConfig:
 
     @property
     def parts(self) -> int:
-        """Equal parts that a batch is drawn in, and how many devices can share it: one where its size is odd."""
+        """Number of equal parts of a batch, which devices can share: 1 if the batch size is odd."""
         return math.gcd(self.batch_size, _MOST_PARTS)
 
     @property
     def recipe(self) -> "TrainingConfig":
-        """What is compiled into a training step: the same for all runs that differ in numbers only."""
+        """The static part of the configuration: the same for all runs that only differ in `hyperparameters`."""
         names = tuple((name, 1.0) for name, _ in self.losses)
         return dataclasses.replace(self, losses=names, learning_rate=1.0, seed=0)
 
     @property
     def hyperparameters(self) -> "Hyperparameters":
-        """The numbers that a training step is given."""
+        """The traced part of the configuration."""
         return Hyperparameters(
             seed=jnp.uint32(self.seed),
             learning_rate=jnp.float32(self.learning_rate),
@@ -97,10 +97,10 @@ class TrainingConfig:
 
 @struct.dataclass
 class Hyperparameters:
-    """Numbers in which runs of one recipe differ.
+    """Parameters in which runs with the same recipe differ.
 
     Attributes:
-      seed: of weights and batches.
+      seed: seed of weights and batches.
       learning_rate: peak learning rate.
       loss_weights: weight of each of the recipe's losses.
     """
@@ -112,11 +112,11 @@ class Hyperparameters:
 
 @struct.dataclass
 class TrainingState:
-    """Everything that training needs to go on; saved and restored as a whole.
+    """The training state, saved and restored as a whole.
 
     Attributes:
-      step: optimizer steps taken.
-      weights: the network's weights.
+      step: number of optimizer steps.
+      weights: weights of the network.
       average: running average of the weights.
       optimizer: optax state.
     """
@@ -147,10 +147,10 @@ class Batch(Protocol):
 
 
 class DrawBatch(Protocol):
-    """How pairs are drawn."""
+    """A function that draws training pairs."""
 
     def __call__(self, key: Array, data: Any, *, batch_size: int) -> Batch:
-        """So many pairs out of the data."""
+        """Draw `batch_size` pairs from the data."""
         ...
 
 
@@ -185,14 +185,14 @@ def first_state(config: TrainingConfig) -> TrainingState:
 def mean_loss(
     recipe: TrainingConfig, loss_weights: Float[Array, "losses"], weights: Any, batch: Batch
 ) -> Float[Array, ""]:
-    """Mean over a batch of each map's losses, weighted and added up, in units of the architecture's cost scale."""
+    """Mean over a batch of the weighted sum of each map's losses, in units of the architecture's cost scale."""
     scale = recipe.architecture.cost_scale
     levels = jnp.asarray(recipe.architecture.quantiles, jnp.float32)
     estimate = compact_unet.apply(recipe.architecture, weights, batch.terrain) / scale
 
     def mean(name: str, weight: Float[Array, ""]) -> Float[Array, ""]:
         of_map = functools.partial(map_loss, LOSSES[name], levels=levels)
-        # A loss of no weight is not to overflow where others do not.
+        # A loss of weight 0 must not overflow.
         judged = jnp.where(weight > 0, estimate, 0.0)
         return weight * jnp.mean(jax.vmap(of_map)(judged, batch.target / scale, batch.weight))
 
@@ -200,13 +200,13 @@ def mean_loss(
 
 
 def loss_or_nan(loss: Float[Array, ""], weights: Any) -> Float[Array, ""]:
-    """A step's loss; NaN where it is infinite, or a weight after the step is not finite."""
+    """The loss of a step; NaN if the loss or a weight after the step is not finite."""
     finite = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(weights)]
     return jnp.where(functools.reduce(jnp.logical_and, finite, jnp.isfinite(loss)), loss, jnp.nan)
 
 
 def running_average(average: Any, weights: Any, step: Int[Array, ""], decay: float) -> Any:
-    """The average of weights after one more step: early on of the steps so far, later exponential."""
+    """The running average of the weights after one more step. Early on, its decay is smaller."""
     kept = jnp.minimum(decay, (1.0 + step) / (10.0 + step))
     return jax.tree.map(lambda a, w: kept * a + (1 - kept) * w, average, weights)
 
@@ -220,7 +220,7 @@ def _part_of_batch(
     recipe: TrainingConfig,
     draw_batch: DrawBatch,
 ) -> Batch:
-    """Depends on the seed and the two numbers alone, so that training can be interrupted anywhere."""
+    """Draw one part of a batch. It only depends on the seed, `step` and `part`, so training can be resumed anywhere."""
     of_batches = jax.random.fold_in(jax.random.key(hyperparameters.seed), 1)
     key = jax.random.fold_in(jax.random.fold_in(of_batches, step), part)
     return draw_batch(key, data, batch_size=recipe.batch_size // recipe.parts)
@@ -233,7 +233,7 @@ def _updated(
     loss: Float[Array, ""],
     gradient: Any,
 ) -> tuple[TrainingState, Float[Array, ""]]:
-    """The state of one run one step on, and its loss as `loss_or_nan` has it."""
+    """The state of one run after one step, and its loss from `loss_or_nan`."""
     updates, optimizer_state = optimizer(recipe).update(gradient, state.optimizer, state.weights)
     weights = jax.tree.map(lambda w, u: w + hyperparameters.learning_rate * u, state.weights, updates)
     average = running_average(state.average, weights, state.step, recipe.average_decay)
@@ -245,28 +245,28 @@ def _updated(
 
 @functools.cache
 def _layout(mesh: Mesh, n_runs: int) -> Mesh:
-    """The devices in two axes: runs are divided among the first, each run's batches among the second."""
+    """A mesh with two axes: runs are divided among the first, each run's batches among the second."""
     groups = math.gcd(n_runs, mesh.size)
     return Mesh(mesh.devices.reshape(groups, -1), (_RUNS, _PARTS))
 
 
 def _stacked(tree: Any, like: TrainingState) -> Any:
-    """Arrays with an axis of runs, also where there is one run without that axis."""
+    """Arrays with an axis of runs, which is added for a single run."""
     return jax.tree.map(lambda leaf: leaf[None], tree) if like.step.ndim == 0 else tree
 
 
 def _own_parts(recipe: TrainingConfig, layout: Mesh) -> int:
-    """How many parts of a batch each device does; those beyond the parts do the same as others."""
+    """Parts of a batch per device. Surplus devices repeat the work of others."""
     return recipe.parts // math.gcd(recipe.parts, layout.shape[_PARTS])
 
 
-# Pairs and gradients are two programs, since in one the compiler makes the pairs again for each use of them.
+# Pairs and gradients are two programs: in a single one, the compiler would recompute the pairs for each use.
 @functools.partial(jit, static_argnames=("layout", "recipe", "draw_batch"))
 def _draw(
     state: TrainingState, hyperparameters: Hyperparameters, data: Any, runs: Int[Array, "k"], parts: Int[Array, "p"],
     *, layout: Mesh, recipe: TrainingConfig, draw_batch: DrawBatch,
 ) -> Batch:  # fmt: skip
-    """On each device the batch of some of its parts of some of its runs; axes `[runs, devices of a run, pairs]`."""
+    """Draw, on each device, some of its parts of the batches of some of its runs: `[runs, devices of a run, pairs]`."""
     own_parts = _own_parts(recipe, layout)
 
     def own(steps: Array, hyperparameters: Hyperparameters, data: Any, runs: Array, parts: Array) -> Batch:
@@ -293,7 +293,7 @@ def _gradient(
     state: TrainingState, hyperparameters: Hyperparameters, batch: Batch, runs: Int[Array, "k"],
     *, layout: Mesh, recipe: TrainingConfig,
 ) -> tuple[Float[Array, "runs devices"], Any]:  # fmt: skip
-    """Losses and gradients of the batches that `_draw` made."""
+    """Losses and gradients of the batches of `_draw`."""
 
     def own(weights: Any, loss_weights: Array, batch: Batch, runs: Array) -> tuple[Array, Any]:
         def of_run(weights: Any, loss_weights: Array, batch: Batch) -> tuple[Array, Any]:
@@ -318,7 +318,7 @@ def _update(
     state: TrainingState, hyperparameters: Hyperparameters, found: Sequence[Sequence[tuple[Array, Any]]],
     *, layout: Mesh, recipe: TrainingConfig,
 ) -> tuple[TrainingState, Float[Array, "*runs"]]:  # fmt: skip
-    """The state one step on, and the loss, the same on every device; from what was found, run after run."""
+    """The state after one step, and the loss, on every device. `found` has losses and gradients of each run's parts."""
 
     def mean(*parts: Array) -> Array:
         return jax.lax.pmean(sum(parts) / len(parts), _PARTS)
@@ -347,22 +347,22 @@ def train_step(
 ) -> tuple[TrainingState, Float[Array, "*runs"]]:
     """Take one optimizer step of one run, or of several whose states are stacked.
 
-    Runs are divided among the devices, and each run's batch among up to eight of the devices that it has. A CPU does a
-    part of one batch at a time, within its caches; an accelerator does all at once. The batch of a step depends on the
-    seed and the number of the step alone, so training that was interrupted and resumed gives the same bits as training
-    that was not, on the same devices. On another number of them a step differs by rounding, some 1e-6 of a weight. No
-    step is part of a longer program: inside a `scan`, XLA's CPU backend runs the gradients of convolutions some ten
+    Runs are divided among the devices, and each run's batch among up to eight devices of the run. A CPU processes one
+    part of one batch at a time, within its caches; an accelerator processes everything at once. The batch of a step
+    only depends on the seed and the step number, so resumed training is bit-identical to uninterrupted training on the
+    same devices. With another number of devices, a step differs by rounding, about 1e-6 of a weight. Steps are not
+    combined into a longer program: inside a `scan`, XLA's CPU backend computes gradients of convolutions about ten
     times slower.
 
-    A run whose loss or weights would not be finite keeps those that it had, and its loss is NaN.
+    If the loss or weights of a run would not be finite, the run keeps its weights, and its loss is NaN.
 
     Args:
-      state: state of a run, or stacked states; used up.
-      hyperparameters: of the run, or stacked.
-      data: what `draw_batch` draws from; best on every device already, see `dc2g_jax.rollouts.devices.replicate`.
-      recipe: what is compiled into a step, the same for all runs.
+      state: state of a run, or stacked states; donated.
+      hyperparameters: hyperparameters of the run, or stacked ones.
+      data: data for `draw_batch`, best replicated already, see `dc2g_jax.rollouts.devices.replicate`.
+      recipe: static part of the configuration, the same for all runs.
       draw_batch: draws pairs.
-      mesh: where to train; every device where `None`.
+      mesh: devices to train on; `None` for all.
 
     Returns:
       The new state and the loss, or those of each run.
@@ -388,7 +388,7 @@ def train_step(
 
 
 def mean_error(architecture: Architecture, weights: Any, batch: Batch) -> Float[Array, ""]:
-    """Mean absolute error in cells of the mean outcome, over the weighted cells of each map and over maps."""
+    """Mean absolute error of the mean outcome, in cells: the weighted mean of each map, averaged over maps."""
     estimate = jnp.mean(compact_unet.apply(architecture, weights, batch.terrain), axis=-1, keepdims=True)
     of_map = functools.partial(map_loss, LOSSES["l1"], levels=jnp.array([0.5]))
     return jnp.mean(jax.vmap(of_map)(estimate, batch.target, batch.weight))

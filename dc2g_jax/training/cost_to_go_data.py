@@ -1,4 +1,4 @@
-"""From houses to training pairs, and the episodes that a network is validated on (Algorithm 1 and section IV-B)."""
+"""Training pairs from houses, and validation episodes (Algorithm 1 and section IV-B)."""
 
 import dataclasses
 import functools
@@ -28,36 +28,37 @@ from dc2g_jax.rollouts.evaluation import Runner, episodes_from
 from dc2g_jax.training.cost_to_go import DrawBatch
 from dc2g_jax.training.mask_collection import LEADERS, Masks, collect_masks, concatenate_masks, leading_planners
 
-#: Seed of the procedural validation houses; those of training have the run's own, so it must be below this.
+#: Seed of the procedural validation houses. Seeds of training must be below it.
 _VALIDATION_SEED = 10_000
 
-#: Worlds whose labels are computed at a time.
+#: Worlds per batch in the computation of labels.
 _LABELS_AT_A_TIME = 128
 
 
 def _with_noise(key: Array, terrain: UInt8[Array, "h w"], highest: float) -> UInt8[Array, "h w"]:
-    """A map as a camera's noise may leave it, at a random level."""
+    """A map with camera noise of a random level."""
     level_key, noise_key = jax.random.split(key)
     return noisy_map(noise_key, terrain, scaled(IN_MAPS, jax.random.uniform(level_key, maxval=highest)))
 
 
 @dataclasses.dataclass(frozen=True)
 class DataConfig:
-    """What a network is trained on.
+    """Training data of a network.
 
     Attributes:
-      extra_houses: procedural houses beside the dataset's training houses.
-      starts_per_house: episodes in each of the dataset's training houses, for every sensing range and leading planner.
+      extra_houses: number of procedural houses besides the dataset's training houses.
+      starts_per_house: episodes in each of the dataset's training houses, for each sensing range and leading planner.
       starts_per_extra_house: the same for the procedural houses.
-      masks_per_episode: moments of each episode that become observation masks.
-      ranges: sensing ranges, in cells, of the robots whose masks are learned from.
-      own_share: share of a batch drawn from the dataset's own houses rather than procedural ones, 0 to 1.
-      edge_weight: weight in the loss of cells within 2 cells of unobserved ground; others have weight 1.
-      half_weight_cost: cost-to-go, in cells, at which a cell weighs half as much as at a goal; `inf` for all alike.
-      jitter: logarithm of the largest factor by which half of the maps are stretched, and moved by 40 cells times it.
-      whole_share: share of pairs in which all of the map is observed, 0 to 1.
-      map_noise: highest level of noise in the maps, as a camera's leaves it; 0 for none.
-      data_seed: of houses and masks, 0 to 9999.
+      masks_per_episode: number of moments of each episode that become observation masks.
+      ranges: sensing ranges, in cells, of the robots that collect the masks.
+      own_share: share of a batch drawn from the dataset's houses rather than procedural ones, 0 to 1.
+      edge_weight: loss weight of cells within 2 cells of unobserved ground; others have weight 1.
+      half_weight_cost: cost-to-go, in cells, at which a cell has half the weight of a goal; `inf` for equal weights.
+      jitter: logarithm of the largest factor by which half of the maps are stretched; they are shifted by up to 40
+        cells times it.
+      whole_share: share of pairs with a fully observed map, 0 to 1.
+      map_noise: highest level of camera noise in the maps; 0 for none.
+      data_seed: seed of houses and masks, 0 to 9999.
     """
 
     extra_houses: int = 2000
@@ -94,7 +95,7 @@ class DataConfig:
 
     @property
     def draw_batch(self) -> DrawBatch:
-        """How a training step draws its pairs; see `dc2g_jax.datasets.pairs.draw_pairs`."""
+        """The function that draws the pairs of a step; see `dc2g_jax.datasets.pairs.draw_pairs`."""
         return functools.partial(
             draw_pairs,
             own_share=self.own_share,
@@ -116,7 +117,7 @@ def usable(dataset: HouseDataset, split: str) -> list[House]:
     """Houses of a split in which an episode can be run.
 
     Raises:
-      InputError: if there is none.
+      InputError: there are none.
     """
     given = dataset.split(split)
     if not given:
@@ -131,7 +132,7 @@ def usable(dataset: HouseDataset, split: str) -> list[House]:
 
 
 def _require_squares(own: list[House], drawn: int) -> None:
-    """See that so many drawn houses can be run beside a dataset's."""
+    """Check that procedural houses, if there are any, can be combined with a dataset's."""
     height, width = own[0].terrain.shape
     if drawn and height != width:
         raise InputError(
@@ -142,16 +143,16 @@ def _require_squares(own: list[House], drawn: int) -> None:
 
 
 def check_houses(dataset: HouseDataset, *, extra: int, drawn: bool, validated: bool) -> None:
-    """See that a dataset can be trained on, in no time: for before anything is written.
+    """Check quickly, before anything is written, that a dataset can be trained on.
 
     Args:
       dataset: the houses.
-      extra: drawn houses that are trained on beside them.
-      drawn: are episodes in drawn houses run for validation?
-      validated: is anything done in the dataset's validation houses?
+      extra: number of procedural houses to train on besides.
+      drawn: whether validation runs episodes in procedural houses.
+      validated: whether the dataset's validation houses are used.
 
     Raises:
-      InputError: a split has no house that an episode can be run in, or drawn houses cannot be run beside them.
+      InputError: no episode can be run in the houses of a split, or procedural houses cannot be combined with them.
     """
     _require_squares(usable(dataset, "train"), extra)
     if validated:
@@ -159,10 +160,10 @@ def check_houses(dataset: HouseDataset, *, extra: int, drawn: bool, validated: b
 
 
 def _with_drawn(own: list[House], prefix: str, count: int, seed: int) -> list[House]:
-    """Houses of a dataset, then procedural ones on a grid of the same size.
+    """Houses of a dataset, followed by procedural ones on a grid of the same size.
 
     Raises:
-      InputError: drawn houses cannot be run beside one of the dataset's: it is not square, or called like one of them.
+      InputError: a house of the dataset is not square or has the name of a procedural house.
     """
     _require_squares(own, count)
     height = own[0].terrain.shape[0]
@@ -175,7 +176,7 @@ def _with_drawn(own: list[House], prefix: str, count: int, seed: int) -> list[Ho
 
 
 def training_houses(dataset: HouseDataset, config: DataConfig) -> tuple[list[House], int]:
-    """The dataset's own training houses, then procedural ones on a grid of the same size; and how many are its own."""
+    """The dataset's training houses followed by procedural ones of the same size; and the number of the former."""
     own = usable(dataset, "train")
     return _with_drawn(own, "e", config.extra_houses, config.data_seed), len(own)
 
@@ -187,7 +188,7 @@ def _led_masks(
     leaders: Callable[[Rules], Sequence[Planner]],
     on_progress: Callable[[int], None],
 ) -> Masks:
-    """Masks of robots of all sensing ranges under way in all houses, ordered by house."""
+    """Masks of robots of all sensing ranges in all houses, ordered by house."""
     index = {house.name: number for number, house in enumerate(houses)}
     worlds = stack_worlds(houses)
     collected: list[Masks] = []
@@ -212,7 +213,7 @@ def _led_masks(
 
 
 def by_house(parts: Sequence[Masks]) -> Masks:
-    """One collection out of several, ordered by house."""
+    """Concatenate collections of masks, ordered by house."""
     masks = concatenate_masks(parts)
     order = np.argsort(masks.world, kind="stable")
     return Masks(boards=masks.boards[order], world=masks.world[order])
@@ -221,13 +222,13 @@ def by_house(parts: Sequence[Masks]) -> Masks:
 def observation_masks(
     config: DataConfig, houses: Sequence[House], n_own: int, on_progress: Callable[[int, int], None]
 ) -> Masks:
-    """Masks of robots that explore blindly or are led by the exact cost-to-go with errors.
+    """Masks of robots with frontier exploration or led by the exact cost-to-go with errors.
 
     Args:
-      config: how many, of which robots.
+      config: configuration of the training data.
       houses: the houses; those of the dataset first.
-      n_own: how many are the dataset's.
-      on_progress: called as `on_progress(rollouts done, rollouts in all)`.
+      n_own: number of houses of the dataset.
+      on_progress: called as `on_progress(finished rollouts, total rollouts)`.
     """
     height, width = houses[0].terrain.shape
     leaders = functools.partial(leading_planners, height=height, width=width, seed=config.data_seed)
@@ -241,16 +242,16 @@ def masks_of_network(
     network: Estimator,
     on_progress: Callable[[int, int], None],
 ) -> Masks:
-    """Masks of robots that a trained network leads, where it leads well and where it does not (DAgger).
+    """Masks of robots led by a trained network, so that it learns from its own mistakes (DAgger).
 
-    Robots of every other sensing range of the configuration, at four times as many moments of each episode.
+    They use every other sensing range of the configuration, and four times as many moments of each episode.
 
     Args:
-      config: how many, of which robots.
+      config: configuration of the training data.
       houses: the houses; those of the dataset first.
-      n_own: how many are the dataset's.
-      network: the network, as the `dc2g` planner uses it.
-      on_progress: called as `on_progress(rollouts done, rollouts in all)`.
+      n_own: number of houses of the dataset.
+      network: network of the `dc2g` planner.
+      on_progress: called as `on_progress(finished rollouts, total rollouts)`.
     """
     some = dataclasses.replace(config, ranges=config.ranges[::2], masks_per_episode=4 * config.masks_per_episode)
     return _led_masks(
@@ -263,15 +264,15 @@ def masks_of_network(
 
 
 def check_masks(masks: Masks, houses: Sequence[House], where: str) -> None:
-    """See that masks belong to maps of this size.
+    """Check that masks belong to these houses.
 
     Args:
       masks: the masks.
-      houses: what they are of.
-      where: where the masks are from, for the message.
+      houses: the houses.
+      where: source of the masks, for the message.
 
     Raises:
-      InputError: if they do not, or name a house that is not there.
+      InputError: the masks have another size or belong to other houses.
     """
     height, width = houses[0].terrain.shape
     wanted = (bitboard.word_count(width), height)
@@ -287,11 +288,11 @@ def check_masks(masks: Masks, houses: Sequence[House], where: str) -> None:
 
 
 def training_set(houses: Sequence[House], n_own: int, masks: Masks) -> TrainingSet:
-    """Labels of all houses (Algorithm 1, line 5) beside their masks."""
+    """The training set of houses with their labels (Algorithm 1, line 5) and masks."""
     solve = jit(world_cost_to_go)
     labels = []
     for first in range(0, len(houses), _LABELS_AT_A_TIME):
-        # The last call repeats the last house, so that all calls have one shape.
+        # The last call repeats the last house, so that all calls have the same shape.
         some = np.minimum(np.arange(first, first + _LABELS_AT_A_TIME), len(houses) - 1)
         labels.append(np.moveaxis(np.asarray(solve(stack_worlds([houses[number] for number in some]))), -1, 0))
     return TrainingSet(
@@ -304,12 +305,12 @@ def training_set(houses: Sequence[House], n_own: int, masks: Masks) -> TrainingS
 
 
 def validation_pairs(dataset: HouseDataset, *, count: int, edge_weight: float) -> Pair:
-    """The same pairs in every run, half of them of the dataset's validation houses, half of procedural ones.
+    """Validation pairs, the same in every run: half from the dataset's validation houses, half from procedural ones.
 
-    Procedural houses are square: all pairs are of the dataset's where its maps are not.
+    Procedural houses are square. If the dataset's maps are not, all pairs are from the dataset.
 
     Args:
-      dataset: whose validation houses to use.
+      dataset: dataset of the validation houses.
       count: number of pairs.
       edge_weight: see `dc2g_jax.datasets.pairs.make_pair`.
     """
@@ -325,15 +326,15 @@ def validation_pairs(dataset: HouseDataset, *, count: int, edge_weight: float) -
 
 
 class Validation:
-    """Episodes in validation houses: the dataset's own, and procedural ones that no training has seen.
+    """Episodes in validation houses: those of the dataset, and procedural ones that are not used in training.
 
     Args:
-      dataset: whose validation houses to use.
-      drawn: how many procedural houses.
+      dataset: dataset of the validation houses.
+      drawn: number of procedural houses.
 
     Raises:
-      InputError: no episode can be run in any validation house, or even the oracle needs too many steps in one, or
-        drawn houses cannot be run beside them.
+      InputError: no episode can be run in any validation house, the oracle exceeds the step limit in one, or procedural
+        houses cannot be combined with the dataset's.
     """
 
     def __init__(self, dataset: HouseDataset, drawn: int = 64):
@@ -346,12 +347,12 @@ class Validation:
         }
         for runner in self._runners.values():
             for starts in self._starts.values():
-                runner.run(starts, ["oracle"])  # kept for later; what cannot be run is refused before any training
+                runner.run(starts, ["oracle"])  # cached for later; raises before any training
 
     def figures(self, estimator: Estimator, planner: str = "dc2g") -> dict[str, float]:
-        """Mean and median extra steps of a planner in percent, 5-cell (`published`) and 8-cell sensing (`paper`).
+        """Mean and median extra steps of a planner in percent, for 5-cell (`published`) and 8-cell sensing (`paper`).
 
-        `mean_extra` is the mean of the four means: the one figure to choose by.
+        `mean_extra`, the mean of the four means, is the figure for model selection.
         """
         figures: dict[str, Any] = {}
         for settings, runner in self._runners.items():

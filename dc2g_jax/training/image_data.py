@@ -1,4 +1,4 @@
-"""From houses to the translator's training pairs: pictures of whole maps, observation masks and costs (Algorithm 1)."""
+"""Training pairs of the translator: images of whole maps, observation masks and costs (Algorithm 1)."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -18,30 +18,30 @@ from dc2g_jax.training.image_evaluation import GRID_CELLS
 from dc2g_jax.training.image_pairs import ImageSet, all_pairs, houses_with_door, labeled_maps
 from dc2g_jax.training.mask_collection import LEADERS, Masks, collect_masks, concatenate_masks, leading_planners
 
-#: `paper` draws strokes, blobs and strips; `rollout` takes what robots under way had seen.
+#: `paper` draws strokes, blobs and strips; `rollout` takes the observed cells of exploring robots.
 MaskKind = Literal["paper", "rollout"]
 
-#: Masks differ from split to split, and are the same in every run.
+#: Seeds of the masks by split. They are the same in every run.
 MASK_SEEDS = {"train": 0, "val": 1, "test": 2}
 
-#: Moments of a rollout that become masks.
+#: Number of moments of a rollout that become masks.
 _MOMENTS = 8
 
 
 def rollout_masks(houses: Sequence[House], per_house: int, *, seed: int) -> Masks:
-    """What robots with 8-cell sensing had seen at random moments: as many masks of each house.
+    """Observed cells of robots with 8-cell sensing at random moments, with the same number of masks for each house.
 
-    Houses in which no episode can be run have none. Where a house has too few different moments, some are taken twice.
+    Houses in which no episode can be run have none. If a house has too few different moments, some are repeated.
 
     Args:
-      houses: houses on the grid that robots move on.
-      per_house: masks of each house.
-      seed: of starts, moments and the planners' errors.
+      houses: houses on the robots' grid.
+      per_house: number of masks of each house.
+      seed: seed of starts, moments and the planners' errors.
     """
     rules = SETTINGS["paper"].rules()
     index = {house.name: number for number, house in enumerate(houses)}
     worlds = stack_worlds(houses)
-    # Twice what is needed, as moments with a goal in reach do not count.
+    # Twice as many as needed, since moments with a reachable goal do not count.
     starts = sample_starts(houses, -(-2 * per_house // (_MOMENTS * LEADERS)), seed=seed)
     planners = leading_planners(rules, *houses[0].terrain.shape, seed=seed)
     episodes = episodes_from(starts, index)
@@ -61,13 +61,13 @@ def image_set(dataset: HouseDataset, split: str, *, size: int, masks: MaskKind, 
 
     Args:
       dataset: houses with their whole images.
-      split: which of them.
-      size: rows and columns of the pictures.
+      split: split of the houses.
+      size: rows and columns of the images.
       masks: kind of the observation masks.
-      per_house: masks of each house.
+      per_house: number of masks of each house.
 
     Raises:
-      InputError: if no house of the split can be used, or there are no masks.
+      InputError: no house of the split can be used, or there are no masks.
     """
     if per_house < 1:
         raise InputError(f"{split}: {per_house} masks a house make no pairs; ask for at least 1")

@@ -1,4 +1,4 @@
-"""Estimators judged by the pictures of cost-to-go that they draw (section IV-A)."""
+"""Evaluate estimators by their cost-to-go images (section IV-A)."""
 
 from collections.abc import Iterable
 
@@ -16,14 +16,14 @@ from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.programs import jit
 from dc2g_jax.training.image_pairs import ImageSet, MaskedMap, labeled_grid, labeled_map, masked_map
 
-#: Cells a side of the gridworld (section IV-B).
+#: Side length of the gridworld, in cells (section IV-B).
 GRID_CELLS = 50
 
 
 def map_for(estimator: Estimator, image: ClassImage) -> tuple[UInt8[np.ndarray, "s s"], Float[np.ndarray, "s s"]]:
-    """A whole house as an estimator reads it, and its exact cost-to-go.
+    """A whole house as the input of an estimator, and its exact cost-to-go.
 
-    The translator reads pictures of its own size; any other estimator the grid that robots move on.
+    The translator reads images of its own size, all other estimators the robots' grid.
     """
     if isinstance(estimator, TranslatorCostToGo):
         return labeled_map(image, estimator.architecture.size)
@@ -31,7 +31,7 @@ def map_for(estimator: Estimator, image: ClassImage) -> tuple[UInt8[np.ndarray, 
 
 
 def _costs_to_drive(estimator: Estimator, terrain: UInt8[Array, "s s"]) -> Float[Array, "s s"]:
-    """The expected cost-to-go of every cell that can be driven on; infinity elsewhere."""
+    """The expected cost-to-go of traversable cells; infinity elsewhere."""
     cost = jnp.mean(estimator.estimate(terrain, estimator.init(world_from_terrain(terrain))), axis=0)
     return jnp.where(jnp.asarray(TRAVERSABLE)[terrain], cost, jnp.inf)
 
@@ -39,14 +39,14 @@ def _costs_to_drive(estimator: Estimator, terrain: UInt8[Array, "s s"]) -> Float
 def predicted_image(
     estimator: Estimator, observed: UInt8[Array, "s s"], whole: UInt8[Array, "s s"]
 ) -> Float[Array, "s s 3"]:
-    """The picture of the cost-to-go that an estimator has in mind.
+    """The cost-to-go image that an estimator predicts.
 
-    The translator draws it. Any other estimator gives a cost for every cell, from which the picture is made as the true
-    one is; what can be driven on is then known from the map, not estimated, and black is the largest cost that it gives
-    on the whole map, as it is the largest of the whole map in the true picture.
+    The translator draws it. Any other estimator gives a cost for every cell, from which the image is made in the same
+    way as the true one. Traversability is then known from the map, not estimated, and black is the largest cost that
+    the estimator gives on the whole map, as it is the largest cost of the whole map in the true image.
 
     Args:
-      estimator: what to ask.
+      estimator: the estimator.
       observed: observed class indices, see `map_for`.
       whole: class indices of the whole map.
     """
@@ -60,16 +60,16 @@ def predicted_image(
 def compare(
     estimator: Estimator, terrain: UInt8[Array, "s s"], cost_to_go: Float[Array, "s s"], seen: Array
 ) -> tuple[ImageMetrics, Array, Array, Array]:
-    """Ask an estimator about one map and compare its picture with the true one.
+    """Compare an estimator's image of one map with the true one.
 
     Args:
-      estimator: what to ask.
+      estimator: the estimator.
       terrain: class indices of the whole map.
       cost_to_go: exact cost-to-go of the whole map.
-      seen: what is observed, bool `[m m]` at any resolution.
+      seen: observed pixels, bool `[m m]` at any resolution.
 
     Returns:
-      The metrics, and three pictures: input, prediction and truth.
+      The metrics, and three images: input, prediction and truth.
     """
     observed = resize_nearest(seen, *terrain.shape)
     pair = MaskedMap(terrain, cost_to_go, observed, largest_cost(cost_to_go)).pictures()
@@ -78,7 +78,7 @@ def compare(
 
 
 def full_map_metrics(estimator: Estimator, images: Iterable[ClassImage]) -> list[dict[str, float]]:
-    """Metrics of an estimator on fully observed maps, one house after another (Fig. 6)."""
+    """Metrics of an estimator on fully observed maps, one entry per house (Fig. 6)."""
     everything = jnp.ones((1, 1), bool)
     rows = []
     for image in images:
@@ -88,7 +88,7 @@ def full_map_metrics(estimator: Estimator, images: Iterable[ClassImage]) -> list
 
 
 def as_floats(metrics: ImageMetrics) -> dict[str, float]:
-    """Metrics as plain numbers, by name."""
+    """Metrics as Python numbers, by name."""
     return {name: float(value) for name, value in metrics._asdict().items()}
 
 
@@ -99,10 +99,10 @@ def _compare_pair(network: TranslatorCostToGo, data: ImageSet, index: Int[Array,
 
 
 def metrics_over_pairs(network: TranslatorCostToGo, data: ImageSet) -> dict[str, float]:
-    """Metrics over all pairs of a set (Fig. 5), which are asked about one at a time.
+    """Metrics over all pairs of a set (Fig. 5), evaluated one at a time.
 
-    Precision and recall are of the pixels of all pictures together: of a picture in which nothing is predicted to be
-    near a goal there is no precision, and a network that says little is not to be rewarded.
+    Precision and recall are over the pixels of all images together. Per-image precision would be undefined for images
+    without predicted pixels near a goal, and would so reward a network that predicts few.
     """
     rows = [_compare_pair(network, data, index) for index in range(len(data.pair_house))]
     return as_floats(jax.tree.map(lambda *values: jnp.sum(jnp.stack(values)), *rows).metrics(len(rows)))

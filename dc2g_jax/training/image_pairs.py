@@ -52,7 +52,7 @@ def houses_with_door(dataset: HouseDataset, split: str) -> list[House]:
     """Houses of a split that have a front door, so that a cost-to-go exists: 31, 4 and 41 in the published dataset.
 
     Raises:
-      InputError: if there is none.
+      InputError: there are none.
     """
     houses = [house for house in dataset.split(split) if np.any(house.terrain == FRONT_DOOR)]
     if not houses:
@@ -105,7 +105,7 @@ def labeled_maps(
 
 
 def all_pairs(houses: Sequence[House], masks: Bool[np.ndarray, "masks s s"]) -> ImageSet:
-    """Every house under every mask, as in Algorithm 1.
+    """All combinations of houses and masks, as in Algorithm 1.
 
     Args:
       houses: houses with their whole images.

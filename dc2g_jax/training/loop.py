@@ -1,4 +1,4 @@
-"""The loop of every training: steps, progress, losses looked at late, validations and their log, checkpoints."""
+"""The training loop: steps, progress, late fetching of losses, validations and their log, checkpoints."""
 
 import contextlib
 import dataclasses
@@ -21,26 +21,26 @@ from dc2g_jax.rollouts.devices import fetch, in_any_process
 
 _State = TypeVar("_State")
 
-#: Mean losses of the steps since the last look: one of a single run, one for each of several trained together.
+#: Mean losses of the steps since the last fetch: a scalar for a single run, one per run for several.
 Losses = Float[np.ndarray, "*runs"]
 
 
 @dataclasses.dataclass(frozen=True)
 class Task(Generic[_State]):
-    """What is trained. A state has a `step`, the number of optimizer steps behind it.
+    """A training task. Its state has an attribute `step`, the number of optimizer steps.
 
     Attributes:
-      steps: optimizer steps in all.
+      steps: total number of optimizer steps.
       init: makes the state before the first step.
-      step: `state ->` new state and loss; the old state may be used up. A single run, whose loss is a scalar, stops
-        where the loss is not finite; runs trained together have a loss each and go on.
-      validate: `(state, step, losses) ->` lines of the log, one for each run; called now and then and after the last
-        step, to save the network as it is with its card. The losses are `None` before the first look at them.
-      validated: steps that were validated by earlier runs; one that was interrupted there catches up.
-      watch: called as `watch(state, step, losses)` after each look, and once before the first step; must leave the
-        state as it is.
-      name: what the progress bar says.
-      steps_per_look: steps between two looks at the losses, at most: looking waits for the device.
+      step: `state ->` new state and loss. The old state may be donated. A single run, whose loss is a scalar, stops if
+        its loss is not finite; runs trained together have one loss each and continue.
+      validate: `(state, step, losses) ->` lines of the log, one per run. Called at validations and after the last step;
+        it also saves the network and its card. The losses are `None` before they are first fetched.
+      validated: steps that earlier runs validated. A missing validation of the current step is made up for.
+      watch: called as `watch(state, step, losses)` after each fetch, and once before the first step. It must not change
+        the state.
+      name: title of the progress bar.
+      steps_per_look: maximum number of steps between fetches of the losses, which wait for the device.
     """
 
     steps: int
@@ -55,14 +55,14 @@ class Task(Generic[_State]):
 
 @dataclasses.dataclass(frozen=True)
 class Pauses:
-    """When training pauses.
+    """When to validate and to save.
 
     Attributes:
       validate_every: steps between validations; 0 for the last step only.
-      minutes_per_checkpoint: how often to save.
+      minutes_per_checkpoint: minutes between checkpoints.
 
     Raises:
-      InputError: if one of them is less than 0, or not a number.
+      InputError: one of them is negative or NaN.
     """
 
     validate_every: int
@@ -75,12 +75,12 @@ class Pauses:
             raise InputError(f"--minutes-per-checkpoint {self.minutes_per_checkpoint}: give a number from 0 on")
 
     def validates(self, step: int, steps: int) -> bool:
-        """Is there a validation after this step of so many?"""
+        """Whether there is a validation after `step` of `steps`."""
         return step == steps or (self.validate_every > 0 and step > 0 and step % self.validate_every == 0)
 
 
 class Checkpoints(Protocol):
-    """Where states are kept, see `dc2g_jax.estimation.checkpoints.TrainingCheckpoints`."""
+    """Storage of training states, see `dc2g_jax.estimation.checkpoints.TrainingCheckpoints`."""
 
     def restore(self) -> Any:
         """The newest state; `None` if there is none."""
@@ -96,7 +96,7 @@ class Checkpoints(Protocol):
 
 
 class Log:
-    """`log.jsonl`: a line for each validation. One made again after an interruption counts once.
+    """`log.jsonl`: one line per validation. A validation repeated after an interruption counts once.
 
     Args:
       out: folder of the training.
@@ -106,17 +106,17 @@ class Log:
         self._path = out / "log.jsonl"
 
     def write(self, *lines: Mapping[str, Any]) -> None:
-        """Add validations; each has a `step`, and a `run` where several are trained together."""
+        """Append validations. Each has a `step`, and a `run` if several are trained together."""
         cut_off = self._path.exists() and not self._path.read_bytes().endswith(b"\n")
         with self._path.open("a") as file:
             file.write("\n" * cut_off)
             file.writelines(json.dumps(line) + "\n" for line in lines)
 
     def by_step(self, run: str | None = None) -> dict[int, dict[str, Any]]:
-        """Validations by step, in order; of one run where several are trained together. None before the first."""
+        """Validations by step, in order; those of `run` if several are trained together. Empty before the first."""
         found: dict[int, dict[str, Any]] = {}
         for text in self._path.read_text().splitlines() if self._path.exists() else ():
-            with contextlib.suppress(json.JSONDecodeError):  # a line that a kill cut off
+            with contextlib.suppress(json.JSONDecodeError):  # a line that was cut off when the process was killed
                 line = json.loads(text)
                 if run is None or line["run"] == run:
                     found[line["step"]] = line
@@ -125,7 +125,7 @@ class Log:
 
 @contextlib.contextmanager
 def _interrupts_noted() -> Iterator[list[int]]:
-    """Note the first Ctrl-C instead of raising: a step uses its state up, so one broken off leaves none to save."""
+    """Defer the first Ctrl-C: a step donates its state, so an interrupted step would leave no state to save."""
     noted: list[int] = []
     before = signal.getsignal(signal.SIGINT)
     if before in (signal.SIG_IGN, None) or threading.current_thread() is not threading.main_thread():
@@ -146,7 +146,7 @@ def _interrupts_noted() -> Iterator[list[int]]:
 def _take_steps(
     state: _State, count: int, take_step: Callable[[_State], tuple[_State, Array]]
 ) -> tuple[_State, list[Array], bool]:
-    """So many steps: the state after them, their losses, and whether Ctrl-C made them fewer."""
+    """Take up to `count` steps. Returns the state, the losses, and whether Ctrl-C was pressed."""
     losses: list[Array] = []
     several = jax.process_count() > 1  # all take the same steps
     with _interrupts_noted() as noted:
@@ -157,12 +157,12 @@ def _take_steps(
 
 
 def _is_used_up(state: Any) -> bool:
-    """Has a step been given the state, and not brought back a new one?"""
+    """Whether the state was donated to a step that did not finish."""
     return any(isinstance(leaf, jax.Array) and leaf.is_deleted() for leaf in jax.tree.leaves(state))
 
 
 def _steps_to_next_stop(task: Task[Any], pauses: Pauses, step: int) -> int:
-    """Steps until something is to be done next."""
+    """Number of steps until the next fetch, validation or end."""
     waits = [task.steps - step, task.steps_per_look - step % task.steps_per_look]
     if pauses.validate_every:
         waits.append(pauses.validate_every - step % pauses.validate_every)
@@ -183,19 +183,19 @@ def _check_finite(losses: Losses, step: int, out: Path) -> None:
 
 
 def train(task: Task[_State], out: Path, checkpoints: Checkpoints, pauses: Pauses) -> _State:
-    """Train to the end from the newest checkpoint on, saving now and then, at the end, and at Ctrl-C.
+    """Train to the end from the newest checkpoint. Saves checkpoints regularly, at the end, and at Ctrl-C.
 
     Args:
-      task: what is trained.
+      task: the training task.
       out: folder of the log.
-      checkpoints: where states are kept; closed in the end.
+      checkpoints: storage of the states; closed at the end.
       pauses: when to validate and to save.
 
     Returns:
       The last state.
 
     Raises:
-      InputError: the newest checkpoint is damaged, or the loss of a single run is not finite; checkpoints stay.
+      InputError: the newest checkpoint is damaged, or the loss of a single run is not finite. Checkpoints are kept.
     """
     losses: Losses | None = None
     saved, last_save = -1, time.monotonic()
@@ -210,7 +210,7 @@ def train(task: Task[_State], out: Path, checkpoints: Checkpoints, pauses: Pause
 
     def save() -> None:
         nonlocal saved, last_save
-        with _interrupts_noted() as noted:  # a save broken off would leave a part of a state
+        with _interrupts_noted() as noted:  # an interrupted save would leave an incomplete state
             saved = step
             checkpoints.save(state)
         last_save = time.monotonic()
@@ -247,7 +247,7 @@ def train(task: Task[_State], out: Path, checkpoints: Checkpoints, pauses: Pause
                 if saved != step:
                     save()
             except KeyboardInterrupt:
-                # The state is used up when a second Ctrl-C breaks a step off.
+                # A second Ctrl-C may interrupt a step, which leaves no state to save.
                 if saved != step and not _is_used_up(state):
                     save()
                 raise

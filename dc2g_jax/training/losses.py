@@ -1,4 +1,4 @@
-"""Losses between an estimated distribution of the cost-to-go and the exact value, cell by cell."""
+"""Losses between an estimated distribution of the cost-to-go and the exact value, for each cell."""
 
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
@@ -9,22 +9,22 @@ from jaxtyping import Array, Float
 
 from dc2g_jax.errors import InputError
 
-#: `(estimate, target, levels) ->` loss of each estimate; all in units of the network's cost scale.
+#: `(estimate, target, levels) ->` loss of each estimate, in units of the network's cost scale.
 Loss = Callable[
     [Float[Array, "h w quantiles"], Float[Array, "h w 1"], Float[Array, "quantiles"]], Float[Array, "h w quantiles"]
 ]
 
-#: Errors up to this many cost scales count quadratically in the Huber loss.
+#: The Huber loss is quadratic up to this error, in cost scales.
 _HUBER_BEND = 0.25
 
-#: Below this many cost scales the logarithmic loss counts absolute errors, above it relative ones.
+#: The logarithmic loss measures absolute errors below this cost, in cost scales, and relative errors above it.
 _LOG_BEND = 0.25
 
 
 def _quantile(
     estimate: Float[Array, "h w quantiles"], target: Float[Array, "h w 1"], levels: Float[Array, "quantiles"]
 ) -> Float[Array, "h w quantiles"]:
-    """Quantile regression: each estimate is drawn to its own level of the distribution. At level 1/2 it is `l1`."""
+    """Quantile loss: each estimate converges to its level of the distribution. At level 1/2 it is `l1`."""
     error = target - estimate
     return 2 * jnp.maximum(levels * error, (levels - 1) * error)
 
@@ -32,7 +32,7 @@ def _quantile(
 def _l1(
     estimate: Float[Array, "h w quantiles"], target: Float[Array, "h w 1"], levels: Float[Array, "quantiles"]
 ) -> Float[Array, "h w quantiles"]:
-    """Absolute error: every estimate is drawn to the median."""
+    """Absolute error: estimates converge to the median."""
     del levels
     return jnp.abs(target - estimate)
 
@@ -40,7 +40,7 @@ def _l1(
 def _l2(
     estimate: Float[Array, "h w quantiles"], target: Float[Array, "h w 1"], levels: Float[Array, "quantiles"]
 ) -> Float[Array, "h w quantiles"]:
-    """Squared error: every estimate is drawn to the mean."""
+    """Squared error: estimates converge to the mean."""
     del levels
     return jnp.square(target - estimate)
 
@@ -58,7 +58,7 @@ def _huber(
 def _log(
     estimate: Float[Array, "h w quantiles"], target: Float[Array, "h w 1"], levels: Float[Array, "quantiles"]
 ) -> Float[Array, "h w quantiles"]:
-    """Absolute error of the inverse hyperbolic sine: a relative error, defined at zero and below."""
+    """Absolute error of the inverse hyperbolic sine: a relative error that is defined for all values."""
     del levels
     return jnp.abs(jnp.arcsinh(target / _LOG_BEND) - jnp.arcsinh(estimate / _LOG_BEND)) * _LOG_BEND
 
@@ -70,10 +70,10 @@ LOSSES: Mapping[str, Loss] = MappingProxyType(
 
 
 def check_loss_names(names: Sequence[str]) -> None:
-    """See that all losses are known.
+    """Check that all losses are known.
 
     Raises:
-      InputError: for one that is not; it lists those that are.
+      InputError: one is unknown; the message lists the known ones.
     """
     for name in names:
         if name not in LOSSES:
@@ -81,10 +81,10 @@ def check_loss_names(names: Sequence[str]) -> None:
 
 
 def parse_losses(text: str) -> tuple[tuple[str, float], ...]:
-    """Losses and their weights from text such as `l1` or `quantile=1,log=0.5`.
+    """Parse losses and their weights from text such as `l1` or `quantile=1,log=0.5`.
 
     Raises:
-      InputError: for a loss that is not known, twice the same, or a weight that is no number above 0.
+      InputError: a loss is unknown or given twice, or a weight is not a number above 0.
     """
     losses = []
     for part in text.split(","):
@@ -111,14 +111,14 @@ def map_loss(
     weight: Float[Array, "h w"],
     levels: Float[Array, "quantiles"],
 ) -> Float[Array, ""]:
-    """Weighted mean of a loss over the cells of one map and the quantiles; 0 where all weights are 0.
+    """Weighted mean of a loss over the cells of one map and the quantiles; 0 if all weights are 0.
 
     Args:
-      loss: the loss of a cell.
+      loss: loss of a cell.
       estimate: quantiles of the cost-to-go.
-      target: exact cost-to-go in the same unit; may be infinite where the weight is 0.
+      target: exact cost-to-go in the same unit; may be infinite for cells of weight 0.
       weight: weight of each cell.
-      levels: of the quantiles.
+      levels: levels of the quantiles.
     """
     finite = jnp.where(weight > 0, target, 0.0)[..., None]
     of_cell = jnp.mean(loss(estimate, finite, levels), axis=-1)

@@ -1,4 +1,4 @@
-"""Observation masks taken along the paths of planners (the masks of Algorithm 1, from robots rather than by hand)."""
+"""Observation masks from rollouts of planners, instead of the hand-drawn masks of Algorithm 1."""
 
 import functools
 from collections.abc import Sequence
@@ -22,10 +22,10 @@ from dc2g_jax.rollouts.rollout import Episodes, rollout
 
 _EPISODES_PER_CALL = 128
 
-#: Errors of the leading planners: standard deviation of the logarithm of the cost-to-go's error.
+#: Errors of the leading planners: standard deviations of the logarithm of the cost-to-go's error.
 _NOISE = (0.2, 0.5, 1.0)
 
-#: How many planners `leading_planners` gives.
+#: Number of planners of `leading_planners`.
 LEADERS = 1 + len(_NOISE)
 
 
@@ -37,15 +37,16 @@ def _smooth_noise(rng: np.random.Generator, height: int, width: int) -> Float[np
 
 
 def leading_planners(rules: Rules, height: int, width: int, *, seed: int) -> list[Planner]:
-    """Planners whose robots get about as far as those that will use the network, and not in one way only.
+    """Planners whose robots explore about as well as those that will use the network, in diverse ways.
 
-    Blind exploration, and DC2G with the exact cost-to-go times smooth log-normal errors of growing size.
+    These are frontier exploration, and DC2G with the exact cost-to-go times smooth log-normal errors of increasing
+    size.
 
     Args:
-      rules: what the robots see.
+      rules: rules of the planners.
       height: rows of the maps.
       width: columns of the maps.
-      seed: of the errors.
+      seed: seed of the errors.
     """
     rng = np.random.default_rng([seed, rules.sensing.radius])
     errors = [jnp.asarray(noise * _smooth_noise(rng, height, width)) for noise in _NOISE]
@@ -56,7 +57,7 @@ def leading_planners(rules: Rules, height: int, width: int, *, seed: int) -> lis
 
 
 class Masks(NamedTuple):
-    """Observation masks and the worlds they belong to.
+    """Observation masks and their worlds.
 
     Attributes:
       boards: observed cells.
@@ -91,15 +92,15 @@ def collect_masks(
     seed: int,
     step_limit: int = 300,
 ) -> Masks:
-    """Run a planner and keep what its robots had seen at random moments while no goal was in reach.
+    """Run a planner and collect the observed cells of its robots at random moments without a reachable goal.
 
     Args:
-      planner: leads the robots.
+      planner: planner of the robots.
       worlds: stack of worlds of one size.
       episodes: world index and first pose of each episode; at least one.
-      sensing: the robots' field of view.
-      per_episode: moments drawn from each episode; those with a goal in reach are left out.
-      seed: of the moments.
+      sensing: field of view of the robots.
+      per_episode: moments sampled from each episode; those with a reachable goal are dropped.
+      seed: seed of the moments.
       step_limit: actions after which an episode ends.
     """
     done = rollout(planner, worlds, episodes, sensing=sensing, step_limit=step_limit)
@@ -107,7 +108,7 @@ def collect_masks(
     times = (rng.random((len(episodes), per_episode)) * done.steps[:, None]).astype(np.int32)
     boards, owners = [], []
     for first in range(0, len(episodes), _EPISODES_PER_CALL):
-        # The last call repeats the last episode, so that all calls have one shape.
+        # The last call repeats the last episode, so that all calls have the same shape.
         part = np.minimum(np.arange(first, first + _EPISODES_PER_CALL), len(episodes) - 1)
         some = jax.tree.map(lambda leaf, part=part: leaf[part], episodes)
         moments = _moments(worlds, some, done.actions[part], times[part], sensing=sensing)
@@ -119,10 +120,10 @@ def collect_masks(
 
 
 def concatenate_masks(parts: Sequence[Masks]) -> Masks:
-    """One collection out of several.
+    """Concatenate collections of masks.
 
     Raises:
-      InputError: if there is no mask in any of them.
+      InputError: there are no masks.
     """
     if not any(len(part.world) for part in parts):
         raise InputError(

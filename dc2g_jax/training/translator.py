@@ -1,4 +1,4 @@
-"""Training the image-to-image translator: losses, state, one step (sections III-B and IV-A)."""
+"""Training of the image-to-image translator: losses, state and step (sections III-B and IV-A)."""
 
 import dataclasses
 import functools
@@ -20,18 +20,18 @@ from dc2g_jax.training.cost_to_go import check_numbers, loss_or_nan
 
 
 class GeneratorLoss(NamedTuple):
-    """What the generator minimizes: a weighted sum.
+    """Weights of the generator's loss.
 
     Attributes:
-      l1: weight of the mean absolute difference from the true picture.
-      gan: weight of the discriminator's doubt.
+      l1: weight of the mean absolute error.
+      gan: weight of the adversarial loss.
     """
 
     l1: float
     gan: float
 
 
-#: pix2pix takes the absolute difference of pictures from -1 to 1; here they are from 0 to 1.
+#: pix2pix computes the absolute error of images from -1 to 1; here they are from 0 to 1.
 _L1_SCALE = 2.0
 
 #: The paper's three losses, by name; weights as in pix2pix.
@@ -44,17 +44,17 @@ TRANSLATOR_LOSSES = {
 
 @dataclasses.dataclass(frozen=True)
 class TranslatorConfig:
-    """How to train a translator; defaults as in the paper.
+    """Training configuration of a translator. Defaults are as in the paper.
 
     Attributes:
-      architecture: the networks.
+      architecture: architecture of the networks.
       loss: one of `TRANSLATOR_LOSSES`.
-      batch_size: pairs a step.
-      learning_rate: of Adam, for both networks.
-      beta1: of Adam.
+      batch_size: pairs per step.
+      learning_rate: learning rate of Adam, for both networks.
+      beta1: beta1 of Adam.
 
     Raises:
-      InputError: for an unknown loss, or numbers that no training can have.
+      InputError: the loss is unknown, or a number is invalid.
     """
 
     architecture: TranslatorArchitecture = dataclasses.field(default_factory=TranslatorArchitecture)
@@ -71,14 +71,14 @@ class TranslatorConfig:
 
 @struct.dataclass
 class TranslatorState:
-    """Everything that training needs to go on; saved and restored as a whole.
+    """The training state, saved and restored as a whole.
 
     Attributes:
-      step: optimizer steps taken.
-      key: of the run, as data: decides the order of the pairs and what is dropped, step by step. Part of the state, so
-        that runs of several seeds share a compiled step.
-      generator: the generator's weights.
-      discriminator: the discriminator's weights; they stay what they are where the loss makes no use of them.
+      step: number of optimizer steps.
+      key: key of the run, as data, for the order of the pairs and dropout. It is part of the state so that runs with
+        different seeds share a compiled step.
+      generator: weights of the generator.
+      discriminator: weights of the discriminator; constant if the loss does not use them.
       generator_optimizer: optax state.
       discriminator_optimizer: optax state.
     """
@@ -92,16 +92,16 @@ class TranslatorState:
 
 
 class ImageBatch(Protocol):
-    """Pairs of pictures, see `dc2g_jax.training.image_pairs.ImagePair`."""
+    """Image pairs, see `dc2g_jax.training.image_pairs.ImagePair`."""
 
     @property
     def image(self) -> Float[Array, "b s s 3"]:
-        """Pictures of partial maps."""
+        """Images of partial maps."""
         ...
 
     @property
     def target(self) -> Float[Array, "b s s 3"]:
-        """Pictures of their cost-to-go."""
+        """Images of their cost-to-go."""
         ...
 
 
@@ -117,8 +117,8 @@ def init_translator(config: TranslatorConfig, *, seed: int) -> TranslatorState:
     """The state before the first step.
 
     Args:
-      config: how to train.
-      seed: of weights, the order of the pairs and dropout.
+      config: training configuration.
+      seed: seed of weights, order of the pairs and dropout.
     """
     generator_key, discriminator_key, run_key = jax.random.split(jax.random.key(seed), 3)
     generator = pix2pix.init_weights(Generator, config.architecture, generator_key)
@@ -136,7 +136,7 @@ def init_translator(config: TranslatorConfig, *, seed: int) -> TranslatorState:
 def discriminator_loss(
     architecture: TranslatorArchitecture, weights: Any, batch: ImageBatch, generated: Float[Array, "b s s 3"]
 ) -> Float[Array, ""]:
-    """Cross-entropy of telling true from generated patches: the mean of each kind's, added up."""
+    """Cross-entropy of classifying patches as true or generated: the sum of the means of both classes."""
     images = jnp.concatenate([batch.image, batch.image])
     odds = pix2pix.discriminate(architecture, weights, images, jnp.concatenate([batch.target, generated]))
     true, false = jnp.split(odds, 2)
@@ -146,10 +146,10 @@ def discriminator_loss(
 def generator_loss(
     config: TranslatorConfig, discriminator: Any, batch: ImageBatch, generated: Float[Array, "b s s 3"]
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """What the generator minimizes, and the mean absolute difference from the true pictures.
+    """The generator's loss, and the mean absolute error.
 
-    The sum, weighted as in `TRANSLATOR_LOSSES`, of the mean absolute difference of pictures from -1 to 1 and of the
-    cross-entropy of being taken for true, patch by patch.
+    The loss is the sum, weighted as in `TRANSLATOR_LOSSES`, of the mean absolute error of images from -1 to 1 and the
+    cross-entropy of patches being classified as true.
     """
     loss = TRANSLATOR_LOSSES[config.loss]
     difference = jnp.mean(jnp.abs(generated - batch.target))
@@ -169,14 +169,14 @@ def _updated(config: TranslatorConfig, weights: Any, gradient: Any, optimizer: A
 def translator_step(
     state: TranslatorState, data: Any, *, config: TranslatorConfig, draw_batch: DrawImages
 ) -> tuple[TranslatorState, Float[Array, ""]]:
-    """Take one step: first the discriminator learns to tell the generator's pictures, then the generator to fool it.
+    """Take one step: update the discriminator, then the generator.
 
-    The batch and the dropout of a step depend on the run's key and the number of the step alone, so training that was
-    interrupted and resumed gives the same weights as training that was not.
+    The batch and the dropout of a step only depend on the run's key and the step number, so resumed training gives the
+    same weights as uninterrupted training.
 
     Returns:
-      The new state and the mean absolute difference of the generated pictures from the true ones, NaN where a weight
-      of either network is no longer finite.
+      The new state, and the mean absolute error of the generated images; NaN if a weight of either network is not
+      finite.
     """
     architecture = config.architecture
     batch_key, dropout_key = jax.random.split(jax.random.wrap_key_data(state.key))
