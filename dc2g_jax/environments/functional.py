@@ -9,7 +9,7 @@ Functions take one robot; use `jax.vmap` for batches. A whole training loop fits
 An episode starts on the road of a random house (`dc2g_jax.datasets.starts.start_cells`), in a random heading. Every
 action costs 1, so the return is minus the number of steps. The episode terminates when the robot stands on a front
 door after an action, and is truncated at the step limit. Actions are those of `dc2g_jax.grid.poses`: 0 forward, 1 turn
-left, 2 turn right. A robot that drives against an obstacle stays where it is.
+left, 2 turn right. A robot that drives against an obstacle stays in place.
 """
 
 import dataclasses
@@ -242,7 +242,7 @@ def egocentric(observation: Observation, radius: int) -> UInt8[Array, "side side
     side = 2 * radius + 1
     framed = jnp.pad(observation.terrain, radius, constant_values=OUTSIDE)
     square = jax.lax.dynamic_slice(framed, (observation.pose.y, observation.pose.x), (side, side))
-    # Heading 0 looks to the right of the map; a quarter turn counterclockwise makes that up.
+    # Heading 0 points to the right of the map; a quarter turn counterclockwise makes it point up.
     return jax.lax.select_n(observation.pose.heading, *(jnp.rot90(square, turns) for turns in (1, 2, 3, 0)))
 
 

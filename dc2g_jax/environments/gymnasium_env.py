@@ -88,7 +88,7 @@ class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
       split: `train`, `val` or `test`.
       sensing_range: range of the 90-degree field of view, in cells.
       step_limit: actions after which an episode is truncated.
-      cells: side of the square maps, if `dataset` is yet to be opened.
+      cells: side length of the square maps, if `dataset` is not open yet.
       render_mode: `rgb_array` or `None`.
 
     Raises:

@@ -32,7 +32,7 @@ class FrontDoorTask:
       split: `train`, `val` or `test`. Houses in which no episode can be run are left out.
       sensing_range: range of the 90-degree field of view, in cells.
       step_limit: actions after which an episode is truncated.
-      cells: side of the square maps, if `dataset` is yet to be opened.
+      cells: side length of the square maps, if `dataset` is not open yet.
 
     Attributes:
       environment: the functional environment.
@@ -139,13 +139,13 @@ def make_env(
       name: `FrontDoor-v0`.
       dataset: folder of houses, the word `procedural`, or an open dataset; `None` for the published houses, see
         `dc2g_jax.datasets.houses.open_dataset`.
-      split: houses to be in: `train`, `val` or `test`. Those in which no episode can be run are left out.
-      sensing_range: reach of the 90-degree field of view, in cells.
+      split: `train`, `val` or `test`. Houses in which no episode can be run are left out.
+      sensing_range: range of the 90-degree field of view, in cells.
       step_limit: actions after which an episode is truncated.
-      cells: cells a side of the maps, where `dataset` is to be opened.
+      cells: side length of the square maps, if `dataset` is not open yet.
 
     Raises:
-      InputError: an option is not valid, or the dataset is not.
+      InputError: an option or the dataset is invalid.
     """
     if name != FRONT_DOOR_ID:
         raise InputError(f"no environment is called {name!r}; known: {FRONT_DOOR_ID}")
