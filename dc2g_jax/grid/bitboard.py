@@ -24,8 +24,8 @@ from dc2g_jax.grid.loops import repeated
 
 WORD_BITS = 32
 
-#: Steps of a flood between two checks whether it still grows: a check costs more than a step.
-_STEPS_BETWEEN_LOOKS = 4
+#: Steps of a flood between checks for growth: a check costs more than a step.
+_STEPS_PER_CHECK = 4
 
 Board = UInt32[Array, "n_words h *batch"]
 Offsets = Iterable[tuple[int, int]]
@@ -157,14 +157,14 @@ def neighbors(board: Board) -> Board:
 def flood(seed: Board, free: Board) -> Board:
     """Cells of `free` that are 4-connected to `seed` through `free`, including `seed & free`.
 
-    A seed that already holds a part of the result, such as the flood of the previous step, shortens the flood.
+    The flood is faster if the seed already holds a part of the result, such as the flood of the previous step.
     """
 
     def grow(_: Array, reached: Board) -> Board:
         return reached | (neighbors(reached) & free)
 
     def grow_some(carry: tuple[Board, Array]) -> tuple[Board, Array]:
-        grown = repeated(_STEPS_BETWEEN_LOOKS, grow, carry[0])
+        grown = repeated(_STEPS_PER_CHECK, grow, carry[0])
         return grown, jnp.any(grown != carry[0])
 
     # A complete board does not change while other boards of the batch still grow.

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-#: Sweeps end when a round lowers no value by more than this share of it; rounding errors are smaller.
+#: Sweeps end when no value decreases by more than this share; rounding errors are smaller.
 _SETTLED = 1e-6
 
-#: Columns by which the cells of a diagonal move from one row to the next.
+#: Column offsets of diagonals from one row to the next.
 _SLOPES = (1, -1)
 
 

@@ -22,15 +22,15 @@ class Belief:
     """Everything the robot has observed since the episode began (the stand-in for a SLAM system), and its pose.
 
     Attributes:
-      pose: where the robot is.
+      pose: pose of the robot.
       steps: actions taken so far, int32.
       classes: bit planes of the observed class indices: plane `b` holds the cells whose index has bit `b`.
       seen: board of observed cells.
       traversable: board of observed traversable cells.
       goals: board of observed goal cells.
       width: columns of the grid.
-      outside: board of the cells that are not part of the map, where the map fills only a part of the grid. They are
-        never observed and do not count as unobserved.
+      outside: board of the cells that are not part of the map, if the grid is larger than the map. They are never
+        observed and do not count as unobserved.
     """
 
     pose: Pose
@@ -95,7 +95,7 @@ def belief_from_map(observed: UInt8[Array, "h w *batch"] | UInt8[np.ndarray, "h 
 
     Args:
       observed: class index of every cell, 0 where nothing has been observed; see `dc2g_jax.grid.terrain`.
-      pose: where the robot is.
+      pose: pose of the robot.
     """
     world = world_from_terrain(observed)
     return Belief(

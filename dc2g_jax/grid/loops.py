@@ -1,4 +1,4 @@
-"""Short loops, as suits the device. JAX compiles the branch of the device that a program is for, and no other."""
+"""Short loops, unrolled depending on the device. JAX only compiles the branch for the program's device."""
 
 import functools
 from collections.abc import Callable
@@ -11,9 +11,9 @@ _Carry = TypeVar("_Carry")
 
 
 def repeated(count: int, function: Callable[[Array, _Carry], _Carry], carry: _Carry) -> _Carry:
-    """`jax.lax.fori_loop(0, count, function, carry)`, written out but for a CPU.
+    """`jax.lax.fori_loop(0, count, function, carry)`, unrolled except on a CPU.
 
-    A GPU would copy what the loop carries in every turn, and start kernels for its counter and its condition.
+    A GPU would copy the carry in every iteration, and launch kernels for the counter and the condition.
     """
     loop = functools.partial(jax.lax.fori_loop, 0, count, function)
     return jax.lax.platform_dependent(carry, cpu=loop, default=functools.partial(loop, unroll=True))

@@ -47,13 +47,13 @@ def sample_grid(classes: ClassImage, cells: int | tuple[int, int] = 50) -> Class
 
     Args:
         classes: class indices, uint8 [H W].
-        cells: side of a square grid, or columns and rows.
+        cells: side length of a square grid, or columns and rows.
 
     Returns:
         Class indices, uint8 [rows columns].
 
     Raises:
-        ValueError: if `classes` is not a non-empty two-dimensional array, or `cells` is not positive.
+        ValueError: `classes` is not a non-empty two-dimensional array, or `cells` is not positive.
     """
     if classes.ndim != 2 or classes.size == 0:
         raise ValueError(f"classes must be a non-empty [H W] array, got shape {classes.shape}")

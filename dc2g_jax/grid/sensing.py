@@ -206,7 +206,7 @@ def field_of_view(radius: int) -> Kernel:
     heading, that is |lateral| < ahead; the robot's own cell always is.
 
     Raises:
-      ValueError: if `radius` is less than 1.
+      ValueError: `radius` is less than 1.
     """
     if radius < 1:
         raise ValueError(f"sensing range {radius} is less than one cell; give a whole number of at least 1")
@@ -224,7 +224,7 @@ def line_of_sight(radius: int) -> OccludedKernel:
     """The field of view with occlusion: houses, trees and other opaque cells hide what is behind them.
 
     Raises:
-      ValueError: if `radius` is less than 1.
+      ValueError: `radius` is less than 1.
     """
     return OccludedKernel(radius, field_of_view(radius).offsets)
 
@@ -236,7 +236,7 @@ def expanding_kernel(radius: int) -> Kernel:
     The open wedge of range `radius` eroded by a 3x3 square inside its window, plus the cells 0, 1 and 2 ahead.
 
     Raises:
-      ValueError: if `radius` is less than 2.
+      ValueError: `radius` is less than 2.
     """
     if radius < 2:
         raise ValueError(f"expanding range {radius} is less than two cells; give a whole number of at least 2")

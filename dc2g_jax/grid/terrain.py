@@ -28,7 +28,7 @@ CLASS_NAMES: tuple[str, ...] = tuple(_PALETTE)
 #: Class index -> RGB color, uint8 [class 3].
 CLASS_COLORS = np.array(list(_PALETTE.values()), np.uint8)
 
-#: The most classes: indices are bytes, and the two highest values mark colors without a class while an image is read.
+#: Largest number of classes: indices are bytes, the two highest values mark unknown colors while reading images.
 MOST_CLASSES = 254
 if len(CLASS_NAMES) > MOST_CLASSES:
     raise ValueError(
