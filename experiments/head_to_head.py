@@ -4,8 +4,7 @@ Both run the 400 published episodes with the same houses, starts and sensing. Th
 """
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, require_positive
 from dc2g_jax.cli.outputs import output_folder, print_files
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
-from dc2g_jax.datasets.starts import PublishedEpisode, published_episodes
+from dc2g_jax.datasets.starts import published_episodes
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.files.atomic import write_json
@@ -22,11 +21,7 @@ from dc2g_jax.files.tables import write_table
 from dc2g_jax.inspection.figures import plot_head_to_head
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
-from dc2g_jax.rollouts.rollout import STEP_LIMIT
-from dc2g_jax.rollouts.statistics import extra_steps, house_bootstrap
-
-#: Groups of the tables, in order; the last holds all episodes.
-GROUPS = ("train", "same_neighborhood", "new_neighborhood", "urban", "all")
+from dc2g_jax.rollouts.published import PUBLISHED_GROUPS, EpisodePair, compare, pair_up
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,71 +41,6 @@ class Options(DatasetOptions, NetworkOptions, OutOptions, ResumeOptions):
     seed: int = 0
 
 
-class EpisodePair(NamedTuple):
-    """One episode, both sides: what each row of `head_to_head.csv` holds.
-
-    Attributes:
-      house: name of the house.
-      x: first column.
-      y: first row.
-      heading: first heading.
-      group: of the house.
-      oracle: actions of the oracle, ours.
-      authors_oracle: actions of the authors' oracle.
-      frontier: actions of frontier exploration, ours.
-      authors_frontier: the authors'.
-      dc2g: actions of ours: of DC2G, or of the planner in its place.
-      authors_dc2g: the authors'.
-      reached: did ours reach the door? Where it did not, its actions count as many as the step limit.
-      extra: extra steps of ours beyond our oracle, in percent.
-      authors_extra: the authors' DC2G beyond the authors' oracle.
-    """
-
-    house: str
-    x: int
-    y: int
-    heading: int
-    group: str
-    oracle: int
-    authors_oracle: int
-    frontier: int
-    authors_frontier: int
-    dc2g: int
-    authors_dc2g: int
-    reached: bool
-    extra: float
-    authors_extra: float
-
-
-def pair_up(
-    published: Sequence[PublishedEpisode], frontier: Sequence[EpisodeResult], dc2g: Sequence[EpisodeResult]
-) -> list[EpisodePair]:
-    """Our results beside the authors', in the order of the published episodes."""
-
-    def steps(result: EpisodeResult) -> int:
-        return result.steps if result.success else STEP_LIMIT
-
-    return [
-        EpisodePair(
-            house=theirs.start.house,
-            x=theirs.start.x,
-            y=theirs.start.y,
-            heading=theirs.start.heading,
-            group=theirs.group,
-            oracle=ours.oracle_steps,
-            authors_oracle=theirs.oracle,
-            frontier=steps(blind),
-            authors_frontier=theirs.frontier,
-            dc2g=steps(ours),
-            authors_dc2g=theirs.dc2g,
-            reached=ours.success,
-            extra=extra_steps(steps(ours), ours.oracle_steps),
-            authors_extra=extra_steps(theirs.dc2g, theirs.oracle),
-        )
-        for theirs, blind, ours in zip(published, frontier, dc2g, strict=True)
-    ]
-
-
 def run_published(
     planner: str, dataset: HouseDataset, network: TrainedNetwork | None, table: EpisodeTable
 ) -> dict[str, list[EpisodeResult]]:
@@ -118,41 +48,6 @@ def run_published(
     runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())
     starts = [episode.start for episode in published_episodes()]
     return {name: table.run(runner, starts, [name], network) for name in dict.fromkeys(("frontier", planner))}
-
-
-def compare(pairs: Sequence[EpisodePair], *, resamples: int, seed: int) -> dict[str, Any]:
-    """The figures of one group of episodes. Intervals hold 95 % of `resamples` draws of its houses."""
-    houses = [pair.house for pair in pairs]
-    steps = np.array([(pair.dc2g, pair.authors_dc2g, pair.frontier, pair.authors_frontier) for pair in pairs], float)
-    ours, authors, frontier, authors_frontier = steps.T
-    extra = np.array([pair.extra for pair in pairs])
-    authors_extra = np.array([pair.authors_extra for pair in pairs])
-    shorter, longer = int(np.sum(ours < authors)), int(np.sum(ours > authors))
-
-    def interval(values: np.ndarray) -> list[float]:
-        return [round(bound, 4) for bound in house_bootstrap(values, houses, resamples=resamples, seed=seed)]
-
-    faster, authors_faster = 100 * (frontier / ours - 1), 100 * (authors_frontier / authors - 1)
-    return {
-        "episodes": len(pairs),
-        "houses": len(set(houses)),
-        "mean_extra": round(float(extra.mean()), 4),
-        "mean_extra_interval": interval(extra),
-        "authors_mean_extra": round(float(authors_extra.mean()), 4),
-        "difference": round(float(np.mean(extra - authors_extra)), 4),
-        "difference_interval": interval(extra - authors_extra),
-        "median_extra": round(float(np.median(extra)), 4),
-        "authors_median_extra": round(float(np.median(authors_extra)), 4),
-        "shorter": shorter,
-        "equal": len(pairs) - shorter - longer,
-        "longer": longer,
-        "shorter_of_differing": round(shorter / max(1, shorter + longer), 4),
-        "time_outs": sum(not pair.reached for pair in pairs),
-        "authors_time_outs": int(np.sum(authors >= STEP_LIMIT)),
-        "frontier_over_dc2g": round(float(faster.mean()), 4),
-        "frontier_over_dc2g_interval": interval(faster),
-        "authors_frontier_over_dc2g": round(float(authors_faster.mean()), 4),
-    }
 
 
 def print_comparison(tables: dict[str, dict[str, Any]]) -> None:
@@ -190,7 +85,7 @@ def main(options: Options) -> None:
     out = output_folder(options, "head_to_head", inputs=digests(dataset, network=network))
     results = run_published(options.planner, dataset, network, EpisodeTable(out / "episodes.csv"))
     pairs = pair_up(published_episodes(), results["frontier"], results[options.planner])
-    groups = {group: [pair for pair in pairs if group in (pair.group, "all")] for group in GROUPS}
+    groups = {group: [pair for pair in pairs if group in (pair.group, "all")] for group in PUBLISHED_GROUPS}
     tables = {group: compare(own, resamples=options.resamples, seed=options.seed) for group, own in groups.items()}
     print_comparison(tables)
     by_house = {house: [pair for pair in pairs if pair.house == house] for house in sorted({p.house for p in pairs})}
@@ -211,7 +106,7 @@ def main(options: Options) -> None:
     write_json(out / "results.json", facts)
     plot_head_to_head(
         out / "head_to_head",
-        {group: [(pair.authors_extra, pair.extra) for pair in groups[group]] for group in GROUPS[:-1]},
+        {group: [(pair.authors_extra, pair.extra) for pair in groups[group]] for group in PUBLISHED_GROUPS[:-1]},
     )
     print_files(out)
 

@@ -31,6 +31,7 @@ from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.named import PLANNERS
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax.rollouts.published import PUBLISHED_GROUPS, frontier_over_dc2g
 from dc2g_jax.rollouts.rollout import STEP_LIMIT
 from dc2g_jax.rollouts.statistics import Summary, extra_steps, summarize
 
@@ -65,8 +66,7 @@ class ExtraSteps(NamedTuple):
     success: bool
 
 
-#: Groups of the tables, in order; the last holds all episodes.
-PUBLISHED_GROUPS = ("train", "same_neighborhood", "new_neighborhood", "urban", "all")
+#: Groups of the sampled episodes in tables, in order; `test` holds all episodes.
 PAPER_GROUPS = ("same_neighborhood", "new_neighborhood", "urban", "test")
 
 
@@ -103,36 +103,6 @@ def run_published(
             extra = extra_steps(steps, episode.oracle)
             entries.append(ExtraSteps(planner, episode.group, episode.start.house, extra, steps < STEP_LIMIT))
     return results, entries
-
-
-def frontier_over_dc2g(results: list[EpisodeResult]) -> dict[str, dict[str, float]]:
-    """Mean of frontier steps / DC2G steps - 1, in percent, by group: the paper's "189 % faster".
-
-    Empty if one of the two was not run.
-    """
-    if not {"frontier", "dc2g"} <= {result.planner for result in results}:
-        return {}
-    published = published_episodes()
-    steps = {planner: [r.steps for r in results if r.planner == planner] for planner in ("frontier", "dc2g")}
-    pairs = {
-        "ours": list(zip(steps["frontier"], steps["dc2g"], strict=True)),
-        "authors": [(episode.frontier, episode.dc2g) for episode in published],
-    }
-    return {
-        whose: {
-            group: float(
-                np.mean(
-                    [
-                        100 * (frontier / dc2g - 1)
-                        for (frontier, dc2g), episode in zip(both, published, strict=True)
-                        if group in (episode.group, "all")
-                    ]
-                )
-            )
-            for group in PUBLISHED_GROUPS
-        }
-        for whose, both in pairs.items()
-    }
 
 
 def sampled_episodes(dataset: HouseDataset, options: Options) -> tuple[Runner, list[Start]]:

@@ -1,0 +1,144 @@
+"""The 400 published episodes: our runs compared with the authors' (paper, section IV-B)."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dc2g_jax.datasets.starts import PublishedEpisode, published_episodes
+from dc2g_jax.rollouts.evaluation import EpisodeResult
+from dc2g_jax.rollouts.rollout import STEP_LIMIT
+from dc2g_jax.rollouts.statistics import extra_steps, house_bootstrap
+
+#: Groups of the published episodes in tables, in order; `all` holds all episodes.
+PUBLISHED_GROUPS = ("train", "same_neighborhood", "new_neighborhood", "urban", "all")
+
+
+class EpisodePair(NamedTuple):
+    """One episode of both sides, a row of `head_to_head.csv`.
+
+    Attributes:
+      house: name of the house.
+      x: first column.
+      y: first row.
+      heading: first heading.
+      group: group of the house.
+      oracle: number of actions of our oracle.
+      authors_oracle: number of actions of the authors' oracle.
+      frontier: number of actions of our frontier exploration.
+      authors_frontier: number of actions of the authors' frontier exploration.
+      dc2g: number of actions of our DC2G, or of the planner that replaces it.
+      authors_dc2g: number of actions of the authors' DC2G.
+      reached: whether ours reached the door. If not, its number of actions is the step limit.
+      extra: extra steps of ours beyond our oracle, in percent.
+      authors_extra: extra steps of the authors' DC2G beyond the authors' oracle, in percent.
+    """
+
+    house: str
+    x: int
+    y: int
+    heading: int
+    group: str
+    oracle: int
+    authors_oracle: int
+    frontier: int
+    authors_frontier: int
+    dc2g: int
+    authors_dc2g: int
+    reached: bool
+    extra: float
+    authors_extra: float
+
+
+def pair_up(
+    published: Sequence[PublishedEpisode], frontier: Sequence[EpisodeResult], dc2g: Sequence[EpisodeResult]
+) -> list[EpisodePair]:
+    """Pair our results with the authors', in the order of the published episodes."""
+
+    def steps(result: EpisodeResult) -> int:
+        return result.steps if result.success else STEP_LIMIT
+
+    return [
+        EpisodePair(
+            house=theirs.start.house,
+            x=theirs.start.x,
+            y=theirs.start.y,
+            heading=theirs.start.heading,
+            group=theirs.group,
+            oracle=ours.oracle_steps,
+            authors_oracle=theirs.oracle,
+            frontier=steps(blind),
+            authors_frontier=theirs.frontier,
+            dc2g=steps(ours),
+            authors_dc2g=theirs.dc2g,
+            reached=ours.success,
+            extra=extra_steps(steps(ours), ours.oracle_steps),
+            authors_extra=extra_steps(theirs.dc2g, theirs.oracle),
+        )
+        for theirs, blind, ours in zip(published, frontier, dc2g, strict=True)
+    ]
+
+
+def compare(pairs: Sequence[EpisodePair], *, resamples: int, seed: int) -> dict[str, Any]:
+    """Statistics of one group of episodes, with 95 % bootstrap intervals from `resamples` samples of its houses."""
+    houses = [pair.house for pair in pairs]
+    steps = np.array([(pair.dc2g, pair.authors_dc2g, pair.frontier, pair.authors_frontier) for pair in pairs], float)
+    ours, authors, frontier, authors_frontier = steps.T
+    extra = np.array([pair.extra for pair in pairs])
+    authors_extra = np.array([pair.authors_extra for pair in pairs])
+    shorter, longer = int(np.sum(ours < authors)), int(np.sum(ours > authors))
+
+    def interval(values: np.ndarray) -> list[float]:
+        return [round(bound, 4) for bound in house_bootstrap(values, houses, resamples=resamples, seed=seed)]
+
+    faster, authors_faster = 100 * (frontier / ours - 1), 100 * (authors_frontier / authors - 1)
+    return {
+        "episodes": len(pairs),
+        "houses": len(set(houses)),
+        "mean_extra": round(float(extra.mean()), 4),
+        "mean_extra_interval": interval(extra),
+        "authors_mean_extra": round(float(authors_extra.mean()), 4),
+        "difference": round(float(np.mean(extra - authors_extra)), 4),
+        "difference_interval": interval(extra - authors_extra),
+        "median_extra": round(float(np.median(extra)), 4),
+        "authors_median_extra": round(float(np.median(authors_extra)), 4),
+        "shorter": shorter,
+        "equal": len(pairs) - shorter - longer,
+        "longer": longer,
+        "shorter_of_differing": round(shorter / max(1, shorter + longer), 4),
+        "time_outs": sum(not pair.reached for pair in pairs),
+        "authors_time_outs": int(np.sum(authors >= STEP_LIMIT)),
+        "frontier_over_dc2g": round(float(faster.mean()), 4),
+        "frontier_over_dc2g_interval": interval(faster),
+        "authors_frontier_over_dc2g": round(float(authors_faster.mean()), 4),
+    }
+
+
+def frontier_over_dc2g(results: list[EpisodeResult]) -> dict[str, dict[str, float]]:
+    """Mean of frontier steps / DC2G steps - 1, in percent, by group: the paper's "189 % faster".
+
+    Empty if one of the two was not run.
+    """
+    if not {"frontier", "dc2g"} <= {result.planner for result in results}:
+        return {}
+    published = published_episodes()
+    steps = {planner: [r.steps for r in results if r.planner == planner] for planner in ("frontier", "dc2g")}
+    pairs = {
+        "ours": list(zip(steps["frontier"], steps["dc2g"], strict=True)),
+        "authors": [(episode.frontier, episode.dc2g) for episode in published],
+    }
+    return {
+        whose: {
+            group: float(
+                np.mean(
+                    [
+                        100 * (frontier / dc2g - 1)
+                        for (frontier, dc2g), episode in zip(both, published, strict=True)
+                        if group in (episode.group, "all")
+                    ]
+                )
+            )
+            for group in PUBLISHED_GROUPS
+        }
+        for whose, both in pairs.items()
+    }

@@ -1,0 +1,62 @@
+"""Statistics of both sides of the same episodes, from pairs made by hand."""
+
+import pytest
+
+from dc2g_jax.datasets.starts import published_episodes
+from dc2g_jax.rollouts.evaluation import EpisodeResult
+from dc2g_jax.rollouts.published import EpisodePair, compare, pair_up
+
+
+def pair(
+    house: str, *, dc2g: int, authors: int, frontier: int, authors_frontier: int = 300, oracle: int = 50
+) -> EpisodePair:
+    return EpisodePair(
+        house=house,
+        x=0,
+        y=0,
+        heading=0,
+        group="urban",
+        oracle=oracle,
+        authors_oracle=oracle,
+        frontier=frontier,
+        authors_frontier=authors_frontier,
+        dc2g=dc2g,
+        authors_dc2g=authors,
+        reached=dc2g < 500,
+        extra=100 * (dc2g / oracle - 1),
+        authors_extra=100 * (authors / oracle - 1),
+    )
+
+
+def test_figures_of_a_few_pairs():
+    pairs = [
+        pair("a", dc2g=50, authors=75, frontier=100),
+        pair("a", dc2g=60, authors=60, frontier=240),
+        pair("b", dc2g=100, authors=75, frontier=50),
+        pair("c", dc2g=55, authors=500, frontier=165, authors_frontier=500),
+    ]
+    found = compare(pairs, resamples=200, seed=0)
+    assert (found["episodes"], found["houses"]) == (4, 3)
+    assert (found["shorter"], found["equal"], found["longer"]) == (2, 1, 1)
+    assert found["shorter_of_differing"] == pytest.approx(2 / 3, abs=1e-4)
+    assert found["mean_extra"] == pytest.approx((0 + 20 + 100 + 10) / 4)
+    assert found["median_extra"] == pytest.approx(15)
+    assert found["authors_mean_extra"] == pytest.approx((50 + 20 + 50 + 900) / 4)
+    assert found["authors_median_extra"] == pytest.approx(50)
+    assert found["difference"] == pytest.approx((130 - 1020) / 4)
+    assert found["frontier_over_dc2g"] == pytest.approx(100 * (2 + 4 + 0.5 + 3) / 4 - 100)
+    assert found["authors_frontier_over_dc2g"] == pytest.approx(100 * (4 + 5 + 4 + 1) / 4 - 100)
+    assert (found["time_outs"], found["authors_time_outs"]) == (0, 1)
+    lost = compare([*pairs, pair("d", dc2g=500, authors=75, frontier=100)], resamples=200, seed=0)
+    assert lost["time_outs"] == 1
+
+
+def test_an_episode_that_gave_up_counts_as_many_actions_as_the_step_limit():
+    theirs = published_episodes()[0]
+    start = theirs.start
+    ours = EpisodeResult(
+        start.house, start.x, start.y, start.heading, 5, 4, "dc2g", success=False, steps=3, oracle_steps=50,
+        extra=-94.0, mode="gave_up", actions="FFF",
+    )  # fmt: skip
+    (found,) = pair_up([theirs], [ours._replace(planner="frontier", success=True, steps=120)], [ours])
+    assert (found.reached, found.dc2g, found.frontier, found.extra) == (False, 500, 120, 900)
