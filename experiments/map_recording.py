@@ -3,37 +3,34 @@
 import dataclasses
 import math
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
 import jax
 import numpy as np
 import tyro
-from jaxtyping import Array
 from tqdm import tqdm
 
 from dc2g_jax.cli.common import command_line
 from dc2g_jax.cli.map_options import StartOption, start_in
 from dc2g_jax.cli.options import DatasetOptions, OutOptions
 from dc2g_jax.cli.outputs import output_folder
-from dc2g_jax.datasets.houses import House, open_dataset
-from dc2g_jax.datasets.starts import Start
+from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import world_cost_to_go
-from dc2g_jax.grid.poses import Pose, every_heading, make_pose, moved
-from dc2g_jax.grid.search import first_action
-from dc2g_jax.grid.terrain import FRONT_DOOR, UNKNOWN
+from dc2g_jax.grid.poses import make_pose
+from dc2g_jax.grid.terrain import UNKNOWN
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.inspection.camera_recording import CameraRecording, MappedFrame
 from dc2g_jax.inspection.map_figures import plot_map
 from dc2g_jax.mapping import sequences
-from dc2g_jax.mapping.camera import Frame, intrinsics
+from dc2g_jax.mapping.camera import intrinsics
 from dc2g_jax.mapping.checks import check_frame
-from dc2g_jax.mapping.scene import CELL_SIZE, scene_from_terrain
+from dc2g_jax.mapping.scene import CELL_SIZE
 from dc2g_jax.mapping.semantic_map import MapSettings, empty_map, integrate, terrain_map
-from dc2g_jax.mapping.sequences import ImageSequence, Shot
-from dc2g_jax.mapping.simulator import FIELD_OF_VIEW, picture, render, robot_camera
+from dc2g_jax.mapping.sequences import ImageSequence
+from dc2g_jax.mapping.simulated_drives import path_to_goal, simulated_shots
+from dc2g_jax.mapping.simulator import FIELD_OF_VIEW
 from dc2g_jax.programs import jit
 
 HouseOption = Annotated[str | None, tyro.conf.arg(metavar="HOUSE", help_behavior_hint="")]
@@ -67,40 +64,6 @@ class Options(DatasetOptions, OutOptions):
     cell_size: float = CELL_SIZE
     reach: float = 10.0
     ground: float = 0.0
-
-
-def path_to_goal(house: House, start: Start) -> list[Pose]:
-    """The poses of a shortest path from a start to the nearest goal, one per step. A path must exist."""
-    world = world_from_terrain(house.terrain)
-
-    @jit
-    def step(pose: Pose) -> Pose:
-        action = first_action(pose, every_heading(world.goals), world.traversable).action
-        return moved(pose, action, *house.terrain.shape)
-
-    path = [make_pose(start.x, start.y, start.heading)]
-    while house.terrain[path[-1].y, path[-1].x] != FRONT_DOOR:
-        path.append(step(path[-1]))
-    return path
-
-
-def simulate(options: Options, house: House, start: Start, folder: Path) -> None:
-    """Write the sequence of a simulated camera on the shortest path in a house."""
-    width, height = options.image_size
-    camera = intrinsics(FIELD_OF_VIEW, height, width)
-    scene = scene_from_terrain(house.terrain, options.cell_size)
-
-    @jit
-    def look(robot: Pose) -> tuple[Frame, Array]:
-        pose = robot_camera(robot, options.cell_size)
-        return render(scene, camera, pose), picture(scene, camera, pose)
-
-    def shots() -> Iterator[Shot]:
-        for pose in tqdm(path_to_goal(house, start), desc="driving", unit="frame", file=sys.stderr):
-            frame, colors = jax.device_get(look(pose))
-            yield Shot(frame, colors)
-
-    sequences.write_sequence(folder, camera, shots())
 
 
 def map_sequence(sequence: ImageSequence, settings: MapSettings, out: Path, name: str) -> tuple[np.ndarray, int]:
@@ -165,7 +128,11 @@ def main(options: Options) -> None:
         start = start_in(house.name, house, options.start, options.seed)
         out = output_folder(options, "map_recording")
         folder = out / "sequence"
-        simulate(options, house, start, folder)
+        camera = intrinsics(FIELD_OF_VIEW, options.image_size[1], options.image_size[0])
+        path = path_to_goal(house.terrain, make_pose(start.x, start.y, start.heading))
+        path_shown = tqdm(path, desc="driving", unit="frame", file=sys.stderr)
+        shots = simulated_shots(house.terrain, path_shown, camera, options.cell_size)
+        sequences.write_sequence(folder, camera, shots)
         sequence = sequences.read_sequence(folder)
         rows, columns = house.terrain.shape
         settings = MapSettings(rows=rows, columns=columns, cell_size=options.cell_size, reach=options.reach)

@@ -3,13 +3,13 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
 
 from dc2g_jax.cli.common import NetworkOption, command_line, digests
-from dc2g_jax.cli.driving import DriveResult, DrivingOptions, drive, equipment
+from dc2g_jax.cli.driving import DriveResult, DrivingOptions, drive, equipment, summarize_drives
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax.cli.options import DatasetOptions, OutOptions, ResumeOptions
 from dc2g_jax.cli.outputs import output_folder
@@ -24,8 +24,7 @@ from dc2g_jax.inspection.driving_figures import plot_noise
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import Runner
 from dc2g_jax.rollouts.results import ResumableTable
-from dc2g_jax.rollouts.statistics import house_bootstrap
-from dc2g_jax.vehicles.drive import ARRIVED, STATUS_NAMES, Equipment
+from dc2g_jax.vehicles.drive import Equipment
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,26 +49,6 @@ class Options(DrivingOptions, DatasetOptions, OutOptions, ResumeOptions):
     network: NetworkOption = None
     noisy_network: NetworkOption = None
     seed: int = 0
-
-
-def summary(drives: Sequence[DriveResult], oracle: Sequence[DriveResult]) -> dict[str, float]:
-    """Statistics of a run.
-
-    Args:
-      drives: drives of the run.
-      oracle: drives from the same starts with a known map.
-    """
-    extra = [100 * (one.seconds / knowing.seconds - 1) for one, knowing in zip(drives, oracle, strict=True)]
-    low, high = house_bootstrap(extra, [one.house for one in drives], resamples=2000, seed=0)
-    return {
-        "extra": float(np.mean(extra)),
-        "extra_low": low,
-        "extra_high": high,
-        "median_extra": float(np.median(extra)),
-        "success": float(np.mean([one.status == STATUS_NAMES[ARRIVED] for one in drives])),
-        "seconds_off_ground": float(np.mean([one.off_ground for one in drives])),
-        "seconds_touching_people": float(np.mean([one.touched for one in drives])),
-    }
 
 
 def print_table(results: Mapping[str, Mapping[str, float]]) -> None:
@@ -114,7 +93,7 @@ def main(options: Options) -> None:
     for trained, network in networks.items():
         for level in options.levels:
             drives = run(f"{trained}_{level:g}", equipment("dc2g", network, size, level, options))
-            results[f"trained {trained}, noise {level:g}"] = summary(drives, oracle)
+            results[f"trained {trained}, noise {level:g}"] = summarize_drives(drives, oracle)
     write_json(out / "results.json", results)
     print_table(results)
     files = plot_noise(out / "noisy_mapping", options.levels, results, f"{len(starts)} starts in {dataset.name}")

@@ -11,8 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
-from jaxtyping import Array, Bool, Float
-from tqdm import tqdm
 
 from dc2g_jax.cli.common import command_line
 from dc2g_jax.cli.options import NetworkOptions, require_positive
@@ -21,27 +19,15 @@ from dc2g_jax.cli.searches import AGENT_TITLES, AgentName, SearchOptions, agent_
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
-from dc2g_jax.inspection.search_figures import SearchMoment, plot_search
-from dc2g_jax.objectnav.agent import (
-    DECLARED,
-    MPC,
-    Agent,
-    IndoorRobot,
-    IndoorSite,
-    act_on,
-    cost_of_pose,
-    is_active,
-    look_and_decide,
-    reset,
-    site_of,
-)
+from dc2g_jax.inspection.search_figures import plot_search
+from dc2g_jax.inspection.search_moments import choose_legs, moment_of, run_search
+from dc2g_jax.objectnav.agent import DECLARED, reset, site_of
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax.objectnav.evaluation import results_of
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
 from dc2g_jax.objectnav.searches import Search, Searches, sample_episodes
 from dc2g_jax.objectnav.starts import sample_starts
-from dc2g_jax.programs import jit
 
 #: Number of moments in the figure.
 _COLUMNS = 5
@@ -108,65 +94,6 @@ def episode_in(house: IndoorHouse, options: Options) -> Search:
     return Search(house.name, options.target, *starts[options.target][0].tolist())
 
 
-def search(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> tuple[list[IndoorRobot], IndoorRobot]:
-    """Run a search to the end.
-
-    Returns:
-      The robot at the beginning of each leg, after it decided and before it acts; and the robot at the end.
-    """
-    first_part, second_part, begun = jit(look_and_decide), jit(act_on), []
-    with tqdm(total=len(robot.track) - 1, desc="searching", unit="step", file=sys.stderr) as progress:
-        while is_active(robot):
-            begun.append(first_part(robot, site, agent))
-            robot = second_part(begun[-1], site, agent)
-            progress.update(int(robot.periods) - int(begun[-1].periods))
-    return begun, robot
-
-
-def chosen(to_goal: Bool[np.ndarray, " leg"], count: int) -> list[int]:
-    """Legs to show in the figure: spread evenly over the search, including the last.
-
-    If the goal reacher takes over after the second to last of these, the leg in which it takes over is shown instead.
-
-    Args:
-      to_goal: whether the goal reacher leads, for each leg.
-      count: number of legs to show; fewer if the search has fewer legs.
-    """
-    last = len(to_goal) - 1
-    numbers = np.linspace(0, last, count)
-    exploring = np.flatnonzero(~to_goal)
-    taken_over = int(exploring[-1]) + 1 if exploring.size else 0
-    if numbers[-2] < taken_over < last:
-        numbers = np.append(np.linspace(0, taken_over, count - 1), last)
-    return np.unique(numbers.round().astype(int)).tolist()
-
-
-@jit
-def sampled_plans(robot: IndoorRobot, agent: Agent) -> tuple[Float[Array, "k h 2"], Bool[Array, ""]]:
-    """Paths of the plans that the controller samples for the robot's next period, and whether it follows them."""
-    _, key = jax.random.split(robot.key)
-    costs = cost_of_pose(robot, agent)
-    plan, samples = MPC().weighed(key, robot, costs, agent)
-    return samples.path.position, jnp.allclose(plan, agent.steering.plan(key, robot, costs, agent), atol=1e-3)
-
-
-def moment_of(robot: IndoorRobot, agent: Agent, name: str) -> SearchMoment:
-    """The moment of a search before a robot acts. `name` is the agent's."""
-    paths, used = sampled_plans(robot, agent)
-    plans = np.asarray(paths) if used else np.zeros((0, *paths.shape[1:]), np.float32)
-    exploring = "exploring" if used or name == "random" else "looking around"
-    leading = "true cost map" if name == "true_cost" else "goal reacher"
-    return SearchMoment(
-        step=int(robot.periods),
-        doing=leading if robot.guidance.to_goal else exploring,
-        cells=np.asarray(robot.map.cells),
-        origin=np.asarray(robot.map.origin),
-        costs=np.asarray(robot.guidance.distance),
-        corner=np.asarray(robot.local_middle) - agent.mapping.local // 2,
-        plans=plans,
-    )
-
-
 def main(options: Options) -> None:
     """Search, draw and print the result."""
     require_positive(options, "samples", "limit")
@@ -179,13 +106,13 @@ def main(options: Options) -> None:
     start, goal = jnp.array([episode.x, episode.y, episode.yaw], jnp.float32), jnp.int32(GOALS.index(target))
     first = reset(jax.random.key(options.seed), start, goal, agent, options.limit)
     print("Compiling, half a minute or so; then it searches.", file=sys.stderr)
-    begun, robot = search(first, site, agent)
+    begun, robot = run_search(first, site, agent)
 
     track, steps = np.asarray(robot.track), int(robot.periods)
     ends = Searches(track[None], *(np.array([one]) for one in (robot.status == DECLARED, steps, robot.bumps)))
     (result,) = results_of(options.agent, [house], [episode], ends)
     to_goal = np.array([bool(one.guidance.to_goal) for one in begun])
-    moments = [moment_of(begun[number], agent, options.agent) for number in chosen(to_goal, _COLUMNS)]
+    moments = [moment_of(begun[number], agent, options.agent) for number in choose_legs(to_goal, _COLUMNS)]
     plot_search(out / "fig5", house.world, target, track, moments)
     facts = {
         **result._asdict(),

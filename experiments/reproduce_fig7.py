@@ -7,9 +7,9 @@ import collections
 import dataclasses
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from tqdm import tqdm
@@ -33,7 +33,7 @@ from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax.rollouts.published import PUBLISHED_GROUPS, frontier_over_dc2g
 from dc2g_jax.rollouts.rollout import STEP_LIMIT
-from dc2g_jax.rollouts.statistics import Summary, extra_steps, summarize
+from dc2g_jax.rollouts.statistics import ExtraSteps, Summary, extra_steps, summarize, tabulate
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,34 +56,8 @@ class Options(DatasetOptions, NetworkOptions, StepLimitOptions, OutOptions, Resu
     record: int = 0
 
 
-class ExtraSteps(NamedTuple):
-    """One planner's extra steps in one episode, with its group."""
-
-    planner: str
-    group: str
-    house: str
-    extra: float
-    success: bool
-
-
 #: Groups of the sampled episodes in tables, in order; `test` holds all episodes.
 PAPER_GROUPS = ("same_neighborhood", "new_neighborhood", "urban", "test")
-
-
-def tabulate(episodes: Iterable[ExtraSteps], groups: tuple[str, ...]) -> Table:
-    """Summary by planner and group; the last of the groups holds all episodes."""
-    cells: dict[str, dict[str, list[ExtraSteps]]] = collections.defaultdict(lambda: collections.defaultdict(list))
-    for episode in episodes:
-        for group in {episode.group, groups[-1]}:
-            cells[episode.planner][group].append(episode)
-    return {
-        planner: {
-            group: summarize([e.extra for e in by_group[group]], [e.success for e in by_group[group]])
-            for group in groups
-            if group in by_group
-        }
-        for planner, by_group in cells.items()
-    }
 
 
 def _episode(result: EpisodeResult, group: str) -> ExtraSteps:

@@ -23,7 +23,8 @@ from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.rules import complete_rules
 from dc2g_jax.planning.selection import ENDLESS
 from dc2g_jax.rollouts.evaluation import episodes_from
-from dc2g_jax.vehicles.drive import STATUS_NAMES, Equipment, StatusName
+from dc2g_jax.rollouts.statistics import house_bootstrap
+from dc2g_jax.vehicles.drive import ARRIVED, STATUS_NAMES, Equipment, StatusName
 from dc2g_jax.vehicles.fleet import drive_all, sites_of
 from dc2g_jax.vehicles.vehicle import VehicleLimits
 
@@ -133,3 +134,23 @@ def drive(
         DriveResult(*start[:4], seconds, STATUS_NAMES[status], off_ground, touched)
         for start, status, (seconds, off_ground, touched) in zip(starts, drives.status, times, strict=True)
     ]
+
+
+def summarize_drives(drives: Sequence[DriveResult], oracle: Sequence[DriveResult]) -> dict[str, float]:
+    """Statistics of a run.
+
+    Args:
+      drives: drives of the run.
+      oracle: drives from the same starts with a known map.
+    """
+    extra = [100 * (one.seconds / knowing.seconds - 1) for one, knowing in zip(drives, oracle, strict=True)]
+    low, high = house_bootstrap(extra, [one.house for one in drives], resamples=2000, seed=0)
+    return {
+        "extra": float(np.mean(extra)),
+        "extra_low": low,
+        "extra_high": high,
+        "median_extra": float(np.median(extra)),
+        "success": float(np.mean([one.status == STATUS_NAMES[ARRIVED] for one in drives])),
+        "seconds_off_ground": float(np.mean([one.off_ground for one in drives])),
+        "seconds_touching_people": float(np.mean([one.touched for one in drives])),
+    }

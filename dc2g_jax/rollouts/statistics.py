@@ -1,6 +1,7 @@
 """Extra steps, and their statistics over many episodes (paper, section IV-B)."""
 
-from collections.abc import Sequence
+import collections
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -54,6 +55,32 @@ def summarize(extra: Sequence[float] | np.ndarray, success: Sequence[bool] | np.
         success=float(np.mean(success)),
         episodes=len(extra),
     )
+
+
+class ExtraSteps(NamedTuple):
+    """One planner's extra steps in one episode, with its group."""
+
+    planner: str
+    group: str
+    house: str
+    extra: float
+    success: bool
+
+
+def tabulate(episodes: Iterable[ExtraSteps], groups: tuple[str, ...]) -> dict[str, dict[str, Summary]]:
+    """Summary by planner and group; the last of the groups holds all episodes."""
+    cells: dict[str, dict[str, list[ExtraSteps]]] = collections.defaultdict(lambda: collections.defaultdict(list))
+    for episode in episodes:
+        for group in {episode.group, groups[-1]}:
+            cells[episode.planner][group].append(episode)
+    return {
+        planner: {
+            group: summarize([e.extra for e in by_group[group]], [e.success for e in by_group[group]])
+            for group in groups
+            if group in by_group
+        }
+        for planner, by_group in cells.items()
+    }
 
 
 def house_bootstrap(

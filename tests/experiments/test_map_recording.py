@@ -3,8 +3,6 @@ import json
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.houses import House, map_dataset
-from dc2g_jax.datasets.starts import Start
 from dc2g_jax.mapping.sequences import read_sequence
 from experiments import map_recording
 from tests.support.maps import drawn
@@ -96,13 +94,3 @@ def test_options_that_do_not_fit_are_refused(yards, tmp_path):
     refusal(lambda: run(sequence=tmp_path, reach=np.inf), "--reach inf")
     refusal(lambda: run(sequence=tmp_path, ground=np.nan), "--ground nan")
     assert not (tmp_path / "out").exists()
-
-
-def test_the_path_to_the_goal_is_the_shortest(yards):
-    (house,) = map_dataset(yards).houses
-    assert isinstance(house, House)
-    path = map_recording.path_to_goal(house, Start("yard", 0, 4, 0))
-    assert [(int(pose.x), int(pose.y)) for pose in path] == [
-        *((x, 4) for x in range(5)), *((4, y) for y in range(4, -1, -1)),
-    ]  # fmt: skip
-    assert [int(pose.heading) for pose in path] == [0] * 5 + [3] * 5

@@ -3,11 +3,10 @@
 import dataclasses
 import json
 
-import numpy as np
 import pytest
 
 from experiments import objectnav_fig5
-from experiments.objectnav_fig5 import Options, chosen, main
+from experiments.objectnav_fig5 import Options, main
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 
@@ -37,13 +36,6 @@ def test_it_searches_and_draws(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "two_rooms, plant, privileged random" in printed
     assert "shortest path" in printed
-
-
-def test_the_last_two_moments_show_the_goal_reacher_if_it_takes_over():
-    assert chosen(np.zeros(41, bool), 5) == [0, 10, 20, 30, 40]
-    assert chosen(np.arange(41) >= 36, 5) == [0, 12, 24, 36, 40]
-    assert chosen(np.arange(41) >= 20, 5) == [0, 10, 20, 30, 40]
-    assert chosen(np.ones(3, bool), 5) == [0, 1, 2]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,53 @@
+"""Facts about a map and warnings of probable mistakes in it, as text."""
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from dc2g_jax.grid.ground import Piece, connected_to_goal, goals_without_ground, pieces
+from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE, UNKNOWN
+
+#: Number of pieces of ground that a line names.
+_NAMED_PIECES = 5
+
+
+def _places(found: list[Piece]) -> str:
+    """Number of cells of each piece, with the column and row of its middle, the largest first."""
+    named = [
+        f"{piece.cells:,} {'at' if piece.cells == 1 else 'around'} ({piece.x}, {piece.y})"
+        for piece in found[:_NAMED_PIECES]
+    ]
+    others = len(found) - len(named)
+    return ", ".join(named) + (f", and {others} other places" if others else "")
+
+
+def map_report(terrain: UInt8[np.ndarray, "h w"], cost_to_go: Float[np.ndarray, "h w"]) -> list[str]:
+    """Facts about a map, one per line.
+
+    Args:
+      terrain: class indices.
+      cost_to_go: exact cost-to-go in cells.
+    """
+    lines = []
+    cells = np.bincount(terrain.ravel(), minlength=len(CLASS_NAMES))
+    for index in np.argsort(-cells, kind="stable")[: np.count_nonzero(cells)]:
+        name = "unknown" if index == UNKNOWN else CLASS_NAMES[index]
+        lines.append(f"{cells[index]:>10,} {name}{' (traversable)' if TRAVERSABLE[index] else ''}")
+    lines.append(f"goal cells: {_places(pieces(terrain == FRONT_DOOR)) or 'none'}")
+    leading = connected_to_goal(terrain)
+    ground = int(np.sum(TRAVERSABLE[terrain]))
+    if np.any(leading):
+        share, farthest = 100 * np.sum(leading) / ground, np.max(cost_to_go[leading])
+        lines.append(
+            f"traversable cells: {ground:,}, of which {share:.1f} % lead to a goal, {farthest:.0f} cells away at most"
+        )
+    return lines
+
+
+def map_warnings(terrain: UInt8[np.ndarray, "h w"]) -> list[str]:
+    """Things that planners accept but that are probably mistakes, one per line."""
+    lines = []
+    if islands := pieces(TRAVERSABLE[terrain] & ~connected_to_goal(terrain)):
+        lines.append(f"traversable cells that lead to no goal: {_places(islands)}")
+    if lost := pieces(goals_without_ground(terrain)):
+        lines.append(f"goal cells that touch no other traversable ground: {_places(lost)}")
+    return lines
