@@ -8,16 +8,12 @@ from collections.abc import Callable, Iterator
 import jax
 import jax.numpy as jnp
 
-from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.grid import gridworld
-from dc2g_jax.rollouts import rollout as rollout_module
-from dc2g_jax.rollouts.devices import deal, dealt_counts, mesh_of
-from dc2g_jax.rollouts.rollout import STEP_LIMIT
-from dc2g_jax.training import cost_to_go
-from dc2g_jax.training.cost_to_go import TrainingConfig, init_state
-from dc2g_jax.training.cost_to_go_data import DataConfig
+from dc2g_jax.rollouts.devices import mesh_of
+from dc2g_jax.training.cost_to_go import TrainingConfig
 
 from .bench import SENSING_RANGE, Bench, own
+from .hot_programs import HotProgram, rollout_loop, training_program
 from .programs import CompiledProgram, compile_program, nothing_kept
 from .rows import Row
 
@@ -41,47 +37,15 @@ def _plan(bench: Bench, planner: str, batch: int) -> Callable[[], CompiledProgra
     )
 
 
-def _rollout(bench: Bench, planner: str, slots: int) -> Callable[[], CompiledProgram]:
-    """The loop of a rollout with so many slots."""
-    workload, chosen, sensing = bench.workload, bench.planner(planner), bench.rules().sensing
-    mesh, count = mesh_of(jax.devices()[:1]), len(workload.starts)
-    queues, states = rollout_module._first_states(
-        chosen, workload.worlds, deal(workload.episodes, count, mesh), dealt_counts(count, mesh),
-        mesh=mesh, sensing=sensing, n_slots=slots, kept_steps=STEP_LIMIT,
-    )  # fmt: skip
-
-    options = {"mesh": mesh, "sensing": sensing, "step_limit": STEP_LIMIT}
-    return lambda: compile_program(rollout_module._run, states, jnp.int32(1), queues, chosen, **options)
+def _rollout(bench: Bench, planner: str, slots: int) -> HotProgram:
+    workload, mesh = bench.workload, mesh_of(jax.devices()[:1])
+    cells, houses = workload.cells, len(workload.houses)
+    return rollout_loop(bench.planner(planner), bench.rules(), slots, mesh, cells=cells, houses=houses)
 
 
-def _train_step(bench: Bench) -> Callable[[], CompiledProgram]:
-    """The gradient of an optimizer step. Shapes are enough to compile it."""
-    config = TrainingConfig(batch_size=_training_batch(bench))
-    worlds = bench.workload.worlds
-    board, map_size, n_worlds = worlds.goals.shape[:-1], (worlds.height, worlds.width), worlds.goals.shape[-1]
-    data = jax.eval_shape(
-        lambda: TrainingSet(
-            terrain=jnp.zeros((n_worlds, *map_size), jnp.uint8),
-            cost_to_go=jnp.zeros((n_worlds, *map_size)),
-            masks=jnp.zeros((1024, *board), jnp.uint32),
-            mask_world=jnp.zeros(1024, jnp.int32),
-            n_own=jnp.int32(0),
-        )
-    )
-    recipe, hyperparameters = config.recipe, config.hyperparameters
-    state = jax.eval_shape(functools.partial(init_state, recipe), hyperparameters)
-    draw = DataConfig(extra_houses=0).draw_batch
-
-    layout, first = cost_to_go._layout(mesh_of(jax.devices()[:1]), 1), jnp.zeros(1, jnp.int32)
-    parts, options = jnp.arange(recipe.parts), {"layout": layout, "recipe": recipe}
-    batch = jax.eval_shape(
-        functools.partial(cost_to_go._draw, draw_batch=draw, **options), state, hyperparameters, data, first, parts
-    )
-    return lambda: compile_program(cost_to_go._gradient, state, hyperparameters, batch, first, **options)
-
-
-def _training_batch(bench: Bench) -> int:
-    return 8 if bench.quick else TrainingConfig.batch_size
+def _compiled(hot: HotProgram) -> CompiledProgram:
+    """Shapes are enough to compile it."""
+    return compile_program(hot.program, *hot.arguments, **hot.static)
 
 
 def _row(bench: Bench, what: str, batch: int, program: Callable[[], CompiledProgram]) -> Row:
@@ -112,7 +76,11 @@ def program_rows(bench: Bench) -> Iterator[Row]:
     programs: dict[str, Callable[[], CompiledProgram]] = _reset_and_step(bench, batch)
     planners = ("frontier",) if bench.quick else ("oracle", "frontier", "dc2g")
     programs |= {f"plan, {planner}": _plan(bench, planner, batch) for planner in planners}
-    programs |= {f"rollout, {planner}": _rollout(bench, planner, batch) for planner in planners}
+    programs |= {
+        f"rollout, {planner}": functools.partial(_compiled, _rollout(bench, planner, batch)) for planner in planners
+    }
     for what, program in programs.items():
         yield _row(bench, what, batch, program)
-    yield _row(bench, "gradient of a training step", _training_batch(bench), _train_step(bench))
+    config = TrainingConfig(batch_size=8 if bench.quick else TrainingConfig.batch_size)
+    gradient = training_program("gradient", 1, mesh_of(jax.devices()[:1]), config=config, cells=bench.workload.cells)
+    yield _row(bench, "gradient of a training step", config.batch_size, functools.partial(_compiled, gradient))

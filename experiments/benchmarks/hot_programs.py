@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,8 @@ from dc2g_jax.objectnav import searches
 from dc2g_jax.objectnav.agent import IndoorSite
 from dc2g_jax.objectnav.classes import GOALS
 from dc2g_jax.planning.named import make_planner
-from dc2g_jax.planning.rules import SETTINGS
+from dc2g_jax.planning.planners import Planner
+from dc2g_jax.planning.rules import SETTINGS, Rules
 from dc2g_jax.rollouts import rollout
 from dc2g_jax.rollouts.devices import AXIS
 from dc2g_jax.rollouts.rollout import STEP_LIMIT, Episodes
@@ -36,6 +37,9 @@ from dc2g_jax.vehicles.drive import Site
 #: Sides of a house and of an indoor house, in cells; houses; masks to train on; runs of a sweep.
 _CELLS, _INDOOR_CELLS, _HOUSES, _MASKS, _RUNS = 50, 200, 77, 12_000, 64
 
+#: The programs of an optimizer step; the gradient is by far the most of it.
+StepPart = Literal["draw", "gradient", "update"]
+_PARTS_OF_A_STEP: tuple[StepPart, ...] = get_args(StepPart)
 
 #: Arguments of which each device has its own part, and those that all have.
 _DEALT, _WHOLE = P(AXIS), P()
@@ -68,11 +72,20 @@ def _array(*shape: int, dtype: Any = jnp.int32) -> Any:
     return jax.ShapeDtypeStruct(shape, dtype)
 
 
-def _rollout(name: str, robots: int, mesh: Mesh) -> HotProgram:
-    """The loop of a rollout; a step is one decision of every robot, and new robots where some have finished."""
-    rules = SETTINGS["paper"].rules()
-    planner = make_planner(name, rules, load_network(None))
-    worlds = jax.eval_shape(world_from_terrain, _array(_CELLS, _CELLS, _HOUSES, dtype=jnp.uint8))
+def rollout_loop(
+    planner: Planner, rules: Rules, robots: int, mesh: Mesh, *, cells: int = _CELLS, houses: int = _HOUSES
+) -> HotProgram:
+    """The loop of a rollout; a step is one decision of every robot, and new robots where some have finished.
+
+    Args:
+      planner: decides.
+      rules: of the episodes.
+      robots: side by side on each device, and waiting there.
+      mesh: the devices.
+      cells: side of the houses.
+      houses: how many.
+    """
+    worlds = jax.eval_shape(world_from_terrain, _array(cells, cells, houses, dtype=jnp.uint8))
     each, static = _array(mesh.size, robots), {"mesh": mesh, "sensing": rules.sensing}
     first = functools.partial(rollout._first_states, n_slots=robots, kept_steps=STEP_LIMIT, **static)
     queues, states = jax.eval_shape(first, planner, worlds, Episodes(each, Pose(each, each, each)), _array(mesh.size))
@@ -87,13 +100,29 @@ def _rollout(name: str, robots: int, mesh: Mesh) -> HotProgram:
     )
 
 
-def _gradient(runs: int, mesh: Mesh) -> HotProgram:
-    """The gradient of an optimizer step of the cost-to-go network, by far the most of the step."""
-    config, layout, worlds = TrainingConfig(), cost_to_go._layout(mesh, runs), _HOUSES + DataConfig.extra_houses
+def _rollout(name: str, robots: int, mesh: Mesh) -> HotProgram:
+    rules = SETTINGS["paper"].rules()
+    return rollout_loop(make_planner(name, rules, load_network(None)), rules, robots, mesh)
+
+
+def training_program(
+    part: StepPart, runs: int, mesh: Mesh, *, config: TrainingConfig | None = None, cells: int = _CELLS
+) -> HotProgram:
+    """One of the three programs of an optimizer step of the cost-to-go network.
+
+    Args:
+      part: which of them.
+      runs: stacked ones, or 1.
+      mesh: the devices.
+      config: of each run; the default where `None`.
+      cells: side of the houses.
+    """
+    config = config or TrainingConfig()
+    layout, worlds = cost_to_go._layout(mesh, runs), _HOUSES + DataConfig.extra_houses
     data = TrainingSet(
-        terrain=_array(worlds, _CELLS, _CELLS, dtype=jnp.uint8),
-        cost_to_go=_array(worlds, _CELLS, _CELLS, dtype=jnp.float32),
-        masks=_array(_MASKS, bitboard.word_count(_CELLS), _CELLS, dtype=jnp.uint32),
+        terrain=_array(worlds, cells, cells, dtype=jnp.uint8),
+        cost_to_go=_array(worlds, cells, cells, dtype=jnp.float32),
+        masks=_array(_MASKS, bitboard.word_count(cells), cells, dtype=jnp.uint32),
         mask_world=_array(_MASKS),
         n_own=_array(),
     )
@@ -101,12 +130,23 @@ def _gradient(runs: int, mesh: Mesh) -> HotProgram:
     one = jax.eval_shape(lambda numbers: (init(numbers), numbers), config.hyperparameters)
     stacked = jax.tree.map(lambda leaf: _array(runs, *leaf.shape, dtype=leaf.dtype), one) if runs > 1 else one
     own_runs, own_parts = _array(runs // layout.shape["runs"]), _array(cost_to_go._own_parts(config.recipe, layout))
+    split, dealt = P("runs") if runs > 1 else _WHOLE, P("runs", "parts")
     static = {"layout": layout, "recipe": config.recipe}
-    draw = functools.partial(cost_to_go._draw, draw_batch=DataConfig().draw_batch, **static)
-    pairs = jax.eval_shape(draw, *stacked, data, own_runs, own_parts)
-    split = P("runs") if runs > 1 else _WHOLE
-    specs, batch = (split, split, P("runs", "parts"), _WHOLE), runs if runs > 1 else config.batch_size
-    return HotProgram(cost_to_go._gradient, (*stacked, pairs, own_runs), specs, static, batch, layout)
+    batch = runs if runs > 1 else config.batch_size
+
+    def part_of_step(program: Any, argument: Any, spec: P, *rest: Any, **more: Any) -> HotProgram:
+        """All three have the state first, and numbers that every device has last."""
+        specs = (split, split, spec, *(_WHOLE for _ in rest))
+        return HotProgram(program, (*stacked, argument, *rest), specs, {**static, **more}, batch, layout)
+
+    def result(hot: HotProgram) -> Any:
+        return jax.eval_shape(functools.partial(hot.program, **hot.static), *hot.arguments)
+
+    draw = part_of_step(cost_to_go._draw, data, _WHOLE, own_runs, own_parts, draw_batch=DataConfig().draw_batch)
+    if part == "draw":
+        return draw
+    gradient = part_of_step(cost_to_go._gradient, result(draw), dealt, own_runs)
+    return gradient if part == "gradient" else part_of_step(cost_to_go._update, [[result(gradient)]], dealt)
 
 
 def _translator_step(mesh: Mesh) -> HotProgram:
@@ -170,14 +210,16 @@ def hot_programs(robots: int, driving: int) -> dict[str, tuple[int, Callable[[Me
       driving: robots that drive or search for objects, on each device.
     """
     planners = {f"rollout {name}": functools.partial(_rollout, name, robots) for name in ("oracle", "frontier", "dc2g")}
-    training = functools.partial(_gradient, 1)
+    training = {
+        f"{what} {part}": functools.partial(training_program, part, runs)
+        for what, runs in (("training", 1), ("sweep", _RUNS))
+        for part in _PARTS_OF_A_STEP
+    }
     return {
-        **{name: (1, make) for name, make in planners.items()},
-        "training gradient": (1, training),
-        "sweep gradient": (1, functools.partial(_gradient, _RUNS)),
+        **{name: (1, make) for name, make in (planners | training).items()},
         "translator step": (1, _translator_step),
         "object-goal leg": (1, functools.partial(_search_leg, driving)),
         "drive step": (1, functools.partial(_drive_step, driving)),
         "rollout frontier, 8 devices": (8, planners["rollout frontier"]),
-        "training gradient, 8 devices": (8, training),
+        **{f"training {part}, 8 devices": (8, training[f"training {part}"]) for part in _PARTS_OF_A_STEP[1:]},
     }
