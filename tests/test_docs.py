@@ -13,7 +13,6 @@ from typing import Any
 import pytest
 import tyro
 
-from dc2g_jax.datasets import houses
 from tests.support.places import ROOT
 
 PAGES = [ROOT / "README.md", ROOT / "BENCHMARKS.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -43,15 +42,6 @@ WITH_EXAMPLES = [
     for page in PAGES
     if examples(page)
 ]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def houses_drawn_once():
-    """The procedural houses are drawn for the first page that asks for them, and kept for the others."""
-    drawn_once = functools.cache(houses.procedural_houses)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(houses, "procedural_houses", drawn_once)
-        yield
 
 
 @pytest.mark.parametrize("page", WITH_EXAMPLES)

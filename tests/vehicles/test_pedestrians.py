@@ -1,4 +1,5 @@
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -48,7 +49,7 @@ def walks_once():
 
 @pytest.fixture(scope="module")
 def placed():
-    return jax.jit(place, static_argnames="count")
+    return jax.jit(functools.partial(place, walking=WALKING), static_argnames="count")
 
 
 @pytest.fixture(scope="module")
