@@ -1,4 +1,4 @@
-"""What every command shares: options from the command line, errors and interruptions, the network."""
+"""Shared by all commands: parsing of options, errors and interruptions, networks."""
 
 import atexit
 import dataclasses
@@ -26,21 +26,21 @@ from dc2g_jax.rollouts.devices import join_processes, use_devices
 
 _Options = TypeVar("_Options", bound=CommandOptions)
 
-#: Options that many commands have: a folder of houses (or a name), of a trained network, and the one to write to.
+#: Common options: a folder of houses (or a name), the folder of a trained network, and the output folder.
 DatasetOption = Annotated[str | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 NetworkOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 OutOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 
-#: A planner and several: names out of `dc2g_jax.planning.named.PLANNERS`, or `package.module:Class`.
+#: One planner and several: names in `dc2g_jax.planning.named.PLANNERS`, or `package.module:Class`.
 PlannerOption = Annotated[str, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 PlannersOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 
-#: Actions after which an episode ends without success; where not given, as many as suit the size of the map.
+#: Actions after which an episode ends without success; the default depends on the size of the map.
 StepLimitOption = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
 
 
 def command_line(options: type[_Options], main: Callable[[_Options], None]) -> None:
-    """Run a command: parse its options, and turn bad input, lack of memory and Ctrl-C into one line and a status."""
+    """Run a command: parse its options, and report invalid input, lack of memory and Ctrl-C in one line with a status."""
     parsed = tyro.cli(options, prog=program(), config=(tyro.conf.FlagCreatePairsOff,))
     try:
         join_processes(parsed.coordinator, parsed.num_processes, parsed.process_id)
@@ -67,7 +67,7 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
         )
         _leave(1)
     except KeyboardInterrupt:
-        # Or they would be drawn once more, below the line.
+        # Otherwise they would be drawn again, below the message.
         for bar in list(getattr(tqdm, "_instances", ())):
             bar.close()
         kept, folder = "", folder_in_use()
@@ -79,11 +79,11 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
 
 
 def _silent_unless_first(parsed: _Options) -> _Options:
-    """One process prints and writes: the others print nothing, and work on a copy of the folder that is thrown away."""
+    """Let only the first process print and write: the others are silent and write to a temporary copy of the folder."""
     if jax.process_index() > 0:
         sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115
         if hasattr(parsed, "out"):
-            # The name of the folder is kept, since files are named after it.
+            # The name of the folder stays the same, since files are named after it.
             copy = Path(tempfile.mkdtemp()) / Path(parsed.out or "out").name
             atexit.register(shutil.rmtree, copy.parent, ignore_errors=True)
             if getattr(parsed, "resume", False) and Path(parsed.out).is_dir():
@@ -101,7 +101,7 @@ def _less_memory(parsed: CommandOptions) -> str:
 
 
 def _leave(status: int) -> NoReturn:
-    """End the process; where several work together, without waiting for the others, who then end too."""
+    """Exit. If several processes work together, do not wait for the others; they end too."""
     if jax.distributed.is_initialized():
         sys.stdout.flush()
         os._exit(status)
@@ -109,7 +109,7 @@ def _leave(status: int) -> NoReturn:
 
 
 def check_seed(seed: int, option: str = "seed") -> None:
-    """Reject a seed that random numbers cannot start from.
+    """Check a random seed.
 
     Raises:
       InputError: it is negative or has more than 32 bits.
@@ -119,10 +119,10 @@ def check_seed(seed: int, option: str = "seed") -> None:
 
 
 def check_planners(planners: Sequence[str]) -> None:
-    """Check the planners that a command is to run.
+    """Check the planners of a command.
 
     Raises:
-      InputError: there are none, one is named twice, or one is unknown.
+      InputError: there are none, or one is repeated or unknown.
     """
     if not planners or len(set(planners)) < len(planners):
         raise InputError(f"--planner {' '.join(planners)}: give each planner once, one at least")
@@ -130,7 +130,7 @@ def check_planners(planners: Sequence[str]) -> None:
 
 
 def keep_compiled_programs() -> None:
-    """Keep compiled programs in the user's cache folder for later runs, unless JAX has been told where."""
+    """Cache compiled programs in the user's cache folder, unless JAX already has a cache."""
     folder_option = "jax_compilation_cache_dir"
     if getattr(jax.config, folder_option) is None:
         jax.config.update(folder_option, str(cache_folder() / "compiled"))
@@ -138,11 +138,11 @@ def keep_compiled_programs() -> None:
 
 
 def network_for(planners: Iterable[str], folder: Path | None) -> TrainedNetwork | None:
-    """The network in a folder, or the shipped one, if any of the planners runs on a network."""
+    """The network in a folder, or the shipped one; `None` if no planner uses a network."""
     return load_network(folder) if NETWORK_PLANNERS.keys() & set(planners) else None
 
 
 def digests(dataset: HouseDataset, **networks: TrainedNetwork | None) -> dict[str, str]:
-    """SHA-256 by option of what a run depends on and a folder may hold another of when it is resumed."""
+    """SHA-256 of the inputs of a run, by option. They must be the same when a run is resumed."""
     given = {name: network for name, network in networks.items() if network is not None}
     return {"dataset": dataset.sha256, **{name: tree_sha256(one) for name, one in given.items()}}
