@@ -1,4 +1,4 @@
-"""Episodes that commands run: their progress, and the table `episodes.csv` that keeps them."""
+"""Episodes of commands: their progress, and their table `episodes.csv`."""
 
 import functools
 import sys
@@ -17,13 +17,13 @@ EPISODES_A_SHARD = 65_536
 
 
 class EpisodeProgress:
-    """One progress bar after another, each of one planner's episodes; fed by `dc2g_jax.rollouts.evaluation.Runner`."""
+    """One progress bar per planner, for `dc2g_jax.rollouts.evaluation.Runner`."""
 
     def __init__(self) -> None:
         self._bar: tqdm | None = None
 
     def __call__(self, planner: str, finished: int, episodes: int) -> None:
-        """Show that a planner has finished so many of its episodes."""
+        """Show the number of finished episodes of a planner."""
         if self._bar is None:
             self._bar = tqdm(total=episodes, desc=f"{planner:>16}", unit="episode", file=sys.stderr)
         self._bar.update(finished - self._bar.n)
@@ -39,7 +39,7 @@ class EpisodeTable(ResumableTable[EpisodeResult]):
       path: the file.
 
     Raises:
-      InputError: if the file is there and cannot be read.
+      InputError: the file exists and cannot be read.
     """
 
     def __init__(self, path: Path):
@@ -57,7 +57,7 @@ class EpisodeTable(ResumableTable[EpisodeResult]):
         """What `Runner.run` gives, each shard kept as soon as it is done.
 
         Raises:
-          InputError: the file holds other episodes; or see there.
+          InputError: the file holds other episodes; or see `Runner.run`.
         """
         return [result for shard in self.shards(runner, starts, planners, estimator, own=own) for result in shard]
 
