@@ -1,7 +1,6 @@
-"""Where exploration can go on: frontier cells and frontier-expanding poses (Algorithm 2, lines 6 to 8).
+"""Frontier cells and frontier-expanding poses (Algorithm 2, lines 6 to 8).
 
-Two ways to say it, both measured: as the paper's text means it (`complete`) and as the authors' published code does
-it (`reference`).
+There are two definitions: that of the paper's text (`complete`) and that of the authors' published code (`reference`).
 """
 
 import jax.numpy as jnp
@@ -38,11 +37,11 @@ def frontier_cells(belief: Belief, reachable: Board) -> Board:
 def complete(belief: Belief, reachable: Board, sensing: Kernel) -> PoseSet:
     """Reachable poses, not the current one, that see an unobserved 4-neighbor of a frontier cell.
 
-    Every such pose reveals something when it is reached, so exploration ends; when the set is empty the goal cannot
-    be reached.
+    Every such pose reveals something when it is reached, so exploration ends. If the set is empty, the goal is
+    unreachable.
 
     Args:
-      belief: what the robot knows.
+      belief: belief of the robot.
       reachable: observed traversable cells connected to the robot.
       sensing: the robot's field of view.
     """
@@ -56,7 +55,7 @@ def reference(belief: Belief, reachable: Board, expanding: Kernel) -> PoseSet:
     A frontier cell here is any observed cell, traversable or not, with an unobserved in-bounds 4-neighbor.
 
     Args:
-      belief: what the robot knows.
+      belief: belief of the robot.
       reachable: observed traversable cells connected to the robot.
       expanding: see `dc2g_jax.grid.sensing.expanding_kernel`.
     """
@@ -65,13 +64,13 @@ def reference(belief: Belief, reachable: Board, expanding: Kernel) -> PoseSet:
 
 
 def opening(belief: Belief, candidates: PoseSet, sensing: Kernel, rim_width: int) -> PoseSet:
-    """Those of the poses that see an unobserved cell more than `rim_width` moves beyond everything observed.
+    """The poses that see an unobserved cell more than `rim_width` moves beyond everything observed.
 
-    The others fill a corner or complete a wall: where everything unobserved within sight lies along the rim of what is
-    known, little can come to light.
+    The others fill a corner or complete a wall: if all unobserved cells in view are along the rim of the known map,
+    little can be revealed.
 
     Args:
-      belief: what the robot knows.
+      belief: belief of the robot.
       candidates: poses to choose from.
       sensing: the robot's field of view.
       rim_width: width of the rim, in cells; 0 for no rim.
@@ -83,13 +82,13 @@ def opening(belief: Belief, candidates: PoseSet, sensing: Kernel, rim_width: int
 
 
 def information_gain(belief: Belief, candidates: PoseSet, sensing: Kernel) -> UInt[Array, "h w *batch"]:
-    """Cells that would be seen for the first time in the best of each cell's candidates; 0 on cells without.
+    """Number of newly seen cells at the best candidate pose of each cell; 0 for cells without candidates.
 
-    There is nothing to be seen beyond the map's edge.
+    Cells beyond the map's edge do not count.
 
     Args:
-      belief: what the robot knows.
-      candidates: poses to look from.
+      belief: belief of the robot.
+      candidates: candidate poses.
       sensing: the robot's field of view.
     """
     new = sensing.count_seen(_unseen(belief), belief.opaque, belief.width)
@@ -100,8 +99,8 @@ def facing_most(belief: Belief, pose_set: PoseSet) -> PoseSet:
     """Of each cell's poses those with the most unobserved cells ahead, near and far: in the rows or columns they face.
 
     Args:
-      belief: what the robot knows.
-      pose_set: poses to choose from; a cell that has any keeps one at least.
+      belief: belief of the robot.
+      pose_set: poses to choose from. Each cell with a pose keeps at least one.
     """
     unseen = bitboard.unpack(_unseen(belief), belief.width)
     of_columns, of_rows = (jnp.sum(unseen, axis=axis, dtype=jnp.int32, keepdims=True) for axis in (0, 1))
