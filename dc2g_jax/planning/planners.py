@@ -1,11 +1,11 @@
-"""Planners behind one small protocol: `init` once per world, `plan` once per step.
+"""Planners with one protocol: `init` once per world, `plan` once per step.
 
-`assess` decides as `plan` does, and also says what from.
+`assess` makes the same decision as `plan`, and also returns its inputs.
 
 Worlds, beliefs and states are those of one robot or of a batch, whose axes come last.
 
-A planner is a frozen dataclass and a pytree: what it learned (an estimator's weights) are its leaves, what it obeys
-(rules) is static. So one compiled program serves every checkpoint of the same architecture.
+A planner is a frozen dataclass and a pytree. Learned parameters (an estimator's weights) are its leaves; rules are
+static. So one compiled program serves every checkpoint of the same architecture.
 """
 
 import dataclasses
@@ -40,10 +40,10 @@ class Plan:
     """One decision.
 
     Attributes:
-      action: 0 forward, 1 turn left, 2 turn right; without meaning when the planner gave up.
+      action: 0 forward, 1 turn left, 2 turn right; undefined if the planner gave up.
       mode: `EXPLORE`, `TO_GOAL` or `GAVE_UP`.
       length: number of actions to the subgoal.
-      subgoals: poses the plan leads into (the nearest of them).
+      subgoals: poses at which the plan may end; it ends at the nearest.
     """
 
     action: Int[Array, "*batch"]
@@ -54,16 +54,16 @@ class Plan:
 
 @struct.dataclass
 class Assessment:
-    """One decision, and what it was made from: what recordings, figures and `OnlinePlanner` show.
+    """One decision and its inputs, for recordings, figures and `OnlinePlanner`.
 
     Attributes:
       plan: the decision.
-      ground: cells that the plan may lead over.
-      candidates: poses to choose a subgoal from.
-      score: of every cell with a candidate, the lowest wins; `None` where the nearest candidate wins. Without meaning
-        where the planner does not explore.
-      cost_to_go: the cost-to-go of every cell that the planner goes by, where it does not explore the last one; `None`
-        if it goes by none.
+      ground: cells that the plan may use.
+      candidates: candidate poses for the subgoal.
+      score: score of every cell with a candidate; the lowest wins. `None` if the nearest candidate wins. Undefined
+        while the planner does not explore.
+      cost_to_go: the planner's cost-to-go of every cell; the last one while it does not explore. `None` for planners
+        without one.
     """
 
     plan: Plan
@@ -74,11 +74,11 @@ class Assessment:
 
 
 class Planner(Protocol):
-    """What a rollout asks of a planner. Both methods are pure and traced.
+    """The interface of a planner. Both methods are pure and traced.
 
     Attributes:
-      robots_a_core: how many robots side by side suit one core of a CPU.
-      robots_on_large_maps: the same where the boards of so many do not stay in its caches.
+      robots_a_core: number of robots to simulate side by side on one CPU core.
+      robots_on_large_maps: the same for maps whose boards do not fit into its caches.
     """
 
     robots_a_core: ClassVar[int]
@@ -97,10 +97,10 @@ class Planner(Protocol):
 
 
 class AssessingPlanner(Planner, Protocol):
-    """A planner that says what its plans are made of."""
+    """A planner that returns the inputs of its decisions."""
 
     def assess(self, belief: Belief, state: Any) -> tuple[Assessment, Any]:
-        """Decide the next action, and say what from. What nobody looks at is not computed where this is compiled."""
+        """Decide the next action, and return the inputs. Compilation removes unused ones."""
         ...
 
     def plan(self, belief: Belief, state: Any) -> tuple[Plan, Any]:
@@ -110,18 +110,18 @@ class AssessingPlanner(Planner, Protocol):
 
 
 class MapRevisingPlanner(Planner, Protocol):
-    """A planner that also serves where cells of the map may change their class, as a camera's do."""
+    """A planner for maps whose cells may change their class, such as maps from a camera."""
 
     def revised(self, state: Any, changed: Board) -> Any:
-        """What of a state still holds on a map where these cells have another class than at the last decision."""
+        """The state without what is invalid after these cells changed their class since the last decision."""
         ...
 
 
 @struct.dataclass
 class Oracle(AssessingPlanner):
-    """Shortest plan to the nearest goal on the whole map: the lower bound every planner is measured against."""
+    """Shortest plan to the nearest goal on the whole map: the lower bound for all planners."""
 
-    #: Many robots fill a core's vector lanes, and so do the rows of one; the numbers between do neither.
+    #: Many robots fill a core's vector lanes, and so do the rows of a single one; numbers in between do not.
     robots_a_core: ClassVar[int] = 32
     robots_on_large_maps: ClassVar[int] = 1
 
@@ -130,7 +130,7 @@ class Oracle(AssessingPlanner):
         return world.traversable, world.goals
 
     def assess(self, belief: Belief, state: tuple[Board, Board]) -> tuple[Assessment, tuple[Board, Board]]:
-        """Head for the nearest goal; give up where there is no way. There is nothing to choose."""
+        """Head for the nearest goal; give up if it is unreachable. There are no candidates."""
         traversable, goals = state
         subgoals = every_heading(goals)
         first = search.first_action(belief.pose, subgoals, traversable)
@@ -139,21 +139,21 @@ class Oracle(AssessingPlanner):
         return Assessment(plan, traversable, candidates=jnp.zeros_like(subgoals)), state
 
     def revised(self, state: tuple[Board, Board], changed: Board) -> tuple[Board, Board]:
-        """All of it: an oracle goes by the world."""
+        """The whole state, which only depends on the world."""
         return state
 
 
 def reachable_cells(belief: Belief, before: Board) -> Board:
-    """Reachable cells now (Algorithm 2, line 4), grown from those reachable a step before: ground is never lost."""
+    """Reachable cells (Algorithm 2, line 4), grown from those of the previous step: ground is never lost."""
     robot = bitboard.single(belief.pose.x, belief.pose.y, *before.shape[:2])
     return bitboard.flood(robot | before, belief.traversable)
 
 
 def assess(planner: Planner, belief: Belief, state: Any, rules: Rules) -> tuple[Assessment, Any]:
-    """What a planner decides, and what from.
+    """A planner's decision and its inputs.
 
-    Of a planner without `assess`, the candidates are those of the rules, over reachable ground, and the nearest wins.
-    So it is where a subclass has a `plan` of its own and inherits `assess`, which then speaks of another plan.
+    For a planner without `assess`, the candidates are those of the rules on reachable ground, and the nearest wins. The
+    same holds for a subclass with its own `plan` and an inherited `assess`, which would describe another plan.
     """
     classes = type(planner).__mro__
     own_assess, own_plan = (
@@ -170,7 +170,7 @@ def assess(planner: Planner, belief: Belief, state: Any, rules: Rules) -> tuple[
 def measured(
     belief: Belief, assessment: Assessment
 ) -> tuple[Int[Array, "heading h w *batch"], Float[Array, "h w *batch"]]:
-    """Actions from the robot to every pose, -1 where there is no way; and scores, NaN on cells without candidates."""
+    """Actions from the robot to every pose, -1 for unreachable poses; and scores, NaN for cells without candidates."""
     distance = search.distances(belief.pose, assessment.ground, belief.width)
     candidates = poses.unpack(assessment.candidates, belief.width) & (distance >= 0)
     score = assessment.score
@@ -180,9 +180,9 @@ def measured(
 
 
 def _explore_or_finish(belief: Belief, reachable: Board, subgoals: PoseSet, rules: Rules) -> Plan:
-    """Algorithm 2 once the subgoal is chosen: go to the goal if it is reachable, else explore.
+    """Algorithm 2 after the choice of the subgoal: go to the goal if it is reachable, else explore.
 
-    Gives up where there is no way to either: nothing is left to explore, or an estimate is no number.
+    Gives up if neither is reachable: nothing is left to explore, or an estimate is NaN.
     """
     goals = reachable & belief.goals
     goal_reachable = ~bitboard.is_empty(goals)
@@ -194,7 +194,7 @@ def _explore_or_finish(belief: Belief, reachable: Board, subgoals: PoseSet, rule
 
 @struct.dataclass
 class Frontier(AssessingPlanner):
-    """Pure exploration: always to the nearest frontier-expanding pose (Yamauchi's frontier, the paper's baseline)."""
+    """Frontier exploration: go to the nearest frontier-expanding pose (Yamauchi's frontier, the paper's baseline)."""
 
     rules: Rules = struct.field(pytree_node=False)
     robots_a_core: ClassVar[int] = Oracle.robots_a_core
@@ -226,7 +226,7 @@ class Frontier(AssessingPlanner):
         return jax.lax.cond(near.certain, lambda: by_what_is_near(near), by_the_whole_map)
 
     def revised(self, state: Board, changed: Board) -> Board:
-        """None of it: ground can be lost."""
+        """An empty state, since ground can be lost."""
         return jnp.zeros_like(state)
 
 
@@ -236,13 +236,13 @@ def any_heading(belief: Belief, nearest: PoseSet) -> PoseSet:
     return nearest
 
 
-#: Axes that the map is mirrored along, a tuple a view; and what asks about them.
+#: Axes to mirror the map along, one tuple per view; and a function from maps to estimates.
 Views = tuple[tuple[int, ...], ...]
 Ask = Callable[[UInt8[Array, "h w *batch"]], Estimates]
 
 
 def in_turn(ask: Ask, terrain: UInt8[Array, "h w *batch"], views: Views, view: Int[Array, "*batch"]) -> Estimates:
-    """The answer to the map in the view that is next."""
+    """The estimates for one view of the map, number `view`."""
 
     def in_view(cells: Array, first: int) -> Array:
         seen_as = cells
@@ -255,7 +255,7 @@ def in_turn(ask: Ask, terrain: UInt8[Array, "h w *batch"], views: Views, view: I
 
 
 def at_once(ask: Ask, terrain: UInt8[Array, "h w *batch"], views: Views, view: Int[Array, "*batch"]) -> Estimates:
-    """The mean of the answers to the map in all views. The map may fill a part of the grid only."""
+    """The mean of the estimates for all views of the map. The grid may be larger than the map."""
     del view
     inside = terrain != OUTSIDE
     answers = [mirrored(ask(mirrored(terrain, axes, inside, 0)), axes, inside, 1) for axes in views]
@@ -264,31 +264,30 @@ def at_once(ask: Ask, terrain: UInt8[Array, "h w *batch"], views: Views, view: I
 
 @struct.dataclass
 class DC2G(AssessingPlanner):
-    """Deep Cost-to-Go (Algorithm 2): to the frontier-expanding pose that the estimated cost-to-go speaks for.
+    """Deep Cost-to-Go (Algorithm 2): go to the frontier-expanding pose with the lowest estimated cost-to-go.
 
-    Subgoals are the frontier-expanding poses of the rules that reveal something when reached, and where there are none
-    of them, all poses that do. So exploration always ends, whatever the rules. (The `complete` rules count no other
-    poses in the first place; under the `reference` rules alone a robot can go back and forth for ever between two poses
-    that show nothing.)
+    Candidates are the frontier-expanding poses of the rules that reveal something when reached; if there are none, all
+    poses that do. So exploration always ends, under all rules. (The `complete` rules have no other poses; with the
+    `reference` rules alone, a robot can move back and forth forever between two poses that reveal nothing.)
 
-    By default, selection, rim, gain and patience are the paper's.
+    The defaults of selection, rim, gain and patience are the paper's.
 
     Attributes:
-      estimator: partial map in, costs-to-go out, lower is better.
-      rules: what is seen and what counts as frontier.
-      selection: what makes one subgoal better than another.
-      rim_width: subgoals that see something more than so many cells beyond everything observed go before all others.
-      views: axes that the map is mirrored along before the estimator is asked, a tuple a view: test-time augmentation
-        spread over the steps. New estimates are of one view after the other, and the mean of each view's latest is gone
-        by: errors that a network makes in one of them alone are halved, at no more questions. Views other than the map
-        as it is are for estimators that read nothing but the map.
-      gain_weight: information gain, in units of the score: by so much the score of a cell is lower where all of the
-        field of view would be new. While nothing new is seen it stays as it is, so exploration ends all the same.
-      headings: of headings that a cell is reached in as soon, those to take, where distance counts: all of them, or
-        those that `dc2g_jax.planning.frontiers.facing_most`.
-      patience: with places that go on promising a goal.
-      asking: `in_turn`, or `at_once` for all views at every question.
-      fewest_maps: the estimator is asked about at a time; the last bits of an answer may depend on it.
+      estimator: maps a partial map to costs-to-go; lower is better.
+      rules: field of view and definition of frontiers.
+      selection: rule that scores subgoals.
+      rim_width: candidates that see a cell more than this many cells beyond everything observed take precedence.
+      views: axes to mirror the map along for the estimator, one tuple per view: test-time augmentation spread over
+        steps. New estimates alternate between the views, and the planner uses the mean of each view's latest estimate.
+        This halves errors that a network makes in only one view, at no extra cost. Views other than the original map
+        are for estimators that only read the map.
+      gain_weight: weight of the information gain: a cell's score is lower by this much if its whole field of view would
+        be new. The gain does not change while nothing new is seen, so exploration still ends.
+      headings: selects among the nearest headings of a cell, if the score depends on distance: all of them, or
+        `dc2g_jax.planning.frontiers.facing_most`.
+      patience: penalty for staying near promising cells that reveal no goal.
+      asking: `in_turn` to alternate between views, or `at_once` to use all views in each estimate.
+      fewest_maps: smallest batch size for the estimator; the last bits of an estimate may depend on it.
     """
 
     estimator: Estimator
@@ -301,18 +300,18 @@ class DC2G(AssessingPlanner):
     patience: Patience = struct.field(pytree_node=False, default=ENDLESS)
     asking: Callable[[Ask, Array, Views, Array], Estimates] = struct.field(pytree_node=False, default=in_turn)
     fewest_maps: int = struct.field(pytree_node=False, default=4)
-    #: A network answers many maps at once in less time each.
+    #: A network needs less time per map in larger batches.
     robots_a_core: ClassVar[int] = 64
     robots_on_large_maps: ClassVar[int] = 16
 
     def memoryless(self) -> "DC2G":
-        """This planner for one robot, on maps of any size, whose state is new at every step."""
+        """This planner for a single robot with a new state at every step, on maps of any size."""
         network = self.estimator
         estimator = PaddedNetwork(network) if isinstance(network, NetworkCostToGo) else network
         return dataclasses.replace(self, estimator=estimator, asking=at_once, fewest_maps=1, patience=ENDLESS)
 
     def init(self, world: World) -> "ExplorationState":
-        """Nothing is reachable before the first observation; the estimator sets itself up."""
+        """Nothing is reachable before the first observation. The estimator initializes its own state."""
         nothing = jnp.zeros_like(world.traversable)
         estimator_state = self.estimator.init(world)
         told = jax.eval_shape(self._told, world.terrain, estimator_state)
@@ -327,14 +326,14 @@ class DC2G(AssessingPlanner):
         )
 
     def _told(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Estimates:
-        """What the selection rule needs of the estimator's answer.
+        """The selection rule's summary of the estimate.
 
         Args:
           terrain: observed class indices.
-          state: the estimator's.
+          state: state of the estimator.
 
         Raises:
-          ValueError: the estimator's answer does not have the shape of the map behind an axis of outcomes.
+          ValueError: the estimate does not have the shape `[outcomes, *shape of the map]`.
         """
         costs = self.estimator.estimate(terrain, state)
         if costs.shape[1:] != terrain.shape:
@@ -347,14 +346,14 @@ class DC2G(AssessingPlanner):
     def _estimate(
         self, terrain: UInt8[Array, "h w *batch"], pose: Pose, before: Estimates, state: tuple[Array, Any]
     ) -> Estimates:
-        """New estimates of what the estimator is asked about, given which of the views is next and its state."""
+        """New estimates, given the number of the next view and the estimator's state."""
         (view, estimator_state), extent = state, extent_of(self.estimator)
         part = extent.part(terrain, pose)
         answer = self.asking(lambda seen_as: self._told(seen_as, estimator_state), part, self.views, view)
         return extent.merged(answer, pose, before)
 
     def _candidates(self, belief: Belief, reachable: Board) -> PoseSet:
-        """Poses to choose a subgoal from (Algorithm 2, lines 6 to 8)."""
+        """Candidate poses for the subgoal (Algorithm 2, lines 6 to 8)."""
         revealing = frontiers.complete(belief, reachable, self.rules.sensing)
         preferred = self.rules.frontier_expanding(belief, reachable) & revealing
         candidates = jnp.where(poses.is_empty(preferred), revealing, preferred)
@@ -366,7 +365,7 @@ class DC2G(AssessingPlanner):
     def _penalty(
         self, belief: Belief, candidates: PoseSet, decided_near: Int[Array, "h w *batch"]
     ) -> Float[Array, "h w *batch"]:
-        """What is added to the selection rule's score of each cell: patience lost, less information to be gained."""
+        """The term added to the score of each cell: the penalty of `patience` minus the weighted information gain."""
         penalty = jnp.zeros(decided_near.shape, jnp.float32)
         if self.patience.price:
             penalty += self.patience.cost(decided_near)
@@ -381,7 +380,7 @@ class DC2G(AssessingPlanner):
         reachable = reachable_cells(belief, state.reachable)
         candidates = self._candidates(belief, reachable)
         undecided = ~poses.is_empty(candidates) & ~bitboard.intersects(reachable, belief.goals)
-        # An estimate stands until something new is seen; robots that do not explore ask for none.
+        # An estimate is valid until something new is seen. Robots that do not explore need none.
         outdated = undecided & ~bitboard.is_empty(belief.seen ^ state.estimated_from)
         asked_about = state.view, state.estimator
         latest = update_estimates(
@@ -389,7 +388,7 @@ class DC2G(AssessingPlanner):
         )[None]
         first = bitboard.is_empty(state.estimated_from)
         estimates = jnp.where(outdated, jnp.concatenate([latest, state.estimates[:-1]]), state.estimates)
-        # The first answer stands for all views.
+        # The first estimate stands for all views.
         estimates = jnp.where(first, latest, estimates)
         estimated_from = jnp.where(outdated, belief.seen, state.estimated_from)
         view = jnp.where(outdated, (state.view + 1) % len(self.views), state.view)
@@ -401,29 +400,29 @@ class DC2G(AssessingPlanner):
         decided_near = state.decided_near
         if self.patience.price:
             decided_near = decided_near + self.patience.near(belief.pose, belief.height, belief.width)
-        # What subgoals are compared by, the lowest wins (Algorithm 2, line 11).
+        # The lowest score wins (Algorithm 2, line 11).
         score = self.selection(jnp.mean(estimates, axis=0), lengths) + self._penalty(belief, candidates, decided_near)
-        # Without a current estimate all candidates are equal, and of equal ones the plan goes to the nearest.
+        # Without a current estimate, all candidates are equal, and the plan goes to the nearest.
         subgoals = jnp.where(undecided, nearest & _lowest(score, poses.occupied(nearest), belief.width), candidates)
         plan = _explore_or_finish(belief, reachable, subgoals, self.rules)
         state = ExplorationState(reachable, estimates, estimated_from, view, decided_near, state.estimator)
         return Assessment(plan, reachable, nearest, score, state.cost_to_go), state
 
     def revised(self, state: "ExplorationState", changed: Board) -> "ExplorationState":
-        """All but the ground, which can be lost; the estimator is asked anew where what it was told has changed."""
+        """The state without the ground, which can be lost. If observed cells changed, the estimate is outdated."""
         return state._replace(reachable=jnp.zeros_like(state.reachable), estimated_from=state.estimated_from & ~changed)
 
 
 class ExplorationState(NamedTuple):
-    """What DC2G keeps from one step to the next.
+    """State of DC2G between steps.
 
     Attributes:
       reachable: reachable cells at the last step.
-      estimates: what the selection rule needs of the costs-to-go last estimated, of each view, the newest first.
-      estimated_from: cells that had been observed when the newest was made.
-      view: which one is to be asked about next.
-      decided_near: how many decisions were made near each cell, where patience has an end.
-      estimator: the estimator's own state.
+      estimates: the selection rule's summaries of the latest estimate of each view, the newest first.
+      estimated_from: observed cells at the time of the newest estimate.
+      view: number of the next view.
+      decided_near: number of decisions near each cell, if `patience` has a price.
+      estimator: state of the estimator.
     """
 
     reachable: Board
@@ -435,12 +434,12 @@ class ExplorationState(NamedTuple):
 
     @property
     def cost_to_go(self) -> Float[Array, "h w *batch"]:
-        """What is gone by: the mean of the estimates."""
+        """The mean of the estimates, which the planner uses."""
         return jnp.mean(self.estimates, axis=(0, 1))
 
 
 def _lowest(score: Float[Array, "h w *batch"], cells: Board, width: int) -> Board:
-    """The cells of lowest score (Algorithm 2, line 11). Equal ones all stay: the plan goes to the nearest."""
+    """The cells of lowest score (Algorithm 2, line 11). Ties are all kept: the plan goes to the nearest."""
     chosen_from = bitboard.unpack(cells, width)
     score = jnp.where(chosen_from, score, jnp.inf)
     return bitboard.pack(chosen_from & (score == jnp.min(score, axis=(0, 1))))
