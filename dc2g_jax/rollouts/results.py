@@ -1,4 +1,4 @@
-"""Results of a run in a CSV file, kept as soon as they are there: the run can go on where it stopped."""
+"""Results of a run in a CSV file, saved immediately so that the run can be resumed."""
 
 import csv
 import itertools
@@ -11,8 +11,8 @@ from typing import Any, Generic, Literal, TypeVar, get_args, get_origin, get_typ
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.tables import table_lines, write_table
 
-#: A NamedTuple of text, numbers, yes and no; a row of the file, its fields the columns. It begins with the fields that
-#: say what it is the result of.
+#: A row of the file: a NamedTuple of strings, numbers and booleans, whose fields are the columns. Its first fields
+#: identify the result.
 _Row = TypeVar("_Row", bound=tuple)
 
 
@@ -34,7 +34,7 @@ def rows_of(path: Path, kind: type[_Row]) -> Iterator[_Row]:
     """Read what `write_rows` wrote, row by row. Fields with a default, or that may be `None`, may be empty or absent.
 
     Raises:
-      InputError: for a file that cannot be read, a missing column, or a value that is none; names the line.
+      InputError: the file cannot be read, a column is missing, or a value is invalid; the message names the line.
     """
     types, defaults = get_type_hints(kind), getattr(kind, "_field_defaults", {})
     optional = [name for name, one in types.items() if name in defaults or NoneType in get_args(one)]
@@ -50,7 +50,7 @@ def rows_of(path: Path, kind: type[_Row]) -> Iterator[_Row]:
 
 
 def _value(kind: Any, text: str) -> Any:
-    """A cell as a value of a type."""
+    """Convert a cell to a type."""
     if NoneType in get_args(kind):
         return _value(get_args(kind)[0], text)
     if get_origin(kind) is Literal:
@@ -71,7 +71,7 @@ class ResumableTable(Generic[_Row]):
       kind: type of its rows.
 
     Raises:
-      InputError: the file is there and cannot be read.
+      InputError: the file exists and cannot be read.
     """
 
     def __init__(self, path: Path, kind: type[_Row]):
@@ -89,8 +89,8 @@ class ResumableTable(Generic[_Row]):
         """The next rows: from the file, or, where it ends before the last of them, new ones, which it then holds too.
 
         Args:
-          asked: the values that each row begins with.
-          make: makes the rows.
+          asked: the first values of each row, which identify it.
+          make: computes the rows.
 
         Raises:
           InputError: the file holds other rows, or one that cannot be read.
