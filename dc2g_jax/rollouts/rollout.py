@@ -1,8 +1,7 @@
-"""Many episodes at once: a queue of episodes served by a fixed number of slots, each holding one robot.
+"""Rollouts of many episodes: a queue of episodes served by a fixed number of slots, each with one robot.
 
-As soon as a robot has finished, its slot takes the next episode of the queue, so the batch stays full and no time is
-spent on finished robots while others walk on. Every device serves a queue of its own. What an episode gives does not
-depend on the slot, the order or the device.
+When a robot finishes, its slot takes the next episode of the queue. So the batch stays full, and no time is spent on
+finished robots. Every device serves its own queue. Results do not depend on the slot, the order or the device.
 """
 
 import dataclasses
@@ -29,22 +28,22 @@ from dc2g_jax.rollouts.devices import deal, dealt_counts, gather, mesh_of, on_ea
 #: Step limit of an episode in the published results.
 STEP_LIMIT = 500
 
-#: Planner steps taken on the device by the first call that takes any.
+#: Planner steps of the first call on the device.
 _FIRST_STEPS = 16
 
 #: The action recorded after the end of an episode.
 NO_ACTION = -1
 
-#: Robots side by side on an accelerator.
+#: Number of robots simulated side by side on an accelerator.
 _ACCELERATOR_SLOTS = 16384
 
-#: Words of a board of 100 x 100 cells: the boards of many robots on larger maps do not stay in a core's caches.
+#: Words of a board of 100 x 100 cells: the boards of many robots on larger maps do not fit into a core's caches.
 _LARGEST_CACHED_BOARD = 400
 
 
 @struct.dataclass
 class Episodes:
-    """What to run.
+    """Episodes to run.
 
     Attributes:
       world: index of each episode's world in the stack of worlds, int32.
@@ -61,12 +60,12 @@ class Episodes:
 
 @struct.dataclass
 class Trajectories:
-    """What came of it, in the order of the episodes.
+    """Results of a rollout, in the order of the episodes.
 
     Attributes:
-      actions: actions taken, then `NO_ACTION`, int8; no columns where they were not to be kept.
-      steps: number of actions taken.
-      success: did the robot stand on a goal cell at the end?
+      actions: actions, then `NO_ACTION`, int8; no columns if actions were not kept.
+      steps: number of actions.
+      success: whether the robot stood on a goal cell at the end.
       mode: plan mode of the last decision; see `dc2g_jax.planning.planners`.
     """
 
@@ -78,13 +77,13 @@ class Trajectories:
 
 @struct.dataclass
 class _Queue:
-    """Episodes waiting to be served, padded to a length that many numbers of episodes share.
+    """Waiting episodes, padded to a length shared by many numbers of episodes.
 
     Attributes:
       worlds: the worlds.
-      planner_states: the planner's first state in each of them.
-      episodes: the episodes, and padding.
-      length: how many are not padding.
+      planner_states: first state of the planner in each world.
+      episodes: the episodes, followed by padding.
+      length: number of episodes without padding.
     """
 
     worlds: World
@@ -95,17 +94,17 @@ class _Queue:
 
 @struct.dataclass
 class _Slots:
-    """The robots under way: one episode a slot, slots on the last axis.
+    """The active robots: one episode per slot, with slots on the last axis.
 
     Attributes:
-      episode: whose robot it is.
-      active: does it have an episode? An idle slot's world is empty, so that nothing is searched in it.
-      finished: has the episode just ended?
-      success: did it end on a goal?
+      episode: index of the slot's episode.
+      active: whether the slot has an episode. The world of an idle slot is empty, so that no search runs in it.
+      finished: whether the episode has just ended.
+      success: whether it ended on a goal.
       mode: mode of the last plan.
-      world: where the robot is.
-      belief: what it knows.
-      planner_state: what its planner keeps.
+      world: world of the robot.
+      belief: belief of the robot.
+      planner_state: state of its planner.
     """
 
     episode: Int[Array, "slots"]
@@ -120,7 +119,7 @@ class _Slots:
 
 @struct.dataclass
 class _Results:
-    """Results so far, a row an episode of the padded queue."""
+    """Results so far, one row per episode of the padded queue."""
 
     actions: Int8[Array, "rows kept_steps"]
     steps: Int[Array, "rows"]
@@ -130,7 +129,7 @@ class _Results:
 
 @struct.dataclass
 class _State:
-    """All that changes: the robots, the results, and how many episodes have been seated."""
+    """The state of a rollout: the robots, the results, and the number of episodes that were started."""
 
     slots: _Slots
     results: _Results
@@ -143,7 +142,7 @@ def _take(tree: Any, index: Array) -> Any:
 
 
 def _robots(queue: _Queue, turn: Int[Array, "slots"], sensing: Kernel) -> _Slots:
-    """Robots at the start of the episodes with these places in the queue; idle ones beyond its end."""
+    """Robots at the start of the episodes at these indices of the queue; idle ones beyond its end."""
     active = turn < queue.length
     world_index = queue.episodes.world.at[turn].get(mode="clip")
     world = _take(queue.worlds, world_index)
@@ -161,7 +160,7 @@ def _robots(queue: _Queue, turn: Int[Array, "slots"], sensing: Kernel) -> _Slots
 
 
 def _seat(state: _State, vacant: Bool[Array, "slots"], queue: _Queue, sensing: Kernel) -> _State:
-    """Give every vacant slot the next episode of the queue; those left over fall idle."""
+    """Start the next episode of the queue in every vacant slot; slots beyond its end become idle."""
     new = _robots(queue, state.seated + jnp.cumsum(vacant.astype(jnp.int32)) - 1, sensing)
     return dataclasses.replace(
         state,
@@ -178,7 +177,7 @@ def _advance(state: _State, planner: Planner, sensing: Kernel, step_limit: int) 
     belief = gridworld.step(slots.world, slots.belief, plan.action, sensing)
     belief = dataclasses.replace(belief, steps=slots.belief.steps + acts)
     success = acts & gridworld.at_goal(slots.world, belief.pose)
-    # Robots that do not act write beyond the last row, which drops the write.
+    # Robots that do not act write out of bounds, so the write is dropped.
     row = jnp.where(acts, slots.episode, results.actions.shape[0])
     action = plan.action.astype(jnp.int8)
     slots = dataclasses.replace(
@@ -194,7 +193,7 @@ def _advance(state: _State, planner: Planner, sensing: Kernel, step_limit: int) 
 
 
 def _record(state: _State) -> _State:
-    """Note how the finished episodes ended."""
+    """Store the results of the finished episodes."""
     slots, results = state.slots, state.results
     row = jnp.where(slots.finished, slots.episode, len(results.steps))
     return dataclasses.replace(
@@ -213,7 +212,7 @@ def _run(
     states: _State, n_steps: Int[Array, ""], queues: _Queue, planner: Planner,
     *, mesh: Mesh, sensing: Kernel, step_limit: int,
 ) -> _State:  # fmt: skip
-    """At most `n_steps` planner steps of every slot of every device, refilled from its queue as robots finish."""
+    """Take at most `n_steps` planner steps in every slot of every device, and refill slots as robots finish."""
 
     def run(own: tuple[_State, _Queue], n_steps: Int[Array, ""], planner: Planner) -> _State:
         state, queue = own
@@ -238,7 +237,7 @@ def _run(
 
 @jit
 def _finished(states: _State) -> Int[Array, "devices"]:
-    """How many episodes have ended on each device."""
+    """Number of finished episodes on each device."""
     return states.seated - jnp.sum(states.slots.active, axis=-1)
 
 
@@ -247,7 +246,7 @@ def _first_states(
     planner: Planner, worlds: World, episodes: Episodes, lengths: Int[Array, "devices"],
     *, mesh: Mesh, sensing: Kernel, n_slots: int, kept_steps: int,
 ) -> tuple[_Queue, _State]:  # fmt: skip
-    """The queue of each device, and its slots with the first episodes seated."""
+    """The queue of each device, and its slots with the first episodes."""
 
     def first(own: tuple[Episodes, Int[Array, ""]], planner: Planner, worlds: World) -> tuple[_Queue, _State]:
         episodes, length = own
@@ -266,7 +265,7 @@ def _first_states(
 
 
 def _default_slots(planner: Planner, worlds: World, platform: str) -> int:
-    """As many robots side by side as suit a device."""
+    """The default number of slots of a device."""
     if platform != "cpu":
         return _ACCELERATOR_SLOTS
     n_words, height = worlds.goals.shape[:2]
@@ -289,15 +288,15 @@ def rollout(
     """Run every episode to its end: the goal, giving up, or the step limit.
 
     Args:
-      planner: decides the actions.
+      planner: planner of the robots.
       worlds: stack of worlds of one size, along the last axis.
       episodes: world index and first pose of each episode.
-      sensing: the robots' field of view.
+      sensing: field of view of the robots.
       step_limit: actions after which an episode ends without success.
-      slots: robots simulated side by side on each device; `None` for as many as suit it.
-      devices: where to run; every device where `None`, see `dc2g_jax.rollouts.devices.use_devices`.
-      keep_actions: keep the actions? They take a byte an episode and step.
-      on_progress: called now and then with the number of episodes finished so far.
+      slots: number of robots simulated side by side on each device; `None` for the default of the device.
+      devices: devices to run on; `None` for all, see `dc2g_jax.rollouts.devices.use_devices`.
+      keep_actions: whether to keep the actions, one byte per episode and step.
+      on_progress: called between calls of the device with the number of finished episodes.
 
     Returns:
       Results in the order of the episodes, as NumPy arrays.
@@ -308,7 +307,7 @@ def rollout(
         empty = np.zeros(0, np.int32)
         return Trajectories(np.zeros((0, kept_steps), np.int8), empty, empty.astype(bool), empty)
     mesh = mesh_of(devices)
-    # One shape, and so one compiled program, for all numbers of episodes up to the next power of two.
+    # Rounding up to a power of two lets many numbers of episodes share a compiled program.
     capacity = 1 << (-(-n_episodes // mesh.size) - 1).bit_length()
     if slots is None:
         slots = _default_slots(planner, worlds, platform(mesh))
