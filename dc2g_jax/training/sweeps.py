@@ -1,4 +1,4 @@
-"""Training runs that differ in numbers only, trained together."""
+"""Training of several runs together that only differ in hyperparameters."""
 
 import dataclasses
 import functools
@@ -25,17 +25,17 @@ def runs_of_grid(
     widths: Sequence[Sequence[int]],
     seeds: Sequence[int],
 ) -> dict[str, TrainingConfig]:
-    """Every combination, by a name that says what it is.
+    """All combinations of the values, by a descriptive name.
 
     Args:
-      base: everything else.
+      base: all other parameters.
       losses: see `dc2g_jax.training.losses.parse_losses`.
       learning_rates: peak learning rates.
       widths: channels of the network at its scales.
-      seeds: of weights and batches.
+      seeds: seeds of weights and batches.
 
     Raises:
-      InputError: where an axis of the grid is empty or a value is not good.
+      InputError: there is no value of a parameter, or a value is invalid.
     """
     for name, values in (("loss", losses), ("learning rate", learning_rates), ("widths", widths), ("seed", seeds)):
         if not values:
@@ -59,9 +59,10 @@ def runs_of_grid(
 
 
 def group_by_shape(runs: Mapping[str, TrainingConfig]) -> list[dict[str, TrainingConfig]]:
-    """Runs whose networks have one shape, which can be trained together, in the order of their first ones.
+    """Group runs whose networks have the same shape, so that they can be trained together.
 
-    All runs of a group are given the same losses, those that a run does not ask for with weight 0.
+    All runs of a group get the same losses; those that a run does not use have weight 0. Groups are in the order of
+    their first runs.
     """
     names = list(dict.fromkeys(name for config in runs.values() for name, _ in config.losses))
     groups: dict[TrainingConfig, dict[str, TrainingConfig]] = {}
@@ -86,27 +87,27 @@ def in_turns(runs: Mapping[str, TrainingConfig], at_once: int) -> list[dict[str,
 
 
 def stacked_hyperparameters(configs: Sequence[TrainingConfig]) -> Hyperparameters:
-    """The numbers of all runs of a group, stacked."""
+    """The stacked hyperparameters of all runs of a group."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *(config.hyperparameters for config in configs))
 
 
 def init_states(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> TrainingState:
-    """The states of several runs before the first step, stacked; each as `init_state` gives it."""
+    """The stacked states of several runs before the first step; see `init_state`."""
     return jax.vmap(functools.partial(init_state, recipe))(hyperparameters)
 
 
 @dataclasses.dataclass(frozen=True)
 class StackedCheckpoints:
-    """Stacked states of several runs, each kept in a folder of its own.
+    """Stacked states of several runs, each saved in its own folder.
 
     Attributes:
-      of_runs: the checkpoints of each run, in the order of the stack.
+      of_runs: checkpoints of each run, in the order of the stack.
     """
 
     of_runs: Sequence[TrainingCheckpoints]
 
     def restore(self) -> TrainingState | None:
-        """The states after the newest step that all runs have a state of, stacked; `None` if there is none."""
+        """The stacked states of the newest step that all runs have; `None` if there is none."""
         common = set.intersection(*(set(checkpoints.steps()) for checkpoints in self.of_runs))
         if not common:
             for checkpoints in self.of_runs:
@@ -128,6 +129,6 @@ class StackedCheckpoints:
 
 
 def steps_left_out(states: TrainingState) -> Int[Array, "runs"]:
-    """Steps of each run that changed nothing, because the loss or the weights would not have been finite."""
+    """Number of skipped steps of each run, in which the loss or the weights would not have been finite."""
     (_, taken), *_ = optax.tree_utils.tree_get_all_with_path(states.optimizer, "count")
     return states.step - taken
