@@ -1,4 +1,4 @@
-"""How fast everything is, beside what one would pick instead: `python -m experiments.benchmark`."""
+"""Benchmark the package against alternatives: `python -m experiments.benchmark`."""
 
 import dataclasses
 import sys
@@ -73,9 +73,9 @@ class Options(CommandOptions):
       quick: small cases that show in a minute that everything runs; its figures mean little.
       repeats: how often everything is timed; 5, or 2 with --quick, where not given.
       starts_per_house: episodes in each training and validation house.
-      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
-      network: folder of a trained network for `dc2g`; the shipped one where not given.
-      out: folder to write to; a new one below outputs/ where not given.
+      dataset: folder of houses, or `procedural`; by default DC2G_DATA, the cache, or a download.
+      network: folder of a trained network for `dc2g`; the shipped one by default.
+      out: folder to write to; a new one under outputs/ by default.
     """
 
     accelerator: bool = False
