@@ -44,7 +44,7 @@ from dc2g_jax.training.sweeps import (
     steps_left_out,
 )
 
-#: Validation pairs, and how many of them at a time.
+#: Number of validation pairs, and the batch size for them.
 _PAIRS, _PAIRS_AT_A_TIME = 512, 64
 
 
@@ -54,11 +54,11 @@ class Options(CommandOptions):
 
     Attributes:
       out: folder for runs, log, table and figure.
-      dataset: folder of houses, or `procedural`; where not given, DC2G_DATA, the cache, or a download.
+      dataset: folder of houses, or `procedural`; by default DC2G_DATA, the cache, or a download.
       data: houses and masks.
       losses: losses to try: quantile, l1, l2, huber, log, or weighted sums of them such as quantile=1,log=0.5.
       learning_rates: peak learning rates to try.
-      widths: networks to try, each as its channels at four scales: 16,32,64,128 8,16,32,64 are two.
+      widths: networks to try, each given by its channels at four scales: 16,32,64,128 8,16,32,64 are two.
       seeds: seeds to try.
       steps: optimizer steps of each run.
       batch_size: pairs a step of each run.
@@ -92,10 +92,10 @@ class Options(CommandOptions):
 
     @property
     def runs(self) -> dict[str, TrainingConfig]:
-        """The grid.
+        """The runs of the grid, by name.
 
         Raises:
-          InputError: for values that are not good.
+          InputError: a value is invalid.
         """
         try:
             widths = [tuple(int(width) for width in text.split(",")) for text in self.widths]
@@ -112,7 +112,7 @@ class Options(CommandOptions):
 
 @functools.partial(jit, static_argnames=("architecture",))
 def validation_errors(architecture: Architecture, weights: Any, pairs: Pair) -> Float[Array, "runs"]:
-    """Mean error of every run on all pairs, in cells."""
+    """Mean error of each run on all pairs, in cells."""
     chunks = jax.tree.map(lambda leaf: leaf.reshape(-1, _PAIRS_AT_A_TIME, *leaf.shape[1:]), pairs)
 
     def error(weights: Any) -> Float[Array, ""]:
@@ -174,12 +174,12 @@ def network_folder(out: Path, run: str) -> Path:
 
 
 def loss_name(config: TrainingConfig) -> str:
-    """The losses of a run and their weights, where there is more than one or it is not 1."""
+    """The losses of a run, with weights other than 1."""
     return " + ".join(name if weight == 1 else f"{weight!r} {name}" for name, weight in config.losses)
 
 
 def kind_of(options: Options, config: TrainingConfig) -> str:
-    """What distinguishes a run from those of the sweep that differ from it in more than the seed."""
+    """The parameters of a run that vary in the sweep, except the seed."""
     parts = [loss_name(config)]
     if len(options.learning_rates) > 1:
         parts.append(f"rate {config.learning_rate!r}")
@@ -195,7 +195,7 @@ def write_results(
     episodes: Mapping[str, Mapping[str, float]],
     shape: tuple[int, int],
 ) -> list[dict[str, Any]]:
-    """Write `results.csv`, a line a run, the best first; multiply-accumulates are those of one map of `shape`."""
+    """Write `results.csv`, one row per run, the best first. Multiply-accumulates are for one map of `shape`."""
     architectures = {config.architecture for config in runs.values()}
     macs = {architecture: multiply_accumulates(architecture, *shape) for architecture in architectures}
     rows: list[dict[str, Any]] = []
@@ -238,15 +238,15 @@ def run_episodes(validation: Validation, runs: Collection[str], out: Path) -> di
 
 
 def main(options: Options) -> None:
-    """Train all, validate all, tabulate."""
-    _, runs = options.pauses, options.runs  # refused before anything is written
+    """Train and validate all runs; write and plot the results."""
+    _, runs = options.pauses, options.runs  # raises before anything is written
     groups = group_by_shape(runs)
     turns = [turn for group in groups for turn in in_turns(group, options.runs_at_once)]
     dataset = open_dataset(options.dataset)
     check_houses(dataset, extra=options.data.extra_houses, drawn=options.episodes, validated=True)
     output_folder(options, "sweep_losses", free=("minutes_per_checkpoint", "runs_at_once"), inputs=digests(dataset))
     facts = {"data": dataclasses.asdict(options.data), "dataset": dataset.name}
-    # Houses that these cannot be made of are refused before minutes of collecting.
+    # These raise for unsuitable houses before minutes of data collection.
     pairs = validation_pairs(dataset, count=_PAIRS, edge_weight=options.data.edge_weight)
     validation = Validation(dataset, drawn=16) if options.episodes else None
     data = replicate(open_training_set(options.out, dataset, options.data), mesh_of())
