@@ -30,10 +30,10 @@ from dc2g_jax.grid.poses import (
 )
 from dc2g_jax.grid.shifting import shifted
 
-#: Wavefront steps between two checks whether the wavefronts still grow. Most searches end before the first check.
+#: Wavefront steps between checks for growth. Most searches end before the first check.
 _STEPS_BETWEEN_LOOKS = 32
 
-#: The same on a GPU. There every look makes the host wait, and among thousands of searches one always goes on.
+#: The same on a GPU. There, every check makes the host wait, and one of thousands of searches always continues.
 _STEPS_BETWEEN_LOOKS_ON_GPU = 8
 
 
@@ -105,8 +105,8 @@ class FirstAction:
     """The first action of a shortest plan.
 
     Attributes:
-      action: 0 forward, 1 turn left, 2 turn right; forward where there is no plan.
-      length: number of actions in the plan; 0 where there is no plan or the pose is already a target.
+      action: 0 forward, 1 turn left, 2 turn right; forward if there is no plan.
+      length: number of actions in the plan; 0 if there is no plan or the pose is already a target.
       found: whether a plan exists.
     """
 
@@ -123,7 +123,7 @@ def first_action(pose: Pose, targets: PoseSet, free: Board) -> FirstAction:
     neither a distance field nor a table of parents is needed.
 
     Args:
-      pose: where the robot is.
+      pose: pose of the robot.
       targets: poses to reach; targets outside the free cells are ignored.
       free: cells the robot may use; a plan never leaves them.
     """
@@ -154,7 +154,7 @@ def first_headings(
     """The headings in which a robot can first arrive on the cell in column `x`, row `y`; none if it is unreachable.
 
     Args:
-      pose: where the robot is.
+      pose: pose of the robot.
       x: column of the cell.
       y: row of the cell.
       free: cells the robot may use.
@@ -183,7 +183,7 @@ class _Counts(NamedTuple):
     planes: UInt32[Array, "bit heading n_words h *batch"]
 
 
-#: Wavefront steps counted in the low planes between two changes of the high planes, as a power of two.
+#: Base-2 logarithm of the wavefront steps between changes of the high planes.
 _LOW_BITS = 4
 
 
@@ -224,7 +224,7 @@ def _count(pose: Pose, free: Board) -> _Counts:
 
 
 def distances(pose: Pose, free: Board, width: int) -> Int[Array, "heading h w *batch"]:
-    """Length in actions of the shortest plan from `pose` to every pose over free cells, -1 where there is none."""
+    """Length in actions of a shortest plan from `pose` to every pose over free cells, -1 for unreachable poses."""
     counts = _count(pose, free)
 
     def read(carry: tuple[Array, Array], plane: PoseSet) -> tuple[tuple[Array, Array], None]:
@@ -241,7 +241,7 @@ def distances(pose: Pose, free: Board, width: int) -> Int[Array, "heading h w *b
 def nearest_headings(
     pose: Pose, candidates: PoseSet, free: Board, width: int
 ) -> tuple[PoseSet, Int[Array, "h w *batch"]]:
-    """The candidate headings of every cell that are reached soonest, and the number of actions to reach them.
+    """The nearest candidate headings of every cell, and the number of actions to reach them.
 
     Args:
       pose: pose of the robot; must not be a candidate.
