@@ -160,7 +160,7 @@ def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLE
     elif name == "frontier":
         guide = GoalReacher(NearestFrontier())
     elif costs is None:
-        raise InputError(f"the agent {name} goes by a network; give one")
+        raise InputError(f"the agent {name} needs a network; give one")
     else:
         guide = GoalReacher(Predicted(costs) if name == "predicted" else PromisingFrontier(costs))
     return Agent(

@@ -120,26 +120,28 @@ def update_estimates(
     # Unpack before the loop: inside it, XLA would unpack every cell again for each of a network's one-hot inputs.
     terrain = jnp.moveaxis(terrain, -1, 0)
 
-    def ask(at_a_time: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        asked, answers = carry
-        robots = jax.lax.dynamic_slice_in_dim(queue, asked, at_a_time)
+    def run_batch(batch_size: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        done, answers = carry
+        robots = jax.lax.dynamic_slice_in_dim(queue, done, batch_size)
         # Past the end of the queue, the map is all unknown.
         own_terrain = jnp.moveaxis(terrain.at[robots].get(mode="fill", fill_value=0), 0, -1)
         own_pose, own_state = jax.tree.map(lambda leaf: leaf.at[..., robots].get(mode="clip"), (pose, state))
         before = jnp.moveaxis(answers.at[robots].get(mode="clip"), 0, -1)
         answer = estimate(own_terrain, own_pose, before, own_state)
         answer = jnp.moveaxis(answer, -1, 0).astype(answers.dtype)
-        return asked + at_a_time, answers.at[robots].set(answer, mode="drop")
+        return done + batch_size, answers.at[robots].set(answer, mode="drop")
 
-    def asked_for_all(at_a_time: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+    def run_batches(batch_size: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         """Run full batches while there are enough robots; the smallest size also takes the rest."""
-        least = 1 if at_a_time == sizes[-1] else at_a_time
-        return jax.lax.while_loop(lambda carry: carry[0] + least <= n_wanted, functools.partial(ask, at_a_time), carry)
+        least = 1 if batch_size == sizes[-1] else batch_size
+        return jax.lax.while_loop(
+            lambda carry: carry[0] + least <= n_wanted, functools.partial(run_batch, batch_size), carry
+        )
 
     # Move the robots' axis to the front, so that each answer is contiguous.
     carry = (jnp.int32(0), jnp.moveaxis(old, -1, 0))
-    for at_a_time in sizes:
-        carry = asked_for_all(at_a_time, carry)
+    for batch_size in sizes:
+        carry = run_batches(batch_size, carry)
     answers = jnp.moveaxis(carry[1], 0, -1)
     return answers.reshape(estimates.shape)
 

@@ -112,10 +112,10 @@ class OnlinePlanner:
         self._planner = getattr(planner, "memoryless", lambda: planner)()
         self._largest = rows, columns
         self._margin = max(_OPEN_MARGIN, reach) if open_ended else 0
-        self._laid_into_larger = getattr(getattr(self._planner, "estimator", self._planner), "knows_outside", False)
+        self._pads_maps = getattr(getattr(self._planner, "estimator", self._planner), "knows_outside", False)
         frame = 2 * self._margin
         shapes = _shapes_up_to(rows + frame, columns + frame, larger_than=frame)
-        self._shapes = shapes if self._laid_into_larger else shapes[-1:]
+        self._shapes = shapes if self._pads_maps else shapes[-1:]
         for shape in self._shapes:
             terrain = np.full(shape, UNKNOWN, np.uint8)
             terrain[0, 0] = CLASS_NAMES.index("traversable")
@@ -141,14 +141,14 @@ class OnlinePlanner:
         robot = _checked_pose(pose, checked, left, top)
         left, top = left - self._margin, top - self._margin
         in_view = RobotPose(robot.x - left, robot.y - top, robot.heading)
-        return decide(self._view(self._laid_out(checked), in_view), left, top)
+        return decide(self._view(self._padded(checked), in_view), left, top)
 
-    def _laid_out(self, grid: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h2 w2"]:
+    def _padded(self, grid: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h2 w2"]:
         """The map with its margin, in the upper left corner of the smallest compiled grid that fits it."""
         height, width = grid.shape
         rows, columns = height + 2 * self._margin, width + 2 * self._margin
         fitting = (shape for shape in self._shapes if rows <= shape[0] and columns <= shape[1])
-        terrain = np.full(next(fitting) if self._laid_into_larger else (rows, columns), OUTSIDE, np.uint8)
+        terrain = np.full(next(fitting) if self._pads_maps else (rows, columns), OUTSIDE, np.uint8)
         terrain[:rows, :columns] = UNKNOWN
         terrain[self._margin : rows - self._margin, self._margin : columns - self._margin] = grid
         return terrain
