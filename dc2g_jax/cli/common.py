@@ -40,7 +40,7 @@ StepLimitOption = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavi
 
 
 def command_line(options: type[_Options], main: Callable[[_Options], None]) -> None:
-    """Run a command: parse its options, and report invalid input, lack of memory and Ctrl-C in one line with a status."""
+    """Run a command: parse its options; report invalid input, lack of memory and Ctrl-C in one line with a status."""
     parsed = tyro.cli(options, prog=program(), config=(tyro.conf.FlagCreatePairsOff,))
     try:
         join_processes(parsed.coordinator, parsed.num_processes, parsed.process_id)
