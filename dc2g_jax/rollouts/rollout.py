@@ -37,8 +37,8 @@ NO_ACTION = -1
 #: Number of robots simulated side by side on an accelerator.
 _ACCELERATOR_SLOTS = 16384
 
-#: Words of a board of 100 x 100 cells: the boards of many robots on larger maps do not fit into a core's caches.
-_LARGEST_CACHED_BOARD = 400
+#: Words of a board of 85 x 85 cells: the boards of many robots on larger maps do not fit into a core's caches.
+_LARGEST_CACHED_BOARD = 256
 
 
 @struct.dataclass
