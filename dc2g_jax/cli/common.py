@@ -6,9 +6,10 @@ import os
 import shutil
 import sys
 import tempfile
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, TypeVar
+from typing import Annotated, Any, NoReturn, TextIO, TypeVar
 
 import jax
 import tyro
@@ -51,31 +52,25 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
         check_seed(getattr(parsed, "seed", 0))
         main(parsed)
     except InputError as error:
-        print(f"error: {error}", file=sys.__stderr__, flush=True)
-        _leave(2)
+        _leave(2, f"error: {error}")
     except jax.errors.JaxRuntimeError as error:
         what = str(error).splitlines()[0]
         if what.startswith("RESOURCE_EXHAUSTED"):
-            print(f"error: a device is out of memory; {_less_memory(parsed)} ({what})", file=sys.__stderr__, flush=True)
-            _leave(2)
+            _leave(2, f"error: a device is out of memory; {_less_memory(parsed)} ({what})")
         if not jax.distributed.is_initialized():
             raise
-        print(
-            f"error: process {jax.process_index()} lost the others ({what}); start all again",
-            file=sys.__stderr__,
-            flush=True,
-        )
-        _leave(1)
+        _leave(1, f"error: process {jax.process_index()} lost the others ({what}); start all again")
     except KeyboardInterrupt:
-        # Otherwise they would be drawn again, below the message.
-        for bar in list(getattr(tqdm, "_instances", ())):
-            bar.close()
         kept, folder = "", folder_in_use()
         if hasattr(parsed, "resume") and folder is not None and (folder / RUN_FILE).exists():
             where = "" if getattr(parsed, "out", None) else f" --out {folder}"
             kept = f"; what was written is kept: the same command with --resume{where} goes on"
-        print(f"interrupted{kept}", file=sys.stderr)
-        _leave(130)
+        _leave(130, f"interrupted{kept}", sys.stderr)
+    except Exception as error:
+        if not jax.distributed.is_initialized():
+            raise
+        traceback.print_exc(file=sys.__stderr__)
+        _leave(1, f"error: process {jax.process_index()}: {type(error).__name__}, see above")
 
 
 def _silent_unless_first(parsed: _Options) -> _Options:
@@ -100,8 +95,12 @@ def _less_memory(parsed: CommandOptions) -> str:
     return f"lower {' or '.join(options)}" if options else "end other programs that use it, or take smaller maps"
 
 
-def _leave(status: int) -> NoReturn:
-    """Exit. If several processes work together, do not wait for the others; they end too."""
+def _leave(status: int, line: str, stream: TextIO | None = sys.__stderr__) -> NoReturn:
+    """Print one line and end the process; of several together, without waiting for the others, who then end too."""
+    # Or they would be drawn once more, below the line.
+    for bar in list(getattr(tqdm, "_instances", ())):
+        bar.close()
+    print(line, file=stream, flush=True)
     if jax.distributed.is_initialized():
         sys.stdout.flush()
         os._exit(status)
