@@ -53,13 +53,6 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
         main(parsed)
     except InputError as error:
         _leave(2, f"error: {error}")
-    except jax.errors.JaxRuntimeError as error:
-        what = str(error).splitlines()[0]
-        if what.startswith("RESOURCE_EXHAUSTED"):
-            _leave(2, f"error: a device is out of memory; {_less_memory(parsed)} ({what})")
-        if not jax.distributed.is_initialized():
-            raise
-        _leave(1, f"error: process {jax.process_index()} lost the others ({what}); start all again")
     except KeyboardInterrupt:
         kept, folder = "", folder_in_use()
         if hasattr(parsed, "resume") and folder is not None and (folder / RUN_FILE).exists():
@@ -67,8 +60,14 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
             kept = f"; what was written is kept: the same command with --resume{where} goes on"
         _leave(130, f"interrupted{kept}", sys.stderr)
     except Exception as error:
+        of_jax, what = isinstance(error, jax.errors.JaxRuntimeError), str(error).partition("\n")[0]
+        if of_jax and what.startswith("RESOURCE_EXHAUSTED"):
+            _leave(2, f"error: a device is out of memory; {_less_memory(parsed)} ({what})")
         if not jax.distributed.is_initialized():
             raise
+        # What is lost while a program starts is a ValueError.
+        if of_jax or "Gloo" in what:
+            _leave(1, f"error: process {jax.process_index()} lost the others ({what}); start all again")
         traceback.print_exc(file=sys.__stderr__)
         _leave(1, f"error: process {jax.process_index()}: {type(error).__name__}, see above")
 
