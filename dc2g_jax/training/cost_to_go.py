@@ -369,7 +369,7 @@ def train_step(
     """
     layout = _layout(mesh_of() if mesh is None else mesh, state.step.size)
     sharding = NamedSharding(layout, P() if state.step.ndim == 0 else P(_RUNS))
-    if not sharding.is_equivalent_to(state.step.sharding, state.step.ndim):
+    if state.step.sharding != sharding:  # also where it lies alike: programs are compiled for how it is written
         state = jax.device_put(state, sharding)
     own_runs, own_parts = state.step.size // layout.shape[_RUNS], _own_parts(recipe, layout)
     one_at_a_time = platform(layout) == "cpu"

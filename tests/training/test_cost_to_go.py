@@ -180,13 +180,14 @@ def test_the_number_of_devices_changes_a_step_by_rounding_only(data):
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-6), one, two)
 
 
-def test_a_step_is_compiled_once(data):
-    programs = [cost_to_go._draw, cost_to_go._gradient, cost_to_go._update]
-    train(data, 2)
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_step_is_compiled_once(data, count):
+    programs, devices = [cost_to_go._draw, cost_to_go._gradient, cost_to_go._update], jax.devices()[:count]
+    train(data, 1, devices=devices)
     before = [program.compiled_count() for program in programs]
-    train(data, 3)
+    train(data, 3, devices=devices)
     other = dataclasses.replace(data, masks=~data.masks & jnp.asarray(bitboard.full(16, 16)))
-    train(other, 1)
+    train(other, 1, devices=devices)
     changed = dataclasses.replace(CONFIG, seed=5, learning_rate=1e-4, losses=(("quantile", 0.5),))
-    train(data, 1, config=changed)
+    train(data, 1, config=changed, devices=devices)
     assert [program.compiled_count() for program in programs] == before
