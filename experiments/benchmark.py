@@ -63,15 +63,15 @@ class Options(CommandOptions):
     Programs that are not installed are left out with the reason; `pip install -e ".[benchmark]"` brings them.
 
     Attributes:
-      accelerator: measure what is worth knowing of an accelerator instead, the most important first: the same episodes
-        as on the CPU, planners by batch, Fig. 7, trainings, object goals, programs. Writes `accelerator.json` and
+      accelerator: measure an accelerator instead, the most important parts first: the same episodes as on the CPU,
+        planners by batch size, Fig. 7, trainings, object goals, programs. Writes `accelerator.json` and
         `accelerator.md`.
-      minutes: with --accelerator, what does not fit into this time is left out.
-      robots: with --accelerator, most robots side by side.
-      runs: with --accelerator, training runs side by side.
-      only: parts to measure; all where not given.
-      quick: small cases that show in a minute that everything runs; its figures mean little.
-      repeats: how often everything is timed; 5, or 2 with --quick, where not given.
+      minutes: with --accelerator, time limit; parts that exceed it are left out.
+      robots: with --accelerator, largest number of robots side by side.
+      runs: with --accelerator, number of training runs side by side.
+      only: parts to measure; all by default.
+      quick: measure small cases, as a test of a minute; the figures mean little.
+      repeats: number of repeats; by default 5, or 2 with --quick.
       starts_per_house: episodes in each training and validation house.
       dataset: folder of houses, or `procedural`; by default DC2G_DATA, the cache, or a download.
       network: folder of a trained network for `dc2g`; the shipped one by default.
@@ -92,10 +92,10 @@ class Options(CommandOptions):
 
 
 def check(options: Options) -> None:
-    """Refuse what cannot be measured.
+    """Check the options.
 
     Raises:
-      InputError: names the option.
+      InputError: an option is invalid; the message names it.
     """
     if options.repeats is not None and options.repeats < 1:
         raise InputError(f"--repeats {options.repeats}: nothing would be measured; give 1 or more")

@@ -1,7 +1,7 @@
 """Train networks with many losses, weights, learning rates, widths and seeds: `python -m experiments.sweep_losses`.
 
-Runs whose networks have one shape are trained together and divided among the devices, `--runs-at-once` of them at a
-time. Killed or interrupted, it goes on where it was when run again with --resume.
+Runs whose networks have the same shape are trained together and divided among the devices, `--runs-at-once` at a time.
+After an interruption, --resume continues where it stopped.
 """
 
 import dataclasses
@@ -61,13 +61,13 @@ class Options(CommandOptions):
       widths: networks to try, each given by its channels at four scales: 16,32,64,128 8,16,32,64 are two.
       seeds: seeds to try.
       steps: optimizer steps of each run.
-      batch_size: pairs a step of each run.
-      validate_every: steps between validations on pairs; the last step is one too. 0 for the last only.
-      episodes: with `--no-episodes`, the planner is not run in validation houses with every network in the end.
-      minutes_per_checkpoint: how often to save, in minutes.
-      runs_at_once: runs trained together, at most; the others wait their turn. Best a multiple of the devices. It may
-        change when the sweep is resumed.
-      resume: go on with the run in `out`, begun with the same options, where it stopped.
+      batch_size: pairs per step of each run.
+      validate_every: steps between validations on pairs; the last step is validated too. 0 for the last step only.
+      episodes: run the planner in validation houses with every network at the end; `--no-episodes` turns it off.
+      minutes_per_checkpoint: minutes between checkpoints.
+      runs_at_once: largest number of runs to train together; best a multiple of the number of devices. It may change
+        when the sweep is resumed.
+      resume: continue the run in `out` where it stopped. It must have been started with the same options.
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
@@ -87,7 +87,7 @@ class Options(CommandOptions):
 
     @property
     def pauses(self) -> Pauses:
-        """When training pauses."""
+        """When to validate and to save."""
         return Pauses(self.validate_every, self.minutes_per_checkpoint)
 
     @property
@@ -124,7 +124,7 @@ def validation_errors(architecture: Architecture, weights: Any, pairs: Pair) -> 
 def train_group(
     options: Options, runs: Mapping[str, TrainingConfig], data: TrainingSet, pairs: Pair, facts: dict[str, Any]
 ) -> None:
-    """Train runs of one shape to the end and save their networks, unless that has been done."""
+    """Train runs of one shape to the end and save their networks, unless they exist."""
     networks = [network_folder(options.out, run) for run in runs]
     if all((network / CARD).exists() for network in networks):
         return
@@ -169,7 +169,7 @@ def train_group(
 
 
 def network_folder(out: Path, run: str) -> Path:
-    """Where the network of a run is kept."""
+    """The folder of a run's network."""
     return out / "runs" / run / "network"
 
 
@@ -223,7 +223,7 @@ def write_results(
 
 
 def run_episodes(validation: Validation, runs: Collection[str], out: Path) -> dict[str, Any]:
-    """Extra steps in validation houses with the network of every run; those found before are kept in a file."""
+    """Extra steps in validation houses with the network of each run. Results are saved in a file and reused."""
     path = out / "episodes.json"
     try:
         found: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}

@@ -1,1 +1,1 @@
-"""The command line: what the commands in `experiments` share."""
+"""The command line: code shared by the commands in `experiments`."""

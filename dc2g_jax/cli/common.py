@@ -89,7 +89,7 @@ def _silent_unless_first(parsed: _Options) -> _Options:
 
 
 def _less_memory(parsed: CommandOptions) -> str:
-    """What to do so that less memory is needed."""
+    """Advice on how to use less memory."""
     options = [f"--{name.replace('_', '-')}" for name in ("runs_at_once", "batch_size") if hasattr(parsed, name)]
     return f"lower {' or '.join(options)}" if options else "end other programs that use it, or take smaller maps"
 

@@ -12,7 +12,7 @@ from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.rollouts.evaluation import NO_PLANNERS, EpisodeResult, OwnPlanners, Runner
 from dc2g_jax.rollouts.results import ResumableTable
 
-#: Episodes of a planner that are run and written together, at most: what a kill can lose, and what memory holds.
+#: Maximum number of episodes of a planner to run and write together. It limits memory, and the loss after a kill.
 EPISODES_A_SHARD = 65_536
 
 
@@ -33,7 +33,7 @@ class EpisodeProgress:
 
 
 class EpisodeTable(ResumableTable[EpisodeResult]):
-    """`episodes.csv`, which grows as episodes end, a shard of a planner's at a time.
+    """`episodes.csv`. Each shard of a planner's episodes is appended when it finishes.
 
     Args:
       path: the file.
@@ -54,7 +54,7 @@ class EpisodeTable(ResumableTable[EpisodeResult]):
         *,
         own: OwnPlanners = NO_PLANNERS,
     ) -> list[EpisodeResult]:
-        """What `Runner.run` gives, each shard kept as soon as it is done.
+        """The results of `Runner.run`. Each shard is saved when it finishes.
 
         Raises:
           InputError: the file holds other episodes; or see `Runner.run`.

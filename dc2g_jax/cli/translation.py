@@ -76,7 +76,7 @@ class TranslationOptions:
 
     @property
     def pauses(self) -> Pauses:
-        """When training pauses."""
+        """When to validate and to save."""
         return Pauses(self.validate_every, self.minutes_per_checkpoint)
 
     def facts(self, dataset: HouseDataset, seed: int) -> dict[str, Any]:

@@ -65,10 +65,10 @@ class Params:
 
 @struct.dataclass
 class Observation:
-    """What the robot knows.
+    """The robot's observation.
 
     Attributes:
-      terrain: observed class indices (see `dc2g_jax.grid.terrain`), 0 where nothing has been observed.
+      terrain: observed class indices (see `dc2g_jax.grid.terrain`), 0 for unobserved cells.
       pose: pose of the robot: column and row in cells, heading in quarter turns.
     """
 
@@ -221,7 +221,7 @@ def whole_number(name: str, value: object, low: int, high: int | None = None) ->
 
 
 def observe(state: State) -> Observation:
-    """What the robot knows."""
+    """The observation in a state."""
     belief = state.belief
     # Each word holds 32 cells. XLA would recompute a word for each of them, but it does not recompute a reduction. This
     # makes a step four times faster if the final observation is used.
@@ -237,7 +237,7 @@ def egocentric(observation: Observation, radius: int) -> UInt8[Array, "side side
       radius: cells shown in each direction; the square has sides of 2 `radius` + 1 cells.
 
     Returns:
-      Class indices, 0 where nothing has been observed, `dc2g_jax.grid.terrain.OUTSIDE` beyond the map.
+      Class indices, 0 for unobserved cells, `dc2g_jax.grid.terrain.OUTSIDE` beyond the map.
     """
     side = 2 * radius + 1
     framed = jnp.pad(observation.terrain, radius, constant_values=OUTSIDE)

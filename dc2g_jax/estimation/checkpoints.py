@@ -28,7 +28,7 @@ from dc2g_jax.grid.terrain import CLASS_NAMES
 #: The shipped networks: for maps without errors, and for maps from a camera.
 SHIPPED_NETWORK, SHIPPED_NOISY_NETWORK = "weights/compact_unet", "weights/compact_unet_noisy"
 
-#: What a network is, written after its weights.
+#: File with the card of a network, written after its weights.
 CARD = "network.json"
 _WEIGHTS = "weights.safetensors"
 _ORBAX_WEIGHTS = "weights"

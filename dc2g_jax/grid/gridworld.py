@@ -49,7 +49,7 @@ class Belief:
 
     @property
     def terrain(self) -> UInt8[Array, "h w *batch"]:
-        """Observed class indices, 0 where nothing has been observed."""
+        """Observed class indices, 0 for unobserved cells."""
         return unpack_classes(self.classes, self.width)
 
     @property
@@ -94,7 +94,7 @@ def belief_from_map(observed: UInt8[Array, "h w *batch"] | UInt8[np.ndarray, "h 
     """The belief of a robot that supplies its own partial map.
 
     Args:
-      observed: class index of every cell, 0 where nothing has been observed; see `dc2g_jax.grid.terrain`.
+      observed: class index of every cell, 0 for unobserved cells; see `dc2g_jax.grid.terrain`.
       pose: pose of the robot.
     """
     world = world_from_terrain(observed)

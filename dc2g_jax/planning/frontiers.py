@@ -96,7 +96,7 @@ def information_gain(belief: Belief, candidates: PoseSet, sensing: Kernel) -> UI
 
 
 def facing_most(belief: Belief, pose_set: PoseSet) -> PoseSet:
-    """Of each cell's poses those with the most unobserved cells ahead, near and far: in the rows or columns they face.
+    """The poses of each cell that face the most unobserved cells, at any distance: in all rows or columns ahead.
 
     Args:
       belief: belief of the robot.

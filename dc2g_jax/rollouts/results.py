@@ -17,7 +17,7 @@ _Row = TypeVar("_Row", bound=tuple)
 
 
 def write_rows(path: Path, kind: type[_Row], rows: Sequence[_Row]) -> None:
-    """Write rows of one type: yes and no as 1 and 0, `None` as nothing."""
+    """Write rows of one type, with booleans as 1 and 0 and `None` as an empty cell."""
     write_table(path, [*get_type_hints(kind)], map(_cells, rows))
 
 
@@ -31,7 +31,7 @@ def read_rows(path: Path, kind: type[_Row]) -> list[_Row]:
 
 
 def rows_of(path: Path, kind: type[_Row]) -> Iterator[_Row]:
-    """Read what `write_rows` wrote, row by row. Fields with a default, or that may be `None`, may be empty or absent.
+    """Read the rows of `write_rows` one by one. Fields that have a default or may be `None` may be empty or missing.
 
     Raises:
       InputError: the file cannot be read, a column is missing, or a value is invalid; the message names the line.
@@ -61,10 +61,10 @@ def _value(kind: Any, text: str) -> Any:
 
 
 class ResumableTable(Generic[_Row]):
-    """A file of results, to which new ones are added; neither they nor the file are held in memory.
+    """A file of results that grows. It is not held in memory.
 
-    Opened where a run is resumed, it gives back what is there and has the rest made. A run asks in the same order every
-    time; a kill may have cut its last results off anywhere.
+    When a run is resumed, it returns the results in the file and computes the rest. A run must request them in the same
+    order every time. If the process was killed, the last results may be incomplete.
 
     Args:
       path: the file.
@@ -86,7 +86,7 @@ class ResumableTable(Generic[_Row]):
             self._kept = rows_of(path, kind)
 
     def next_results(self, asked: Sequence[tuple[Any, ...]], make: Callable[[], list[_Row]]) -> list[_Row]:
-        """The next rows: from the file, or, where it ends before the last of them, new ones, which it then holds too.
+        """The next rows from the file. If it ends before the last of them, they are computed and appended.
 
         Args:
           asked: the first values of each row, which identify it.
@@ -121,7 +121,7 @@ class ResumableTable(Generic[_Row]):
 
 
 def _drop_cut_off_line(path: Path) -> None:
-    """Remove what stands after the last line end."""
+    """Remove an incomplete last line."""
     if size := path.stat().st_size:
         with path.open("r+b") as file:
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:

@@ -74,7 +74,7 @@ def group_by_shape(runs: Mapping[str, TrainingConfig]) -> list[dict[str, Trainin
 
 
 def in_turns(runs: Mapping[str, TrainingConfig], at_once: int) -> list[dict[str, TrainingConfig]]:
-    """Runs in the order given, so many at a time.
+    """Split runs, in order, into groups of at most `at_once`.
 
     Raises:
       InputError: `at_once` is less than 1.
