@@ -42,6 +42,7 @@ StepLimitOption = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavi
 
 def command_line(options: type[_Options], main: Callable[[_Options], None]) -> None:
     """Run a command: parse its options; report invalid input, lack of memory and Ctrl-C in one line with a status."""
+    stderr = sys.stderr  # of every process; only the first goes on to print there
     parsed = tyro.cli(options, prog=program(), config=(tyro.conf.FlagCreatePairsOff,))
     try:
         join_processes(parsed.coordinator, parsed.num_processes, parsed.process_id)
@@ -52,7 +53,7 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
         check_seed(getattr(parsed, "seed", 0))
         main(parsed)
     except InputError as error:
-        _leave(2, f"error: {error}")
+        _leave(2, f"error: {error}", stderr)
     except KeyboardInterrupt:
         kept, folder = "", folder_in_use()
         if hasattr(parsed, "resume") and folder is not None and (folder / RUN_FILE).exists():
@@ -62,14 +63,14 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
     except Exception as error:
         of_jax, what = isinstance(error, jax.errors.JaxRuntimeError), str(error).partition("\n")[0]
         if of_jax and what.startswith("RESOURCE_EXHAUSTED"):
-            _leave(2, f"error: a device is out of memory; {_less_memory(parsed)} ({what})")
+            _leave(2, f"error: a device is out of memory; {_less_memory(parsed)} ({what})", stderr)
         if not jax.distributed.is_initialized():
             raise
         # What is lost while a program starts is a ValueError.
         if of_jax or "Gloo" in what:
-            _leave(1, f"error: process {jax.process_index()} lost the others ({what}); start all again")
-        traceback.print_exc(file=sys.__stderr__)
-        _leave(1, f"error: process {jax.process_index()}: {type(error).__name__}, see above")
+            _leave(1, f"error: process {jax.process_index()} lost the others ({what}); start all again", stderr)
+        traceback.print_exc(file=stderr)
+        _leave(1, f"error: process {jax.process_index()}: {type(error).__name__}, see above", stderr)
 
 
 def _silent_unless_first(parsed: _Options) -> _Options:
@@ -94,9 +95,9 @@ def _less_memory(parsed: CommandOptions) -> str:
     return f"lower {' or '.join(options)}" if options else "end other programs that use it, or take smaller maps"
 
 
-def _leave(status: int, line: str, stream: TextIO | None = sys.__stderr__) -> NoReturn:
-    """Print one line and end the process; of several together, without waiting for the others, who then end too."""
-    # Or they would be drawn once more, below the line.
+def _leave(status: int, line: str, stream: TextIO) -> NoReturn:
+    """Print one line and exit. If several processes work together, do not wait for the others; they end too."""
+    # Otherwise they would be drawn again, below the line.
     for bar in list(getattr(tqdm, "_instances", ())):
         bar.close()
     print(line, file=stream, flush=True)
