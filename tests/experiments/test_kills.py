@@ -76,7 +76,7 @@ def finish(processes: list[subprocess.Popen]) -> None:
 
 
 def disturbed(command: list[object], out: Path, progress: Callable[[], int], kills: int) -> None:
-    """Run a command on two processes, and kill one of them so often at random before it is left to finish.
+    """Run a command on two processes, of which one, each in turn, is killed at random moments; then let it finish.
 
     Args:
       command: the command.
@@ -90,7 +90,7 @@ def disturbed(command: list[object], out: Path, progress: Callable[[], int], kil
         while progress() <= before and all(process.poll() is None for process in processes):
             time.sleep(0.02)
         time.sleep(draw.uniform(0, 2))
-        victim = draw.randrange(2)
+        victim = number % 2
         assert processes[victim].poll() is None, "there was nothing left to disturb"
         processes[victim].kill()
         killed = time.monotonic()
