@@ -41,7 +41,6 @@ from dc2g_jax.objectnav.training import (
     train_step,
     validation_samples,
 )
-from dc2g_jax.rollouts.devices import first_copy
 from dc2g_jax.training.cost_to_go import TrainingState
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 
@@ -170,7 +169,7 @@ def training_task(
     batches = validation_samples(validation, config, options.validation_samples)
 
     def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
-        weights = first_copy(state.average if config.recipe.average_decay else state.weights)
+        weights = state.average if config.recipe.average_decay else state.weights
         estimator = CostMapEstimator(weights=weights, architecture=config.architecture)
         latest = None if loss is None else float(loss)
         found = {"step": step, "training_loss": latest, **figures(estimator, batches, config)}

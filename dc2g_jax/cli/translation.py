@@ -13,7 +13,6 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, newest_step, save_network
 from dc2g_jax.estimation.estimators import TranslatorCostToGo
 from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
-from dc2g_jax.rollouts.devices import first_copy
 from dc2g_jax.training.cost_to_go import check_numbers
 from dc2g_jax.training.image_data import MaskKind, image_set
 from dc2g_jax.training.image_evaluation import metrics_over_pairs
@@ -154,7 +153,7 @@ def train_translator(
     )
 
     def validate(state: TranslatorState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
-        network = TranslatorCostToGo(weights=first_copy(state.generator), architecture=config.architecture)
+        network = TranslatorCostToGo(weights=state.generator, architecture=config.architecture)
         save_network(out / "network", network, _card(dataset, config, options, seed, step))
         if not options.validate_every:
             return []

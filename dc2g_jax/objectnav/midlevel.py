@@ -28,7 +28,6 @@ from dc2g_jax.objectnav.agent import INDOOR_FIELD_OF_VIEW
 from dc2g_jax.objectnav.classes import OBJECT_CLASSES
 from dc2g_jax.objectnav.paint import NO_COLOR
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import first_copy, spread
 from dc2g_jax.training.loop import Losses, Task
 
 #: Rows and columns of an image, and of the blocks of pixels for which the default encoder is trained to answer.
@@ -320,7 +319,7 @@ def encoder_task(
     def step(state: EncoderState, views: CameraView) -> tuple[EncoderState, Float[Array, ""]]:
         key = jax.random.fold_in(jax.random.key(seed + 1), state.step)
         chosen = jax.random.randint(key, (batch_size,), 0, len(views.image))
-        batch, state = spread(jax.tree.map(lambda leaf: leaf[chosen], views), state)
+        batch = jax.tree.map(lambda leaf: leaf[chosen], views)
         loss, gradients = jax.value_and_grad(lambda weights: sum(losses(weights, batch).values(), jnp.float32(0)))(
             state.weights
         )
@@ -329,9 +328,8 @@ def encoder_task(
         return EncoderState(step=state.step + 1, weights=weights, optimizer=optimizer_state), loss
 
     def validate(state: EncoderState, step: int, loss: Losses | None) -> list[dict[str, float]]:
-        weights = first_copy(state.weights)
-        found = {name: float(loss) for name, loss in jit(losses)(weights, validation_views).items()}
-        save(TrainedEncoder(weights=weights, architecture=architecture), found)
+        found = {name: float(loss) for name, loss in jit(losses)(state.weights, validation_views).items()}
+        save(TrainedEncoder(weights=state.weights, architecture=architecture), found)
         return [{"step": step, **found}]
 
     validation_views = jax.tree.map(lambda leaf: leaf[:_VALIDATION_VIEWS], views)

@@ -26,7 +26,6 @@ from dc2g_jax.objectnav.losses import LossWeights, total_loss
 from dc2g_jax.objectnav.metrics import FIVE_ACTIONS, NINE_ACTIONS, action_accuracy, confusion, occupancy_scores
 from dc2g_jax.objectnav.networks import CostMapArchitecture, CostMapEstimator, Prediction, fused_cost
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import spread
 from dc2g_jax.training.cost_to_go import TrainingState, check_numbers, loss_or_nan, running_average
 
 
@@ -163,7 +162,6 @@ def train_step(
         symmetries=recipe.symmetries,
         normalize=NORMALIZATIONS[recipe.normalization],
     )
-    samples, state = spread(samples, state)
     (loss, _), gradient = jax.value_and_grad(lambda weights: mean_loss(config, weights, samples), has_aux=True)(
         state.weights
     )

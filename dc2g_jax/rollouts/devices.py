@@ -203,24 +203,6 @@ def on_each(function: Callable[..., Any], mesh: Mesh, dealt: Any, *shared: Any) 
     return mapped(dealt, shared)
 
 
-def spread(batch: Any, rest: Any) -> tuple[Any, Any]:
-    """Divide a batch among the devices inside a jitted function, if its size allows; otherwise one device has it.
-
-    Args:
-      batch: arrays with the batch on the first axis.
-      rest: what every device has whole, such as weights.
-
-    Returns:
-      Both, placed.
-    """
-    mesh, size = mesh_of(), len(jax.tree.leaves(batch)[0])
-    if size % mesh.size:
-        return batch, rest
-    place = jax.lax.with_sharding_constraint
-    split, whole = NamedSharding(mesh, PartitionSpec(AXIS)), NamedSharding(mesh, PartitionSpec())
-    return place(batch, split), place(rest, whole)
-
-
 def batched(mesh: Mesh) -> Callable[..., Any]:
     """`jax.vmap` on accelerators; on a CPU a loop, which skips branches that are not taken."""
 

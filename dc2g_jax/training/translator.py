@@ -15,7 +15,6 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import pix2pix
 from dc2g_jax.estimation.pix2pix import Discriminator, Generator, TranslatorArchitecture
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import spread
 from dc2g_jax.training.cost_to_go import check_numbers, loss_or_nan
 
 
@@ -180,7 +179,7 @@ def translator_step(
     """
     architecture = config.architecture
     batch_key, dropout_key = jax.random.split(jax.random.wrap_key_data(state.key))
-    batch, state = spread(draw_batch(batch_key, state.step, data), state)
+    batch = draw_batch(batch_key, state.step, data)
     dropout_key = jax.random.fold_in(dropout_key, state.step)
     generated, backward = jax.vjp(
         lambda weights: pix2pix.translate(architecture, weights, batch.image, dropout_key), state.generator
