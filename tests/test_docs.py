@@ -10,9 +10,11 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import jax
 import pytest
 import tyro
 
+from dc2g_jax.rollouts import devices
 from tests.support.places import ROOT
 
 PAGES = [ROOT / "README.md", ROOT / "BENCHMARKS.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -49,6 +51,7 @@ def test_python_examples_print_what_the_page_shows(page, tmp_path, monkeypatch, 
     """All examples of a page, in order, in one namespace and an empty folder, without a network."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("DC2G_DATA", "procedural")
+    monkeypatch.setattr(devices, "cores", jax.device_count)  # JAX has started, with as many as tests use
     namespace: dict[str, Any] = {"__name__": "__page__"}
     for number, (code, shown) in enumerate(examples(page), start=1):
         try:
