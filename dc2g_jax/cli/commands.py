@@ -27,6 +27,7 @@ COMMANDS = {
     "noisy-mapping": ("noisy_mapping", "drives from camera to door with increasing noise"),
     "map check": ("check_map", "check a map of your own"),
     "map explore": ("explore_map", "run planners on a map of your own"),
+    "map osm": ("import_osm", "make maps of the buildings of an OpenStreetMap extract"),
     "map recording": ("map_recording", "map a recorded sequence of depth images"),
     "draw dataset": ("draw_dataset", "every house of a dataset as a small map"),
     "draw episodes": ("draw_episodes", "figures of earlier episodes"),

@@ -23,9 +23,9 @@ from dc2g_jax.files.class_images import (
     read_class_image,
     read_palette,
     write_class_image,
+    write_palette,
 )
 from dc2g_jax.files.tables import read_table
-from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES
 from dc2g_jax.grid.world import World, world_from_terrain
 
 SPLIT_FILES = dict(zip(SPLITS, ("training_houses.csv", "validation_houses.csv", "testing_houses.csv"), strict=True))
@@ -238,8 +238,7 @@ def save_dataset(dataset_images: Iterable[tuple[str, str, np.ndarray]], folder: 
             raise InputError(f"{folder}: there are no houses to save; give at least one")
         for split, listed in names.items():
             (folder / SPLIT_FILES[split]).write_text("\n".join(["house_id", *listed, ""]), encoding="utf-8")
-        rows = [f"{name},{r},{g},{b}" for name, (r, g, b) in zip(CLASS_NAMES, CLASS_COLORS, strict=True)]
-        (folder / PALETTE_FILE).write_text("\n".join(["class,r,g,b", *rows, ""]), encoding="utf-8")
+        write_palette(folder)
     except OSError as error:
         raise InputError(f"{error.filename or folder}: cannot be written ({error.strerror})") from None
     return folder

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.png import read_png, write_png
-from dc2g_jax.files.tables import read_table
+from dc2g_jax.files.tables import read_table, write_table
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, UNKNOWN
 
 #: The palette of a dataset, in its folder.
@@ -140,6 +140,16 @@ def write_class_image(png_path: Path, classes: np.ndarray) -> None:
         OSError: the file cannot be written.
     """
     write_png(png_path, CLASS_COLORS[check_classes(str(png_path), classes)])
+
+
+def write_palette(folder: Path) -> None:
+    """Write the palette of the published colors to a folder, as `PALETTE_FILE`.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    rows = ((name, *color) for name, color in zip(CLASS_NAMES, CLASS_COLORS.tolist(), strict=True))
+    write_table(folder / PALETTE_FILE, ("class", "r", "g", "b"), rows)
 
 
 def _color_codes(colors: np.ndarray) -> np.ndarray:

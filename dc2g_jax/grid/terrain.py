@@ -50,6 +50,10 @@ CAR = CLASS_NAMES.index("car")
 PATH = CLASS_NAMES.index("path")
 HOUSE = CLASS_NAMES.index("house")
 SIDEWALK = CLASS_NAMES.index("sidewalk")
+FENCE = CLASS_NAMES.index("fence")
+TREE = CLASS_NAMES.index("tree")
+BUSH = CLASS_NAMES.index("bush")
+NOTHING = CLASS_NAMES.index("nothing")
 
 _TRAVERSABLE_NAMES = ("front_door", "road", "driveway", "path", "sidewalk", "traversable")
 

@@ -13,7 +13,20 @@ from scipy import ndimage
 
 from dc2g_jax.datasets.procedural.filling import fill_polygons
 from dc2g_jax.grid.sampling import ClassImage
-from dc2g_jax.grid.terrain import CAR, DRIVEWAY, FRONT_DOOR, GRASS, HOUSE, PATH, ROAD, SIDEWALK
+from dc2g_jax.grid.terrain import (
+    BUSH,
+    CAR,
+    DRIVEWAY,
+    FENCE,
+    FRONT_DOOR,
+    GRASS,
+    HOUSE,
+    NOTHING,
+    PATH,
+    ROAD,
+    SIDEWALK,
+    TREE,
+)
 
 Points = npt.NDArray[np.float64]
 Polygons = list[Points]
@@ -21,6 +34,10 @@ Range = tuple[float, float]
 
 #: Layer -> terrain class, in painting order: later layers cover earlier ones. Pavement minus verge is sidewalk.
 LAYERS: dict[str, int] = {
+    "blocked": NOTHING,
+    "bush": BUSH,
+    "tree": TREE,
+    "fence": FENCE,
     "path": PATH,
     "pavement": SIDEWALK,
     "driveway": DRIVEWAY,

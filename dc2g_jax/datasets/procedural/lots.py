@@ -118,8 +118,8 @@ def build_lot(rng: np.random.Generator, style: LotStyle, curb: Curb, has_sidewal
     lot.essentials += [drive.line]
     starts = _walkway_starts(rng, house, stand, at_curb, drive, has_sidewalk)
     width = uniform(rng, (1.2, 2.0)) if style.setback[1] > 20 else uniform(rng, (0.9, 1.6))
-    lot.shapes["path"] = [piece for start in starts for piece in _walkway(rng, house, stand, start, width)]
-    lot.shapes["door"] = [stand.place(_door(rng, house.door, style))]
+    lot.shapes["path"] = [piece for start in starts for piece in walkway(rng, house.door, stand, start, width)]
+    lot.shapes["door"] = [stand.place(door_outline(rng, house.door, 1.15 if style.setback[1] > 20 else 1.0))]
     if rng.random() < style.second_door:
         _add_side_door(rng, lot, house, stand, width)
     if rng.random() < style.cars:
@@ -137,8 +137,8 @@ class Driveway:
     walk_from: Points
 
 
-def _tapered(rng: np.random.Generator, line: Points, at_road: float, at_house: float, flare: float) -> Polygons:
-    """The strip of a driveway: its width varies from road to house, and flares over its first meters."""
+def tapered(rng: np.random.Generator, line: Points, at_road: float, at_house: float, flare: float) -> Polygons:
+    """The strip of a driveway along a line [n 2]: its width varies from road to house, and flares at the road."""
     distance = traveled(line)
     width = np.interp(distance, (0, distance[-1]), (at_road, at_house))
     mouth = uniform(rng, (2.0, 3.5))
@@ -157,7 +157,7 @@ def _front_driveway(
     mouth = curb.at(away + rng.normal(0, 1.2))
     line = np.array([mouth.place((0, -1.2)), mouth.place((0, uniform(rng, (0.8, 2.0)))), before, end])
     line = resample(smooth(line, int(rng.integers(0, 3))), 0.8)
-    shape = _tapered(rng, line, at_house * uniform(rng, (0.75, 1.1)), at_house, uniform(rng, (1.0, 1.7)))
+    shape = tapered(rng, line, at_house * uniform(rng, (0.75, 1.1)), at_house, uniform(rng, (1.0, 1.7)))
     walk = stand.place([(x, y - uniform(rng, (0.8, 3.5))), (x, y - uniform(rng, (0.8, 2.0)))])
     return Driveway(shape, line, at_house, walk)
 
@@ -196,7 +196,7 @@ def _winding_driveway(
     if rng.random() < 0.3:
         line = np.delete(line, (3, 4), axis=0)
     line = resample(smooth(line, int(rng.choice((0, 1, 2, 3), p=(0.12, 0.28, 0.3, 0.3)))), 1.2)
-    shape = _tapered(rng, line, width, width * uniform(rng, (0.95, 1.3)), uniform(rng, (1.2, 2.4)))
+    shape = tapered(rng, line, width, width * uniform(rng, (0.95, 1.3)), uniform(rng, (1.2, 2.4)))
     backs = len(line) - 1 - np.rint(rng.uniform(4, 12, 2) / 1.2).astype(int)
     walk = np.concatenate([line[np.maximum(backs, 0)], stand.place(middle)[None]])
     return Driveway([*shape, *stand.place_all(court)], line, width, walk)
@@ -253,7 +253,7 @@ def _side_driveway(
     mouth = curb.at(sign * x + rng.normal(0, 1.0))
     line = np.array([mouth.place((0, -1.2)), mouth.place((0, 1.5)), before, end])
     line = resample(smooth(line, int(rng.integers(0, 3))), 0.8)
-    shape = _tapered(rng, line, width, width * uniform(rng, (0.9, 1.4)), uniform(rng, (1.0, 1.8)))
+    shape = tapered(rng, line, width, width * uniform(rng, (0.9, 1.4)), uniform(rng, (1.0, 1.8)))
     front = min(house.garage[1], house.door[1])
     return Driveway(shape, line, width, stand.place([(x, front - uniform(rng, (1.0, 3.0)))]))
 
@@ -280,9 +280,19 @@ def _walkway_starts(
     return [from_drive, from_street] if near and draw > 1 - both else [from_drive]
 
 
-def _walkway(rng: np.random.Generator, house: HouseOutline, stand: Placement, start: Points, width: float) -> Polygons:
-    """A bent, slanted or curved walkway in front of the house, from a point of the plane to the front door."""
-    door_x, door_y = house.door
+def walkway(
+    rng: np.random.Generator, door: tuple[float, float], stand: Placement, start: Points, width: float
+) -> Polygons:
+    """A bent, slanted or curved walkway in front of a house, from a point of the plane to the front door.
+
+    Args:
+      rng: random number generator.
+      door: the door in the house's frame.
+      stand: the house's frame.
+      start: the first point [2], in the plane.
+      width: width in meters.
+    """
+    door_x, door_y = door
     cosine, sine = np.cos(stand.angle), np.sin(stand.angle)
     dx, dy = start - stand.origin
     local_x, local_y = dx * cosine + dy * sine, -dx * sine + dy * cosine
@@ -304,9 +314,8 @@ def _walkway(rng: np.random.Generator, house: HouseOutline, stand: Placement, st
     return stand.place_all(stroke(jitter(rng, line, 0.06), width * ending))
 
 
-def _door(rng: np.random.Generator, door: tuple[float, float], style: LotStyle) -> Points:
+def door_outline(rng: np.random.Generator, door: tuple[float, float], size: float) -> Points:
     """A front door's outline in the house's frame: a small quadrilateral that straddles the front."""
-    size = 1.15 if style.setback[1] > 20 else 1.0
     half = size * uniform(rng, (0.9, 1.7))
     outer, inner = size * uniform(rng, (0.5, 1.1)), size * uniform(rng, (0.5, 1.2))
     corners = rectangle(door[0] - half, door[1] - outer, door[0] + half, door[1] + inner)

@@ -1,0 +1,210 @@
+"""Maps of the buildings of an OpenStreetMap extract: each with its street, its neighbors, and a door to reach."""
+
+import itertools
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dc2g_jax.datasets.osm.entrances import (
+    Entry,
+    Site,
+    Uses,
+    add_driveway,
+    facades,
+    is_entrance,
+    plan_entry,
+    street_points,
+)
+from dc2g_jax.datasets.osm.extract import Area, Extract, Line
+from dc2g_jax.datasets.osm.shapes import (
+    Shape,
+    bounds_of,
+    fill,
+    mapped_shapes,
+    sidewalk_sides,
+    sidewalks,
+    square_view,
+    street_width,
+)
+from dc2g_jax.datasets.procedural.drawing import PictureFrame, Points, Sketch, resample
+from dc2g_jax.grid.ground import component_numbers
+from dc2g_jax.grid.sampling import ClassImage, resize_nearest, sample_grid
+from dc2g_jax.grid.terrain import FRONT_DOOR, ROAD, TRAVERSABLE, UNKNOWN
+
+#: Share of the streets without mapped sidewalks that get some, and the kinds of streets that may.
+_SIDEWALKS, _WITH_SIDEWALKS = 0.7, ("residential", "unclassified", "tertiary", "secondary", "primary")
+
+#: Meters around a building in which its driveway and walkway are looked for, at most.
+_GROUNDS = 25.0
+
+#: Meters from the edge of a street within which a mapped sidewalk is its own; margin around what a map shows, meters.
+_BESIDE, _MARGIN = 8.0, 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class BuildingMap:
+    """The map of a building.
+
+    Attributes:
+      building: the building.
+      latitude: latitude of the map's center, degrees.
+      longitude: its longitude.
+      classes: class indices, uint8 [H W], north up.
+      added: those that are not mapped but added, 0 elsewhere, uint8 [H W].
+    """
+
+    building: Area
+    latitude: float
+    longitude: float
+    classes: ClassImage
+    added: ClassImage
+
+
+class _ShapeIndex:
+    """Shapes, to be asked for those in a picture."""
+
+    def __init__(self, shapes: Sequence[Shape]) -> None:
+        self._shapes, self._bounds = shapes, bounds_of(shapes)
+
+    def within(self, view: PictureFrame) -> list[Shape]:
+        low, high = view.corner, view.corner + np.array([view.width, view.height]) / view.scale
+        near = np.all((self._bounds[:, 0] <= high) & (self._bounds[:, 1] >= low), axis=1)
+        return list(itertools.compress(self._shapes, near))
+
+
+class Neighborhood:
+    """The buildings of an extract, of which maps can be drawn.
+
+    Args:
+      extract: the extract.
+      meters: side of the maps.
+      cells: columns and rows of the grid that they are sampled to.
+      seed: seed of what is added.
+      only_mapped: whether to add nothing.
+      around: whether to draw only buildings on whose maps the extract's center is.
+
+    Attributes:
+      buildings: those with a front door, mapped or not.
+    """
+
+    def __init__(
+        self, extract: Extract, *, meters: float, cells: int, seed: int, only_mapped: bool, around: bool = False
+    ) -> None:
+        self._extract, self._meters, self._cells = extract, meters, cells
+        self._seed, self._only_mapped = seed, only_mapped
+        mapped = mapped_shapes(extract, meters / cells)
+        self._mapped = _ShapeIndex(mapped)
+        self._streets = street_points(extract.streets)
+        self._entrances = list(filter(is_entrance, extract.spots))
+        self._sidewalks = _ShapeIndex([] if only_mapped else self._added_sidewalks())
+        self._uses = uses = Uses(extract.buildings)
+        self.buildings = [area for area in extract.buildings if uses.has_front_door(area)]
+        if around:
+            self.buildings = [one for one in self.buildings if _shows(self._view(one), np.zeros(2))]
+        self._entered = [area for area in extract.buildings if uses.has_front_door(area) or uses.is_garage(area)]
+        self._entered_bounds = bounds_of(Shape("house", area.outer) for area in self._entered)
+        self._entries: dict[str, Entry | str] = {}
+
+    def _random(self, name: str) -> np.random.Generator:
+        return np.random.default_rng([self._seed, zlib.crc32(name.encode())])
+
+    def _added_sidewalks(self) -> list[Shape]:
+        """Sidewalks along streets of which it is not mapped whether they have some."""
+        walks = [line.points for line in self._extract.lines if line.tags.get("footway") == "sidewalk"]
+        mapped = np.concatenate([resample(points, 2.0) for points in walks]) if walks else np.full((1, 2), np.inf)
+        shapes = []
+        for line in self._extract.streets:
+            usual = line.tags["highway"] in _WITH_SIDEWALKS and sidewalk_sides(line.tags) is None
+            if usual and self._random(line.name).random() < _SIDEWALKS and not _has_beside(line, mapped):
+                shapes.append(sidewalks(line, (True, True), self._meters / self._cells))
+        return [shape for shape in shapes if shape is not None]
+
+    def _view(self, building: Area) -> PictureFrame | None:
+        """The picture of a building with its street; `None` if the street is too far away.
+
+        Of a building that does not fit with its street, only what is nearest to the street is shown.
+        """
+        corners, walls = building.corners, facades(building).points
+        distance, street = self._streets.nearest(walls)
+        nearest = int(np.argmin(distance))
+        shown = np.vstack([corners, street[nearest]])
+        low, high = shown.min(axis=0), shown.max(axis=0)
+        center = (low + high) / 2
+        if np.max(high - low) > self._meters - 2 * _MARGIN:
+            center = walls[nearest]
+            if distance[nearest] > self._meters / 2 - _MARGIN:
+                return None
+        return square_view(center, self._meters, self._cells)
+
+    def _entry(self, building: Area) -> Entry | str:
+        """How a building is entered, or the reason why it is not. Kept, since neighbors show it too."""
+        if building.name not in self._entries:
+            self._entries[building.name] = self._planned_entry(building)
+        return self._entries[building.name]
+
+    def _planned_entry(self, building: Area) -> Entry | str:
+        view = self._view(building)
+        if view is None:
+            return "no street is near enough to be on its map"
+        sketch = Sketch(view)
+        fill(sketch, [*self._mapped.within(view), *self._sidewalks.within(view)])
+        site, rng = Site(view, sketch.classes(), self._meters / self._cells), self._random(building.name)
+        if self._uses.has_front_door(building):
+            return plan_entry(building, site, self._streets, self._entrances, rng, self._only_mapped)
+        driveway = None
+        if not self._only_mapped:
+            driveway = add_driveway(building, facades(building), site, self._streets, rng, None)
+        return Entry([], False, [] if driveway is None else [driveway[0]])
+
+    def map_of(self, building: Area) -> BuildingMap | str:
+        """The map of a building, or the reason why there is none.
+
+        Doors of neighbors that cannot be reached on this map are left out of it.
+        """
+        entry, view = self._entry(building), self._view(building)
+        if isinstance(entry, str) or view is None:
+            return str(entry)
+        around = [one for one in map(self._entry, self._neighbors(view)) if isinstance(one, Entry)]
+        mapped = Sketch(view)
+        fill(mapped, self._mapped.within(view))
+        whole = Sketch(view, {layer: mask.copy() for layer, mask in mapped.masks.items()})
+        fill(whole, [*self._sidewalks.within(view), *(shape for one in around for shape in one.added)])
+        doors = [(door, one) for one in around for door in one.doors]
+        whole.add("door", [door for door, _ in doors])
+        grid = sample_grid(whole.classes(), self._cells)
+        labels = component_numbers(TRAVERSABLE[grid])
+        reached = (grid == FRONT_DOOR) & np.isin(labels, labels[grid == ROAD])
+        doors = [
+            (door, one) for door, one in doors if np.any(resize_nearest(whole.mask([door]), *grid.shape) & reached)
+        ]
+        if not any(one is entry for _, one in doors):
+            return f"its door cannot be reached from the street on {self._cells} x {self._cells} cells"
+        whole.masks["door"] = whole.mask(door for door, _ in doors)
+        mapped.add("door", [door for door, one in doors if one.mapped])
+        classes = whole.classes()
+        center = view.corner + self._meters / 2
+        added = np.where(classes == mapped.classes(), np.uint8(UNKNOWN), classes)
+        return BuildingMap(building, *self._extract.degrees(center), classes, added)
+
+    def _neighbors(self, view: PictureFrame) -> list[Area]:
+        """Buildings and garages that a picture shows, or whose driveways it may show."""
+        low, high = view.corner - _GROUNDS, view.corner + self._meters + _GROUNDS
+        near = np.all((self._entered_bounds[:, 0] <= high) & (self._entered_bounds[:, 1] >= low), axis=1)
+        return list(itertools.compress(self._entered, near))
+
+
+def _has_beside(line: Line, mapped: Points) -> bool:
+    """Whether mapped sidewalks, as points [n 2], run beside a street."""
+    points = resample(line.points, 4.0)
+    distance = np.min(np.hypot(*(points[:, None] - mapped).transpose(2, 0, 1)), axis=1)
+    return bool(np.mean(distance < street_width(line.tags) / 2 + _BESIDE) > 0.3)
+
+
+def _shows(view: PictureFrame | None, point: Points) -> bool:
+    """Whether a point [2] is in a picture."""
+    if view is None:
+        return False
+    pixel = view.to_pixels(point[None])[0]
+    return bool(np.all((pixel >= 0) & (pixel < (view.width, view.height))))
