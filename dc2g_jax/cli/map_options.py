@@ -54,11 +54,21 @@ def terrain_of(options: MapOptions) -> UInt8[np.ndarray, "h w"]:
 
 
 def doubts_about(options: MapOptions) -> list[str]:
-    """Probable mistakes in a map's file, one per line."""
-    if options.map.suffix.lower() not in YAML_ENDINGS:
-        return []
-    doubt = read_occupancy_map(options.map).doubt
-    return [doubt] if doubt else []
+    """Probable mistakes in a map's file or in the size of its grid, one per line."""
+    doubts: list[str] = []
+    if options.map.suffix.lower() in YAML_ENDINGS:
+        doubts += read_occupancy_map(options.map).doubts
+    if options.cells is not None:
+        palette = None if options.palette is None else read_palette(options.palette)
+        height, width = draw_map(options.map, palette=palette).shape
+        columns, rows = options.cells
+        kept = max(round(columns * height / width), 1)
+        if abs(rows - kept) > 1:
+            doubts.append(
+                f"--cells {columns} {rows} does not keep the aspect ratio of {width} x {height} pixels; "
+                f"--cells {columns} {kept} would"
+            )
+    return doubts
 
 
 def start_in(where: str, house: House, pose: tuple[int, int, int] | None, seed: int) -> Start:

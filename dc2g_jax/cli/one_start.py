@@ -42,6 +42,8 @@ class OneStartOptions(NetworkOptions, OutOptions):
         own.
       sensing_range: number of cells that a robot sees ahead.
       animation: formats of the animation.
+      figures: `none` draws neither figures nor the animation, which take most of the time on large maps.
+      record: `none` writes no rerun recording, which takes most of the space on large maps.
     """
 
     start: StartOption = None
@@ -49,6 +51,8 @@ class OneStartOptions(NetworkOptions, OutOptions):
     planner: PlannersOption = ("dc2g", "frontier")
     sensing_range: int = 8
     animation: tuple[Literal["gif", "mp4"], ...] = ("gif",)
+    figures: Literal["all", "none"] = "all"
+    record: Literal["all", "none"] = "all"
 
     def check_sensing_range(self) -> None:
         """Check that the sensing range is supported.
@@ -126,25 +130,32 @@ def _draw(
     network: TrainedNetwork | None,
 ) -> None:
     """Write the figures, animations and recording of the episodes in `results`, given by planner."""
-    plot_trajectories(out / "trajectories", house, results)
+    figures, record = options.figures == "all", options.record == "all"
+    if figures:
+        plot_trajectories(out / "trajectories", house, results)
+    if not (figures or record):
+        return
     chosen = _replayable({planner: results[planner] for planner in options.planner}, house.terrain.size)
     if not chosen:
         return
     rules = SETTINGS["paper"].rules(options.sensing_range)
-    total = len(chosen) + len(options.animation) + 2
+    animations = options.animation if figures else ()
+    total = len(chosen) + len(animations) + figures + record
     with tqdm(total=total, desc=f"{'drawing':>16}", unit="file", file=sys.stderr) as bar:
         episodes = {}
         for planner, result in chosen.items():
             episodes[planner] = RecordedEpisode(result, replay_result(result, house, rules, network))
             bar.update()
         frames = {planner: episode.frames for planner, episode in episodes.items()}
-        plot_episode(out / name, house, frames)
-        bar.update()
-        for extension in options.animation:
+        if figures:
+            plot_episode(out / name, house, frames)
+            bar.update()
+        for extension in animations:
             animate(out / f"{name}.{extension}", house, frames)
             bar.update()
-        record_frames(out / f"{name}.rrd", house=house, episodes=episodes)
-        bar.update()
+        if record:
+            record_frames(out / f"{name}.rrd", house=house, episodes=episodes)
+            bar.update()
 
 
 def _replayable(results: Mapping[str, EpisodeResult], cells: int) -> dict[str, EpisodeResult]:

@@ -38,8 +38,8 @@ class StepLimitOptions(CommandOptions):
     """The length of episodes.
 
     Attributes:
-      step_limit: actions after which an episode ends without success; by default 500, and on maps of over 50 x 50 cells
-        one action for every five cells of the map.
+      step_limit: actions after which an episode ends without success; by default 500, and more on larger maps and where
+        ways to the goal are long.
     """
 
     step_limit: StepLimitOption = None

@@ -251,8 +251,11 @@ def read_map_folder(folder: Path) -> list[tuple[str, str, UInt8[np.ndarray, "h w
     name of the map (`map,x,y,unit`, see `Goal`); and `cells.csv`, the size of the grid to which every map is sampled
     (`columns,rows` and one line). Without `cells.csv`, each pixel is a cell.
 
+    As in the published dataset, there may be maps without a path to a goal; no episode can be run on them, see
+    `dc2g_jax.datasets.starts.why_no_episode`.
+
     Raises:
-      InputError: `read_map` rejects a map, two maps have the same name, or one of the tables is invalid.
+      InputError: `draw_map` rejects a map, two maps have the same name, or one of the tables is invalid.
     """
     files = map_files(folder)
     paths: dict[str, Path] = {}
@@ -267,7 +270,7 @@ def read_map_folder(folder: Path) -> list[tuple[str, str, UInt8[np.ndarray, "h w
     goals = _read_goals(folder / GOALS_FILE, list(paths))
     cells = _read_cells(folder / CELLS_FILE)
     return [
-        (path.stem, split, read_map(path, palette=palette, goals=goals.get(path.stem, ()), cells=cells))
+        (path.stem, split, draw_map(path, palette=palette, goals=goals.get(path.stem, ()), cells=cells))
         for split in SPLITS
         for path in files[split]
     ]

@@ -1,25 +1,37 @@
-"""ROS occupancy maps, read like map_server reads them: a YAML file with metadata and a PGM image."""
+"""ROS occupancy maps, read like map_server reads them: a YAML file with metadata and a PGM or PNG image."""
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.png import read_png
 from dc2g_jax.grid.terrain import HOUSE, ROAD, UNKNOWN
 
 #: File endings of occupancy maps.
 YAML_ENDINGS = (".yaml", ".yml")
 
+#: Percent of a pixel that is occupied.
+_OCCUPIED = 100
+
+_MODES = ("trinary", "scale", "raw")
+
 _REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 
 #: The gray value that map savers write for unknown pixels, and the usual threshold, with which it is not read as free.
 _UNKNOWN_GRAY, _USUAL_FREE_THRESHOLD = 205, 0.196
+
+#: Kinds of PNG files that are images of maps.
+_PNG_KINDS = (
+    "palette", "1-bit grayscale", "2-bit grayscale", "4-bit grayscale", "8-bit grayscale", "16-bit grayscale",
+    "8-bit grayscale with alpha", "8-bit RGB", "8-bit RGBA",
+)  # fmt: skip
 
 _GAP = rb"(?:\s|#[^\r\n]*[\r\n])+"
 _PGM_HEADER = re.compile(rb"P5" + _GAP + rb"(\d{1,6})" + _GAP + rb"(\d{1,6})" + _GAP + rb"(\d{1,5})\s")
@@ -36,7 +48,7 @@ class OccupancyMap:
       resolution: meters per pixel.
       origin: position of the lower left corner of the image in the map frame, x and y in meters, and the
         counterclockwise rotation of the image about it in radians.
-      doubt: one line about metadata that was followed but is probably a mistake, or `None`.
+      doubts: lines about what may be a mistake in the metadata, and about what was left out of the image.
     """
 
     path: Path
@@ -44,7 +56,7 @@ class OccupancyMap:
     occupied: Bool[np.ndarray, "h w"]
     resolution: float
     origin: tuple[float, float, float]
-    doubt: str | None
+    doubts: tuple[str, ...]
 
     def terrain(self, columns: int, rows: int) -> UInt8[np.ndarray, "{rows} {columns}"]:
         """The map as terrain: road where free, house where occupied, unknown elsewhere.
@@ -88,11 +100,16 @@ def _covered(pixels: Bool[np.ndarray, "h w"], columns: int, rows: int) -> np.nda
 
 
 def read_occupancy_map(path: Path) -> OccupancyMap:
-    """Read a ROS map: `image`, `resolution`, `origin`, `negate`, `occupied_thresh`, `free_thresh`; mode `trinary`.
+    """Read a ROS map: `image`, `resolution`, `origin`, `negate`, `occupied_thresh`, `free_thresh` and `mode`.
+
+    The modes are those of map_server of Navigation2: `trinary`, which is the default, `scale` and `raw`. In the last
+    two, pixels have an occupancy in percent; unknown are those above 100 (`raw`) and transparent ones (`scale`). As in
+    costmaps of Navigation2, 100 is occupied and less is free.
+
+    A map that is mostly unknown is cropped to what is known.
 
     Raises:
-      InputError: the YAML file or its image is missing, unreadable or damaged, a key is missing, a value is invalid,
-        or the mode is not `trinary`.
+      InputError: the YAML file or its image is missing, unreadable or damaged, a key is missing, or a value is invalid.
     """
     facts = _read_facts(path)
     image = path.parent / str(facts["image"])
@@ -111,20 +128,64 @@ def read_occupancy_map(path: Path) -> OccupancyMap:
         )
     if facts["negate"] not in (0, 1):
         raise InputError(f"{path}: negate is {facts['negate']!r}; give 0 where white is free, 1 where black is")
-    if facts.get("mode", "trinary") != "trinary":
-        raise InputError(f"{path}: mode is {facts['mode']!r}; save the map in the mode trinary, no other is read")
-    grays = _read_pgm(image, path)
-    shades = np.arange(256) / 255
-    occupancy = shades if facts["negate"] else 1 - shades
-    free = occupancy < free_threshold
-    doubt = None
-    unknown_grays = int(np.sum(grays == _UNKNOWN_GRAY))
+    mode = facts.get("mode", "trinary")
+    if mode not in _MODES:
+        raise InputError(f"{path}: mode is {mode!r}; write one of {', '.join(_MODES)}")
+    levels, highest, opaque = _read_image(image, path, mode)
+    shades = np.arange(highest + 1) / highest
+    free, occupied = _known_levels(mode, shades, bool(facts["negate"]), free_threshold, occupied_threshold)
+    doubts = []
+    unknown_grays = int(np.sum(levels == _UNKNOWN_GRAY)) if highest == 255 and mode == "trinary" else 0
     if unknown_grays and free[_UNKNOWN_GRAY] and not facts["negate"]:
-        doubt = (
+        doubts.append(
             f"{unknown_grays} pixels are gray {_UNKNOWN_GRAY}, which map savers write where nothing is known, but "
             f"free_thresh {free_threshold} makes them free; if that is not meant, write {_USUAL_FREE_THRESHOLD}"
         )
-    return OccupancyMap(path, free[grays], (occupancy > occupied_threshold)[grays], resolution, (x, y, yaw), doubt)
+    pixels = OccupancyMap(path, free[levels] & opaque, occupied[levels] & opaque, resolution, (x, y, yaw), (*doubts,))
+    return _cropped(pixels)
+
+
+def _known_levels(
+    mode: str, shades: Float[np.ndarray, "level"], negate: bool, free_threshold: float, occupied_threshold: float
+) -> tuple[Bool[np.ndarray, "level"], Bool[np.ndarray, "level"]]:
+    """Which shades of gray, from 0 to 1, are free, and which are occupied."""
+    occupancy = shades if negate else 1 - shades
+    if mode == "trinary":
+        return occupancy < free_threshold, occupancy > occupied_threshold
+    if mode == "scale":
+        between = (occupancy - free_threshold) / max(occupied_threshold - free_threshold, np.finfo(float).tiny)
+        percent = np.rint(np.clip(between, 0, 1) * _OCCUPIED)
+    else:
+        percent = np.rint(shades * 255)
+    return percent < _OCCUPIED, percent == _OCCUPIED
+
+
+def _cropped(pixels: OccupancyMap) -> OccupancyMap:
+    """A map without the unknown rim, if most of it is unknown."""
+    known = pixels.free | pixels.occupied
+    if not 0 < np.sum(known) < known.size / 2:
+        return pixels
+    rows, columns = np.flatnonzero(np.any(known, axis=1)), np.flatnonzero(np.any(known, axis=0))
+    top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+    height, width = known.shape
+    if (bottom - top, right - left) == (height, width):
+        return pixels
+    x, y, yaw = pixels.origin
+    east, north = left * pixels.resolution, (height - bottom) * pixels.resolution
+    corner_x = float(x + east * math.cos(yaw) - north * math.sin(yaw))
+    corner_y = float(y + east * math.sin(yaw) + north * math.cos(yaw))
+    doubt = (
+        f"most of the map is unknown: of its {width} x {height} pixels, columns {left} to {right - 1} and rows {top} "
+        f"to {bottom - 1} are kept; columns and rows count from there"
+    )
+    part = np.s_[top:bottom, left:right]
+    return replace(
+        pixels,
+        free=pixels.free[part],
+        occupied=pixels.occupied[part],
+        origin=(corner_x, corner_y, yaw),
+        doubts=(*pixels.doubts, doubt),
+    )
 
 
 def _read_facts(path: Path) -> dict[str, Any]:
@@ -161,17 +222,42 @@ def _number(path: Path, key: str, value: object) -> float:
     return number
 
 
-def _read_pgm(path: Path, named_in: Path) -> UInt8[np.ndarray, "h w"]:
-    """Gray values of a binary 8-bit PGM file, whose length is checked."""
+def _read_image(path: Path, named_in: Path, mode: str) -> tuple[Int[np.ndarray, "h w"], int, Bool[np.ndarray, "#h #w"]]:
+    """Levels of gray, the level of white, and which pixels are opaque enough to be known.
+
+    Transparency matters as in map_server: in the mode `trinary` it is averaged with the colors, in the mode `scale` all
+    of a pixel has to be opaque, and in the mode `raw` it is ignored.
+
+    Args:
+      path: the image, a binary PGM or a PNG file.
+      named_in: the YAML file that names it.
+      mode: the mode of the map.
+    """
     try:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}), but {named_in} names it as its image") from None
+    all_opaque = np.ones((1, 1), bool)
+    if not data.startswith(b"\x89PNG"):
+        return _pgm_grays(path, data).astype(int), 255, all_opaque
+    picture = read_png(path, _PNG_KINDS, "free and occupied ground in shades of gray")
+    if picture.mode.startswith("I"):
+        return np.asarray(picture).astype(int), 2**16 - 1, all_opaque
+    if "A" not in picture.getbands() and "transparency" not in picture.info:
+        return np.sum(np.asarray(picture.convert("RGB")), axis=-1, dtype=int), 3 * 255, all_opaque
+    channels = np.asarray(picture.convert("RGBA"))
+    counted = channels if mode == "trinary" else channels[..., :3]
+    opaque = channels[..., 3] == 255 if mode == "scale" else all_opaque
+    return np.sum(counted, axis=-1, dtype=int), counted.shape[-1] * 255, opaque
+
+
+def _pgm_grays(path: Path, data: bytes) -> UInt8[np.ndarray, "h w"]:
+    """Gray values of a binary 8-bit PGM file, whose length is checked."""
     header = _PGM_HEADER.match(data)
     if header is None:
         raise InputError(
-            f"{path}: starts with {data[:8].hex(' ') or 'nothing'}, so it is not a binary PGM file (P5); save the map "
-            "as PGM"
+            f"{path}: starts with {data[:8].hex(' ') or 'nothing'}, so it is neither a binary PGM file (P5) nor a "
+            "PNG file; save the map as one"
         )
     width, height, highest = (int(number) for number in header.groups())
     if highest != 255 or not (width and height):

@@ -64,3 +64,20 @@ def why_no_path(terrain: UInt8[np.ndarray, "h w"]) -> str | None:
     if np.all(goals_without_ground(terrain)[goals]):
         return "no front door can be reached, none touches other traversable ground"
     return None
+
+
+def longest_way(terrain: UInt8[np.ndarray, "h w"]) -> int:
+    """Cells of the longest of all shortest 4-connected ways from a front door to ground; 0 without a front door."""
+    unseen = np.pad(connected_to_goal(terrain), 1)
+    reached = np.flatnonzero(unseen & np.pad(terrain == FRONT_DOOR, 1))
+    to_neighbors = np.array([[1], [-1], [unseen.shape[1]], [-unseen.shape[1]]])
+    unseen = unseen.ravel()
+    cells = 0
+    unseen[reached] = False
+    while True:
+        near = np.unique(reached + to_neighbors)
+        reached = near[unseen[near]]
+        if not len(reached):
+            return cells
+        unseen[reached] = False
+        cells += 1

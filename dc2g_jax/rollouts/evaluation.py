@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Int, UInt8
 
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset, stack_worlds
 from dc2g_jax.datasets.starts import Start, sample_starts
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
+from dc2g_jax.grid.ground import connected_to_goal, longest_way
 from dc2g_jax.grid.poses import ACTION_LETTERS, HEADINGS, make_pose
 from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.planning.named import NETWORK_PLANNERS, check_names, make_planner, open_estimator
@@ -27,6 +28,9 @@ from dc2g_jax.rollouts.statistics import Summary, extra_steps, summarize
 
 #: Cells of a map per action of its step limit: the published maps, of 50 x 50 cells, have a limit of 500.
 _CELLS_A_STEP = 50 * 50 // STEP_LIMIT
+
+#: Actions for each cell of the longest way to a goal, at least.
+_STEPS_A_CELL_OF_WAY = 4
 
 #: Planners besides those of the package: name -> function that makes the planner from the rules of an episode.
 OwnPlanners = Mapping[str, Callable[[Rules], Planner]]
@@ -122,14 +126,21 @@ def episodes_from(starts: Sequence[Start], index: Mapping[str, int]) -> Episodes
     return Episodes(world=jnp.asarray(world), start=make_pose(x, y, heading))
 
 
+def _default_step_limit(terrain: UInt8[np.ndarray, "h w"]) -> int:
+    """Actions that a map may need by its size, its ground, and its longest way to a goal."""
+    ground = int(np.sum(connected_to_goal(terrain)))
+    return max(min(terrain.size // _CELLS_A_STEP, ground), _STEPS_A_CELL_OF_WAY * longest_way(terrain))
+
+
 class Runner:
     """Runs planners from given starts in the houses of one dataset, all episodes of a planner at once.
 
     Args:
       dataset: the houses.
       settings: rules by sensing range.
-      step_limit: actions after which an episode ends without success; `None` for 500, and on maps of over 50 x 50
-        cells, the size of the published ones, one action for every five cells of the largest map.
+      step_limit: actions after which an episode ends without success; `None` for the most that any map needs: an action
+        for every five cells, but no more than for every cell of ground that leads to a goal; four for every cell of its
+        longest way to a goal; 500, as on the published maps.
       progress: called as `progress(planner, finished, episodes)` between calls of the device.
 
     Attributes:
@@ -153,7 +164,7 @@ class Runner:
         self._worlds = stack_worlds(dataset.houses)
         self._settings = settings
         if step_limit is None:
-            step_limit = max(STEP_LIMIT, max(house.terrain.size for house in dataset.houses) // _CELLS_A_STEP)
+            step_limit = max([STEP_LIMIT, *(_default_step_limit(house.terrain) for house in dataset.houses)])
         if step_limit < 1:
             raise InputError(f"step limit {step_limit}: give at least 1 (--step-limit)")
         self.step_limit = step_limit

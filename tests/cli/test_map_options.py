@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dc2g_jax.cli.map_options import start_in
+from dc2g_jax.cli.map_options import MapOptions, doubts_about, start_in
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.starts import Start
 from tests.support.maps import drawn
@@ -60,3 +60,12 @@ def test_without_road_that_leads_to_a_goal_a_start_has_to_be_given():
     terrain[0, 2] = 2
     house = House("doorless", "test", terrain)
     refusal(lambda: start_in("no.png", house, None, seed=0), "no.png: ", "no front door", "choose another one")
+
+
+def test_grids_that_distort_a_map_are_told(tmp_path):
+    np.save(tmp_path / "yard.npy", np.full((40, 60), 3, np.uint8))
+    told = [
+        doubts_about(MapOptions(tmp_path / "yard.npy", cells=cells)) for cells in (None, (30, 20), (30, 21), (30, 30))
+    ]
+    assert told[:3] == [[], [], []]
+    assert told[3] == ["--cells 30 30 does not keep the aspect ratio of 60 x 40 pixels; --cells 30 20 would"]

@@ -8,6 +8,7 @@ import pytest
 
 from dc2g_jax.datasets.houses import map_dataset, open_dataset, save_dataset, stack_worlds
 from dc2g_jax.datasets.maps import Goal, draw_map, map_from_classes, read_map
+from dc2g_jax.datasets.starts import sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import Palette, read_palette
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, GRASS, HOUSE, PATH, ROAD
@@ -287,9 +288,14 @@ def test_bad_folders(tmp_path, yard):
     refusal(lambda: open_dataset(tmp_path), tmp_path / "test" / "yard.npy", "same name", "unique")
 
 
-def test_a_map_of_no_use_in_a_folder_is_named(tmp_path, yard):
-    np.save(tmp_path / "yard.npy", np.where(yard == FRONT_DOOR, GRASS, yard))
-    refusal(lambda: open_dataset(tmp_path), tmp_path / "yard.npy", "no front door", "give a goal")
+def test_a_map_of_no_use_in_a_folder_is_left_out_by_name(tmp_path, yard):
+    np.save(tmp_path / "yard.npy", yard)
+    np.save(tmp_path / "closed.npy", np.where(yard == FRONT_DOOR, GRASS, yard))
+    houses = open_dataset(tmp_path).houses
+    assert [(house.name, why_no_episode(house)) for house in houses] == [
+        ("closed", "it has no front door"), ("yard", None),
+    ]  # fmt: skip
+    assert {start.house for start in sample_starts(houses, 3, seed=0)} == {"yard"}
 
 
 def test_what_may_not_be_read_is_named(tmp_path, yard, monkeypatch):

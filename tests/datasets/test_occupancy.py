@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from dc2g_jax.datasets.maps import Goal, draw_map, read_map
 from dc2g_jax.datasets.occupancy import read_occupancy_map
@@ -30,9 +31,8 @@ def test_thresholds_are_map_servers(tmp_path, negate, thresholds):
 
 def test_the_gray_of_the_unknown_that_counts_as_free_is_doubted(tmp_path):
     grays = np.array([[0, 205, 254]], np.uint8)
-    assert read_occupancy_map(save(tmp_path, grays)).doubt is None
-    doubt = read_occupancy_map(save(tmp_path, grays, free_thresh=0.25)).doubt
-    assert doubt is not None
+    assert read_occupancy_map(save(tmp_path, grays)).doubts == ()
+    (doubt,) = read_occupancy_map(save(tmp_path, grays, free_thresh=0.25)).doubts
     assert doubt.startswith("1 pixels are gray 205")
     assert "0.25" in doubt
     assert "write 0.196" in doubt
@@ -112,7 +112,8 @@ def test_spellings_that_other_tools_write(tmp_path):
         ({"free_thresh": 0.7}, ["free_thresh is 0.7", "occupied_thresh 0.65", "0 to 1"]),
         ({"occupied_thresh": 65}, ["occupied_thresh 65.0", "0 to 1"]),
         ({"negate": 2}, ["negate is 2", "0 where white is free"]),
-        ({"mode": "scale"}, ["mode is 'scale'", "trinary"]),
+        ({"mode": "Scale"}, ["mode is 'Scale'", "trinary, scale, raw"]),
+        ({"mode": 3}, ["mode is 3", "trinary, scale, raw"]),
         ({"image": "missing.pgm"}, ["missing.pgm: cannot be read", "lab.yaml names it"]),
     ],
 )
@@ -138,6 +139,80 @@ def test_files_that_are_no_yaml(tmp_path, text, mentions):
     refusal(lambda: read_map(tmp_path / "lab.yaml"), tmp_path / "lab.yaml", *mentions)
 
 
+def expected_value(pixel: tuple[int, ...], mode: str, negate: int, low: float, high: float) -> int:
+    """The value that map_server gives a pixel, (gray,), (gray, alpha), (r, g, b) or (r, g, b, alpha): -1 or percent."""
+    colors = pixel[:1] * 3 if len(pixel) < 3 else pixel[:3]
+    alpha = pixel[-1] if len(pixel) in (2, 4) else None
+    channels = [*colors, alpha] if mode == "trinary" and alpha is not None else colors
+    shade = sum(channels) / len(channels) / 255
+    occupancy = shade if negate else 1 - shade
+    if mode == "raw":
+        return round(shade * 255) if round(shade * 255) <= 100 else -1
+    if mode == "scale" and alpha not in (None, 255):
+        return -1
+    if occupancy > high:
+        return 100
+    if occupancy < low:
+        return 0
+    return -1 if mode == "trinary" else round((occupancy - low) / (high - low) * 100)
+
+
+@pytest.mark.parametrize("mode", ["trinary", "scale", "raw"])
+@pytest.mark.parametrize("negate", [0, 1])
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
+def test_pictures_and_modes_are_map_servers(tmp_path, mode, negate, channels):
+    rng = np.random.default_rng(channels)
+    pixels = rng.integers(0, 256, (16, 24, channels)).astype(np.uint8)
+    pixels[::2, ::2] = rng.choice([0, 100, 101, 205, 254, 255], (8, 12, 1))
+    if channels in (2, 4):
+        pixels[..., -1] = rng.choice([0, 254, 255, 255, 255], (16, 24))
+    pixels[0, 0] = pixels[-1, -1] = 0  # known in any mode, if it is opaque
+    if channels in (2, 4):
+        pixels[[0, -1], [0, -1], -1] = 255
+    path = save(
+        tmp_path, pixels[..., 0], image="lab.png", mode=mode, negate=negate, free_thresh=0.2, occupied_thresh=0.7
+    )
+    Image.fromarray(pixels[..., 0] if channels == 1 else pixels).save(tmp_path / "lab.png")
+    found = read_occupancy_map(path)
+    assert found.free.shape == (16, 24)
+    for row, column in np.ndindex(16, 24):
+        value = expected_value(tuple(map(int, pixels[row, column])), mode, negate, 0.2, 0.7)
+        assert (found.free[row, column], found.occupied[row, column]) == (0 <= value < 100, value == 100)
+
+
+@pytest.mark.parametrize(
+    ("mode", "dtype", "white"), [("P", np.uint8, 255), ("1", np.uint8, 255), ("", np.uint16, 65535)]
+)
+def test_other_pictures(tmp_path, mode, dtype, white):
+    free = np.random.default_rng(1).random((12, 15)) < 0.5
+    picture = Image.fromarray(np.where(free, white, 0).astype(dtype))
+    path = save(tmp_path, free.astype(np.uint8), image="lab.png")
+    (picture.convert(mode) if mode else picture).save(tmp_path / "lab.png")
+    found = read_occupancy_map(path)
+    assert np.array_equal(found.free, free)
+    assert np.array_equal(found.occupied, ~free)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.0, -2.5])
+def test_maps_that_are_mostly_unknown_are_cropped(tmp_path, yaw):
+    grays = np.full((50, 70), 205, np.uint8)
+    grays[12:30, 20:33] = 254
+    grays[14, 25] = 0
+    path = save(tmp_path, grays, origin=[2.0, 3.0, yaw])
+    found = read_occupancy_map(path)
+    assert found.free.shape == (18, 13)
+    (doubt,) = found.doubts
+    assert "columns 20 to 32 and rows 12 to 29" in doubt
+    # A point of the map frame lies on the same pixel as before.
+    right, up = (20 + 5.5) * 0.05, (50 - 14 - 0.5) * 0.05
+    x, y = 2 + right * math.cos(yaw) - up * math.sin(yaw), 3 + right * math.sin(yaw) + up * math.cos(yaw)
+    assert found.cell(x, y, 13, 18) == (5, 2)
+    assert found.occupied[2, 5]
+    grays[:, :40] = 254  # no longer most of it
+    assert read_occupancy_map(save(tmp_path, grays)).free.shape == (50, 70)
+    assert read_occupancy_map(save(tmp_path, np.full((5, 7), 205, np.uint8))).free.shape == (5, 7)
+
+
 def test_a_missing_file(tmp_path):
     refusal(lambda: read_map(tmp_path / "lab.yaml"), tmp_path / "lab.yaml", "cannot be read", "give")
 
@@ -145,9 +220,9 @@ def test_a_missing_file(tmp_path):
 @pytest.mark.parametrize(
     ("data", "mentions"),
     [
-        (b"", ["starts with nothing", "P5", "save the map as PGM"]),
+        (b"", ["starts with nothing", "P5", "PNG"]),
         (b"P2\n2 1\n255\n0 1\n", ["50 32", "binary PGM"]),
-        (b"\x89PNG\r\n\x1a\n", ["89 50 4e 47", "binary PGM"]),
+        (b"\x89PNG\r\n\x1a\n", ["lab.pgm: ", "PNG"]),
         (b"P5\n2 2\n65535\n12345678", ["2 x 2 pixels of 0 to 65535", "0 to 255"]),
         (b"P5\n0 2\n255\n", ["0 x 2 pixels"]),
         (b"P5\n2 2\n255\n123", ["wrong size", "2 x 2 pixels need 4 bytes, but 3 follow"]),
@@ -158,3 +233,14 @@ def test_bad_pictures(tmp_path, data, mentions):
     path = save(tmp_path, random_grays(4))
     (tmp_path / "lab.pgm").write_bytes(data)
     refusal(lambda: read_map(path), tmp_path / "lab.pgm", *mentions)
+
+
+def test_real_maps(shared):
+    """All are read, and have ground to drive on."""
+    folder = shared / "datasets" / "ros_maps"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is absent")
+    files = sorted(folder.glob("*.yaml"))
+    assert len(files) == 8
+    for file in files:
+        assert np.any(draw_map(file) == ROAD), file

@@ -109,6 +109,20 @@ def test_outcomes_are_told(yard, tmp_path, capsys):
     assert not list((tmp_path / "out").glob("*.gif"))
 
 
+@pytest.mark.parametrize(
+    ("left_out", "written"),
+    [
+        ({"figures": "none", "record": "none"}, set()),
+        ({"figures": "none"}, {"episode.rrd"}),
+        ({"record": "none"}, {"episode.png", "episode.svg", "trajectories.png", "trajectories.svg", "episode.gif"}),
+    ],
+)
+def test_drawing_is_left_out(yard, tmp_path, left_out, written):
+    options = explore_map.Options(yard, start=(0, 6, 2), planner=("frontier",), out=tmp_path / "out", **left_out)
+    explore_map.main(options)
+    assert {path.name for path in (tmp_path / "out").iterdir()} == written | {"episodes.csv", "run.json"}
+
+
 def test_episodes_too_long_for_the_memory_are_not_replayed(yard, tmp_path, capsys, monkeypatch):
     short, long = (toy.RESULTS[planner] for planner in ("dc2g", "frontier"))
     monkeypatch.setattr(one_start, "_MOST_BYTES", 100 * one_start._REPLAY_BYTES * (short.steps + 1))

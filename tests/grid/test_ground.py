@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from dc2g_jax.datasets.houses import load_dataset
 from dc2g_jax.grid.ground import (
@@ -10,6 +11,7 @@ from dc2g_jax.grid.ground import (
     component_numbers,
     connected_to_goal,
     goals_without_ground,
+    longest_way,
     pieces,
     why_no_path,
 )
@@ -68,3 +70,12 @@ def test_grids_and_components_of_real_houses_are_those_of_opencv():
         paths = cv2.dilate((house.terrain == PATH).astype(np.uint8), np.ones((3, 3), np.uint8)) == 1
         wanted = np.where(paths & (house.terrain != FRONT_DOOR), PATH, house.terrain)
         np.testing.assert_array_equal(sample_grid(house.terrain, house.terrain.shape[::-1]), wanted)
+
+
+def test_the_longest_way(street, island, buried):
+    for terrain in (street, island, buried, *(maps.random_terrain(seed, (9, 31), 0.7, doors=2) for seed in range(10))):
+        connected = connected_to_goal(terrain)
+        reached = [connected & (terrain == FRONT_DOOR)]
+        while not np.array_equal(reached[-1], connected):
+            reached.append(ndimage.binary_dilation(reached[-1], mask=connected))
+        assert longest_way(terrain) == len(reached) - 1

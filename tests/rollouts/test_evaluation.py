@@ -8,7 +8,7 @@ from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.grid.terrain import FRONT_DOOR
+from dc2g_jax.grid.terrain import FRONT_DOOR, HOUSE, ROAD
 from dc2g_jax.planning.named import make
 from dc2g_jax.planning.planners import Frontier
 from dc2g_jax.planning.rules import SETTINGS, complete_rules
@@ -108,6 +108,16 @@ def test_the_step_limit_grows_with_the_map(dataset):
     assert Runner(dataset, SETTINGS["paper"]).step_limit == 500
     campus = House("campus", "test", np.full((60, 100), FRONT_DOOR, np.uint8))
     assert Runner(HouseDataset("own", "folder", (campus,)), SETTINGS["paper"]).step_limit == 60 * 100 // 5
+    # Ground that leads to no door does not count; a long way to the door counts on a map of any size.
+    campus.terrain[:, 6:] = HOUSE
+    campus.terrain[:, 8:] = ROAD
+    assert Runner(HouseDataset("own", "folder", (campus,)), SETTINGS["paper"]).step_limit == 500
+    corridors = np.full((50, 50), ROAD, np.uint8)
+    corridors[1::4, 1:] = corridors[3::4, :-1] = HOUSE
+    corridors[0, 49] = FRONT_DOOR
+    maze = House("maze", "test", corridors)
+    every_cell = 25 * 50 + 25 - 1
+    assert Runner(HouseDataset("own", "folder", (maze,)), SETTINGS["paper"]).step_limit == 4 * every_cell
     refusal(lambda: Runner(dataset, SETTINGS["paper"], step_limit=0), "step limit 0", "at least 1")
 
 
