@@ -212,6 +212,21 @@ def test_buildings_far_from_streets_or_walled_in_are_left_out(tmp_path):
     assert drawn["way11"] == "no wall faces a street with nothing between"
 
 
+def test_outlines_of_any_kind(tmp_path):
+    """Round, with hundreds of corners, with repeated points, and too small for a map."""
+    drawing = hamlet()
+    turns = np.linspace(0, 2 * np.pi, 300, endpoint=False)
+    circle = [drawing.node(-50 + 3 * math.cos(turn), -14 + 3 * math.sin(turn)) for turn in turns]
+    drawing.way(16, [*circle, circle[0]], "building=garage")
+    corner = drawing.node(30, -20)
+    drawing.way(17, [corner, (30, -10), (30, -10), (42, -10), (42, -20), corner], "building=house")
+    drawing.box(18, 50, -12, 50.1, -11.9, "building=yes")
+    drawing.way(19, [(44, -20), (44, -20)], "highway=footway")
+    drawn = maps_of(read(tmp_path, drawing.text()))
+    assert set(drawn) == {"way2", "way4", "way17"}
+    assert all(isinstance(one, BuildingMap) for one in drawn.values())
+
+
 def test_only_a_place(tmp_path):
     drawing = hamlet()
     drawing.way(14, [(500, -100), (500, 100)], "highway=residential")
@@ -273,7 +288,9 @@ def test_a_clipped_extract(tmp_path):
     """Ways without their nodes."""
     text = "".join(element for element in hamlet().elements if not element.startswith("<node"))
     (tmp_path / "a.osm").write_text(f'<osm version="0.6">{text}</osm>')
-    refusal(lambda: read_extract(tmp_path / "a.osm"), "no buildings and no streets", "6 ways lack nodes", "whole ways")
+    refusal(
+        lambda: read_extract(tmp_path / "a.osm"), "no buildings and no streets", "ways that lack nodes: 6", "whole ways"
+    )
     # A street that is cut off at the edge is drawn as far as it goes.
     whole, cut = hamlet(), hamlet()
     cut.elements.remove(next(element for element in cut.elements if element.startswith('<node id="3"')))

@@ -127,7 +127,7 @@ def facades(building: Area) -> Facades:
         lengths = np.hypot(*edges.T)
         sign = np.sign(_doubled_ground(ring))
         for start, edge, length in zip(ring, edges, lengths, strict=True):
-            if length > 0.3:
+            if length > 0:
                 count = max(round(length / _FACADE_STEP), 1)
                 points.append(start + (np.arange(count)[:, None] + 0.5) / count * edge)
                 outward.append(np.broadcast_to(sign * np.array([edge[1], -edge[0]]) / length, (count, 2)))

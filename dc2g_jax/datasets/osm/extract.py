@@ -170,7 +170,7 @@ def read_extract(path: Path, around: tuple[float, float] | None = None, reach: f
     if not extract.buildings or not extract.streets:
         missing = " and no ".join(kind for kind in ("buildings", "streets") if not getattr(extract, kind))
         where = "" if around is None else f" within {reach:g} m of {around[0]:g} {around[1]:g}"
-        lacking = f" ({extract.incomplete:,} ways lack nodes: it was clipped)" if extract.incomplete else ""
+        lacking = f" (it was clipped, ways that lack nodes: {extract.incomplete:,})" if extract.incomplete else ""
         raise InputError(
             f"{path}: has no {missing}{where}{lacking}; give an extract of a neighborhood, with whole ways and all tags"
         )

@@ -4,8 +4,10 @@ import itertools
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
+from scipy import spatial
 
 from dc2g_jax.datasets.osm.entrances import (
     Entry,
@@ -20,7 +22,6 @@ from dc2g_jax.datasets.osm.entrances import (
 from dc2g_jax.datasets.osm.extract import Area, Extract, Line
 from dc2g_jax.datasets.osm.shapes import (
     Shape,
-    bounds_of,
     fill,
     mapped_shapes,
     sidewalk_sides,
@@ -28,10 +29,12 @@ from dc2g_jax.datasets.osm.shapes import (
     square_view,
     street_width,
 )
-from dc2g_jax.datasets.procedural.drawing import PictureFrame, Points, Sketch, resample
+from dc2g_jax.datasets.procedural.drawing import PictureFrame, Polygons, Sketch, resample
 from dc2g_jax.grid.ground import component_numbers
 from dc2g_jax.grid.sampling import ClassImage, resize_nearest, sample_grid
 from dc2g_jax.grid.terrain import FRONT_DOOR, ROAD, TRAVERSABLE, UNKNOWN
+
+_Item = TypeVar("_Item")
 
 #: Share of the streets without mapped sidewalks that get some, and the kinds of streets that may.
 _SIDEWALKS, _WITH_SIDEWALKS = 0.7, ("residential", "unclassified", "tertiary", "secondary", "primary")
@@ -62,16 +65,24 @@ class BuildingMap:
     added: ClassImage
 
 
-class _ShapeIndex:
-    """Shapes, to be asked for those in a picture."""
+class _Index(Generic[_Item]):
+    """Things in the plane, to be asked for those in a picture."""
 
-    def __init__(self, shapes: Sequence[Shape]) -> None:
-        self._shapes, self._bounds = shapes, bounds_of(shapes)
+    def __init__(self, items: Sequence[_Item], polygons: Sequence[Polygons]) -> None:
+        corners = [np.concatenate(outlines) for outlines in polygons]
+        self._items = items
+        self._low = np.array([points.min(axis=0) for points in corners]).reshape(-1, 2)
+        self._high = np.array([points.max(axis=0) for points in corners]).reshape(-1, 2)
 
-    def within(self, view: PictureFrame) -> list[Shape]:
-        low, high = view.corner, view.corner + np.array([view.width, view.height]) / view.scale
-        near = np.all((self._bounds[:, 0] <= high) & (self._bounds[:, 1] >= low), axis=1)
-        return list(itertools.compress(self._shapes, near))
+    def within(self, view: PictureFrame, margin: float = 0.0) -> list[_Item]:
+        """Those whose bounds reach into a picture, or the margin around it, meters."""
+        corner = view.corner + np.array([view.width, view.height]) / view.scale + margin
+        near = np.all((self._low <= corner) & (self._high >= view.corner - margin), axis=1)
+        return list(itertools.compress(self._items, near))
+
+
+def _shape_index(shapes: Sequence[Shape]) -> _Index[Shape]:
+    return _Index(shapes, [shape.outer for shape in shapes])
 
 
 class Neighborhood:
@@ -94,18 +105,21 @@ class Neighborhood:
     ) -> None:
         self._extract, self._meters, self._cells = extract, meters, cells
         self._seed, self._only_mapped = seed, only_mapped
-        mapped = mapped_shapes(extract, meters / cells)
-        self._mapped = _ShapeIndex(mapped)
+        self._mapped = _shape_index(mapped_shapes(extract, meters / cells))
         self._streets = street_points(extract.streets)
         self._entrances = list(filter(is_entrance, extract.spots))
-        self._sidewalks = _ShapeIndex([] if only_mapped else self._added_sidewalks())
+        self._sidewalks = _shape_index([] if only_mapped else self._added_sidewalks())
         self._uses = uses = Uses(extract.buildings)
         self.buildings = [area for area in extract.buildings if uses.has_front_door(area)]
         if around:
-            self.buildings = [one for one in self.buildings if _shows(self._view(one), np.zeros(2))]
-        self._entered = [area for area in extract.buildings if uses.has_front_door(area) or uses.is_garage(area)]
-        self._entered_bounds = bounds_of(Shape("house", area.outer) for area in self._entered)
+            self.buildings = [one for one in self.buildings if self._shows_origin(one)]
+        entered = [area for area in extract.buildings if uses.has_front_door(area) or uses.is_garage(area)]
+        self._entered = _Index(entered, [area.outer for area in entered])
         self._entries: dict[str, Entry | str] = {}
+
+    def _shows_origin(self, building: Area) -> bool:
+        view = self._view(building)
+        return view is not None and bool(np.all((view.corner <= 0) & (view.corner >= -self._meters)))
 
     def _random(self, name: str) -> np.random.Generator:
         return np.random.default_rng([self._seed, zlib.crc32(name.encode())])
@@ -113,11 +127,12 @@ class Neighborhood:
     def _added_sidewalks(self) -> list[Shape]:
         """Sidewalks along streets of which it is not mapped whether they have some."""
         walks = [line.points for line in self._extract.lines if line.tags.get("footway") == "sidewalk"]
-        mapped = np.concatenate([resample(points, 2.0) for points in walks]) if walks else np.full((1, 2), np.inf)
+        mapped = spatial.KDTree(np.concatenate([resample(points, 2.0) for points in walks])) if walks else None
         shapes = []
         for line in self._extract.streets:
             usual = line.tags["highway"] in _WITH_SIDEWALKS and sidewalk_sides(line.tags) is None
-            if usual and self._random(line.name).random() < _SIDEWALKS and not _has_beside(line, mapped):
+            beside = mapped is not None and _has_beside(line, mapped)
+            if usual and not beside and self._random(line.name).random() < _SIDEWALKS:
                 shapes.append(sidewalks(line, (True, True), self._meters / self._cells))
         return [shape for shape in shapes if shape is not None]
 
@@ -166,7 +181,7 @@ class Neighborhood:
         entry, view = self._entry(building), self._view(building)
         if isinstance(entry, str) or view is None:
             return str(entry)
-        around = [one for one in map(self._entry, self._neighbors(view)) if isinstance(one, Entry)]
+        around = [one for one in map(self._entry, self._entered.within(view, _GROUNDS)) if isinstance(one, Entry)]
         mapped = Sketch(view)
         fill(mapped, self._mapped.within(view))
         whole = Sketch(view, {layer: mask.copy() for layer, mask in mapped.masks.items()})
@@ -188,23 +203,8 @@ class Neighborhood:
         added = np.where(classes == mapped.classes(), np.uint8(UNKNOWN), classes)
         return BuildingMap(building, *self._extract.degrees(center), classes, added)
 
-    def _neighbors(self, view: PictureFrame) -> list[Area]:
-        """Buildings and garages that a picture shows, or whose driveways it may show."""
-        low, high = view.corner - _GROUNDS, view.corner + self._meters + _GROUNDS
-        near = np.all((self._entered_bounds[:, 0] <= high) & (self._entered_bounds[:, 1] >= low), axis=1)
-        return list(itertools.compress(self._entered, near))
 
-
-def _has_beside(line: Line, mapped: Points) -> bool:
-    """Whether mapped sidewalks, as points [n 2], run beside a street."""
-    points = resample(line.points, 4.0)
-    distance = np.min(np.hypot(*(points[:, None] - mapped).transpose(2, 0, 1)), axis=1)
+def _has_beside(line: Line, mapped: spatial.KDTree) -> bool:
+    """Whether mapped sidewalks, as points, run beside a street."""
+    distance, _ = mapped.query(resample(line.points, 4.0))
     return bool(np.mean(distance < street_width(line.tags) / 2 + _BESIDE) > 0.3)
-
-
-def _shows(view: PictureFrame | None, point: Points) -> bool:
-    """Whether a point [2] is in a picture."""
-    if view is None:
-        return False
-    pixel = view.to_pixels(point[None])[0]
-    return bool(np.all((pixel >= 0) & (pixel < (view.width, view.height))))

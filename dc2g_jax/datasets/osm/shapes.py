@@ -66,12 +66,6 @@ class Shape:
     inner: Polygons = field(default_factory=list)
 
 
-def bounds_of(shapes: Iterable[Shape]) -> Points:
-    """The least and greatest x and y of each shape, [n 2 2]."""
-    corners = [np.concatenate(shape.outer) for shape in shapes]
-    return np.array([(points.min(axis=0), points.max(axis=0)) for points in corners]).reshape(-1, 2, 2)
-
-
 def fill(sketch: Sketch, shapes: Iterable[Shape]) -> None:
     """Fill shapes into a sketch."""
     whole: dict[str, Polygons] = {}
