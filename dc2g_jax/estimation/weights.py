@@ -34,7 +34,7 @@ def fresh_weights(network: Callable[..., nnx.Module], architecture: Any, key: Ar
 
 
 @functools.cache  # a network is built anew in every trace of it
-def _structure(network: Callable[..., nnx.Module], architecture: Any) -> tuple[Any, nnx.State]:
+def _structure(network: Callable[..., nnx.Module], architecture: Any) -> tuple[Any, Any]:
     """The graph of a network, and its weights' shapes and dtypes."""
     return nnx.split(nnx.eval_shape(lambda: network(architecture, rngs=nnx.Rngs(0))))
 
