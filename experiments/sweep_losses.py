@@ -18,7 +18,7 @@ import tyro
 from jaxtyping import Array, Float
 
 from dc2g_jax.cli.common import command_line, digests
-from dc2g_jax.cli.options import DatasetOptions, TrainingOptions
+from dc2g_jax.cli.options import DatasetOptions, PauseOptions, TrainingOptions
 from dc2g_jax.cli.outputs import number_or_null, output_folder
 from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import open_dataset
@@ -34,7 +34,7 @@ from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import fetch, mesh_of, replicate
 from dc2g_jax.training.cost_to_go import TrainingConfig, TrainingState, first_state, mean_error, train_step
 from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses, validation_pairs
-from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
+from dc2g_jax.training.loop import Log, Losses, Task, train
 from dc2g_jax.training.sweeps import (
     StackedCheckpoints,
     group_by_shape,
@@ -50,7 +50,7 @@ _PAIRS, _PAIRS_AT_A_TIME = 512, 64
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DatasetOptions, TrainingOptions):
+class Options(DatasetOptions, TrainingOptions, PauseOptions):
     """Train every combination of losses, learning rates, widths and seeds, together where shapes allow.
 
     Attributes:
@@ -63,7 +63,6 @@ class Options(DatasetOptions, TrainingOptions):
       batch_size: pairs per step of each run.
       validate_every: steps between validations on pairs; the last step is validated too. 0 for the last step only.
       episodes: run the planner in validation houses with every network at the end; `--no-episodes` turns it off.
-      minutes_per_checkpoint: minutes between checkpoints.
       runs_at_once: largest number of runs to train together; best a multiple of the number of devices. It may change
         when the sweep is resumed.
     """
@@ -77,13 +76,7 @@ class Options(DatasetOptions, TrainingOptions):
     batch_size: int = TrainingConfig.batch_size
     validate_every: int = 200
     episodes: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
-    minutes_per_checkpoint: float = 5.0
     runs_at_once: int = 64
-
-    @property
-    def pauses(self) -> Pauses:
-        """When to validate and to save."""
-        return Pauses(self.validate_every, self.minutes_per_checkpoint)
 
     @property
     def runs(self) -> dict[str, TrainingConfig]:
