@@ -197,9 +197,7 @@ class Sketch:
 
     def add(self, layer: str, shape: Iterable[Points]) -> None:
         """Fill a shape into a layer."""
-        if layer not in self.masks:
-            self.masks[layer] = np.zeros((self.view.height, self.view.width), np.uint8)
-        self._fill(self.masks[layer], shape)
+        self._fill(self.masks.setdefault(layer, self.mask(())), shape)
 
     def add_all(self, shapes: Mapping[str, Iterable[Points]]) -> None:
         """Fill shapes into the layers of their names."""
