@@ -41,6 +41,7 @@ from dc2g_jax.objectnav.training import (
     train_step,
     validation_samples,
 )
+from dc2g_jax.rollouts.devices import first_copy, mesh_for_batch, replicate
 from dc2g_jax.training.cost_to_go import TrainingState
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 
@@ -166,9 +167,11 @@ def training_task(
 ) -> Task[TrainingState]:
     """The training task. Each validation saves the network."""
     batches = validation_samples(validation, config, options.validation_samples)
+    mesh = mesh_for_batch(config.batch_size)
+    data = replicate(data, mesh)
 
     def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
-        weights = state.average if config.recipe.average_decay else state.weights
+        weights = first_copy(state.average if config.recipe.average_decay else state.weights)
         estimator = CostMapEstimator(weights=weights, architecture=config.architecture)
         latest = None if loss is None else float(loss)
         found = {"step": step, "training_loss": latest, **figures(estimator, batches, config)}
@@ -187,9 +190,10 @@ def training_task(
     return Task(
         steps=config.steps,
         init=functools.partial(first_state, config),
-        step=lambda state: train_step(state, data, config=config),
+        step=lambda state: train_step(state, data, config=config, mesh=mesh),
         validate=validate,
         validated=Log(options.out).by_step(),
+        place=functools.partial(replicate, mesh=mesh),
     )
 
 

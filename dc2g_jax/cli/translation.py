@@ -14,6 +14,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, newest_step, save_network
 from dc2g_jax.estimation.estimators import TranslatorCostToGo
 from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
+from dc2g_jax.rollouts.devices import first_copy, mesh_for_batch, replicate
 from dc2g_jax.training.cost_to_go import check_numbers
 from dc2g_jax.training.image_data import MaskKind, image_set
 from dc2g_jax.training.image_evaluation import metrics_over_pairs
@@ -137,7 +138,8 @@ def train_translator(
       InputError: the folder holds a run with other options or more steps, or the loss is not finite.
     """
     require_steps(options.steps, out)
-    first_state = partial(init_translator, seed=seed)
+    first_state, mesh = partial(init_translator, seed=seed), mesh_for_batch(config.batch_size)
+    pairs = replicate(data.train, mesh)
     draw = partial(
         draw_image_pairs,
         batch_size=config.batch_size,
@@ -146,7 +148,7 @@ def train_translator(
     )
 
     def validate(state: TranslatorState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
-        network = TranslatorCostToGo(weights=state.generator, architecture=config.architecture)
+        network = TranslatorCostToGo(weights=first_copy(state.generator), architecture=config.architecture)
         save_network(out / "network", network, _card(dataset, config, options, seed, step))
         if not options.validate_every:
             return []
@@ -157,9 +159,10 @@ def train_translator(
     task = Task(
         steps=options.steps,
         init=partial(first_state, config),
-        step=lambda state: translator_step(state, data.train, config=config, draw_batch=draw),
+        step=lambda state: translator_step(state, pairs, config=config, draw_batch=draw, mesh=mesh),
         validate=validate,
         validated=Log(out).by_step(),
+        place=partial(replicate, mesh=mesh),
         name=out.name,
         steps_per_look=_STEPS_PER_LOOK,
     )

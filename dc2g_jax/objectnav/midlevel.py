@@ -28,6 +28,7 @@ from dc2g_jax.objectnav.agent import INDOOR_FIELD_OF_VIEW
 from dc2g_jax.objectnav.classes import OBJECT_CLASSES
 from dc2g_jax.objectnav.paint import NO_COLOR
 from dc2g_jax.programs import jit
+from dc2g_jax.rollouts.devices import divide, first_copy, mesh_for_batch, replicate
 from dc2g_jax.training.loop import Losses, Task
 
 #: Rows and columns of an image, and of the blocks of pixels for which the default encoder is trained to answer.
@@ -311,6 +312,7 @@ def encoder_task(
         weights = init_encoder(architecture, jax.random.key(seed))
         return EncoderState(step=jnp.int32(0), weights=weights, optimizer=optimizer.init(weights))
 
+    @jit
     def losses(weights: Any, views: CameraView) -> dict[str, Float[Array, ""]]:
         network = build_encoder(architecture, weights)
         return task_losses(network.answer(network.encode(views.image)), views)
@@ -319,7 +321,7 @@ def encoder_task(
     def step(state: EncoderState, views: CameraView) -> tuple[EncoderState, Float[Array, ""]]:
         key = jax.random.fold_in(jax.random.key(seed + 1), state.step)
         chosen = jax.random.randint(key, (batch_size,), 0, len(views.image))
-        batch = jax.tree.map(lambda leaf: leaf[chosen], views)
+        batch = divide(jax.tree.map(lambda leaf: leaf[chosen], views), mesh)
         loss, gradients = jax.value_and_grad(lambda weights: sum(losses(weights, batch).values(), jnp.float32(0)))(
             state.weights
         )
@@ -328,9 +330,12 @@ def encoder_task(
         return EncoderState(step=state.step + 1, weights=weights, optimizer=optimizer_state), loss
 
     def validate(state: EncoderState, step: int, loss: Losses | None) -> list[dict[str, float]]:
-        found = {name: float(loss) for name, loss in jit(losses)(state.weights, validation_views).items()}
-        save(TrainedEncoder(weights=state.weights, architecture=architecture), found)
+        weights = first_copy(state.weights)
+        found = {name: float(loss) for name, loss in losses(weights, validation_views).items()}
+        save(TrainedEncoder(weights=weights, architecture=architecture), found)
         return [{"step": step, **found}]
 
     validation_views = jax.tree.map(lambda leaf: leaf[:_VALIDATION_VIEWS], views)
-    return Task(steps, init, lambda state: step(state, views), validate, name="encoder")
+    mesh = mesh_for_batch(batch_size)
+    views, place = replicate(views, mesh), functools.partial(replicate, mesh=mesh)
+    return Task(steps, init, lambda state: step(state, views), validate, place=place, name="encoder")

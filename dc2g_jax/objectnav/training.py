@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jax.sharding import Mesh
 from jaxtyping import Array, Float
 
 from dc2g_jax.estimation.weights import fresh_weights
@@ -26,6 +27,7 @@ from dc2g_jax.objectnav.losses import LossWeights, total_loss
 from dc2g_jax.objectnav.metrics import FIVE_ACTIONS, NINE_ACTIONS, action_accuracy, confusion, occupancy_scores
 from dc2g_jax.objectnav.networks import CostMapArchitecture, CostMapEstimator, Prediction, fused_cost
 from dc2g_jax.programs import jit
+from dc2g_jax.rollouts.devices import divide
 from dc2g_jax.training.cost_to_go import TrainingState, check_numbers, loss_or_nan, running_average
 
 
@@ -141,9 +143,9 @@ def mean_loss(
     return loss, (losses, prediction)
 
 
-@functools.partial(jit, static_argnames="config", donate_argnames="state")
+@functools.partial(jit, static_argnames=("config", "mesh"), donate_argnames="state")
 def train_step(
-    state: TrainingState, data: JourneySet, *, config: CostMapConfig
+    state: TrainingState, data: JourneySet, *, config: CostMapConfig, mesh: Mesh
 ) -> tuple[TrainingState, Float[Array, ""]]:
     """Take one optimizer step. The old state is donated.
 
@@ -162,6 +164,7 @@ def train_step(
         symmetries=recipe.symmetries,
         normalize=NORMALIZATIONS[recipe.normalization],
     )
+    samples = divide(samples, mesh)
     (loss, _), gradient = jax.value_and_grad(lambda weights: mean_loss(config, weights, samples), has_aux=True)(
         state.weights
     )

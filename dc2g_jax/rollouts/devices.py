@@ -112,6 +112,11 @@ def mesh_of(devices: Sequence[jax.Device] | None = None) -> Mesh:
     return Mesh(np.array(jax.devices() if devices is None else devices), (AXIS,))
 
 
+def mesh_for_batch(size: int) -> Mesh:
+    """All devices of all processes if they can share a batch of this size equally, otherwise one of this process."""
+    return mesh_of(jax.local_devices()[:1] if size % jax.device_count() else None)
+
+
 def platform(mesh: Mesh) -> str:
     """Platform of the devices: `cpu`, `gpu` or `tpu`."""
     return mesh.devices.flat[0].platform
@@ -120,6 +125,11 @@ def platform(mesh: Mesh) -> str:
 def replicate(tree: Any, mesh: Mesh) -> Any:
     """Copy arrays to every device."""
     return jax.device_put(tree, NamedSharding(mesh, PartitionSpec()))
+
+
+def divide(batch: Any, mesh: Mesh) -> Any:
+    """Divide a batch, on the first axis of arrays, equally among the devices; only inside a compiled function."""
+    return jax.lax.with_sharding_constraint(batch, NamedSharding(mesh, PartitionSpec(AXIS)))
 
 
 def deal(tree: Any, count: int, mesh: Mesh, own: int | None = None) -> Any:

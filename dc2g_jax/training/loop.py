@@ -39,6 +39,7 @@ class Task(Generic[_State]):
       validated: steps that earlier runs validated. A missing validation of the current step is made up for.
       watch: called as `watch(state, step, losses)` after each fetch, and once before the first step. It must not change
         the state.
+      place: puts the first state, or a restored one, on the devices of the task.
       name: title of the progress bar.
       steps_per_look: maximum number of steps between fetches of the losses, which wait for the device.
     """
@@ -49,6 +50,7 @@ class Task(Generic[_State]):
     validate: Callable[[_State, int, Losses | None], Sequence[Mapping[str, Any]]]
     validated: Collection[int] = ()
     watch: Callable[[_State, int, Losses | None], None] = lambda state, step, losses: None
+    place: Callable[[_State], _State] = lambda state: state
     name: str = "train"
     steps_per_look: int = 50
 
@@ -219,8 +221,7 @@ def train(task: Task[_State], out: Path, checkpoints: Checkpoints, pauses: Pause
 
     with contextlib.closing(checkpoints):
         state: Any = checkpoints.restore()
-        if state is None:
-            state = task.init()
+        state = task.place(task.init() if state is None else state)
         step = int(np.max(fetch(state.step)))
         with tqdm(total=task.steps, initial=step, desc=task.name, unit="step", file=sys.stderr) as bar:
             try:

@@ -8,6 +8,7 @@ import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, Int8, UInt32
 
 from dc2g_jax.datasets.masks import Moments, moments_along
@@ -18,6 +19,7 @@ from dc2g_jax.grid.world import World
 from dc2g_jax.planning.planners import DC2G, Frontier, Planner
 from dc2g_jax.planning.rules import Rules
 from dc2g_jax.programs import jit
+from dc2g_jax.rollouts.devices import deal, gather, mesh_of, on_each, replicate
 from dc2g_jax.rollouts.rollout import Episodes, rollout
 
 _EPISODES_PER_CALL = 128
@@ -68,18 +70,23 @@ class Masks(NamedTuple):
     world: Int[np.ndarray, "masks"]
 
 
-@functools.partial(jit, static_argnames=("sensing",))
+@functools.partial(jit, static_argnames=("mesh", "sensing"))
 def _moments(
+    dealt: tuple[Episodes, Int8[Array, "devices own t"], Int[Array, "devices own k"]],
     worlds: World,
-    episodes: Episodes,
-    actions: Int8[Array, "b t"],
-    times: Int[Array, "b k"],
     *,
+    mesh: Mesh,
     sensing: Kernel,
 ) -> Moments:
-    own_worlds = jax.tree.map(lambda leaf: leaf[..., episodes.world], worlds)
-    along = jax.vmap(functools.partial(moments_along, sensing=sensing), in_axes=(-1, 0, 0, 0))
-    return along(own_worlds, episodes.start, actions, times)
+    """What was seen in episodes, from their actions, at some of their moments."""
+
+    def own(part: tuple[Episodes, Array, Array], worlds: World) -> Moments:
+        episodes, actions, times = part
+        own_worlds = jax.tree.map(lambda leaf: leaf[..., episodes.world], worlds)
+        along = jax.vmap(functools.partial(moments_along, sensing=sensing), in_axes=(-1, 0, 0, 0))
+        return along(own_worlds, episodes.start, actions, times)
+
+    return on_each(own, mesh, dealt, worlds)
 
 
 def collect_masks(
@@ -106,15 +113,16 @@ def collect_masks(
     done = rollout(planner, worlds, episodes, sensing=sensing, step_limit=step_limit)
     rng = np.random.default_rng(seed)
     times = (rng.random((len(episodes), per_episode)) * done.steps[:, None]).astype(np.int32)
-    boards, owners = [], []
+    boards, owners, mesh = [], [], mesh_of()
+    worlds = replicate(worlds, mesh)
     for first in range(0, len(episodes), _EPISODES_PER_CALL):
         # The last call repeats the last episode, so that all calls have the same shape.
         part = np.minimum(np.arange(first, first + _EPISODES_PER_CALL), len(episodes) - 1)
         some = jax.tree.map(lambda leaf, part=part: leaf[part], episodes)
-        moments = _moments(worlds, some, done.actions[part], times[part], sensing=sensing)
-        keep = np.array(moments.exploring)
-        keep[len(episodes) - first :] = False
-        boards.append(np.asarray(moments.seen)[keep])
+        dealt = deal((some, done.actions[part], times[part]), len(part), mesh)
+        moments = gather(_moments(dealt, worlds, mesh=mesh, sensing=sensing), len(part))
+        keep = moments.exploring & (np.arange(first, first + len(part)) < len(episodes))[:, None]
+        boards.append(moments.seen[keep])
         owners.append(np.broadcast_to(np.asarray(some.world)[:, None], keep.shape)[keep])
     return Masks(boards=np.concatenate(boards), world=np.concatenate(owners))
 

@@ -9,12 +9,14 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
+from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, UInt32
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import pix2pix
 from dc2g_jax.estimation.pix2pix import Discriminator, Generator, TranslatorArchitecture
 from dc2g_jax.programs import jit
+from dc2g_jax.rollouts.devices import divide
 from dc2g_jax.training.cost_to_go import check_numbers, loss_or_nan
 
 
@@ -136,9 +138,9 @@ def discriminator_loss(
     architecture: TranslatorArchitecture, weights: Any, batch: ImageBatch, generated: Float[Array, "b s s 3"]
 ) -> Float[Array, ""]:
     """Cross-entropy of classifying patches as true or generated: the sum of the means of both classes."""
-    images = jnp.concatenate([batch.image, batch.image])
-    odds = pix2pix.discriminate(architecture, weights, images, jnp.concatenate([batch.target, generated]))
-    true, false = jnp.split(odds, 2)
+    true, false = (
+        pix2pix.discriminate(architecture, weights, batch.image, answers) for answers in (batch.target, generated)
+    )
     return jnp.mean(jax.nn.softplus(-true)) + jnp.mean(jax.nn.softplus(false))
 
 
@@ -164,9 +166,9 @@ def _updated(config: TranslatorConfig, weights: Any, gradient: Any, optimizer: A
     return optax.apply_updates(weights, updates), optimizer
 
 
-@functools.partial(jit, static_argnames=("config", "draw_batch"), donate_argnames=("state",))
+@functools.partial(jit, static_argnames=("config", "draw_batch", "mesh"), donate_argnames=("state",))
 def translator_step(
-    state: TranslatorState, data: Any, *, config: TranslatorConfig, draw_batch: DrawImages
+    state: TranslatorState, data: Any, *, config: TranslatorConfig, draw_batch: DrawImages, mesh: Mesh
 ) -> tuple[TranslatorState, Float[Array, ""]]:
     """Take one step: update the discriminator, then the generator.
 
@@ -179,7 +181,7 @@ def translator_step(
     """
     architecture = config.architecture
     batch_key, dropout_key = jax.random.split(jax.random.wrap_key_data(state.key))
-    batch = draw_batch(batch_key, state.step, data)
+    batch = divide(draw_batch(batch_key, state.step, data), mesh)
     dropout_key = jax.random.fold_in(dropout_key, state.step)
     generated, backward = jax.vjp(
         lambda weights: pix2pix.translate(architecture, weights, batch.image, dropout_key), state.generator

@@ -20,6 +20,7 @@ from dc2g_jax.objectnav.mapping import IndoorMapSettings
 from dc2g_jax.objectnav.searches import TIME_LIMIT, sample_episodes, search_all
 from dc2g_jax.planning.named import PLANNERS
 from dc2g_jax.planning.rules import SETTINGS
+from dc2g_jax.rollouts.devices import mesh_for_batch, replicate
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax.rollouts.rollout import rollout
 from dc2g_jax.training.cost_to_go import TrainingConfig
@@ -136,12 +137,13 @@ def _translator(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
     draw = functools.partial(
         draw_image_pairs, batch_size=config.batch_size, whole_share=options.whole_share, augment=options.augment
     )
-    state = init_translator(config, seed=0)
+    mesh = mesh_for_batch(config.batch_size)
+    state, data = replicate((init_translator(config, seed=0), data), mesh)
 
     def train() -> jax.Array:
         nonlocal state
         for _ in range(steps):
-            state, loss = translator_step(state, data, config=config, draw_batch=draw)
+            state, loss = translator_step(state, data, config=config, draw_batch=draw, mesh=mesh)
         return loss
 
     measured = bench.measure(train)

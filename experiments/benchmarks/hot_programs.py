@@ -164,7 +164,7 @@ def _translator_step(mesh: Mesh) -> HotProgram:
         draw_image_pairs, batch_size=config.batch_size, whole_share=options.whole_share, augment=options.augment
     )
     state = jax.eval_shape(functools.partial(translator.init_translator, config, seed=0))
-    static = {"config": config, "draw_batch": draw}
+    static = {"config": config, "draw_batch": draw, "mesh": mesh}
     specs = (_WHOLE, _WHOLE)
     return HotProgram(translator.translator_step, (state, data), specs, static, config.batch_size, mesh)
 

@@ -17,7 +17,9 @@ from dc2g_jax.grid.sensing import field_of_view, line_of_sight
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.planners import Frontier
 from dc2g_jax.planning.rules import complete_rules
+from dc2g_jax.rollouts.devices import mesh_of
 from dc2g_jax.rollouts.rollout import Episodes, rollout
+from dc2g_jax.training import mask_collection
 from dc2g_jax.training.cost_to_go_data import DataConfig
 from dc2g_jax.training.mask_collection import collect_masks, concatenate_masks
 from experiments.baselines import numpy_gridworld as oracle
@@ -252,7 +254,7 @@ def test_moments_equal_stepping_the_gridworld(shape, view):
     assert not all(exploring)
 
 
-def test_masks_collected_along_paths(street, island):
+def test_masks_collected_along_paths(street, island, monkeypatch):
     rules = complete_rules(2)
     planner = Frontier(rules)
     worlds = world_from_terrain(np.stack([street, island], axis=-1))
@@ -283,6 +285,7 @@ def test_masks_collected_along_paths(street, island):
     for board, world in zip(collected.boards, collected.world, strict=True):
         assert np.asarray(bitboard.unpack(jnp.asarray(board), 10)).tobytes() in walked[int(world)]
 
+    monkeypatch.setattr(mask_collection, "mesh_of", lambda: mesh_of(jax.devices()[:1]))
     again = collect_masks(planner, worlds, episodes, per_episode=3, seed=1, **options)
     jax.tree.map(np.testing.assert_array_equal, tuple(again), tuple(collected))
     both = concatenate_masks([collected, again])

@@ -44,7 +44,7 @@ def steps(monkeypatch):
     """Stand-in for the real step: notes its number, and misbehaves where told."""
     taken, trouble = [], {}
 
-    def step(state, data, *, config, draw_batch):
+    def step(state, data, *, config, draw_batch, mesh):
         number = int(state.step)
         if trouble.get(number) is KeyboardInterrupt:
             del trouble[number]

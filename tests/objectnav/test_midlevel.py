@@ -8,6 +8,7 @@ import pytest
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.estimation.weights import read_safetensors, write_safetensors
 from dc2g_jax.mapping.camera import level_camera
+from dc2g_jax.objectnav import midlevel
 from dc2g_jax.objectnav.classes import BED, OBJECT_COLORS
 from dc2g_jax.objectnav.midlevel import (
     VIEW_SIZE,
@@ -24,6 +25,8 @@ from dc2g_jax.objectnav.midlevel import (
 from dc2g_jax.objectnav.paint import painted
 from dc2g_jax.objectnav.plan_cells import world_from_plan
 from dc2g_jax.objectnav.worlds import scene
+from dc2g_jax.programs import jit
+from dc2g_jax.rollouts.devices import mesh_of
 from dc2g_jax.training.loop import Pauses, train
 from tests.support.plans import BED_BOX, plan
 from tests.support.refusals import refusal
@@ -102,6 +105,25 @@ def test_the_encoder_learns_and_is_the_same_for_a_seed(views, trained, tmp_path)
     assert sum(losses[-1].values()) < 0.5 * sum(losses[0].values())
     again, _ = train_encoder(views, tmp_path)
     jax.tree.map(np.testing.assert_array_equal, again.weights, encoder.weights)
+
+
+def test_the_number_of_devices_changes_a_step_by_rounding_only(views, tmp_path, monkeypatch):
+    """Each number of devices compiles the step once. 40 steps move half of the weights by 1e-2 or more."""
+    programs, found = [], []
+    monkeypatch.setattr(
+        midlevel, "jit", lambda *args, **options: programs.append(jit(*args, **options)) or programs[-1]
+    )
+    for count in (1, 2):
+        mesh = mesh_of(jax.devices()[:count])
+        monkeypatch.setattr(midlevel, "mesh_for_batch", lambda size, mesh=mesh: mesh)
+        found.append(train_encoder(views, tmp_path / str(count)))
+        (leaf, *_) = jax.tree.leaves(found[-1][0].weights)
+        assert leaf.sharding.device_set == set(mesh.devices.flat)
+    assert [program.compiled_count() for program in programs] == [1] * 4
+    (one, losses), (two, others) = found
+    for name, loss in losses[-1].items():
+        assert others[-1][name] == pytest.approx(loss, rel=1e-5)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5), one.weights, two.weights)
 
 
 def test_the_encoder_comes_back_from_its_file(views, trained, tmp_path):

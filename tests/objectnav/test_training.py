@@ -19,6 +19,7 @@ from dc2g_jax.objectnav.training import (
     train_step,
     validation_samples,
 )
+from dc2g_jax.rollouts.devices import mesh_of, replicate
 from tests.support.states import assert_same_bits, infinite
 from tests.support.trainings import COST_MAPS as CONFIG
 from tests.support.trainings import journeys
@@ -29,11 +30,11 @@ def data() -> JourneySet:
     return journeys()
 
 
-def train(data, steps, state=None):
-    state = first_state(CONFIG) if state is None else state
-    losses = []
+def train(data, steps, state=None, devices=None):
+    losses, mesh = [], mesh_of(devices)
+    state, data = replicate((first_state(CONFIG) if state is None else state, data), mesh)
     for _ in range(steps):
-        state, loss = train_step(state, data, config=CONFIG)
+        state, loss = train_step(state, data, config=CONFIG, mesh=mesh)
         losses.append(float(loss))
     return state, losses
 
@@ -62,6 +63,22 @@ def test_an_interrupted_run_ends_like_one_that_was_not(data, trained, tmp_path):
         losses += part
     assert losses == trained[1]
     assert_same_bits(state, trained[0])
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_step_is_compiled_once(data, count):
+    train(data, 1, devices=jax.devices()[:count])
+    before = train_step.compiled_count()
+    train(data, 3, devices=jax.devices()[:count])
+    assert train_step.compiled_count() == before
+
+
+def test_the_number_of_devices_changes_a_step_by_rounding_only(data):
+    """Five steps move half of the weights by 4e-3 or more. Rounding is to change them by 1e-4 at most."""
+    one, losses = train(data, 5, devices=jax.devices()[:1])
+    two, others = train(data, 5, devices=jax.devices()[:2])
+    np.testing.assert_allclose(losses, others, rtol=1e-5)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4), one, two)
 
 
 def test_figures_of_a_network_do_not_change(data, trained):

@@ -111,6 +111,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     from dc2g_jax.planning.online import OnlinePlanner
     from dc2g_jax.planning.planners import DC2G, Frontier
     from dc2g_jax.planning.rules import SETTINGS, complete_rules
+    from dc2g_jax.rollouts.devices import mesh_of
     from dc2g_jax.rollouts.evaluation import Runner, episodes_from
     from dc2g_jax.training import cost_to_go, translator
     from dc2g_jax.training.image_evaluation import compare
@@ -166,12 +167,12 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
         config = trainings.TRANSLATOR
         state = translator.init_translator(config, seed=0)
         data = cls(trainings.image_set())
-        translator.translator_step(state, data, config=config, draw_batch=draw_images)
+        translator.translator_step(state, data, config=config, draw_batch=draw_images, mesh=mesh_of())
 
     def train_indoors(cls: type) -> None:
         config = trainings.COST_MAPS
         state = indoor_training.first_state(config)
-        indoor_training.train_step(state, make_indoor(cls), config=config)
+        indoor_training.train_step(state, make_indoor(cls), config=config, mesh=mesh_of())
 
     def search(guide: Any) -> None:
         agent = AGENT.replace(guide=guides.GoalReacher(guide))

@@ -11,6 +11,7 @@ import pytest
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import pix2pix
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax.rollouts.devices import mesh_of, replicate
 from dc2g_jax.training.image_pairs import ImageSet
 from dc2g_jax.training.translator import (
     TRANSLATOR_LOSSES,
@@ -33,12 +34,11 @@ def data() -> ImageSet:
     return image_set()
 
 
-def train(data, steps: int, state=None, config: TranslatorConfig = CONFIG):
-    # On a device by name, as restored states are: the step is then compiled once for both.
-    state = jax.device_put(init_translator(config, seed=0) if state is None else state, jax.devices()[0])
-    differences = []
+def train(data, steps: int, state=None, config: TranslatorConfig = CONFIG, devices=None):
+    mesh, differences = mesh_of(devices), []
+    state, data = replicate((init_translator(config, seed=0) if state is None else state, data), mesh)
     for _ in range(steps):
-        state, difference = translator_step(state, data, config=config, draw_batch=DRAW)
+        state, difference = translator_step(state, data, config=config, draw_batch=DRAW, mesh=mesh)
         differences.append(float(difference))
     return state, differences
 
@@ -135,10 +135,31 @@ def test_weights_that_are_not_finite_are_noticed_in_the_step_that_makes_them(dat
     assert np.isnan(differences[0])
 
 
-def test_a_step_is_compiled_once(data):
-    state, _ = train(data, 1)
+def with_effect(weights) -> dict:
+    """Weights of a network without the biases that the next normalization takes out: rounding alone moves those."""
+    layers = {name: dict(layer) for name, layer in weights.items()}
+    for layer in layers.values():
+        if "norm" in layer:
+            layer["convolution"] = {"kernel": layer["convolution"]["kernel"]}
+    return layers
+
+
+def test_the_number_of_devices_changes_a_step_by_rounding_only(data):
+    """Five steps move half of the weights by 4e-3 or more. Rounding is to change them by 1e-4 at most."""
+    one, differences = train(data, 5, devices=jax.devices()[:1])
+    two, others = train(data, 5, devices=jax.devices()[:2])
+    np.testing.assert_allclose(differences, others, rtol=1e-5)
+    for network in ("generator", "discriminator"):
+        pair = (with_effect(getattr(state, network)) for state in (one, two))
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4), *pair)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_step_is_compiled_once(data, count):
+    devices = jax.devices()[:count]
+    state, _ = train(data, 1, devices=devices)
     before = translator_step.compiled_count()
-    train(data, 1, init_translator(CONFIG, seed=1))
-    state, _ = train(data, 2, state)
-    train(dataclasses.replace(data, masks=data.masks ^ jnp.uint32(1)), 1, state)
+    train(data, 1, init_translator(CONFIG, seed=1), devices=devices)
+    state, _ = train(data, 2, state, devices=devices)
+    train(dataclasses.replace(data, masks=data.masks ^ jnp.uint32(1)), 1, state, devices=devices)
     assert translator_step.compiled_count() == before
