@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import random
+import signal
 import socket
 import subprocess
 import sys
@@ -32,11 +33,11 @@ A_MINUTE = 60
 
 @pytest.fixture(scope="module")
 def houses(tmp_path_factory) -> Path:
-    """A tiny map of every split."""
+    """A tiny map of every split. They are not square, so that no houses are drawn to validate in."""
     folder = tmp_path_factory.mktemp("houses")
     for number, split in enumerate(("train", "val", "test")):
         (folder / split).mkdir()
-        np.save(folder / split / f"{split}.npy", maps.random_terrain(number, (10, 10), 0.85, doors=2))
+        np.save(folder / split / f"{split}.npy", maps.random_terrain(number, (10, 12), 0.85, doors=2))
     return folder
 
 
@@ -98,9 +99,13 @@ def disturbed(command: list[object], out: Path, progress: Callable[[], int], kil
         seconds = time.monotonic() - killed
         processes[victim].communicate()
         print(f"\nkill {number}: process {victim}; the other ended after {seconds:.1f} s: {errors[-400:]!r}")
+        assert "Traceback" not in errors
+        if victim == 0 and processes[1].returncode == -signal.SIGABRT:
+            # JAX ends a process that was not waiting for the first one when that died.
+            assert "JAX distributed service detected fatal errors" in errors
+            continue
         assert processes[1 - victim].returncode == 1
         assert errors.replace("\r", "\n").splitlines()[-1].startswith(f"error: process {1 - victim} lost the others")
-        assert "Traceback" not in errors
     finish(started(command, 2, resume=True))
 
 
