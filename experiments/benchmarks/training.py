@@ -64,9 +64,12 @@ def training_rows(
     def trained(states: list[TrainingState], numbers: list[Hyperparameters]) -> list[jax.Array]:
         # Each call goes on where the last one stopped: states are used up.
         for _ in range(steps):
-            taken = [step(state, of_run) for state, of_run in zip(states, numbers, strict=True)]
-            states[:] = [state for state, _ in taken]
-        return [loss for _, loss in taken]
+            losses = []
+            for run, of_run in enumerate(numbers):
+                states[run], loss = step(states[run], of_run)
+                # Of programs that run at once on a CPU, each device could begin another, and all wait for the others.
+                losses.append(jax.block_until_ready(loss) if len(numbers) > 1 else loss)
+        return losses
 
     stacked = stacked_hyperparameters(configs)
     begun: dict[str, Callable[[], tuple[list[TrainingState], list[Hyperparameters]]]] = {
