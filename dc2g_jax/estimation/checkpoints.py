@@ -240,7 +240,7 @@ class TrainingCheckpoints:
                 options=self._orbax.CheckpointManagerOptions(
                     max_to_keep=2,
                     create=False,
-                    enable_async_checkpointing=False,  # its signals would be those of all processes
+                    enable_async_checkpointing=False,  # its signals may be those of all processes
                     # Each process has its own folder.
                     multiprocessing_options=self._orbax.options.MultiprocessingOptions(
                         primary_host=None, active_processes={jax.process_index()}

@@ -117,6 +117,16 @@ def mesh_for_batch(size: int) -> Mesh:
     return mesh_of(jax.local_devices()[:1] if size % jax.device_count() else None)
 
 
+def settle(tree: Any) -> None:
+    """Wait for arrays around a program in which devices exchange data. Only several cores of a CPU as devices need this.
+
+    They share a few threads. Each device holds one while it waits for the data of another, and one while it starts a
+    program and 32 wait already. Together they can hold all of them, and nothing goes on.
+    """
+    if jax.device_count() > 1 and jax.default_backend() == "cpu":
+        jax.block_until_ready(tree)
+
+
 def platform(mesh: Mesh) -> str:
     """Platform of the devices: `cpu`, `gpu` or `tpu`."""
     return mesh.devices.flat[0].platform

@@ -19,7 +19,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import compact_unet
 from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import mesh_of, platform
+from dc2g_jax.rollouts.devices import mesh_of, platform, settle
 from dc2g_jax.training.losses import LOSSES, map_loss
 
 #: Maximum number of equal parts of a batch, which devices can share.
@@ -384,7 +384,10 @@ def train_step(
         return _gradient(state, hyperparameters, batch, some_runs, layout=layout, recipe=recipe)
 
     of_runs = [[found(some_runs, some_parts) for some_parts in parts] for some_runs in runs]
-    return _update(state, hyperparameters, of_runs, layout=layout, recipe=recipe)
+    settle(of_runs)
+    new = _update(state, hyperparameters, of_runs, layout=layout, recipe=recipe)
+    settle(new)
+    return new
 
 
 def mean_error(architecture: Architecture, weights: Any, batch: Batch) -> Float[Array, ""]:

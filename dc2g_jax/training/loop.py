@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from tqdm import tqdm
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.rollouts.devices import fetch, in_any_process
+from dc2g_jax.rollouts.devices import fetch, in_any_process, settle
 
 _State = TypeVar("_State")
 
@@ -154,6 +154,7 @@ def _take_steps(
     with _interrupts_noted() as noted:
         while len(losses) < count and (several or not noted):
             state, loss = take_step(state)
+            settle(loss)
             losses.append(loss)
     return state, losses, bool(noted)
 

@@ -67,8 +67,7 @@ def training_rows(
             losses = []
             for run, of_run in enumerate(numbers):
                 states[run], loss = step(states[run], of_run)
-                # Of programs that run at once on a CPU, each device could begin another, and all wait for the others.
-                losses.append(jax.block_until_ready(loss) if len(numbers) > 1 else loss)
+                losses.append(loss)
         return losses
 
     stacked = stacked_hyperparameters(configs)

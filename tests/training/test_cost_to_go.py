@@ -180,6 +180,14 @@ def test_the_number_of_devices_changes_a_step_by_rounding_only(data):
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-6), one, two)
 
 
+def test_a_step_on_several_cores_is_over_when_it_returns(data):
+    # Cores that exchange data wait for each other forever if too many programs are started behind.
+    state = first_state(CONFIG)
+    for _ in range(3):
+        state, loss = train_step(state, CONFIG.hyperparameters, data, recipe=CONFIG.recipe, draw_batch=DRAW)
+        assert all(leaf.is_ready() for leaf in jax.tree.leaves((state, loss)))
+
+
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_step_is_compiled_once(data, count):
     programs, devices = [cost_to_go._draw, cost_to_go._gradient, cost_to_go._update], jax.devices()[:count]
