@@ -6,7 +6,6 @@ After an interruption, --resume continues where it stopped.
 
 import dataclasses
 import functools
-import json
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,11 +21,12 @@ from dc2g_jax.cli.outputs import CommandOptions, number_or_null, output_folder
 from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
-from dc2g_jax.errors import InputError
+from dc2g_jax.errors import InputError, short
 from dc2g_jax.estimation.checkpoints import CARD, TrainingCheckpoints, load_network, save_network
 from dc2g_jax.estimation.compact_unet import Architecture, multiply_accumulates
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.files.atomic import write_json
+from dc2g_jax.files.reading import read_object
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.inspection.training_figures import plot_sweep
 from dc2g_jax.programs import jit
@@ -46,6 +46,9 @@ from dc2g_jax.training.sweeps import (
 
 #: Number of validation pairs, and the batch size for them.
 _PAIRS, _PAIRS_AT_A_TIME = 512, 64
+
+#: Numbers in every line of the log.
+_FIGURES = ("error", "steps_left_out")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -200,7 +203,7 @@ def write_results(
     macs = {architecture: multiply_accumulates(architecture, *shape) for architecture in architectures}
     rows: list[dict[str, Any]] = []
     for run, config in runs.items():
-        validations = log.by_step(run)
+        validations = log.by_step(run, _FIGURES)
         step = max(validations)
         rows.append(
             {
@@ -225,11 +228,11 @@ def write_results(
 def run_episodes(validation: Validation, runs: Collection[str], out: Path) -> dict[str, Any]:
     """Extra steps in validation houses with the network of each run. Results are saved in a file and reused."""
     path = out / "episodes.json"
-    try:
-        found: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); delete it to run its episodes anew") from None
+    remedy = "delete it to run its episodes anew"
+    found = read_object(path, remedy) if path.exists() else {}
     for number, run in enumerate(runs, start=1):
+        if not isinstance(found.get(run, {}), dict):
+            raise InputError(f"{path}: {run} has {short(found[run])}, no figures; {remedy}")
         if run not in found:
             print(f"episodes in validation houses: {run} ({number} of {len(runs)})", flush=True)
             found[run] = validation.figures(load_network(network_folder(out, run)))
@@ -261,7 +264,7 @@ def main(options: Options) -> None:
     extra: dict[str, list[float]] = {}
     for run, config in runs.items():
         kind = kind_of(options, config)
-        errors.setdefault(kind, []).append({step: line["error"] for step, line in log.by_step(run).items()})
+        errors.setdefault(kind, []).append({step: line["error"] for step, line in log.by_step(run, _FIGURES).items()})
         if run in episodes:
             extra.setdefault(kind, []).append(episodes[run]["mean_extra"])
     plot_sweep(options.out / "sweep", errors, extra, f"{dataset.name}; errors on {_PAIRS} validation pairs")

@@ -14,13 +14,13 @@ from jaxtyping import Int, UInt8
 
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset, stack_worlds
 from dc2g_jax.datasets.starts import Start, sample_starts
-from dc2g_jax.errors import InputError
+from dc2g_jax.errors import InputError, short
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.grid.ground import connected_to_goal, longest_way
 from dc2g_jax.grid.poses import ACTION_LETTERS, HEADINGS, make_pose
 from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.planning.named import NETWORK_PLANNERS, check_names, make_planner, open_estimator
-from dc2g_jax.planning.planners import MODE_NAMES, Oracle, Planner
+from dc2g_jax.planning.planners import MODE_NAMES, Mode, Oracle, Planner
 from dc2g_jax.planning.rules import Rules, Settings, named_settings
 from dc2g_jax.rollouts.results import write_rows
 from dc2g_jax.rollouts.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
@@ -31,6 +31,9 @@ _CELLS_A_STEP = 50 * 50 // STEP_LIMIT
 
 #: Actions for each cell of the longest way to a goal, at least.
 _STEPS_A_CELL_OF_WAY = 4
+
+#: Largest error of extra steps in a table, in percent: earlier versions wrote one or two digits.
+_ROUNDING = 0.1
 
 #: Planners besides those of the package: name -> function that makes the planner from the rules of an episode.
 OwnPlanners = Mapping[str, Callable[[Rules], Planner]]
@@ -70,8 +73,23 @@ class EpisodeResult(NamedTuple):
     steps: int
     oracle_steps: int
     extra: float
-    mode: str
+    mode: Mode
     actions: str = ""
+
+    def check(self) -> None:
+        """Check that the values of a row belong together, such as one that was read from a file.
+
+        Raises:
+          ValueError: they do not.
+        """
+        if min(self.x, self.y, self.heading, self.range, self.steps) < 0 or self.heading >= HEADINGS:
+            raise ValueError(f"x {self.x}, y {self.y}, heading {self.heading}, range {self.range}, {self.steps} steps")
+        if set(self.actions) - set(ACTION_LETTERS):
+            raise ValueError(f"actions {short(self.actions)} are not letters {', '.join(ACTION_LETTERS)}")
+        if self.actions and len(self.actions) != self.steps:
+            raise ValueError(f"{len(self.actions)} actions for {self.steps} steps")
+        if not abs(self.extra - extra_steps(self.steps, self.oracle_steps)) < _ROUNDING:
+            raise ValueError(f"extra is {self.extra} for {self.steps} steps and {self.oracle_steps} of the oracle")
 
 
 class Results(tuple[EpisodeResult, ...]):
