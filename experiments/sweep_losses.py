@@ -30,8 +30,15 @@ from dc2g_jax.files.reading import read_object
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.inspection.training_figures import plot_sweep
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import fetch, mesh_of, replicate
-from dc2g_jax.training.cost_to_go import TrainingConfig, TrainingState, first_state, mean_error, train_step
+from dc2g_jax.rollouts.devices import fetch, mesh_of, replicate, require_memory
+from dc2g_jax.training.cost_to_go import (
+    TrainingConfig,
+    TrainingState,
+    first_state,
+    least_memory,
+    mean_error,
+    train_step,
+)
 from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses, validation_pairs
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax.training.sweeps import (
@@ -247,6 +254,9 @@ def main(options: Options) -> None:
     turns = [turn for group in groups for turn in in_turns(group, options.runs_at_once)]
     dataset = open_dataset(options.dataset)
     check_houses(dataset, extra=options.data.extra_houses, drawn=options.episodes, validated=True)
+    height, width = dataset.houses[0].terrain.shape
+    largest = max(sum(least_memory(config, height, width) for config in turn.values()) for turn in turns)
+    require_memory(largest, f"--batch-size {options.batch_size} or --runs-at-once {options.runs_at_once}")
     output_folder(options, "sweep_losses", free=("minutes_per_checkpoint", "runs_at_once"), inputs=digests(dataset))
     facts = {"data": dataclasses.asdict(options.data), "dataset": dataset.name}
     # These raise for unsuitable houses before minutes of data collection.
@@ -258,7 +268,6 @@ def main(options: Options) -> None:
     for turn in turns:
         train_group(options, turn, data, pairs, facts)
     episodes = run_episodes(validation, runs, options.out) if validation else {}
-    height, width = data.terrain.shape[1:]
     rows = write_results(options.out, runs, log, episodes, (height, width))
     errors: dict[str, list[dict[int, float]]] = {}
     extra: dict[str, list[float]] = {}

@@ -25,8 +25,8 @@ from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.files.reading import read_object
 from dc2g_jax.inspection.columns import viewer_sink
 from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_watch, next_file
-from dc2g_jax.rollouts.devices import first_copy, mesh_of, replicate
-from dc2g_jax.training.cost_to_go import TrainingConfig, TrainingState, first_state, train_step
+from dc2g_jax.rollouts.devices import first_copy, mesh_of, replicate, require_memory
+from dc2g_jax.training.cost_to_go import TrainingConfig, TrainingState, first_state, least_memory, train_step
 from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax.training.losses import parse_losses
@@ -209,6 +209,7 @@ def main(options: Options) -> None:
     watched = options.validate_every > 0 or options.record or options.connect is not None
     check_houses(dataset, extra=options.data.extra_houses, drawn=options.validate_every > 0, validated=watched)
     free = {"validate_every", "minutes_per_checkpoint", "record", "connect"}
+    require_memory(least_memory(config, *dataset.houses[0].terrain.shape), f"--batch-size {config.batch_size}")
     output_folder(options, "train", free=free, inputs=digests(dataset, after=network))
     apart = {*WHERE, "dataset", *free}
     facts = {name: value for name, value in dataclasses.asdict(options).items() if name not in apart}
