@@ -24,7 +24,7 @@ from dc2g_jax.datasets.houses import (
 )
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import read_class_image, read_palette, write_class_image
-from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, PATH, ROAD
+from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, HOUSE, PATH, ROAD
 from tests.files.pngs import chunk, png
 from tests.support.places import PUBLISHED, SHARED
 from tests.support.refusals import refusal
@@ -289,6 +289,13 @@ def test_transparency_is_refused(tmp_path, palette):
     refusal(lambda: read_class_image(path, palette), path, "not opaque")
     path.write_bytes(png(np.zeros((2, 6), np.uint8), 2, 8, (b"tRNS", b"\0" * 6)))
     refusal(lambda: read_class_image(path, palette), path, "not opaque")
+
+
+def test_the_first_of_the_classes_of_a_color_has_it(tmp_path):
+    (tmp_path / "palette.csv").write_text("class,r,g,b\nroad,1,2,3\ngrass,1,2,3\nhouse,4,5,6\n")
+    (tmp_path / "a.png").write_bytes(png(np.array([[1, 2, 3, 4, 5, 6]], np.uint8), 2))
+    found = read_class_image(tmp_path / "a.png", read_palette(tmp_path / "palette.csv"))
+    assert found.tolist() == [[ROAD, HOUSE]]
 
 
 def test_an_index_outside_the_files_own_palette(tmp_path, palette):
