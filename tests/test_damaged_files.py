@@ -20,11 +20,13 @@ import jax
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
+from PIL import Image
 
 from dc2g_jax.cli.outputs import _read_run
 from dc2g_jax.cli.training_sets import kept_arrays
 from dc2g_jax.datasets.download import read_manifest
 from dc2g_jax.datasets.houses import load_dataset, map_dataset, save_dataset
+from dc2g_jax.datasets.maps import Goal, read_map
 from dc2g_jax.datasets.starts import read_starts
 from dc2g_jax.errors import LONGEST_MESSAGE, InputError
 from dc2g_jax.estimation.checkpoints import load_network, save_network
@@ -91,7 +93,18 @@ def write_maps(folder: Path) -> None:
 
 def write_occupancy(folder: Path) -> None:
     occupancy.save(folder, np.full((8, 9), 254, np.uint8), mode="trinary")
-    (folder / "goals.csv").write_text("map,x,y,unit\nlab,0.1,0.1,metres\n")
+
+
+def write_transparent_occupancy(folder: Path) -> None:
+    write_occupancy(folder)
+    shades = np.full((8, 9, 4), 255, np.uint8)
+    Image.fromarray(shades).save(folder / "shades.png")
+    text = (folder / "lab.yaml").read_text()
+    (folder / "lab.yaml").write_text(text.replace("lab.pgm", "shades.png").replace("trinary", "scale"))
+
+
+def read_occupancy(folder: Path) -> None:
+    read_map(folder / "lab.yaml", goals=[Goal(0.1, 0.1, "metres")])
 
 
 def write_recording(folder: Path) -> None:
@@ -183,7 +196,8 @@ READERS = (
         lambda folder: load_dataset(folder, cells=None),
     ),
     Reader(("yard.npy", "street.npy", "goals.csv", "cells.csv"), write_maps, map_dataset),
-    Reader(("lab.yaml", "lab.pgm"), write_occupancy, map_dataset),
+    Reader(("lab.yaml", "lab.pgm"), write_occupancy, read_occupancy),
+    Reader(("shades.png",), write_transparent_occupancy, read_occupancy),
     Reader(
         (
             "depth.txt", "classes.txt", "rgb.txt", "groundtruth.txt", "camera.txt", "depth/0.000000.png",

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dc2g_jax.errors import InputError, short
-from dc2g_jax.files.png import read_png, write_png
+from dc2g_jax.files.png import bands, read_png, write_png
 from dc2g_jax.files.tables import read_table, write_table
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, UNKNOWN
 
@@ -26,9 +26,6 @@ _FOREIGN_CLASS = 254
 
 #: Number of colors that a message lists before it only counts the others.
 _LISTED_COLORS = 2
-
-#: Pixels whose colors are looked up together: what is computed on the way takes many times the memory of an image.
-_PIXELS_AT_ONCE = 2**22
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,16 +108,13 @@ def read_class_image(png_path: Path, palette: Palette, *, size: tuple[int, int] 
     png_path = Path(png_path)
     picture = read_png(png_path, ("palette", "8-bit RGB", "8-bit RGBA"), "colors that stand for classes", size=size)
     classes = np.empty((picture.height, picture.width), np.uint8)
-    rows_at_once = max(1, _PIXELS_AT_ONCE // picture.width)
-    for top in range(0, picture.height, rows_at_once):
-        band = picture.crop((0, top, picture.width, min(top + rows_at_once, picture.height)))
+    for rows, band in bands(picture):
         pixels = np.asarray(band.convert("RGBA"))
         if pixels[..., 3].min() < 255:
             raise InputError(f"{png_path}: has pixels that are not opaque; export it without transparency")
-        found = classes[top : top + rows_at_once]
-        found[:] = palette.class_of_color[_color_codes(pixels)]
-        if found.max() >= _FOREIGN_CLASS:
-            raise InputError(f"{png_path}: {_explain_color(palette, pixels[..., :3], found, top)}")
+        classes[rows] = palette.class_of_color[_color_codes(pixels)]
+        if classes[rows].max() >= _FOREIGN_CLASS:
+            raise InputError(f"{png_path}: {_explain_color(palette, pixels[..., :3], classes[rows], rows.start)}")
     return classes
 
 

@@ -9,7 +9,7 @@ import collections
 import io
 import struct
 import zlib
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,9 @@ from PIL import Image, UnidentifiedImageError
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import replacing
 from dc2g_jax.files.reading import TEXT, read_bytes
+
+#: Pixels of a part of an image, see `bands`.
+_PIXELS_AT_ONCE = 2**22
 
 #: Most pixels of an image. Decoded, it then takes less than half a gigabyte.
 MOST_PIXELS = 2**26
@@ -76,6 +79,18 @@ def read_png(path: Path, kinds: Collection[str], what: str, *, size: tuple[int, 
         raise InputError(f"{path}: damaged PNG (its chunks contradict each other); export the file again") from None
     except Exception as error:  # damaged files raise many kinds of errors
         raise InputError(f"{path}: damaged or truncated PNG ({error}); copy or export the file again") from None
+
+
+def bands(picture: Image.Image) -> Iterator[tuple[slice, Image.Image]]:
+    """The rows of an image in a few parts. What is computed from pixels takes many times their memory.
+
+    Yields:
+        The rows, and the image of them.
+    """
+    rows_at_once = max(1, _PIXELS_AT_ONCE // picture.width)
+    for top in range(0, picture.height, rows_at_once):
+        bottom = min(top + rows_at_once, picture.height)
+        yield slice(top, bottom), picture.crop((0, top, picture.width, bottom))
 
 
 def write_png(path: Path, pixels: np.ndarray) -> None:
