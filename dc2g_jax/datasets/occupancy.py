@@ -69,7 +69,8 @@ class OccupancyMap:
         """
         free = ~_touched(~self.free, columns, rows)
         occupied = _touched(self.occupied, columns, rows)
-        return np.asarray(np.where(free, ROAD, np.where(occupied, HOUSE, UNKNOWN)), np.uint8)
+        road, house, unknown = np.array([ROAD, HOUSE, UNKNOWN], np.uint8)
+        return np.where(free, road, np.where(occupied, house, unknown))
 
     def cell(self, x: float, y: float, columns: int, rows: int) -> tuple[int, int] | None:
         """Column and row of a point in the map frame, on a grid of this size.
@@ -95,6 +96,8 @@ def _touched(pixels: Bool[np.ndarray, "h w"], columns: int, rows: int) -> Bool[n
     """The cells of a grid over an image that touch one of these pixels."""
     for axis, cells in enumerate((rows, columns)):
         size, cell = pixels.shape[axis], np.arange(cells + 1)
+        if cells == size:
+            continue
         first, beyond = cell[:-1] * size // cells, -(-cell[1:] * size // cells)
         # Only every other of the parts from bound to bound is that of a cell; the last bound lies beyond the image.
         bounds = np.stack([first, beyond], axis=-1).ravel()[:-1]

@@ -23,7 +23,7 @@ from dc2g_jax.files.reading import TEXT, read_bytes
 _PIXELS_AT_ONCE = 2**22
 
 #: Most pixels of an image. Decoded, it then takes less than half a gigabyte.
-MOST_PIXELS = 2**26
+MOST_PIXELS = 60_000_000
 
 #: Width, height, bits, color type, compression, filters and interlacing.
 _HEADER = struct.Struct(">2I5B")

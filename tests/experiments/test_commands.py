@@ -26,6 +26,7 @@ from experiments import (
     head_to_head,
     latency,
     noisy_mapping,
+    objectnav_train,
     reproduce_fig5,
     reproduce_fig7,
     reproduce_fig8,
@@ -209,10 +210,15 @@ def test_lack_of_memory_is_one_line_that_names_the_option_to_lower(command, opti
 
 @pytest.mark.parametrize(
     ("command", "options"),
-    [(train, ["--out", "out"]), (sweep_losses, ["--out", "out"]), (train_translator, ["--out", "out"])],
+    [
+        (train, ["--dataset", "procedural"]),
+        (sweep_losses, ["--dataset", "procedural"]),
+        (train_translator, ["--dataset", "procedural"]),
+        (objectnav_train, []),
+    ],
 )
 def test_batches_beyond_all_memory_are_refused_before_anything_is_collected(command, options, monkeypatch, capfd):
-    words = [f"{command.__name__}.py", *options, "--dataset", "procedural", "--batch-size", str(10**9)]
+    words = [f"{command.__name__}.py", "--out", "out", *options, "--batch-size", str(10**9)]
     monkeypatch.setattr(sys, "argv", words)
     began = time.monotonic()
     with pytest.raises(SystemExit) as stopped:
