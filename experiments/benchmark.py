@@ -8,8 +8,9 @@ from typing import Literal
 
 import jax
 
-from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, command_line
-from dc2g_jax.cli.outputs import CommandOptions, output_folder
+from dc2g_jax.cli.common import command_line
+from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, require_positive
+from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import load_network
@@ -56,7 +57,7 @@ _ABOUT = (
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(CommandOptions):
+class Options(DatasetOptions, NetworkOptions, OutOptions):
     """Measure planners, environment, kernels and network, side by side with plain C, Numba, NumPy and libraries.
 
     Writes `benchmark.json`, `benchmark.md` and `benchmark.png` and prints the table; the first two after each row.
@@ -73,9 +74,6 @@ class Options(CommandOptions):
       quick: measure small cases, as a test of a minute; the figures mean little.
       repeats: number of repeats; by default 5, or 2 with --quick.
       starts_per_house: episodes in each training and validation house.
-      dataset: folder of houses, or `procedural`; by default DC2G_DATA, the cache, or a download.
-      network: folder of a trained network for `dc2g`; the shipped one by default.
-      out: folder to write to; a new one under outputs/ by default.
     """
 
     accelerator: bool = False
@@ -86,9 +84,6 @@ class Options(CommandOptions):
     quick: bool = False
     repeats: int | None = None
     starts_per_house: int = 12
-    dataset: DatasetOption = None
-    network: NetworkOption = None
-    out: OutOption = None
 
 
 def check(options: Options) -> None:
@@ -97,12 +92,9 @@ def check(options: Options) -> None:
     Raises:
       InputError: an option is invalid; the message names it.
     """
-    if options.repeats is not None and options.repeats < 1:
-        raise InputError(f"--repeats {options.repeats}: nothing would be measured; give 1 or more")
-    if options.starts_per_house < 1:
-        raise InputError(f"--starts-per-house {options.starts_per_house}: there would be no episode; give 1 or more")
-    if options.minutes <= 0 or min(options.robots, *options.runs, 8) < 1:
-        raise InputError(f"--minutes {options.minutes:g} --robots {options.robots}, --runs: give positive numbers")
+    require_positive(options, "repeats", "starts_per_house", "robots")
+    if options.minutes <= 0 or min(options.runs, default=1) < 1:
+        raise InputError(f"--minutes {options.minutes:g}, --runs: give positive numbers")
     if options.accelerator and not options.quick and jax.default_backend() == "cpu":
         raise InputError("--accelerator: JAX finds none; install the extra `cuda`, or give --quick to see that it runs")
     if options.accelerator and options.only:

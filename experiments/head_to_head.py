@@ -9,18 +9,15 @@ from typing import Any
 import numpy as np
 
 from dc2g_jax.cli.common import PlannerOption, check_planners, command_line, digests, network_for
-from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
+from dc2g_jax.cli.episodes import EpisodeTable
 from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, require_positive
 from dc2g_jax.cli.outputs import output_folder, print_files
-from dc2g_jax.datasets.houses import HouseDataset, open_dataset
+from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import published_episodes
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.inspection.figures import plot_head_to_head
-from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax.rollouts.published import PUBLISHED_GROUPS, EpisodePair, compare, pair_up
 
 
@@ -39,15 +36,6 @@ class Options(DatasetOptions, NetworkOptions, OutOptions, ResumeOptions):
     planner: PlannerOption = "dc2g"
     resamples: int = 10_000
     seed: int = 0
-
-
-def run_published(
-    planner: str, dataset: HouseDataset, network: TrainedNetwork | None, table: EpisodeTable
-) -> dict[str, list[EpisodeResult]]:
-    """Episodes of frontier exploration and of a planner from the published starts, by planner."""
-    runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())
-    starts = [episode.start for episode in published_episodes()]
-    return {name: table.run(runner, starts, [name], network) for name in dict.fromkeys(("frontier", planner))}
 
 
 def print_comparison(tables: dict[str, dict[str, Any]]) -> None:
@@ -83,8 +71,10 @@ def main(options: Options) -> None:
     check_planners([options.planner])
     network = network_for([options.planner], options.network)
     out = output_folder(options, "head_to_head", inputs=digests(dataset, network=network))
-    results = run_published(options.planner, dataset, network, EpisodeTable(out / "episodes.csv"))
-    pairs = pair_up(published_episodes(), results["frontier"], results[options.planner])
+    both = tuple(dict.fromkeys(("frontier", options.planner)))
+    ran = EpisodeTable(out / "episodes.csv").published(dataset, both, network)
+    frontier, ours = ([one for one in ran if one.planner == name] for name in ("frontier", options.planner))
+    pairs = pair_up(published_episodes(), frontier, ours)
     groups = {group: [pair for pair in pairs if group in (pair.group, "all")] for group in PUBLISHED_GROUPS}
     tables = {group: compare(own, resamples=options.resamples, seed=options.seed) for group, own in groups.items()}
     print_comparison(tables)

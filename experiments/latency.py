@@ -5,15 +5,9 @@
 """
 
 import dataclasses
-import functools
 import gc
 import itertools
-import time
-from collections.abc import Iterator
-from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from dc2g_jax.cli.common import PlannerOption, check_planners, command_line, network_for
@@ -22,16 +16,11 @@ from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
-from dc2g_jax.grid import gridworld
-from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
-from dc2g_jax.grid.sensing import field_of_view
-from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.online import OnlinePlanner
-from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.rollout import STEP_LIMIT
 
+from .benchmarks.decisions import LatencyRow, waits
 from .benchmarks.machine import describe
-from .benchmarks.workload import Workload, make_workload, resized
+from .benchmarks.workload import make_workload, resized
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,45 +40,6 @@ class Options(DatasetOptions, NetworkOptions, OutOptions):
     repeats: int = 3
     planner: PlannerOption = "dc2g"
     sensing_range: int = 8
-
-
-class LatencyRow(NamedTuple):
-    """One repeat. Times are in milliseconds.
-
-    Attributes:
-      cells: side length of the map.
-      calls: timed decisions, including the first.
-      first: time of the first call.
-      p50: median.
-      p99: 99th percentile.
-      worst: time of the slowest call.
-    """
-
-    cells: int
-    calls: int
-    first: float
-    p50: float
-    p99: float
-    worst: float
-
-
-def waits(planner: OnlinePlanner, workload: Workload, sensing_range: int) -> Iterator[float]:
-    """Yield the duration of each decision in seconds, episode after episode."""
-    sensing = field_of_view(sensing_range)
-    reset = jit(functools.partial(gridworld.reset, sensing=sensing))
-    step = jit(functools.partial(gridworld.step, sensing=sensing))
-    terrain = {house.name: house.terrain for house in workload.houses}
-    for start in itertools.cycle(workload.starts):
-        world = world_from_terrain(terrain[start.house])
-        belief = reset(world, make_pose(start.x, start.y, start.heading))
-        for _ in range(STEP_LIMIT):
-            grid, pose = np.asarray(belief.terrain), jax.device_get(belief.pose)
-            begin = time.perf_counter()
-            decision = planner.plan(grid, (pose.x, pose.y, pose.heading))
-            yield time.perf_counter() - begin
-            if decision.action is None:
-                break
-            belief = step(world, belief, jnp.int32(ACTION_LETTERS.index(decision.action)))
 
 
 def main(options: Options) -> None:

@@ -1,40 +1,16 @@
-"""Time the integration of depth images into semantic maps: `python -m experiments.mapping_speed`.
-
-Each robot stands in the middle of its map and sees ground and a wall 7 m ahead, with 1 % depth noise.
-"""
+"""Time the integration of depth images into semantic maps: `python -m experiments.mapping_speed`."""
 
 import dataclasses
-from typing import NamedTuple
-
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Int
 
 from dc2g_jax.cli.common import command_line
 from dc2g_jax.cli.options import OutOptions, require_positive
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.files.atomic import write_json
-from dc2g_jax.grid.terrain import HOUSE, ROAD
-from dc2g_jax.mapping.camera import Frame, Intrinsics, intrinsics, level_camera, rays
-from dc2g_jax.mapping.semantic_map import MapSettings, empty_map, integrate, terrain_map
-from dc2g_jax.programs import jit
 
 from .benchmarks.machine import describe
-from .benchmarks.timing import measure
-
-
-class Case(NamedTuple):
-    """Robots with one camera and one map of 50 x 50 m each."""
-
-    robots: int
-    image: tuple[int, int]
-    cells: int
-
+from .benchmarks.mapping import Case, mapping_row
 
 CASES = (Case(1, (480, 640), 50), Case(1, (480, 640), 200), Case(1, (120, 160), 50), Case(256, (48, 64), 50))
-
-#: Side length of the maps, height of the cameras and distance to the wall, meters.
-_SIDE, _CAMERA_HEIGHT, _WALL = 50.0, 1.0, 7.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,62 +24,6 @@ class Options(OutOptions):
     repeats: int = 15
 
 
-class MappingRow(NamedTuple):
-    """One case. Times are in milliseconds for all robots together.
-
-    Attributes:
-      robots: number of robots.
-      image: rows and columns of each camera's image.
-      cells: side length of each map.
-      integrate: median time of one frame per robot.
-      worst: time of the slowest repeat.
-      frames_a_second: frames of all robots per second, from the median.
-      terrain: median time to project all 2D maps.
-      gib: peak memory of the process or the device, GiB.
-    """
-
-    robots: int
-    image: tuple[int, int]
-    cells: int
-    integrate: float
-    worst: float
-    frames_a_second: float
-    terrain: float
-    gib: float
-
-
-def look(robot: Int[Array, ""], camera: Intrinsics) -> Frame:
-    """The frame of a robot's camera. Each robot has its own direction."""
-    pose = level_camera(_SIDE / 2, -_SIDE / 2, _CAMERA_HEIGHT, 0.3 * robot, 0.2)
-    descent = -rays(camera, pose)[..., 2]
-    ground = jnp.where(descent > 0, _CAMERA_HEIGHT / descent, jnp.inf)
-    depth = jnp.minimum(ground, _WALL) * (1 + 0.01 * jax.random.normal(jax.random.key(robot), ground.shape))
-    return Frame(depth, jnp.where(ground < _WALL, ROAD, HOUSE).astype(jnp.uint8), pose)
-
-
-def run(case: Case, repeats: int) -> MappingRow:
-    """Measure one case."""
-    camera = intrinsics(90.0, *case.image)
-    settings = MapSettings(rows=case.cells, columns=case.cells, cell_size=_SIDE / case.cells)
-    robots = jnp.arange(case.robots)
-    frames = jit(jax.vmap(look, in_axes=(0, None)))(robots, camera)
-    maps = jax.vmap(lambda _: empty_map(settings))(robots)
-    take = jit(jax.vmap(integrate, in_axes=(0, 0, None, None)))
-    read = jit(jax.vmap(terrain_map, in_axes=(0, None)))
-    taking = measure(lambda: take(maps, frames, camera, settings), repeats=repeats)
-    filled = take(maps, frames, camera, settings)
-    reading = measure(lambda: read(filled, settings), repeats=repeats)
-    median, worst = taking.timing.median, taking.timing.worst
-    return MappingRow(
-        *case,
-        integrate=round(1e3 * median, 2),
-        worst=round(1e3 * worst, 2),
-        frames_a_second=round(case.robots / median, 1),
-        terrain=round(1e3 * reading.timing.median, 2),
-        gib=round(taking.peak_memory / 2**30, 2),
-    )
-
-
 def main(options: Options) -> None:
     """Measure all cases, print a table and write `mapping_speed.json`."""
     require_positive(options, "repeats")
@@ -113,7 +33,7 @@ def main(options: Options) -> None:
     print("  robots      image   cells  integrate    worst   frames/s  terrain map    GiB")
     rows = []
     for case in CASES:
-        row = run(case, options.repeats)
+        row = mapping_row(case, options.repeats)
         rows.append(row._asdict())
         print(
             f"{row.robots:8d}{row.image[1]:7d}x{row.image[0]:3d}{row.cells:8d}{row.integrate:11.2f}{row.worst:9.2f}"

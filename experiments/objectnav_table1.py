@@ -17,14 +17,15 @@ from dc2g_jax.cli.searches import (
     AGENT_TITLES,
     AgentName,
     ComparisonOptions,
-    SearchTable,
     agent_with,
     conclude,
     costs_for,
     digests,
+    run_searches,
 )
 from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.evaluation import SearchResult, SearchSummary, summarize
+from dc2g_jax.rollouts.results import ResumableTable
 
 
 class Table1Line(NamedTuple):
@@ -98,11 +99,11 @@ def main(options: Options) -> None:
     costs = costs_for(options.agents, options.network)
     houses, episodes = options.places()
     out = output_folder(options, "objectnav_table1", inputs=digests(houses, network=costs))
-    searches, all_results = SearchTable(out / "episodes.csv"), dict[str, list[SearchResult]]()
+    searches, all_results = ResumableTable(out / "episodes.csv", SearchResult), dict[str, list[SearchResult]]()
     for name in options.agents:
         began = time.perf_counter()
         agent = functools.partial(agent_with, name, costs, options.samples)
-        all_results[name] = searches.run(name, agent, houses, episodes, options)
+        all_results[name] = run_searches(searches, name, agent, houses, episodes, options)
         print(f"{AGENT_TITLES[name]}: {len(episodes)} searches, {time.perf_counter() - began:.0f} s", flush=True)
     summaries = {name: summarize(results, resamples=options.resamples) for name, results in all_results.items()}
     facts = {

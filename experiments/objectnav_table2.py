@@ -13,7 +13,7 @@ import tyro
 
 from dc2g_jax.cli.common import command_line
 from dc2g_jax.cli.outputs import output_folder
-from dc2g_jax.cli.searches import ON_NETWORK, ComparisonOptions, SearchTable, agent_with, conclude, digests, open_costs
+from dc2g_jax.cli.searches import ON_NETWORK, ComparisonOptions, agent_with, conclude, digests, open_costs, run_searches
 from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect
 from dc2g_jax.objectnav.evaluation import SearchResult, SearchSummary, summarize
@@ -21,6 +21,7 @@ from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.networks import ABLATIONS, CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 from dc2g_jax.objectnav.training import CostMapConfig, figures, validation_samples
+from dc2g_jax.rollouts.results import ResumableTable
 
 #: Titles of the rows, by name of the ablation.
 ABLATION_TITLES = {"both": "both", "semantic": "only semantic map", "midlevel": "only mid-level"}
@@ -128,12 +129,12 @@ def main(options: Options) -> None:
     networks = open_networks(options.networks)
     houses, episodes = options.places()
     out = output_folder(options, "objectnav_table2", inputs=digests(houses, networks=networks))
-    searches, results = SearchTable(out / "episodes.csv"), dict[str, list[SearchResult]]()
+    searches, results = ResumableTable(out / "episodes.csv", SearchResult), dict[str, list[SearchResult]]()
     metrics = {}
     for name, costs in networks.items():
         metrics[name] = prediction_metrics(costs, houses, options)
         agent = functools.partial(agent_with, options.agent, costs, options.samples)
-        results[name] = searches.run(name, agent, houses, episodes, options)
+        results[name] = run_searches(searches, name, agent, houses, episodes, options)
     summaries = {name: summarize(found, resamples=options.resamples) for name, found in results.items()}
     facts = {
         "prediction": metrics,

@@ -16,7 +16,7 @@ import numpy as np
 import tyro
 
 from dc2g_jax.cli.common import check_seed, command_line
-from dc2g_jax.cli.options import TrainingOptions, require_positive
+from dc2g_jax.cli.options import PauseOptions, TrainingOptions, require_positive
 from dc2g_jax.cli.outputs import command_written, commit, output_folder
 from dc2g_jax.cli.training_sets import kept_arrays
 from dc2g_jax.datasets.houses import PROCEDURAL
@@ -53,7 +53,7 @@ _VALIDATION_SEED = 1_000_003
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(TrainingOptions):
+class Options(TrainingOptions, PauseOptions):
     """Train the network that predicts cost maps for object goals indoors (section II), on training houses only.
 
     Attributes:
@@ -75,7 +75,6 @@ class Options(TrainingOptions):
       seed: seed of weights and batches.
       validate_every: steps between validations; the last step is validated too.
       validation_samples: number of samples to validate on.
-      minutes_per_checkpoint: minutes between checkpoints.
     """
 
     houses: str = PROCEDURAL
@@ -219,7 +218,7 @@ def main(options: Options) -> None:
     options.training(1)  # raises before anything is written
     require_positive(options, "count", "validation_houses", "encoder_steps", "validation_samples")
     check_seed(options.collection.data_seed, "data-seed")
-    pauses = Pauses(options.validate_every, options.minutes_per_checkpoint)
+    pauses = options.pauses
     if options.encoder is not None and not (options.out / ENCODER_FILE).exists():
         load_encoder(options.encoder)
     free = ("validate_every", "minutes_per_checkpoint", "validation_samples")

@@ -68,9 +68,7 @@ def run_published(
     dataset: HouseDataset, planners: Sequence[str], network: TrainedNetwork | None, table: EpisodeTable
 ) -> tuple[list[EpisodeResult], list[ExtraSteps]]:
     """Run the 400 published episodes. Returns our results, and table entries for ours and the authors'."""
-    published = published_episodes()
-    runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())
-    results = table.run(runner, [episode.start for episode in published], planners, network)
+    published, results = published_episodes(), table.published(dataset, planners, network)
     entries = [_episode(result, published[n % len(published)].group) for n, result in enumerate(results)]
     for episode in published:
         for planner, steps in (("authors_frontier", episode.frontier), ("authors_dc2g", episode.dc2g)):

@@ -16,8 +16,9 @@ import numpy as np
 import tyro
 from jaxtyping import Array, Float
 
-from dc2g_jax.cli.common import DatasetOption, command_line, digests
-from dc2g_jax.cli.outputs import CommandOptions, number_or_null, output_folder
+from dc2g_jax.cli.common import command_line, digests
+from dc2g_jax.cli.options import DatasetOptions, PauseOptions, TrainingOptions
+from dc2g_jax.cli.outputs import number_or_null, output_folder
 from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
@@ -40,7 +41,7 @@ from dc2g_jax.training.cost_to_go import (
     train_step,
 )
 from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses, validation_pairs
-from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
+from dc2g_jax.training.loop import Log, Losses, Task, train
 from dc2g_jax.training.sweeps import (
     StackedCheckpoints,
     group_by_shape,
@@ -59,12 +60,10 @@ _FIGURES = ("error", "steps_left_out")
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(CommandOptions):
+class Options(DatasetOptions, TrainingOptions, PauseOptions):
     """Train every combination of losses, learning rates, widths and seeds, together where shapes allow.
 
     Attributes:
-      out: folder for runs, log, table and figure.
-      dataset: folder of houses, or `procedural`; by default DC2G_DATA, the cache, or a download.
       data: houses and masks.
       losses: losses to try: quantile, l1, l2, huber, log, or weighted sums of them such as quantile=1,log=0.5.
       learning_rates: peak learning rates to try.
@@ -74,14 +73,10 @@ class Options(CommandOptions):
       batch_size: pairs per step of each run.
       validate_every: steps between validations on pairs; the last step is validated too. 0 for the last step only.
       episodes: run the planner in validation houses with every network at the end; `--no-episodes` turns it off.
-      minutes_per_checkpoint: minutes between checkpoints.
       runs_at_once: largest number of runs to train together; best a multiple of the number of devices. It may change
         when the sweep is resumed.
-      resume: continue the run in `out` where it stopped. It must have been started with the same options.
     """
 
-    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
-    dataset: DatasetOption = None
     data: tyro.conf.OmitArgPrefixes[DataConfig] = dataclasses.field(default_factory=DataConfig)
     losses: tuple[str, ...] = ("quantile", "l1", "l2", "huber", "log")
     learning_rates: tuple[float, ...] = (TrainingConfig.learning_rate,)
@@ -91,14 +86,7 @@ class Options(CommandOptions):
     batch_size: int = TrainingConfig.batch_size
     validate_every: int = 200
     episodes: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
-    minutes_per_checkpoint: float = 5.0
     runs_at_once: int = 64
-    resume: bool = False
-
-    @property
-    def pauses(self) -> Pauses:
-        """When to validate and to save."""
-        return Pauses(self.validate_every, self.minutes_per_checkpoint)
 
     @property
     def runs(self) -> dict[str, TrainingConfig]:

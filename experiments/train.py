@@ -14,7 +14,7 @@ import numpy as np
 import tyro
 
 from dc2g_jax.cli.common import NetworkOption, command_line, digests
-from dc2g_jax.cli.options import DatasetOptions, TrainingOptions
+from dc2g_jax.cli.options import DatasetOptions, PauseOptions, TrainingOptions
 from dc2g_jax.cli.outputs import WHERE, command_written, commit, output_folder
 from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
@@ -28,7 +28,7 @@ from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_wa
 from dc2g_jax.rollouts.devices import first_copy, mesh_of, replicate, require_memory
 from dc2g_jax.training.cost_to_go import TrainingConfig, TrainingState, first_state, least_memory, train_step
 from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses
-from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
+from dc2g_jax.training.loop import Log, Losses, Task, train
 from dc2g_jax.training.losses import parse_losses
 
 #: Number of maps in a recording.
@@ -36,7 +36,7 @@ _MAPS_RECORDED = 6
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DatasetOptions, TrainingOptions):
+class Options(DatasetOptions, TrainingOptions, PauseOptions):
     """Train the cost-to-go network on training houses, with pairs of partial maps and exact cost-to-go (Algorithm 1).
 
     Attributes:
@@ -51,8 +51,6 @@ class Options(DatasetOptions, TrainingOptions):
       batch_size: pairs per step; a multiple of 8 keeps up to eight CPU cores busy.
       learning_rate: peak learning rate.
       seed: seed of weights and batches.
-      validate_every: steps between validations; the last step is validated too. 0 for none.
-      minutes_per_checkpoint: minutes between checkpoints.
       record: write a rerun recording of the training, `training-001.rrd`, and another one each time it is resumed;
         `rerun DIR/training-*.rrd` shows them together, even during training.
       connect: address of a running rerun viewer to send the training to, such as rerun+http://127.0.0.1:9876/proxy.
@@ -201,7 +199,7 @@ def training_task(
 def main(options: Options) -> None:
     """Train, validate and save the network."""
     config = options.training  # raises before anything is written, as for all other options
-    pauses = Pauses(options.validate_every, options.minutes_per_checkpoint)
+    pauses = options.pauses
     network = None if options.after is None else compact_network(options.after, config.architecture)
     if options.connect is not None:
         viewer_sink(options.connect)  # an invalid address raises before anything is written

@@ -6,12 +6,10 @@ else, including the starts, is the same.
 
 import dataclasses
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any, Literal, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, UInt8
 
 from dc2g_jax.cli.common import command_line, digests
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
@@ -23,19 +21,17 @@ from dc2g_jax.datasets.procedural.suburbs import SUBURBS
 from dc2g_jax.datasets.starts import Start, sample_starts
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import load_network
-from dc2g_jax.estimation.estimators import Estimator, extent_of
+from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.estimation.extents import CroppedEstimator, Window, WindowedEstimator
 from dc2g_jax.files.atomic import write_json
-from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.terrain import UNKNOWN
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.evaluation import Runner
 from dc2g_jax.rollouts.statistics import summarize
 from dc2g_jax.training.cost_to_go_data import drawn_houses, usable
 
-from .benchmarks.timing import measure
+from .benchmarks.decisions import milliseconds
 
 #: Seeds of the procedural houses and neighborhoods of a split. Training uses smaller ones.
 SEEDS = {"val": 10_000, "test": 10_001}
@@ -116,25 +112,6 @@ def all_worlds(options: Options, dataset: HouseDataset) -> dict[str, Worlds]:
     worlds |= {f"{name}_open": open_ended(one) for name, one in worlds.items()}
     worlds |= {f"rows_{doors}_doors": neighborhoods(options, doors) for doors in options.doors}
     return {name: one for name, one in worlds.items() if one.starts}
-
-
-@jit
-def _ask(estimator: Estimator, terrain: UInt8[Array, "h w"], before: Float[Array, "1 h w"]) -> Float[Array, "1 h w"]:
-    """The mean estimate for a robot in the middle of a map."""
-    pose, extent = make_pose(terrain.shape[1] // 2, terrain.shape[0] // 2, 0), extent_of(estimator)
-    outcomes = estimator.estimate(extent.part(terrain, pose), ())
-    return extent.merged(jnp.mean(outcomes, axis=0, keepdims=True), pose, before)
-
-
-def milliseconds(estimators: Mapping[str, Estimator], house: House) -> dict[str, float]:
-    """Duration of one estimate by planner name, for a single map whose middle has been observed."""
-    rows, columns = house.terrain.shape
-    terrain = np.zeros_like(house.terrain)
-    middle = slice(rows // 4, -rows // 4), slice(columns // 4, -columns // 4)
-    terrain[middle] = house.terrain[middle]
-    before = jnp.zeros((1, rows, columns))
-    timings = {name: measure(lambda: _ask(one, terrain, before), repeats=9) for name, one in estimators.items()}  # noqa: B023
-    return {name: round(1e3 * measured.timing.median, 2) for name, measured in timings.items()}
 
 
 def main(options: Options) -> None:

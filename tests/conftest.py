@@ -37,6 +37,7 @@ jax.config.update("jax_disable_most_optimizations", True)
 jax.config.update("jax_num_cpu_devices", 2)
 
 # Shapes and dtypes of the package's functions are checked while they are traced. Must precede their import.
+jaxtyping.jaxtyped = typechecking.jaxtyped
 jaxtyping.install_import_hook("dc2g_jax", f"{typechecking.__name__}.check")
 
 settings.register_profile("tests", derandomize=True, deadline=None)

@@ -7,8 +7,11 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from dc2g_jax.datasets.starts import Start
+from dc2g_jax.datasets.houses import HouseDataset
+from dc2g_jax.datasets.starts import Start, published_episodes
+from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.estimation.estimators import Estimator
+from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import NO_PLANNERS, EpisodeResult, OwnPlanners, Runner
 from dc2g_jax.rollouts.results import ResumableTable
 
@@ -60,6 +63,13 @@ class EpisodeTable(ResumableTable[EpisodeResult]):
           InputError: the file holds other episodes; or see `Runner.run`.
         """
         return [result for shard in self.shards(runner, starts, planners, estimator, own=own) for result in shard]
+
+    def published(
+        self, dataset: HouseDataset, planners: Sequence[str], network: TrainedNetwork | None
+    ) -> list[EpisodeResult]:
+        """Results of the paper's 400 episodes, planner by planner."""
+        runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())
+        return self.run(runner, [episode.start for episode in published_episodes()], planners, network)
 
     def shards(
         self,

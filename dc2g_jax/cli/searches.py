@@ -171,49 +171,37 @@ def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLE
     )
 
 
-class SearchTable(ResumableTable[SearchResult]):
-    """`episodes.csv`: one row per search and agent, rewritten after each agent's last search.
+def run_searches(
+    table: ResumableTable[SearchResult],
+    name: str,
+    agent: Callable[[], Agent],
+    houses: Sequence[IndoorHouse],
+    episodes: Sequence[Search],
+    options: SearchOptions,
+) -> list[SearchResult]:
+    """Results of an agent's searches, from `episodes.csv` or run now, and added to it after the last one.
 
     Args:
-      path: the file.
+      table: the file.
+      name: name of the agent in the table.
+      agent: makes the agent; not called if the file has the searches.
+      houses: houses of the searches.
+      episodes: the searches.
+      options: time limit and seed.
 
     Raises:
-      InputError: the file exists and cannot be read.
+      InputError: the file holds other searches.
     """
+    progress = EpisodeProgress()
 
-    def __init__(self, path: Path):
-        super().__init__(path, SearchResult)
+    def search() -> list[SearchResult]:
+        searches = search_all(
+            agent(), houses, episodes, limit=options.limit, seed=options.seed,
+            on_progress=lambda finished: progress(name, finished, len(episodes)),
+        )  # fmt: skip
+        return results_of(name, houses, episodes, searches)
 
-    def run(
-        self,
-        name: str,
-        agent: Callable[[], Agent],
-        houses: Sequence[IndoorHouse],
-        episodes: Sequence[Search],
-        options: SearchOptions,
-    ) -> list[SearchResult]:
-        """Results of an agent's searches, from the file or run now.
-
-        Args:
-          name: name of the agent in the table.
-          agent: makes the agent; not called if the file has the searches.
-          houses: houses of the searches.
-          episodes: the searches.
-          options: time limit and seed.
-
-        Raises:
-          InputError: the file holds other searches.
-        """
-        progress = EpisodeProgress()
-
-        def search() -> list[SearchResult]:
-            searches = search_all(
-                agent(), houses, episodes, limit=options.limit, seed=options.seed,
-                on_progress=lambda finished: progress(name, finished, len(episodes)),
-            )  # fmt: skip
-            return results_of(name, houses, episodes, searches)
-
-        return self.next_results([(*episode, name) for episode in episodes], search)
+    return table.next_results([(*episode, name) for episode in episodes], search)
 
 
 def conclude(

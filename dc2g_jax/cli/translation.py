@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import tyro
 
+from dc2g_jax.cli.options import PauseOptions
 from dc2g_jax.cli.outputs import command_written, commit, number_or_null
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
@@ -18,7 +19,7 @@ from dc2g_jax.training.cost_to_go import check_numbers
 from dc2g_jax.training.image_data import MaskKind, image_set
 from dc2g_jax.training.image_evaluation import metrics_over_pairs
 from dc2g_jax.training.image_pairs import ImageSet, draw_image_pairs
-from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
+from dc2g_jax.training.loop import Log, Losses, Task, train
 from dc2g_jax.training.translator import TranslatorConfig, TranslatorState, init_translator, translator_step
 
 #: Steps between progress updates. A step takes seconds on a CPU.
@@ -26,7 +27,7 @@ _STEPS_PER_LOOK = 10
 
 
 @dataclasses.dataclass(frozen=True)
-class TranslationOptions:
+class TranslationOptions(PauseOptions):
     """Training of a translator. The defaults are the paper's if it gives them.
 
     Attributes:
@@ -43,8 +44,6 @@ class TranslationOptions:
       size: rows and columns of the images; a power of two of at least 32.
       base_filters: channels of the first layer of the generator and the discriminator.
       compute_dtype: data type for computations of the networks.
-      validate_every: steps between validations; the last step is validated too. 0 for none.
-      minutes_per_checkpoint: minutes between checkpoints.
     """
 
     masks: MaskKind = "paper"
@@ -59,7 +58,6 @@ class TranslationOptions:
     base_filters: int = TranslatorArchitecture.base_filters
     compute_dtype: Literal["float32", "bfloat16"] = "float32"
     validate_every: int = 500
-    minutes_per_checkpoint: float = 5.0
 
     def config(self, loss: str) -> TranslatorConfig:
         """The training configuration.
@@ -75,11 +73,6 @@ class TranslationOptions:
         images = 2 * 3 * 4.0 * self.size**2  # of the map and of the cost, RGB
         require_memory(self.batch_size * images, f"--batch-size {self.batch_size}")
         return TranslatorConfig(architecture, loss, self.batch_size, self.learning_rate)
-
-    @property
-    def pauses(self) -> Pauses:
-        """When to validate and to save."""
-        return Pauses(self.validate_every, self.minutes_per_checkpoint)
 
     def facts(self, dataset: HouseDataset, seed: int) -> dict[str, Any]:
         """Besides the configuration, what must be the same when a run is resumed."""

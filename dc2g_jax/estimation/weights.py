@@ -37,14 +37,21 @@ def fresh_weights(network: Callable[..., nnx.Module], architecture: Any, key: Ar
     return nnx.to_pure_dict(nnx.split(network(architecture, rngs=nnx.Rngs(key)))[1])
 
 
+@functools.cache  # a network is built anew in every trace of it
+def _structure(network: Callable[..., nnx.Module], architecture: Any) -> tuple[Any, Any]:
+    """The graph of a network, and its weights' shapes and dtypes."""
+    return nnx.split(nnx.eval_shape(lambda: network(architecture, rngs=nnx.Rngs(0))))
+
+
 def shapes_of_weights(network: Callable[..., nnx.Module], architecture: Any) -> dict[str, Any]:
     """Shapes and dtypes of `fresh_weights`, without computing them."""
-    return jax.eval_shape(functools.partial(fresh_weights, network, architecture), jax.random.key(0))
+    return nnx.to_pure_dict(_structure(network, architecture)[1])
 
 
 def with_weights(network: Callable[..., _Network], architecture: Any, weights: dict[str, Any]) -> _Network:
     """The network with these weights, see `fresh_weights`."""
-    graph, state = nnx.split(nnx.eval_shape(lambda: network(architecture, rngs=nnx.Rngs(0))))
+    graph, shapes = _structure(network, architecture)
+    state = jax.tree.map(lambda shape: shape, shapes)  # a copy
     nnx.replace_by_pure_dict(state, weights)
     return nnx.merge(graph, state)
 

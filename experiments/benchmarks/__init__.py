@@ -1,1 +1,1 @@
-"""What `python -m experiments.benchmark` measures, part by part."""
+"""What `python -m experiments.benchmark` and the commands that time something measure, part by part."""

@@ -7,7 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
+from dc2g_jax.datasets import houses as houses_module
 from dc2g_jax.datasets import procedural
+from dc2g_jax.datasets.houses import group_of, open_dataset
 from dc2g_jax.datasets.procedural import (
     PROCEDURAL_SPLIT,
     STYLES,
@@ -35,17 +37,22 @@ from dc2g_jax.grid.terrain import (
 from tests.support.places import SHARED
 
 DRAWN = {FRONT_DOOR, GRASS, ROAD, DRIVEWAY, CAR, PATH, HOUSE, SIDEWALK}
-SEEDS = range(1_000, 1_025)
-
-
-@pytest.fixture(scope="module")
-def drawn() -> dict[str, list[np.ndarray]]:
-    return {style: [draw_house(seed, style) for seed in SEEDS] for style in STYLES}
 
 
 @pytest.fixture(scope="module")
 def houses() -> list[tuple[str, str, np.ndarray]]:
     return procedural_houses(seed=0)
+
+
+@pytest.fixture(scope="module")
+def drawn(houses) -> dict[str, list[np.ndarray]]:
+    """At least 25 houses of each style: those of the dataset and, where they are fewer, others."""
+    by_style: dict[str, list[np.ndarray]] = {style: [] for style in STYLES}
+    for (_, _, style), (_, _, classes) in zip(PROCEDURAL_SPLIT, houses, strict=True):
+        by_style[style].append(classes)
+    for style, some in by_style.items():
+        some += [draw_house(1_000 + number, style) for number in range(25 - len(some))]
+    return by_style
 
 
 def road_cells_that_reach_a_door(classes: np.ndarray) -> int:
@@ -138,6 +145,16 @@ def test_the_split_counts_are_those_of_the_published_files():
         with (folder / f"{file}_houses.csv").open() as lines:
             published.update(("p" + row["house_id"][1:4], split) for row in csv.DictReader(lines))
     assert published == Counter((name[:4], split) for name, split, _ in PROCEDURAL_SPLIT)
+
+
+def test_the_dataset_has_the_published_split_and_all_groups(houses, monkeypatch):
+    monkeypatch.setattr(houses_module, "procedural_houses", lambda seed: houses)  # drawn once
+    dataset = open_dataset("procedural")
+    assert [len(dataset.split(split)) for split in ("train", "val", "test")] == [31, 4, 42]
+    assert len({house.name for house in dataset.houses}) == 77
+    assert all(house.terrain.shape == (50, 50) for house in dataset.houses)
+    groups = {group_of(house) for house in dataset.houses}
+    assert groups == {"train", "val", "same_neighborhood", "new_neighborhood", "urban"}
 
 
 def test_extra_houses_share_no_seed_with_the_dataset():

@@ -8,7 +8,8 @@ import jax
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.houses import procedural_dataset
+from dc2g_jax.datasets.houses import load_dataset, save_dataset
+from dc2g_jax.datasets.procedural import draw_house
 from dc2g_jax.datasets.starts import sample_starts
 from dc2g_jax.rollouts.devices import (
     cores,
@@ -62,10 +63,12 @@ def test_the_number_of_a_process_is_checked():
 
 def test_the_table_is_the_same_on_any_number_of_devices_and_processes(tmp_path):
     starts = tmp_path / "starts.csv"
-    houses = [house for house in procedural_dataset().houses if house.split == "val"][:2]
+    images = [(f"n001m000h00{seed}", "val", draw_house(seed, "suburb_sidewalks")) for seed in range(2)]
+    folder = save_dataset(images, tmp_path / "houses")
+    houses = load_dataset(folder).houses
     rows = [",".join(map(str, start[:4])) for start in sample_starts(houses, 3, seed=0)]
     starts.write_text("\n".join(["house,x,y,heading", *rows]))
-    command = [sys.executable, "-m", "experiments.run_episodes", "--starts", starts, "--dataset", "procedural"]
+    command = [sys.executable, "-m", "experiments.run_episodes", "--starts", starts, "--dataset", folder]
     command += ["--planner", "frontier", "--out"]
     with socket.create_server(("127.0.0.1", 0)) as free:
         address = f"127.0.0.1:{free.getsockname()[1]}"

@@ -81,7 +81,10 @@ class Placement:
 
     def place_all(self, shape: Iterable[Points]) -> Polygons:
         """Every polygon of a shape in the parent coordinates."""
-        return [self.place(polygon) for polygon in shape]
+        polygons = list(shape)
+        if not polygons:
+            return []
+        return np.split(self.place(np.concatenate(polygons)), np.cumsum([len(one) for one in polygons])[:-1])
 
 
 def rectangle(left: float, bottom: float, right: float, top: float) -> Points:
@@ -143,8 +146,8 @@ def ribbon(line: Points, left: npt.ArrayLike, right: npt.ArrayLike) -> Polygons:
     Offsets are positive to the left and negative to the right; each is one number or [n].
     """
     normals = left_normals(line)
-    sides = [line + normals * np.broadcast_to(offset, len(line))[:, None] for offset in (left, right)]
-    return [np.array([sides[0][i], sides[0][i + 1], sides[1][i + 1], sides[1][i]]) for i in range(len(line) - 1)]
+    one, other = (line + normals * np.broadcast_to(offset, len(line))[:, None] for offset in (left, right))
+    return list(np.stack([one[:-1], one[1:], other[1:], other[:-1]], axis=1))
 
 
 def stroke(line: Points, width: npt.ArrayLike) -> Polygons:
@@ -211,9 +214,7 @@ class Sketch:
 
     def add(self, layer: str, shape: Iterable[Points]) -> None:
         """Fill a shape into a layer."""
-        if layer not in self.masks:
-            self.masks[layer] = np.zeros((self.view.height, self.view.width), np.uint8)
-        self._fill(self.masks[layer], shape)
+        self._fill(self.masks.setdefault(layer, self.mask(())), shape)
 
     def add_all(self, shapes: Mapping[str, Iterable[Points]]) -> None:
         """Fill shapes into the layers of their names."""
@@ -222,9 +223,11 @@ class Sketch:
 
     def add_clear(self, layer: str, shape: Iterable[Points]) -> None:
         """Fill polygons into a layer one by one, except those that touch what the layer already contains."""
+        self.add(layer, [])
         for polygon in shape:
-            if self.overlap(self.mask([polygon]), layer) == 0:
-                self.add(layer, [polygon])
+            mask = self.mask([polygon])
+            if self.overlap(mask, layer) == 0:
+                self.masks[layer] |= mask
 
     def overlap(self, mask: ClassImage, *layers: str) -> float:
         """Share of a mask's pixels that the layers already cover; 0 for an empty mask."""
@@ -266,4 +269,5 @@ class Sketch:
         pixels = self.view.to_pixels(np.concatenate(polygons))
         inside = (np.maximum.reduceat(pixels, starts) >= 0).all(axis=1)
         inside &= (np.minimum.reduceat(pixels, starts) < (self.view.width, self.view.height)).all(axis=1)
-        fill_polygons(canvas, pixels[np.repeat(inside, sizes)], sizes[inside])
+        if inside.any():  # most shapes lie beside the picture
+            fill_polygons(canvas, pixels[np.repeat(inside, sizes)], sizes[inside])
