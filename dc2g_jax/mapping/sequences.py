@@ -49,6 +49,12 @@ TOLERANCE = 0.02
 DEPTH_LIST, CLASS_LIST, PICTURE_LIST = "depth.txt", "classes.txt", "rgb.txt"
 POSE_LIST, CAMERA_FILE = "groundtruth.txt", "camera.txt"
 
+#: Largest coordinate of a camera, meters: single precision holds it to one meter.
+_FARTHEST = 1e7
+
+#: Most cells of a map that covers a recording.
+_MOST_CELLS = 2**24
+
 #: Largest number of shots per second: times are written in microseconds.
 _HIGHEST_RATE = 100_000
 
@@ -204,11 +210,19 @@ def covered(sequence: ImageSequence, cell_size: float, reach: float) -> tuple[Im
 
     Returns:
       The recording, moved by whole cells, and the settings.
+
+    Raises:
+      InputError: the map would have more than 16,777,216 cells.
     """
     ways = np.stack([moment.pose.position[:2] for moment in sequence.moments]).astype(np.float64)
     low = np.floor((ways.min(axis=0) - reach) / cell_size)
     high = np.ceil((ways.max(axis=0) + reach) / cell_size)
     columns, rows = (high - low).astype(int).tolist()
+    if rows * columns > _MOST_CELLS:
+        raise InputError(
+            f"the camera's path needs a map of {columns} x {rows} cells of {cell_size:g} m, more than {_MOST_CELLS} in "
+            f"all; give larger cells, or repair {POSE_LIST}"
+        )
     offset = cell_size * np.array([-low[0], -high[1], 0.0])
     return moved(sequence, offset), MapSettings(rows=rows, columns=columns, cell_size=cell_size, reach=reach)
 
@@ -297,6 +311,8 @@ def _read_poses(path: Path) -> _Timed:
     poses = []
     for line, words in _lines(path, _POSE_FIELDS):
         time, *numbers = _numbers(path, line, words)
+        if max(map(abs, numbers)) > _FARTHEST:
+            raise InputError(f"{path}: line {line} has {max(numbers, key=abs):g}; give meters, at most {_FARTHEST:g}")
         try:
             rotation = rotation_from_quaternion(np.array(numbers[3:]))
         except InputError as error:

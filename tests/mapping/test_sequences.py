@@ -150,6 +150,8 @@ def test_colors_are_classes_by_the_palette(recording):
         ("groundtruth.txt", poses(1.0) + "2 1 2 3 0 0 0\n", ("line 2", "7 values, not 8", "qw")),
         ("groundtruth.txt", "# time\n" + poses(1.0) + "2 1 2 3 0 0 0 0\n", ("line 3", "quaternion", "length 0")),
         ("groundtruth.txt", "1 1 2 x 0 0 0 1\n", ("line 1", "'x'")),
+        ("groundtruth.txt", "1 1 2 1e308 0 0 0 1\n", ("line 1 has 1e+308", "give meters")),
+        ("groundtruth.txt", "1 1 2 3 0 0 0 -1e200\n", ("line 1 has -1e+200",)),
         ("groundtruth.txt", "1 1 2 nan 0 0 0 1\n", ("line 1", "'nan'")),
         ("groundtruth.txt", poses(7.0), ("none of its 3 depth images", "0.02 s")),
         ("groundtruth.txt", "", ("none of its 3 depth images",)),
@@ -167,6 +169,11 @@ def test_lists_that_say_nothing_are_refused(recording, file, text, mentions):
     (recording / file).write_bytes(text if isinstance(text, bytes) else text.encode())
     where = () if mentions[0].startswith("none of") else (recording / file,)
     refusal(lambda: read_sequence(recording), *where, *mentions)
+
+
+def test_a_path_that_no_map_covers_is_refused(recording):
+    (recording / "groundtruth.txt").write_text("1 0 0 1 0 0 0 1\n2 1e6 -1e6 1 0 0 0 1\n")
+    refusal(lambda: covered(read_sequence(recording), 0.5, 3.0), "a map of 20000", "cells of 0.5 m", "groundtruth.txt")
 
 
 def test_lists_may_name_what_is_no_file(recording):
