@@ -1,6 +1,14 @@
-"""The exception type for invalid input, which a missing extra counts as."""
+"""The exception type for invalid input, which a missing extra counts as, and values in its messages."""
 
 import importlib.util
+import reprlib
+from typing import Any
+
+#: Longest message of an `InputError`, in characters. Of longer ones the middle is left out.
+LONGEST_MESSAGE = 300
+
+#: Characters that are kept of the end of a longer message, where the remedy is.
+_KEPT_END = 110
 
 
 class InputError(ValueError):
@@ -8,7 +16,38 @@ class InputError(ValueError):
 
     The message is one line that names the file, the value found there and the remedy. Commands print it
     without a stack trace and exit with status 2.
+
+    Args:
+      message: the message. Line breaks become blanks, and it is cut to `LONGEST_MESSAGE` characters.
     """
+
+    def __init__(self, message: str):
+        super().__init__(_one_line(message))
+
+
+def _one_line(text: str) -> str:
+    if len(text) > LONGEST_MESSAGE:
+        text = f"{text[: LONGEST_MESSAGE - _KEPT_END - 5]} ... {text[-_KEPT_END:]}"
+    # Escapes are longer than the characters that they stand for.
+    return "".join(c if c.isprintable() else " " if c.isspace() else "?" for c in text)
+
+
+class _Short(reprlib.Repr):
+    """Looks at few elements of a value, and at few levels of those that are nested."""
+
+    def repr_int(self, value: int, level: int) -> str:
+        """Python refuses to write numbers of thousands of digits."""
+        return super().repr_int(value, level) if value.bit_length() < 1000 else f"a number of {value.bit_length()} bits"
+
+
+_SHORT = _Short()
+_SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother, _SHORT.maxlong = 3, 60, 60, 40
+
+
+def short(value: Any) -> str:
+    """A value as in Python, for a message: at most some 60 characters, in little time for values of any size."""
+    text = _SHORT.repr(value)
+    return text if len(text) <= 60 else f"{text[:56]} ..."
 
 
 def require_extra(*modules: str) -> None:

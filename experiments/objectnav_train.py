@@ -29,7 +29,7 @@ from dc2g_jax.objectnav.data import JourneySet
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses, split_file
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, ImageEncoder, encoder_task, load_encoder, save_encoder
-from dc2g_jax.objectnav.networks import ABLATIONS, CostMapArchitecture, CostMapEstimator, save_estimator
+from dc2g_jax.objectnav.networks import ABLATIONS, INPUT_CHANNELS, CostMapArchitecture, CostMapEstimator, save_estimator
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE
 from dc2g_jax.objectnav.procthor import BOXES_FILE
 from dc2g_jax.objectnav.training import (
@@ -41,7 +41,7 @@ from dc2g_jax.objectnav.training import (
     train_step,
     validation_samples,
 )
-from dc2g_jax.rollouts.devices import first_copy, mesh_for_batch, replicate
+from dc2g_jax.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
 from dc2g_jax.training.cost_to_go import TrainingState
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 
@@ -225,6 +225,8 @@ def main(options: Options) -> None:
     if options.encoder is not None and not (options.out / ENCODER_FILE).exists():
         load_encoder(options.encoder)
     free = ("validate_every", "minutes_per_checkpoint", "validation_samples")
+    maps = float(INPUT_CHANNELS * IndoorMapSettings.local**2)
+    require_memory(options.batch_size * maps, f"--batch-size {options.batch_size}")
     output_folder(options, "objectnav_train", free=free, inputs=house_digests(options.houses))
     count = 500 if options.count is None and options.houses == PROCEDURAL else options.count
     print(f"Houses: {count or 'all'} of {options.houses}", flush=True)

@@ -6,7 +6,6 @@ After an interruption, --resume continues where it stopped.
 
 import dataclasses
 import functools
-import json
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,16 +22,24 @@ from dc2g_jax.cli.outputs import number_or_null, output_folder
 from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
-from dc2g_jax.errors import InputError
+from dc2g_jax.errors import InputError, short
 from dc2g_jax.estimation.checkpoints import CARD, TrainingCheckpoints, load_network, save_network
 from dc2g_jax.estimation.compact_unet import Architecture, multiply_accumulates
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.files.atomic import write_json
+from dc2g_jax.files.reading import read_object
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.inspection.training_figures import plot_sweep
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import fetch, mesh_of, replicate
-from dc2g_jax.training.cost_to_go import TrainingConfig, TrainingState, first_state, mean_error, train_step
+from dc2g_jax.rollouts.devices import fetch, mesh_of, replicate, require_memory
+from dc2g_jax.training.cost_to_go import (
+    TrainingConfig,
+    TrainingState,
+    first_state,
+    least_memory,
+    mean_error,
+    train_step,
+)
 from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses, validation_pairs
 from dc2g_jax.training.loop import Log, Losses, Task, train
 from dc2g_jax.training.sweeps import (
@@ -47,6 +54,9 @@ from dc2g_jax.training.sweeps import (
 
 #: Number of validation pairs, and the batch size for them.
 _PAIRS, _PAIRS_AT_A_TIME = 512, 64
+
+#: Numbers in every line of the log.
+_FIGURES = ("error", "steps_left_out")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -188,7 +198,7 @@ def write_results(
     macs = {architecture: multiply_accumulates(architecture, *shape) for architecture in architectures}
     rows: list[dict[str, Any]] = []
     for run, config in runs.items():
-        validations = log.by_step(run)
+        validations = log.by_step(run, _FIGURES)
         step = max(validations)
         rows.append(
             {
@@ -213,11 +223,11 @@ def write_results(
 def run_episodes(validation: Validation, runs: Collection[str], out: Path) -> dict[str, Any]:
     """Extra steps in validation houses with the network of each run. Results are saved in a file and reused."""
     path = out / "episodes.json"
-    try:
-        found: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); delete it to run its episodes anew") from None
+    remedy = "delete it to run its episodes anew"
+    found = read_object(path, remedy) if path.exists() else {}
     for number, run in enumerate(runs, start=1):
+        if not isinstance(found.get(run, {}), dict):
+            raise InputError(f"{path}: {run} has {short(found[run])}, no figures; {remedy}")
         if run not in found:
             print(f"episodes in validation houses: {run} ({number} of {len(runs)})", flush=True)
             found[run] = validation.figures(load_network(network_folder(out, run)))
@@ -232,6 +242,9 @@ def main(options: Options) -> None:
     turns = [turn for group in groups for turn in in_turns(group, options.runs_at_once)]
     dataset = open_dataset(options.dataset)
     check_houses(dataset, extra=options.data.extra_houses, drawn=options.episodes, validated=True)
+    height, width = dataset.houses[0].terrain.shape
+    largest = max(sum(least_memory(config, height, width) for config in turn.values()) for turn in turns)
+    require_memory(largest, f"--batch-size {options.batch_size} or --runs-at-once {options.runs_at_once}")
     output_folder(options, "sweep_losses", free=("minutes_per_checkpoint", "runs_at_once"), inputs=digests(dataset))
     facts = {"data": dataclasses.asdict(options.data), "dataset": dataset.name}
     # These raise for unsuitable houses before minutes of data collection.
@@ -243,13 +256,12 @@ def main(options: Options) -> None:
     for turn in turns:
         train_group(options, turn, data, pairs, facts)
     episodes = run_episodes(validation, runs, options.out) if validation else {}
-    height, width = data.terrain.shape[1:]
     rows = write_results(options.out, runs, log, episodes, (height, width))
     errors: dict[str, list[dict[int, float]]] = {}
     extra: dict[str, list[float]] = {}
     for run, config in runs.items():
         kind = kind_of(options, config)
-        errors.setdefault(kind, []).append({step: line["error"] for step, line in log.by_step(run).items()})
+        errors.setdefault(kind, []).append({step: line["error"] for step, line in log.by_step(run, _FIGURES).items()})
         if run in episodes:
             extra.setdefault(kind, []).append(episodes[run]["mean_extra"])
     plot_sweep(options.out / "sweep", errors, extra, f"{dataset.name}; errors on {_PAIRS} validation pairs")

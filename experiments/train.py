@@ -5,7 +5,6 @@ After an interruption, --resume continues where it stopped.
 
 import contextlib
 import dataclasses
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,13 +19,14 @@ from dc2g_jax.cli.outputs import WHERE, command_written, commit, output_folder
 from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, load_network, newest_step, save_network
+from dc2g_jax.estimation.checkpoints import CARD, TrainingCheckpoints, load_network, newest_step, save_network
 from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.files.reading import read_object
 from dc2g_jax.inspection.columns import viewer_sink
 from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_watch, next_file
-from dc2g_jax.rollouts.devices import first_copy, mesh_of, replicate
-from dc2g_jax.training.cost_to_go import TrainingConfig, TrainingState, first_state, train_step
+from dc2g_jax.rollouts.devices import first_copy, mesh_of, replicate, require_memory
+from dc2g_jax.training.cost_to_go import TrainingConfig, TrainingState, first_state, least_memory, train_step
 from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses
 from dc2g_jax.training.loop import Log, Losses, Task, train
 from dc2g_jax.training.losses import parse_losses
@@ -152,7 +152,7 @@ def training_task(
     recording: TrainingRecording | None,
 ) -> Task[TrainingState]:
     """The training task. It starts from `network` if given. Each validation saves the network."""
-    after = None if options.after is None else json.loads((options.after / "network.json").read_text())
+    after = None if options.after is None else read_object(options.after / CARD, "give another network")
     config = options.training
     recipe, hyperparameters, draw = config.recipe, config.hyperparameters, options.data.draw_batch
     validation = Validation(dataset) if options.validate_every else None  # raises before minutes of data collection
@@ -207,6 +207,7 @@ def main(options: Options) -> None:
     watched = options.validate_every > 0 or options.record or options.connect is not None
     check_houses(dataset, extra=options.data.extra_houses, drawn=options.validate_every > 0, validated=watched)
     free = {"validate_every", "minutes_per_checkpoint", "record", "connect"}
+    require_memory(least_memory(config, *dataset.houses[0].terrain.shape), f"--batch-size {config.batch_size}")
     output_folder(options, "train", free=free, inputs=digests(dataset, after=network))
     apart = {*WHERE, "dataset", *free}
     facts = {name: value for name, value in dataclasses.asdict(options).items() if name not in apart}

@@ -2,6 +2,7 @@
 
 import atexit
 import dataclasses
+import errno
 import os
 import shutil
 import sys
@@ -16,6 +17,7 @@ import tyro
 from jax.experimental import multihost_utils
 from tqdm import tqdm
 
+from dc2g_jax.cli.commands import drop_output, reader_may_leave
 from dc2g_jax.cli.outputs import RUN_FILE, CommandOptions, folder_in_use, program
 from dc2g_jax.datasets.download import cache_folder
 from dc2g_jax.datasets.houses import HouseDataset
@@ -43,7 +45,8 @@ StepLimitOption = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavi
 def command_line(options: type[_Options], main: Callable[[_Options], None]) -> None:
     """Run a command: parse its options; report invalid input, lack of memory and Ctrl-C in one line with a status."""
     stderr = sys.stderr  # of every process; only the first goes on to print there
-    parsed = tyro.cli(options, prog=program(), config=(tyro.conf.FlagCreatePairsOff,))
+    with reader_may_leave():
+        parsed = tyro.cli(options, prog=program(), config=(tyro.conf.FlagCreatePairsOff,))
     try:
         join_processes(parsed.coordinator, parsed.num_processes, parsed.process_id)
         use_devices(parsed.devices)
@@ -52,17 +55,19 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
         keep_compiled_programs()
         check_seed(getattr(parsed, "seed", 0))
         main(parsed)
+        sys.stdout.flush()
     except InputError as error:
         _leave(2, f"error: {error}", stderr)
     except KeyboardInterrupt:
-        kept, folder = "", folder_in_use()
-        if hasattr(parsed, "resume") and folder is not None and (folder / RUN_FILE).exists():
-            where = "" if getattr(parsed, "out", None) else f" --out {folder}"
-            kept = f"; what was written is kept: the same command with --resume{where} goes on"
-        _leave(130, f"interrupted{kept}", sys.stderr)
+        _leave(130, f"interrupted{_to_go_on(parsed)}", sys.stderr)
+    except BrokenPipeError:
+        drop_output()
+        _leave(141, f"nobody reads the output any more{_to_go_on(parsed)}", sys.stderr)
     except Exception as error:
         of_jax, what = isinstance(error, jax.errors.JaxRuntimeError), str(error).partition("\n")[0]
-        if of_jax and what.startswith("RESOURCE_EXHAUSTED"):
+        if full := _full_disk(error):
+            _leave(2, f"error: {full}; make room on the disk{_to_go_on(parsed)}", stderr)
+        if (of_jax and what.startswith("RESOURCE_EXHAUSTED")) or isinstance(error, MemoryError):
             _leave(2, f"error: a device is out of memory; {_less_memory(parsed)} ({what})", stderr)
         if not jax.distributed.is_initialized():
             raise
@@ -87,6 +92,27 @@ def _silent_unless_first(parsed: _Options) -> _Options:
             parsed = dataclasses.replace(parsed, **changed)
     multihost_utils.sync_global_devices("copied")
     return parsed
+
+
+def _to_go_on(parsed: CommandOptions) -> str:
+    """How to go on with an interrupted run; empty if it cannot be resumed."""
+    folder = folder_in_use()
+    if not hasattr(parsed, "resume") or folder is None or not (folder / RUN_FILE).exists():
+        return ""
+    where = "" if getattr(parsed, "out", None) else f" --out {folder}"
+    return f"; what was written is kept: the same command with --resume{where} goes on"
+
+
+def _full_disk(error: BaseException | None) -> str:
+    """The reason why nothing could be written, if an error or what it came from says so; else empty."""
+    reasons = [os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)]
+    while error is not None:
+        # Orbax and TensorStore raise errors of their own, with the system's words in them.
+        for reason in reasons:
+            if reason in str(error):
+                return f"{getattr(error, 'filename', None) or folder_in_use() or 'a file'}: {reason.lower()}"
+        error = error.__cause__ or error.__context__
+    return ""
 
 
 def _less_memory(parsed: CommandOptions) -> str:

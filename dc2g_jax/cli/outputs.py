@@ -17,8 +17,9 @@ from typing import Annotated, Any, Protocol
 import jax
 import tyro
 
-from dc2g_jax.errors import InputError
-from dc2g_jax.files.atomic import clear_unfinished, write_json
+from dc2g_jax.errors import InputError, short
+from dc2g_jax.files.atomic import clear_unfinished, is_unfinished, write_json
+from dc2g_jax.files.reading import read_object
 
 if sys.platform != "win32":
     import fcntl
@@ -44,6 +45,9 @@ class CommandOptions:
     num_processes: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
     process_id: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
 
+
+#: Most bytes of it: each time that a run is resumed adds some.
+_LARGEST_RECORD = 2**24
 
 #: Options that may always change when a run is resumed.
 WHERE = ("out", "resume", *(field.name for field in dataclasses.fields(CommandOptions)))
@@ -103,12 +107,12 @@ def output_folder(
         _require_same(folder, before, command, given, {*WHERE, *free})
         _require_same_inputs(folder, before.get("inputs", {}), inputs or {})
         check(folder)
-        if alone:
-            clear_unfinished(folder)
         runs = before["runs"]
     else:
         _make_new(folder, resumable=hasattr(options, "resume"))
-        _hold(folder)
+        alone = _hold(folder)
+    if alone:
+        clear_unfinished(folder)
     facts = {
         "experiment": command,
         "options": given,
@@ -131,9 +135,9 @@ def output_folder(
 
 
 def _make_new(folder: Path, *, resumable: bool) -> None:
-    """Make a folder, which must not exist or be empty."""
+    """Make a folder, which must not exist or be empty. A run may have been killed before it wrote its first file."""
     try:
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        if folder.exists() and not (folder.is_dir() and all(map(is_unfinished, folder.iterdir()))):
             remedy = "; to go on with the run in it, add --resume" if resumable and (folder / RUN_FILE).exists() else ""
             raise InputError(f"{folder}: is not an empty folder; give --out a new folder{remedy}")
         folder.mkdir(parents=True, exist_ok=True)
@@ -185,15 +189,14 @@ def _plain_options(options: Any) -> dict[str, Any]:
 def _read_run(folder: Path) -> dict[str, Any]:
     """The contents of a folder's `run.json`."""
     path = folder / RUN_FILE
-    try:
-        facts = json.loads(path.read_text())
-        if isinstance(facts["options"], dict) and isinstance(facts["runs"], list):
-            return facts
-    except FileNotFoundError:
-        raise InputError(f"{folder}: holds no run to resume; leave out --resume to begin one") from None
-    except (OSError, ValueError, KeyError, TypeError):
-        pass
-    raise InputError(f"{path}: cannot be read, so the run cannot be resumed; begin anew in another --out folder")
+    remedy = "the run cannot be resumed; begin anew in another --out folder"
+    if not path.exists():
+        raise InputError(f"{folder}: holds no run to resume; leave out --resume to begin one")
+    facts = read_object(path, remedy, at_most=_LARGEST_RECORD)
+    for name, kind in (("options", dict), ("inputs", dict), ("runs", list)):
+        if not isinstance(facts.get(name, {} if name == "inputs" else None), kind):
+            raise InputError(f"{path}: {name} is {short(facts.get(name))}; {remedy}")
+    return facts
 
 
 def _require_same(
@@ -202,19 +205,19 @@ def _require_same(
     """Check that a run is resumed with the same options."""
     if before.get("experiment") != command:
         raise InputError(
-            f"{folder}: holds a run of {before.get('experiment')}, not of {command}; give --out another folder"
+            f"{folder}: holds a run of {short(before.get('experiment'))}, not of {command}; give --out another folder"
         )
     for name, value in given.items():
         if name.rpartition(".")[2] not in free and before["options"].get(name) != value:
             option, then = f"--{name.rpartition('.')[2].replace('_', '-')}", before["options"].get(name)
-            begun = f"without {option}" if then is None else f"with {option} {then!r}"
+            begun = f"without {option}" if then is None else f"with {option} {short(then)}"
             raise InputError(
-                f"{folder}: was begun {begun}, now it is {value!r}; resume it with the same options, or give --out "
-                "another folder"
+                f"{folder}: was begun {begun}, now it is {short(value)}; resume it with the same options, or give "
+                "--out another folder"
             )
 
 
-def _require_same_inputs(folder: Path, before: Mapping[str, str], now: Mapping[str, str]) -> None:
+def _require_same_inputs(folder: Path, before: Mapping[str, Any], now: Mapping[str, str]) -> None:
     """Check that a run is resumed with the same data."""
     for name, digest in now.items():
         if name not in before:

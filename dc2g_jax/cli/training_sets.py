@@ -1,7 +1,6 @@
 """Training sets, saved in the folder of the training so that they are collected only once."""
 
 import sys
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -11,9 +10,9 @@ from tqdm import tqdm
 
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.pairs import TrainingSet
-from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.files.atomic import replacing
+from dc2g_jax.files.reading import read_arrays
 from dc2g_jax.training.cost_to_go_data import (
     DataConfig,
     by_house,
@@ -42,11 +41,7 @@ def kept_arrays(path: Path, names: Sequence[str], collect: Collect, *, unit: str
       InputError: the file cannot be read.
     """
     if path.exists():
-        try:
-            with path.open("rb") as stream, np.load(stream) as file:
-                return {name: file[name] for name in names}
-        except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
-            raise InputError(f"{path}: cannot be read ({error}); delete it to collect its contents anew") from None
+        return read_arrays(path, names, "delete it to collect its contents anew")
     with tqdm(desc=path.stem, unit=unit, file=sys.stderr) as bar:
 
         def show(done: int, total: int) -> None:

@@ -14,7 +14,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints, newest_step, save_network
 from dc2g_jax.estimation.estimators import TranslatorCostToGo
 from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
-from dc2g_jax.rollouts.devices import first_copy, mesh_for_batch, replicate
+from dc2g_jax.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
 from dc2g_jax.training.cost_to_go import check_numbers
 from dc2g_jax.training.image_data import MaskKind, image_set
 from dc2g_jax.training.image_evaluation import metrics_over_pairs
@@ -70,6 +70,8 @@ class TranslationOptions(PauseOptions):
         if not 0 <= self.whole_share <= 1:
             raise InputError(f"--whole-share {self.whole_share:g}: give a share from 0 to 1")
         architecture = TranslatorArchitecture(self.size, self.base_filters, self.compute_dtype)
+        images = 2 * 3 * 4.0 * self.size**2  # of the map and of the cost, RGB
+        require_memory(self.batch_size * images, f"--batch-size {self.batch_size}")
         return TranslatorConfig(architecture, loss, self.batch_size, self.learning_rate)
 
     def facts(self, dataset: HouseDataset, seed: int) -> dict[str, Any]:

@@ -18,7 +18,8 @@ import pooch
 import requests
 from tqdm import tqdm
 
-from dc2g_jax.errors import InputError
+from dc2g_jax.errors import InputError, short
+from dc2g_jax.files.reading import FACTS, read_text
 from dc2g_jax.files.resources import resource
 
 #: The authors' files at the pinned commit.
@@ -59,15 +60,11 @@ def read_manifest(path: Path | None = None) -> dict[str, str]:
         InputError: the file is missing or empty, or a line is malformed.
     """
     path = resource(MANIFEST_NAME) if path is None else Path(path)
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: the manifest cannot be read ({error}); install the package again") from None
     entries = {}
-    for number, line in enumerate(lines, start=1):
+    for number, line in enumerate(read_text(path, "install the package again", at_most=FACTS).splitlines(), start=1):
         match = re.fullmatch(r"([0-9a-f]{64})  (\S.*)", line)
         if match is None or ".." in match[2].split("/") or match[2].startswith("/"):
-            raise InputError(f"{path}: line {number} is {line!r}; expected a SHA-256, two blanks, a relative path")
+            raise InputError(f"{path}: line {number} is {short(line)}; expected a SHA-256, two blanks, a relative path")
         entries[match[2]] = match[1]
     if not entries:
         raise InputError(f"{path}: the manifest is empty; install the package again")

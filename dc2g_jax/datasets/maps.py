@@ -2,6 +2,7 @@
 
 import difflib
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -11,8 +12,9 @@ import numpy.typing as npt
 from jaxtyping import UInt8
 
 from dc2g_jax.datasets.occupancy import YAML_ENDINGS, OccupancyMap, read_occupancy_map
-from dc2g_jax.errors import InputError
+from dc2g_jax.errors import InputError, short
 from dc2g_jax.files.class_images import PALETTE_FILE, Palette, check_classes, read_class_image, read_palette
+from dc2g_jax.files.reading import read_array
 from dc2g_jax.files.tables import read_table
 from dc2g_jax.grid.ground import why_no_path
 from dc2g_jax.grid.sampling import ClassImage, sample_grid
@@ -103,7 +105,9 @@ def draw_map(
             )
         terrain = _sampled_with_doors(where, read_class_image(path, palette), cells, goals)
     elif ending == ".npy":
-        terrain = _sampled_with_doors(where, _read_array(path), cells, goals)
+        terrain = _sampled_with_doors(
+            where, check_classes(where, read_array(path, "write it with numpy.save")), cells, goals
+        )
     elif ending in YAML_ENDINGS:
         occupancy = read_occupancy_map(path)
         terrain = occupancy.terrain(*_grid_size(where, occupancy.free.shape, cells))
@@ -155,18 +159,6 @@ def _grid_size(where: str, shape: tuple[int, ...], cells: int | tuple[int, int] 
             f"at least 1 x 1 and at most {width} x {height} cells, or a larger image"
         )
     return columns, rows
-
-
-def _read_array(path: Path) -> ClassImage:
-    try:
-        with path.open("rb") as stream:
-            array = np.lib.format.read_array(stream, allow_pickle=False)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a file that numpy.save wrote") from None
-    except Exception as error:  # a damaged header raises many kinds of errors
-        problem = " ".join(str(error).split())[:120] or type(error).__name__
-        raise InputError(f"{path}: is not a plain array ({problem}); write it with numpy.save") from None
-    return check_classes(str(path), array)
 
 
 def _with_goals(
@@ -285,9 +277,9 @@ def _read_goals(path: Path, names: Sequence[str]) -> Mapping[str, list[Goal]]:
         name, unit = row["map"], row["unit"]
         if name not in names:
             close = difflib.get_close_matches(name, names, n=3, cutoff=0.5) or sorted(names)[:3]
-            raise InputError(f"{path}: line {line}: {name!r} is not a map; use {' or '.join(close)}")
+            raise InputError(f"{path}: line {line}: {short(name)} is not a map; use {' or '.join(close)}")
         if unit not in ("cells", "metres"):
-            raise InputError(f"{path}: line {line} has the unit {unit!r}; write cells or metres")
+            raise InputError(f"{path}: line {line} has the unit {short(unit)}; write cells or metres")
         x, y = (_number(path, line, column, row[column]) for column in "xy")
         goals.setdefault(name, []).append(Goal(x, y, "cells" if unit == "cells" else "metres"))
     return goals
@@ -299,7 +291,7 @@ def _number(path: Path, line: int, column: str, text: str) -> float:
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise InputError(f"{path}: line {line} has {text!r} in column {column!r}; write a number")
+        raise InputError(f"{path}: line {line} has {short(text)} in column {column!r}; write a number")
     return number
 
 
@@ -310,6 +302,6 @@ def _read_cells(path: Path) -> tuple[int, int] | None:
     rows = read_table(path, ("columns", "rows"), remedy="give the size of the grid there")
     (line, row) = rows[-1]
     texts = (row["columns"], row["rows"])
-    if len(rows) > 1 or not all(text.isdecimal() and int(text) > 0 for text in texts):
-        raise InputError(f"{path}: line {line} has {','.join(texts)!r}; write one line with two whole numbers of cells")
+    if len(rows) > 1 or not all(re.fullmatch("0*[1-9][0-9]{0,8}", text) for text in texts):
+        raise InputError(f"{path}: line {line} has {short(','.join(texts))}; write two whole numbers of cells")
     return int(texts[0]), int(texts[1])

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, UInt, UInt8
 
-from dc2g_jax.errors import InputError
-from dc2g_jax.files.png import read_png
+from dc2g_jax.errors import InputError, short
+from dc2g_jax.files.png import MOST_PIXELS, bands, read_png
+from dc2g_jax.files.reading import read_bytes, read_yaml
 from dc2g_jax.grid.terrain import HOUSE, ROAD, UNKNOWN
 
 #: File endings of occupancy maps.
@@ -32,6 +32,9 @@ _PNG_KINDS = (
     "palette", "1-bit grayscale", "2-bit grayscale", "4-bit grayscale", "8-bit grayscale", "16-bit grayscale",
     "8-bit grayscale with alpha", "8-bit RGB", "8-bit RGBA",
 )  # fmt: skip
+
+#: Most bytes of the header of a PGM file, with its comments.
+_LONGEST_HEADER = 2**16
 
 _GAP = rb"(?:\s|#[^\r\n]*[\r\n])+"
 _PGM_HEADER = re.compile(rb"P5" + _GAP + rb"(\d{1,6})" + _GAP + rb"(\d{1,6})" + _GAP + rb"(\d{1,5})\s")
@@ -64,9 +67,10 @@ class OccupancyMap:
         The trained network of the package knows these classes. A cell is free only if all of its pixels are free, and
         occupied if any of its pixels is, so that no wall is lost on a coarser grid.
         """
-        free = _covered(~self.free, columns, rows) == 0
-        occupied = _covered(self.occupied, columns, rows) > 0
-        return np.asarray(np.where(free, ROAD, np.where(occupied, HOUSE, UNKNOWN)), np.uint8)
+        free = ~_touched(~self.free, columns, rows)
+        occupied = _touched(self.occupied, columns, rows)
+        road, house, unknown = np.array([ROAD, HOUSE, UNKNOWN], np.uint8)
+        return np.where(free, road, np.where(occupied, house, unknown))
 
     def cell(self, x: float, y: float, columns: int, rows: int) -> tuple[int, int] | None:
         """Column and row of a point in the map frame, on a grid of this size.
@@ -88,15 +92,17 @@ class OccupancyMap:
         return math.floor(right * columns / width), rows - 1 - math.floor(up * rows / height)
 
 
-def _covered(pixels: Bool[np.ndarray, "h w"], columns: int, rows: int) -> np.ndarray:
-    """Number of these pixels that each cell of a grid over them touches, [rows columns]."""
-    height, width = pixels.shape
-    sums = np.pad(np.cumsum(np.cumsum(pixels, axis=0, dtype=np.int64), axis=1), ((1, 0), (1, 0)))
-    row, column = np.arange(rows + 1), np.arange(columns + 1)
-    top, bottom = row[:-1] * height // rows, -(-row[1:] * height // rows)
-    left, right = column[:-1] * width // columns, -(-column[1:] * width // columns)
-    rows_of_sums = sums[bottom] - sums[top]
-    return np.asarray(rows_of_sums[:, right] - rows_of_sums[:, left])
+def _touched(pixels: Bool[np.ndarray, "h w"], columns: int, rows: int) -> Bool[np.ndarray, "{rows} {columns}"]:
+    """The cells of a grid over an image that touch one of these pixels."""
+    for axis, cells in enumerate((rows, columns)):
+        size, cell = pixels.shape[axis], np.arange(cells + 1)
+        if cells == size:
+            continue
+        first, beyond = cell[:-1] * size // cells, -(-cell[1:] * size // cells)
+        # Only every other of the parts from bound to bound is that of a cell; the last bound lies beyond the image.
+        bounds = np.stack([first, beyond], axis=-1).ravel()[:-1]
+        pixels = np.logical_or.reduceat(pixels, bounds, axis=axis).take(np.arange(0, 2 * cells, 2), axis=axis)
+    return pixels
 
 
 def read_occupancy_map(path: Path) -> OccupancyMap:
@@ -112,13 +118,13 @@ def read_occupancy_map(path: Path) -> OccupancyMap:
       InputError: the YAML file or its image is missing, unreadable or damaged, a key is missing, or a value is invalid.
     """
     facts = _read_facts(path)
-    image = path.parent / str(facts["image"])
+    image = path.parent / facts["image"]
     resolution = _number(path, "resolution", facts["resolution"])
     if resolution <= 0:
         raise InputError(f"{path}: resolution is {resolution}; give the meters of a pixel, such as 0.05")
     origin = facts["origin"]
     if not isinstance(origin, list) or len(origin) != 3:
-        raise InputError(f"{path}: origin is {origin!r}; give [x, y, yaw] in meters and radians")
+        raise InputError(f"{path}: origin is {short(origin)}; give [x, y, yaw] in meters and radians")
     x, y, yaw = (_number(path, "origin", value) for value in origin)
     free_threshold, occupied_threshold = (_number(path, key, facts[key]) for key in ("free_thresh", "occupied_thresh"))
     if not 0 <= free_threshold <= occupied_threshold <= 1:
@@ -127,10 +133,10 @@ def read_occupancy_map(path: Path) -> OccupancyMap:
             "1, the first no larger, such as 0.196 and 0.65"
         )
     if facts["negate"] not in (0, 1):
-        raise InputError(f"{path}: negate is {facts['negate']!r}; give 0 where white is free, 1 where black is")
+        raise InputError(f"{path}: negate is {short(facts['negate'])}; give 0 where white is free, 1 where black is")
     mode = facts.get("mode", "trinary")
     if mode not in _MODES:
-        raise InputError(f"{path}: mode is {mode!r}; write one of {', '.join(_MODES)}")
+        raise InputError(f"{path}: mode is {short(mode)}; write one of {', '.join(_MODES)}")
     levels, highest, opaque = _read_image(image, path, mode)
     shades = np.arange(highest + 1) / highest
     free, occupied = _known_levels(mode, shades, bool(facts["negate"]), free_threshold, occupied_threshold)
@@ -190,39 +196,31 @@ def _cropped(pixels: OccupancyMap) -> OccupancyMap:
 
 def _read_facts(path: Path) -> dict[str, Any]:
     """The keys and values of the YAML file, checked to contain all required keys."""
-    try:
-        facts = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give the YAML file of a ROS map") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: byte at offset {error.start} is not UTF-8; give the YAML file of a map") from None
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f" line {mark.line + 1}" if mark else ""
-        problem = " ".join(str(getattr(error, "problem", None) or "no YAML").split())
-        raise InputError(f"{path}:{where} is not YAML ({problem}); repair the file") from None
-    except Exception as error:  # invalid dates and numbers, unclosed brackets: many kinds of errors
-        raise InputError(f"{path}: is not YAML ({' '.join(str(error).split())}); repair the file") from None
+    facts = read_yaml(path, "give the YAML file of a ROS map")
     if not isinstance(facts, dict):
         raise InputError(f"{path}: holds no keys and values; a ROS map needs {', '.join(_REQUIRED)}")
     missing = [key for key in _REQUIRED if facts.get(key) is None]
     if missing:
         raise InputError(f"{path}: lacks {', '.join(missing)}; a ROS map needs {', '.join(_REQUIRED)}")
+    if not isinstance(facts["image"], str):
+        raise InputError(f"{path}: image is {short(facts['image'])}; give the name of a PGM or PNG file")
     return facts
 
 
 def _number(path: Path, key: str, value: object) -> float:
     """A finite number. YAML reads `5e-2` as text, which is accepted too."""
     try:
-        number = math.nan if isinstance(value, bool) else float(str(value))
-    except ValueError:
+        number = float(value) if isinstance(value, int | float | str) and not isinstance(value, bool) else math.nan
+    except (ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
-        raise InputError(f"{path}: {key} has {value!r}, which is not a number; write one such as 0.05")
+        raise InputError(f"{path}: {key} has {short(value)}, which is not a number; write one such as 0.05")
     return number
 
 
-def _read_image(path: Path, named_in: Path, mode: str) -> tuple[Int[np.ndarray, "h w"], int, Bool[np.ndarray, "#h #w"]]:
+def _read_image(
+    path: Path, named_in: Path, mode: str
+) -> tuple[UInt[np.ndarray, "h w"], int, Bool[np.ndarray, "#h #w"]]:
     """Levels of gray, the level of white, and which pixels are opaque enough to be known.
 
     Transparency matters as in map_server: in the mode `trinary` it is averaged with the colors, in the mode `scale` all
@@ -233,22 +231,24 @@ def _read_image(path: Path, named_in: Path, mode: str) -> tuple[Int[np.ndarray, 
       named_in: the YAML file that names it.
       mode: the mode of the map.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}), but {named_in} names it as its image") from None
-    all_opaque = np.ones((1, 1), bool)
+    data = read_bytes(path, f"give the image that {named_in.name} names", at_most=MOST_PIXELS + _LONGEST_HEADER)
+    opaque = np.ones((1, 1), bool)
     if not data.startswith(b"\x89PNG"):
-        return _pgm_grays(path, data).astype(int), 255, all_opaque
+        return _pgm_grays(path, data), 255, opaque
     picture = read_png(path, _PNG_KINDS, "free and occupied ground in shades of gray")
     if picture.mode.startswith("I"):
-        return np.asarray(picture).astype(int), 2**16 - 1, all_opaque
-    if "A" not in picture.getbands() and "transparency" not in picture.info:
-        return np.sum(np.asarray(picture.convert("RGB")), axis=-1, dtype=int), 3 * 255, all_opaque
-    channels = np.asarray(picture.convert("RGBA"))
-    counted = channels if mode == "trinary" else channels[..., :3]
-    opaque = channels[..., 3] == 255 if mode == "scale" else all_opaque
-    return np.sum(counted, axis=-1, dtype=int), counted.shape[-1] * 255, opaque
+        return np.array(picture, np.uint16), 2**16 - 1, opaque
+    transparent = "A" in picture.getbands() or "transparency" in picture.info
+    counted = 4 if transparent and mode == "trinary" else 3
+    levels = np.empty((picture.height, picture.width), np.uint16)
+    if transparent and mode == "scale":
+        opaque = np.empty(levels.shape, bool)
+    for rows, band in bands(picture):
+        channels = np.asarray(band.convert("RGBA" if transparent else "RGB"))
+        levels[rows] = np.sum(channels[..., :counted], axis=-1, dtype=np.uint16)
+        if opaque.size == levels.size:
+            opaque[rows] = channels[..., 3] == 255
+    return levels, counted * 255, opaque
 
 
 def _pgm_grays(path: Path, data: bytes) -> UInt8[np.ndarray, "h w"]:

@@ -16,6 +16,7 @@ y grows downward). Actions: 0 forward one cell, 1 turn left, 2 turn right. The r
 
 import functools
 import os
+import sys
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -67,6 +68,9 @@ RENDERED_ROBOT_COLOR = (255, 60, 200)
 #: Least half-length of the robot in a frame, pixels.
 RENDERED_ROBOT_RADIUS = 9
 
+#: The process that imported this module, and with it JAX.
+_IMPORTED_BY = os.getpid()
+
 _ACTIONS = "give 0 (forward), 1 (turn left) or 2 (turn right)"
 
 if GYMNASIUM_ID not in registration.registry:
@@ -107,6 +111,7 @@ class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         cells: int = 50,
         render_mode: str | None = None,
     ):
+        _leave_forks()
         self._task = FrontDoorTask(dataset, split, sensing_range, step_limit, cells)
         self.render_mode = _checked_render_mode(render_mode)
         self.observation_space = _observation_space(self._task)
@@ -292,6 +297,16 @@ class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.nd
             "final_info": {"house": names, "_house": done.copy()},
             "_final_info": done.copy(),
         }
+
+
+def _leave_forks() -> None:
+    """End a process that was forked from one that uses JAX, where JAX hangs. Gymnasium's `async` forks on Linux."""
+    if os.getpid() != _IMPORTED_BY:
+        # An exception would not reach the user: Gymnasium tells of the processes' errors only once they have begun.
+        sys.exit(
+            "error: JAX hangs in forked processes; give make_vec vectorization_mode='vector_entry_point', which is "
+            "faster, or vector_kwargs={'context': 'spawn'}"
+        )
 
 
 def _checked_render_mode(mode: str | None) -> str | None:

@@ -15,13 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 from flax import nnx
 
-from dc2g_jax.errors import InputError, require_extra
+from dc2g_jax.errors import InputError, require_extra, short
 from dc2g_jax.estimation.compact_unet import Architecture, CompactUNet
 from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.pix2pix import Generator, TranslatorArchitecture
 from dc2g_jax.estimation.weights import flattened, read_safetensors, read_weights, shapes_of_weights, write_safetensors
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.digests import arrays_sha256
+from dc2g_jax.files.reading import number, read_object, whole_number
 from dc2g_jax.files.resources import resource
 from dc2g_jax.grid.terrain import CLASS_NAMES
 
@@ -48,15 +49,17 @@ class _Kind(NamedTuple):
 
 def _read_compact(facts: Any) -> Architecture:
     return Architecture(
-        widths=tuple(int(width) for width in facts["widths"]),
-        quantiles=tuple(float(level) for level in facts["quantiles"]),
-        cost_scale=float(facts["cost_scale"]),
+        widths=tuple(whole_number(width) for width in facts["widths"]),
+        quantiles=tuple(map(number, facts["quantiles"])),
+        cost_scale=number(facts["cost_scale"]),
     )
 
 
 def _read_translator(facts: Any) -> TranslatorArchitecture:
     return TranslatorArchitecture(
-        size=int(facts["size"]), base_filters=int(facts["base_filters"]), compute_dtype=facts["compute_dtype"]
+        size=whole_number(facts["size"]),
+        base_filters=whole_number(facts["base_filters"]),
+        compute_dtype=facts["compute_dtype"],
     )
 
 
@@ -116,30 +119,18 @@ def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, An
     return folder
 
 
-def _read_json(path: Path, remedy: str) -> dict[str, Any]:
-    try:
-        facts = json.loads(path.read_text())
-    except FileNotFoundError:
-        raise InputError(f"{path}: not found; {remedy}") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); {remedy}") from None
-    if not isinstance(facts, dict):
-        raise InputError(f"{path}: holds no JSON object; {remedy}")
-    return facts
-
-
-def _read_card(folder: Path) -> tuple[_Kind, Any, str | None]:
+def _read_card(folder: Path) -> tuple[_Kind, Any, Any]:
     """Kind, architecture and digest of a saved network, after checking that this package can run it."""
     remedy = "give a folder written by `dc2g train` or `dc2g train-translator`"
     if (folder / "network" / CARD).exists():
         remedy = f"give {folder / 'network'}"
-    facts = _read_json(folder / CARD, remedy)
+    facts = read_object(folder / CARD, remedy)
     named = facts.get("network")
-    kind = _KINDS.get(str(named))
+    kind = _KINDS.get(named) if isinstance(named, str) else None
     if kind is None:
         raise InputError(
-            f"{folder / CARD}: {f'its network is {named!r}' if named else 'names no kind of network'}, but planners "
-            f"take {' or '.join(_KINDS)}; {remedy}"
+            f"{folder / CARD}: {f'its network is {short(named)}' if named else 'names no kind of network'}, but "
+            f"planners take {' or '.join(_KINDS)}; {remedy}"
         )
     if facts.get("classes") != list(CLASS_NAMES):
         raise InputError(f"{folder / CARD}: the network was trained on another list of terrain classes; train it anew")
@@ -147,9 +138,9 @@ def _read_card(folder: Path) -> tuple[_Kind, Any, str | None]:
     try:
         known = kind.read_architecture(architecture)
         shapes_of_weights(kind.network, known)
-    except (KeyError, TypeError, ValueError) as error:
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise InputError(
-            f"{folder / CARD}: architecture {architecture!r} is not one of this network's ({error}); {remedy}"
+            f"{folder / CARD}: architecture {short(architecture)} is not one of this network's ({error}); {remedy}"
         ) from None
     return kind, known, facts.get("sha256")
 
@@ -181,9 +172,15 @@ def load_network(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork
         weights = _read_orbax_weights(path, shapes)
     else:
         weights = read_weights(path, shapes, read_safetensors(path)[0])
-    if digest not in (None, arrays_sha256(weights)):
+    found = arrays_sha256(weights)
+    if digest is None:
         raise InputError(
-            f"{path}: the SHA-256 of the weights is not {digest}, as {CARD} says; "
+            f'{folder / CARD}: has no sha256 of the weights; if they belong together, add "sha256": "{found}"'
+        )
+    if digest != found:
+        said = digest if isinstance(digest, str) else short(digest)
+        raise InputError(
+            f"{path}: the SHA-256 of the weights is not {said}, as {CARD} says; "
             "keep the two files of one training together"
         )
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(weights)):
@@ -193,7 +190,7 @@ def load_network(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork
 
 def newest_step(folder: str | Path) -> int:
     """Number of steps of the newest training state in a run's folder; 0 if there is none."""
-    return max((int(path.name) for path in (Path(folder) / _STATES).glob("*") if path.name.isdigit()), default=0)
+    return max((int(path.name) for path in (Path(folder) / _STATES).glob("*") if path.name.isdecimal()), default=0)
 
 
 class TrainingCheckpoints:
@@ -223,12 +220,12 @@ class TrainingCheckpoints:
         folder.mkdir(parents=True, exist_ok=True)
         wanted = json.loads(json.dumps({**dataclasses.asdict(config), **(facts or {})}))
         if (folder / _CONFIG).exists():
-            found = _read_json(folder / _CONFIG, "give another folder")
+            found = read_object(folder / _CONFIG, "give another folder")
             changed = [name for name in wanted if found.get(name) != wanted[name]]
             if changed:
                 raise InputError(
-                    f"{folder / _CONFIG}: {changed[0]} was {found.get(changed[0])!r} in the run that is there, "
-                    f"now {wanted[changed[0]]!r}; give the same options to resume it, or another folder"
+                    f"{folder / _CONFIG}: {changed[0]} was {short(found.get(changed[0]))} in the run that is there, "
+                    f"now {short(wanted[changed[0]])}; give the same options to resume it, or another folder"
                 )
         else:
             write_json(folder / _CONFIG, wanted)

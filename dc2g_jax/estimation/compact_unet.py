@@ -9,13 +9,16 @@ import jax.numpy as jnp
 from flax import nnx
 from jaxtyping import Array, Float, Shaped, UInt8
 
-from dc2g_jax.errors import InputError
+from dc2g_jax.errors import InputError, short
 from dc2g_jax.estimation.weights import fresh_weights, shapes_of_weights, with_weights
 from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.programs import jit
 
 #: Number of times that the network halves the resolution.
 _HALVINGS = 4
+
+#: Largest number of channels.
+_WIDEST = 4096
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +32,7 @@ class Architecture:
       cost_scale: cells of cost-to-go per unit of the last layer's output.
 
     Raises:
-      InputError: widths or quantiles are invalid.
+      InputError: widths, quantiles or the scale of costs are invalid.
     """
 
     widths: tuple[int, ...] = (16, 32, 64, 128)
@@ -37,13 +40,15 @@ class Architecture:
     cost_scale: float = 32.0
 
     def __post_init__(self) -> None:
-        if len(self.widths) != _HALVINGS or min(self.widths) < 1:
+        if len(self.widths) != _HALVINGS or not 1 <= min(self.widths) <= max(self.widths) <= _WIDEST:
             raise InputError(
-                f"widths {self.widths}: the network has {_HALVINGS} scales; give a width of at least 1 for each"
+                f"widths {short(self.widths)}: the network has {_HALVINGS} scales; give each a width of 1 to {_WIDEST}"
             )
         levels = self.quantiles
         if not levels or list(levels) != sorted(set(levels)) or not 0 < levels[0] <= levels[-1] < 1:
-            raise InputError(f"quantiles {levels}: give ascending levels between 0 and 1, one at least")
+            raise InputError(f"quantiles {short(levels)}: give ascending levels between 0 and 1, one at least")
+        if not 0 < self.cost_scale < float("inf"):
+            raise InputError(f"cost_scale {short(self.cost_scale)}: give cells, a number above 0")
 
 
 def patches(grid: Shaped[Array, "b h w c"], side: int) -> Shaped[Array, "b h2 w2 c2"]:

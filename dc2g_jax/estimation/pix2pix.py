@@ -40,7 +40,7 @@ class TranslatorArchitecture:
     """Architecture of the generator and the discriminator.
 
     Attributes:
-      size: rows and columns of the images, a power of two of at least 32. The generator halves an image down to a
+      size: rows and columns of the images, a power of two from 32 to 4096. The generator halves an image down to a
         single pixel: 8 times for 256.
       base_filters: channels at half the images' resolution; doubled at each further level, up to 8 times.
       compute_dtype: `float32` or `bfloat16`.
@@ -51,10 +51,10 @@ class TranslatorArchitecture:
     compute_dtype: str = "float32"
 
     def __post_init__(self) -> None:
-        if self.size < 32 or self.size & (self.size - 1):
-            raise InputError(f"size {self.size}: give a power of two of at least 32")
-        if self.base_filters < 1:
-            raise InputError(f"base_filters {self.base_filters}: give at least 1")
+        if not 32 <= self.size <= 4096 or self.size & (self.size - 1):
+            raise InputError(f"size {self.size}: give a power of two from 32 to 4096")
+        if not 1 <= self.base_filters <= 1024:
+            raise InputError(f"base_filters {self.base_filters}: give a number from 1 to 1024")
         if self.compute_dtype not in COMPUTE_DTYPES:
             raise InputError(f"compute_dtype {self.compute_dtype!r}: use one of: {', '.join(COMPUTE_DTYPES)}")
 

@@ -15,8 +15,12 @@ from jaxtyping import Array
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from dc2g_jax.errors import InputError
+from dc2g_jax.errors import InputError, short
 from dc2g_jax.files.atomic import replacing
+from dc2g_jax.files.reading import check_file, parse_json
+
+#: Most bytes of a file of weights.
+_LARGEST_NETWORK = 2**31
 
 _Architecture = TypeVar("_Architecture")
 _Network = TypeVar("_Network", bound=nnx.Module)
@@ -71,11 +75,12 @@ def read_safetensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str,
     Raises:
       InputError: the file cannot be read or has another format; the message gives the reason.
     """
+    check_file(Path(path), "give a file in the safetensors format", at_most=_LARGEST_NETWORK)
     try:
         with safe_open(path, framework="np") as file:
             names = file.keys()
             return {name: file.get_tensor(name) for name in names}, file.metadata() or {}
-    except (OSError, SafetensorError, AttributeError, TypeError) as error:  # the latter for data types that NumPy lacks
+    except (OSError, SafetensorError, AttributeError, TypeError, ValueError) as error:  # also data types NumPy lacks
         raise InputError(
             f"{path}: cannot be read ({error}); give an undamaged file in the safetensors format"
         ) from None
@@ -149,8 +154,10 @@ def read_network(
     """
     tensors, metadata = read_safetensors(path)
     try:
-        architecture = read_architecture(json.loads(metadata["architecture"]))
-        shapes, card = shapes_of_weights(network, architecture), json.loads(metadata.get("card", "{}"))
-    except (KeyError, TypeError, ValueError):
+        architecture = read_architecture(parse_json(metadata["architecture"]))
+        shapes, card = shapes_of_weights(network, architecture), parse_json(metadata.get("card", "{}"))
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
         raise InputError(f"{path}: holds no network with its architecture; write or copy it again") from None
+    if not isinstance(card, dict):
+        raise InputError(f"{path}: its card is {short(card)}, which is no JSON object; write or copy it again")
     return read_weights(path, shapes, tensors), architecture, card

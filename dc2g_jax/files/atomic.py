@@ -37,6 +37,11 @@ def write_json(path: str | Path, facts: Any) -> None:
         unfinished.write_text(json.dumps(facts, indent=2) + "\n")
 
 
+def is_unfinished(path: Path) -> bool:
+    """Whether a file is a temporary one of `replacing`."""
+    return path.name.startswith(".") and _MARK in path.name
+
+
 def clear_unfinished(folder: Path) -> None:
     """Delete temporary files of killed writers in a folder and its subfolders. No other writer may be active there."""
     for left in folder.rglob(f".*{_MARK}*"):

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from dc2g_jax.errors import InputError
-from dc2g_jax.files.png import read_png, write_png
+from dc2g_jax.errors import InputError, short
+from dc2g_jax.files.png import bands, read_png, write_png
 from dc2g_jax.files.tables import read_table, write_table
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, UNKNOWN
 
@@ -25,7 +25,7 @@ _NO_ENTRY = 255
 _FOREIGN_CLASS = 254
 
 #: Number of colors that a message lists before it only counts the others.
-_LISTED_COLORS = 3
+_LISTED_COLORS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,30 +84,37 @@ def read_palette(csv_path: Path) -> Palette:
             value = row[column]
             if not re.fullmatch(r"[0-9]{1,9}", value) or int(value) > 255:
                 raise InputError(
-                    f"{csv_path}: line {line} has {value!r} in column {column!r} of class {row['class']!r}; "
+                    f"{csv_path}: line {line} has {short(value)} in column {column!r} of class {short(row['class'])}; "
                     "write a whole number from 0 to 255"
                 )
             colors[index, channel] = int(value)
     return Palette(csv_path, tuple(row["class"] for _, row in rows), colors)
 
 
-def read_class_image(png_path: Path, palette: Palette) -> np.ndarray:
+def read_class_image(png_path: Path, palette: Palette, *, size: tuple[int, int] | None = None) -> np.ndarray:
     """Read a palette or RGB PNG as terrain classes, uint8 [H W].
 
     Colors are exact. An alpha channel must be opaque everywhere.
+
+    Args:
+        png_path: the file.
+        palette: classes of the colors.
+        size: width and height that the image must have; `None` for any.
 
     Raises:
         InputError: the file is not an intact PNG with 8-bit colors, or a pixel has a color that is not in the
             palette or belongs to an unknown class.
     """
     png_path = Path(png_path)
-    picture = read_png(png_path, ("palette", "8-bit RGB", "8-bit RGBA"), "colors that stand for classes")
-    pixels = np.asarray(picture.convert("RGBA"))
-    if pixels[..., 3].min() < 255:
-        raise InputError(f"{png_path}: has pixels that are not opaque; export it without transparency")
-    classes = palette.class_of_color[_color_codes(pixels)]
-    if classes.max() >= _FOREIGN_CLASS:
-        raise InputError(_explain_color(png_path, palette, pixels[..., :3], classes))
+    picture = read_png(png_path, ("palette", "8-bit RGB", "8-bit RGBA"), "colors that stand for classes", size=size)
+    classes = np.empty((picture.height, picture.width), np.uint8)
+    for rows, band in bands(picture):
+        pixels = np.asarray(band.convert("RGBA"))
+        if pixels[..., 3].min() < 255:
+            raise InputError(f"{png_path}: has pixels that are not opaque; export it without transparency")
+        classes[rows] = palette.class_of_color[_color_codes(pixels)]
+        if classes[rows].max() >= _FOREIGN_CLASS:
+            raise InputError(f"{png_path}: {_explain_color(palette, pixels[..., :3], classes[rows], rows.start)}")
     return classes
 
 
@@ -157,17 +164,14 @@ def _color_codes(colors: np.ndarray) -> np.ndarray:
     return (wide[..., 0] << 16) | (wide[..., 1] << 8) | wide[..., 2]
 
 
-def _explain_color(png_path: Path, palette: Palette, colors: np.ndarray, classes: np.ndarray) -> str:
-    """A one-line message about the pixels without class."""
+def _explain_color(palette: Palette, colors: np.ndarray, classes: np.ndarray, top: int) -> str:
+    """A message about the pixels without class in some rows of an image, from row `top` on."""
     y, x = (int(value) for value in np.argwhere(classes >= _FOREIGN_CLASS)[0])
     if classes[y, x] == _FOREIGN_CLASS:
-        color = _rgb(colors[y, x])
-        name, known = palette.name_of(color), CLASS_NAMES[1:]
+        name, known = palette.name_of(_rgb(colors[y, x])), CLASS_NAMES[1:]
         close = difflib.get_close_matches(name, known, n=1)
-        return (
-            f"{png_path}: pixel x={x}, y={y} has the color {color} of class {name!r} in {palette.path}, which is no "
-            f"known class; rename it to {close[0] if close else 'one of: ' + ', '.join(known)}"
-        )
+        remedy = f"rename it to {close[0] if close else 'one of: ' + ', '.join(known)}"
+        return f"pixel x={x}, y={top + y} is {short(name)} in {palette.path.name}, which is no class; {remedy}"
     rows, columns = np.nonzero(classes == _NO_ENTRY)
     _, first, counts = np.unique(_color_codes(colors[rows, columns]), return_index=True, return_counts=True)
     listed = []
@@ -176,13 +180,10 @@ def _explain_color(png_path: Path, palette: Palette, colors: np.ndarray, classes
         color = _rgb(colors[y, x])
         name, nearest = palette.nearest(color)
         more = f" and {others} more" if others else ""
-        listed.append(f"{color} at pixel x={x}, y={y}{more} (nearest: {name} {nearest})")
+        listed.append(f"{color} at x={x}, y={top + y}{more} (nearest: {short(name)} {nearest})")
     if len(counts) > len(listed):
         listed.append(f"and {len(counts) - len(listed)} other colors")
-    return (
-        f"{png_path}: has colors outside the palette {palette.path}: {', '.join(listed)}; "
-        "add those that are classes of their own to the palette, repaint others in exact colors, without smoothing"
-    )
+    return f"{', '.join(listed)} not in {palette.path.name}; add classes to it, or repaint exactly, without smoothing"
 
 
 def _rgb(color: np.ndarray) -> tuple[int, int, int]:

@@ -2,10 +2,15 @@
 
 import csv
 from collections.abc import Iterable, Iterator, Sequence
+from io import BufferedIOBase
 from pathlib import Path
 
-from dc2g_jax.errors import InputError
+from dc2g_jax.errors import InputError, short
 from dc2g_jax.files.atomic import replacing
+from dc2g_jax.files.reading import check_file, opened, read_lines
+
+#: Most bytes of a line, and of a table that is read as a whole.
+_LONGEST_LINE, _LARGEST_TABLE = 2**20, 2**22
 
 
 def read_table(
@@ -16,6 +21,7 @@ def read_table(
     Returns:
         Its rows; at least one.
     """
+    check_file(path, remedy, at_most=_LARGEST_TABLE)
     return list(table_lines(path, columns, optional=optional, remedy=remedy))
 
 
@@ -42,8 +48,9 @@ def table_lines(
     header: list[str] | None = None
     empty = True
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file, skipinitialspace=True)
+        with opened(path, remedy) as file:
+            csv.field_size_limit(_LONGEST_LINE)  # the actions of an episode on a large map are many
+            reader = csv.reader(_texts(path, file, remedy), skipinitialspace=True)
             for row in reader:
                 cells = [cell.strip() for cell in row]
                 if not any(cells):
@@ -56,16 +63,10 @@ def table_lines(
                 given = dict(zip(header, cells, strict=False))
                 empty = False
                 yield reader.line_num, values | {column: given.get(column, "") for column in optional}
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; {remedy}") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); {remedy}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: {_first_byte_that_is_not_text(path)}; {remedy}") from None
     except csv.Error as error:
         raise InputError(f"{path}: line {reader.line_num} is not CSV ({error}); repair the file") from None
     if empty:
-        found = "is empty" if header is None else f"has the header {','.join(header)!r} but no rows"
+        found = "is empty" if header is None else f"has the header {short(','.join(header))} but no rows"
         raise InputError(f"{path}: {found}; expected a header with {','.join(columns)} and one row an entry")
 
 
@@ -83,25 +84,26 @@ def write_table(path: Path, columns: Sequence[str], rows: Iterable[Iterable[obje
         writer.writerows(rows)
 
 
-def _first_byte_that_is_not_text(path: Path) -> str:
-    data = path.read_bytes()
-    try:
-        data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        return f"byte 0x{data[error.start]:02x} at offset {error.start} is not UTF-8 text"
-    return "is not UTF-8 text"
+def _texts(path: Path, file: BufferedIOBase, remedy: str) -> Iterator[str]:
+    """The lines of a file as text."""
+    for number, line in read_lines(file, path, at_most=_LONGEST_LINE):
+        try:
+            yield line.decode("utf-8-sig" if number == 1 else "utf-8")
+        except UnicodeDecodeError as error:
+            byte = line[error.start]
+            raise InputError(f"{path}: line {number}: byte 0x{byte:02x} is not UTF-8 text; {remedy}") from None
 
 
 def _check_header(path: Path, header: list[str], columns: Sequence[str], optional: Sequence[str]) -> None:
     missing = [column for column in columns if column not in header]
     if missing:
         raise InputError(
-            f"{path}: the header {','.join(header)!r} lacks the column {', '.join(map(repr, missing))}; "
+            f"{path}: the header {short(','.join(header))} lacks the column {', '.join(map(repr, missing))}; "
             f"the first line must name {','.join(columns)}, with commas between"
         )
     for column in (*columns, *optional):
         if header.count(column) > 1:
-            raise InputError(f"{path}: the header {','.join(header)!r} names {column!r} twice; leave one of them")
+            raise InputError(f"{path}: the header {short(','.join(header))} names {column!r} twice; leave one of them")
 
 
 def _pick(path: Path, line: int, header: list[str], cells: list[str], columns: Sequence[str]) -> dict[str, str]:

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int, UInt32
 
-from dc2g_jax.grid.loops import repeated
+from dc2g_jax.grid.loops import repeated, until
 
 WORD_BITS = 32
 
@@ -168,7 +168,8 @@ def flood(seed: Board, free: Board) -> Board:
         return grown, jnp.any(grown != carry[0])
 
     # A complete board does not change while other boards of the batch still grow.
-    return jax.lax.while_loop(lambda carry: carry[1], grow_some, (seed & free, jnp.bool_(True)))[0]
+    cells = seed.shape[0] * seed.shape[1] * WORD_BITS
+    return until(lambda carry: ~carry[1], grow_some, (seed & free, jnp.bool_(True)), most=cells + 1)[0]
 
 
 def cells_that_see(targets: Board, offsets: Offsets) -> Board:

@@ -11,6 +11,8 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
+from dc2g_jax.grid.loops import until
+
 #: Sweeps end when no value decreases by more than this share; rounding errors are smaller.
 _SETTLED = 1e-6
 
@@ -70,8 +72,8 @@ def travel_cost(cost_of_cell: Float[Array, "h w"], start: Float[Array, "h w"]) -
             total = _cells(diagonals, slope)
         return total, jnp.any(before > total + _SETTLED * jnp.abs(total))
 
-    total, _ = jax.lax.while_loop(lambda carry: carry[1], sweep, (start, jnp.any(jnp.isfinite(start))))
-    return total
+    first = start, jnp.any(jnp.isfinite(start))
+    return until(lambda carry: ~carry[1], sweep, first, most=start.size + 1)[0]
 
 
 def _swept(

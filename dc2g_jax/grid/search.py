@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.bitboard import Board
-from dc2g_jax.grid.loops import repeated
+from dc2g_jax.grid.loops import repeated, until
 from dc2g_jax.grid.poses import (
     FORWARD_ACTION,
     HEADINGS,
@@ -35,6 +35,11 @@ _STEPS_BETWEEN_LOOKS = 32
 
 #: The same on a GPU. There, every check makes the host wait, and one of thousands of searches always continues.
 _STEPS_BETWEEN_LOOKS_ON_GPU = 8
+
+
+def _pose_count(free: Board) -> int:
+    """Number of poses on a board, its padding included."""
+    return HEADINGS * free.shape[0] * free.shape[1] * bitboard.WORD_BITS
 
 
 class _Search(NamedTuple):
@@ -87,7 +92,7 @@ def _search(
 
     length = jnp.zeros(active.shape, jnp.int32)
     first = _Search(start, length, active & ~arrived(start))
-    return jax.lax.while_loop(lambda search: jnp.any(search.active), grow_for_a_while, first)
+    return until(lambda search: ~jnp.any(search.active), grow_for_a_while, first, most=_pose_count(free) + 1)
 
 
 def _predecessors(reached: PoseSet) -> PoseSet:
@@ -195,7 +200,7 @@ def _count(pose: Pose, free: Board) -> _Counts:
     """
     n_words, height = free.shape[:2]
     start = only(pose, n_words, height) & free
-    high_bits = (HEADINGS * height * n_words * bitboard.WORD_BITS).bit_length() - _LOW_BITS
+    high_bits = _pose_count(free).bit_length() - _LOW_BITS
 
     def flipped(planes: Array, plane: Array, flips: PoseSet) -> Array:
         index = jax.lax.broadcasted_iota(jnp.int32, planes.shape, 0)
@@ -217,9 +222,8 @@ def _count(pose: Pose, free: Board) -> _Counts:
         return reached, low, high, rounds + 1, jnp.any(reached != before)
 
     low, high = (jnp.zeros((bits, *start.shape), jnp.uint32) for bits in (_LOW_BITS, high_bits))
-    reached, low, high, _, _ = jax.lax.while_loop(
-        lambda carry: carry[-1], grow_a_round, (start, low, high, jnp.int32(0), jnp.bool_(True))
-    )
+    first = start, low, high, jnp.int32(0), jnp.bool_(True)
+    reached, low, high, _, _ = until(lambda carry: ~carry[-1], grow_a_round, first, most=_pose_count(free) + 1)
     return _Counts(start, reached, jnp.concatenate([low, high])[::-1])
 
 
@@ -297,8 +301,11 @@ def _grown_goals(traversable: Bool[Array, "h w *batch"], goals: Bool[Array, "h w
     def lonely(cells: Bool[Array, "h w *batch"]) -> Bool[Array, "*batch"]:
         return can_touch & ~somewhere(grow(cells) & ground)
 
-    return jax.lax.while_loop(
-        lambda cells: jnp.any(lonely(cells)), lambda cells: jnp.where(lonely(cells), grow(cells), cells), goals
+    return until(
+        lambda cells: ~jnp.any(lonely(cells)),
+        lambda cells: jnp.where(lonely(cells), grow(cells), cells),
+        goals,
+        most=max(goals.shape[:2]),
     )
 
 
@@ -343,4 +350,5 @@ def cost_to_go(
 
     zero = jnp.zeros(goals.shape, jnp.int32)
     start = (zero, zero, jnp.where(goals, jnp.float32(0), jnp.float32(jnp.inf)), jnp.any(goals))
-    return jax.lax.while_loop(lambda carry: carry[3], relax, start)[2]
+    # A cheapest path has fewer steps than there are cells.
+    return until(lambda carry: ~carry[3], relax, start, most=goals.shape[0] * goals.shape[1] + 1)[2]

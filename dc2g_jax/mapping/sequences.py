@@ -30,9 +30,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, UInt8, UInt16
 
-from dc2g_jax.errors import InputError
+from dc2g_jax.errors import InputError, short
 from dc2g_jax.files.class_images import PALETTE_FILE, Palette, read_class_image, read_palette
-from dc2g_jax.files.png import read_png, write_png
+from dc2g_jax.files.png import MOST_PIXELS, read_png, write_png
+from dc2g_jax.files.reading import TEXT, read_bytes, read_text
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, check_shapes
 from dc2g_jax.mapping.checks import check_intrinsics
 from dc2g_jax.mapping.quaternions import quaternion_from_rotation, rotation_from_quaternion
@@ -47,6 +48,12 @@ TOLERANCE = 0.02
 #: Files of a folder.
 DEPTH_LIST, CLASS_LIST, PICTURE_LIST = "depth.txt", "classes.txt", "rgb.txt"
 POSE_LIST, CAMERA_FILE = "groundtruth.txt", "camera.txt"
+
+#: Largest coordinate of a camera, meters: single precision holds it to one meter.
+_FARTHEST = 1e7
+
+#: Most cells of a map that covers a recording.
+_MOST_CELLS = 2**24
 
 #: Largest number of shots per second: times are written in microseconds.
 _HIGHEST_RATE = 100_000
@@ -154,18 +161,14 @@ def read_frame(sequence: ImageSequence, moment: FrameFiles) -> Frame:
     Raises:
       InputError: an image is missing or damaged, or has the wrong size or kind.
     """
-    steps = _read_gray(moment.depth, 16, "depth in 5000 steps a meter")
+    size = sequence.intrinsics.width, sequence.intrinsics.height
+    of_depth = f"depth in 5000 steps a meter of {CAMERA_FILE}'s size"
+    steps = np.array(read_png(moment.depth, ("16-bit grayscale",), of_depth, size=size))
     if sequence.palette is None:
-        classes = _read_gray(moment.classes, 8, f"class indices, or lay a palette {PALETTE_FILE} beside them")
+        indices = f"class indices of {CAMERA_FILE}'s size, or lay a palette {PALETTE_FILE} beside them"
+        classes = np.array(read_png(moment.classes, ("8-bit grayscale",), indices, size=size))
     else:
-        classes = read_class_image(moment.classes, sequence.palette)
-    height, width = sequence.intrinsics.height, sequence.intrinsics.width
-    for file, image in ((moment.depth, steps), (moment.classes, classes)):
-        if image.shape != (height, width):
-            raise InputError(
-                f"{file}: is {image.shape[1]} x {image.shape[0]} pixels, but the camera's images are {width} x "
-                f"{height}; repair {CAMERA_FILE} or the image"
-            )
+        classes = read_class_image(moment.classes, sequence.palette, size=size)
     depth: Any = steps.astype(np.float32) / np.float32(DEPTH_UNITS)
     labels: Any = classes
     return Frame(depth=depth, classes=labels, pose=moment.pose)
@@ -177,7 +180,9 @@ def read_picture(moment: FrameFiles) -> bytes | None:
     Raises:
       InputError: the file cannot be read.
     """
-    return None if moment.picture is None else _read_bytes(moment.picture)
+    if moment.picture is None:
+        return None
+    return read_bytes(moment.picture, "put the image there, or repair the list", at_most=TEXT)
 
 
 def moved(sequence: ImageSequence, offset: Float[np.ndarray, "3"]) -> ImageSequence:
@@ -205,11 +210,19 @@ def covered(sequence: ImageSequence, cell_size: float, reach: float) -> tuple[Im
 
     Returns:
       The recording, moved by whole cells, and the settings.
+
+    Raises:
+      InputError: the map would have more than 16,777,216 cells.
     """
     ways = np.stack([moment.pose.position[:2] for moment in sequence.moments]).astype(np.float64)
     low = np.floor((ways.min(axis=0) - reach) / cell_size)
     high = np.ceil((ways.max(axis=0) + reach) / cell_size)
     columns, rows = (high - low).astype(int).tolist()
+    if rows * columns > _MOST_CELLS:
+        raise InputError(
+            f"the camera's path needs a map of {columns} x {rows} cells of {cell_size:g} m, more than {_MOST_CELLS} in "
+            f"all; give larger cells, or repair {POSE_LIST}"
+        )
     offset = cell_size * np.array([-low[0], -high[1], 0.0])
     return moved(sequence, offset), MapSettings(rows=rows, columns=columns, cell_size=cell_size, reach=reach)
 
@@ -277,18 +290,6 @@ def _write_shot(folder: Path, time: str, shot: Shot) -> dict[tuple[str, tuple[st
     return lines
 
 
-def _read_bytes(file: Path, remedy: str = "put the image there, or repair the list") -> bytes:
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror}); {remedy}") from None
-
-
-def _read_gray(file: Path, bits: int, what: str) -> np.ndarray:
-    """Read a grayscale PNG with `bits` bits per pixel."""
-    return np.array(read_png(file, (f"{bits}-bit grayscale",), what))
-
-
 def _nearest(times: Float[np.ndarray, "n"], wanted: Float[np.ndarray, "m"], tolerance: float) -> Int[np.ndarray, "m"]:
     """For each wanted time the index of the nearest of the sorted times; -1 where that is too far away."""
     if not times.size:
@@ -310,6 +311,8 @@ def _read_poses(path: Path) -> _Timed:
     poses = []
     for line, words in _lines(path, _POSE_FIELDS):
         time, *numbers = _numbers(path, line, words)
+        if max(map(abs, numbers)) > _FARTHEST:
+            raise InputError(f"{path}: line {line} has {max(numbers, key=abs):g}; give meters, at most {_FARTHEST:g}")
         try:
             rotation = rotation_from_quaternion(np.array(numbers[3:]))
         except InputError as error:
@@ -326,7 +329,7 @@ def _read_camera(path: Path) -> Intrinsics:
         raise InputError(f"{path}: has {len(lines)} lines; give one: {' '.join(_CAMERA_FIELDS)}")
     values = dict(zip(_CAMERA_FIELDS, _numbers(path, *lines[0]), strict=True))
     for name in ("width", "height"):
-        if not values[name].is_integer():
+        if not (values[name].is_integer() and abs(values[name]) <= MOST_PIXELS):
             raise InputError(f"{path}: {name} is {values[name]:g}; give whole pixels")
     lenses: dict[str, Any] = {name: jnp.float32(values[name]) for name in _CAMERA_FIELDS[:4]}
     camera = Intrinsics(**lenses, height=int(values["height"]), width=int(values["width"]))
@@ -339,10 +342,7 @@ def _read_camera(path: Path) -> Intrinsics:
 
 def _lines(path: Path, fields: tuple[str, ...] = _LIST_FIELDS) -> Iterator[tuple[int, list[str]]]:
     """Line numbers and words of the lines that are neither blank nor comments; commas and tabs are blanks."""
-    try:
-        text = _read_bytes(path, f"write it, with lines of {' '.join(fields)}").decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: byte {error.start} is not UTF-8 text; save the list as text") from None
+    text = read_text(path, f"write it, with lines of {' '.join(fields)}", at_most=TEXT)
     for number, line in enumerate(text.splitlines(), 1):
         bare = line.replace(",", " ").strip()
         if not bare or bare.startswith("#"):
@@ -365,7 +365,7 @@ def _numbers(path: Path, line: int, words: list[str]) -> list[float]:
         except ValueError:
             number = math.nan
         if not math.isfinite(number):
-            raise InputError(f"{path}: line {line} has {word!r} where a number belongs; repair the line")
+            raise InputError(f"{path}: line {line} has {short(word)} where a number belongs; repair the line")
         numbers.append(number)
     return numbers
 

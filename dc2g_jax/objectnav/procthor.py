@@ -7,7 +7,6 @@ plant on a table. Objects that hang on a wall are left out, except televisions.
 """
 
 import gzip
-import json
 import math
 import zlib
 from collections.abc import Callable, Iterator, Mapping
@@ -18,7 +17,8 @@ import numpy as np
 from jaxtyping import Float
 
 from dc2g_jax.datasets.houses import tell_on_stderr
-from dc2g_jax.errors import InputError
+from dc2g_jax.errors import InputError, short
+from dc2g_jax.files.reading import opened, parse_json, read_lines, read_object
 from dc2g_jax.objectnav.classes import OTHER, PROCTHOR_CLASSES, ROOM_NAMES
 from dc2g_jax.objectnav.plans import Furniture, HousePlan, Room, Segment
 
@@ -30,6 +30,9 @@ _HANGING = 0.3
 
 #: Largest distance of a house from the origin, meters, and largest rotation of an object, degrees.
 _FARTHEST, _FULLY_TURNED = 100.0, 3600.0
+
+#: Most bytes of a house, and most lines of a file.
+_LONGEST_LINE, _MOST_LINES = 2**24, 10**6
 
 #: Largest numbers of rooms and objects in a house.
 _MOST_ROOMS, _MOST_OBJECTS = 255, 10_000
@@ -59,18 +62,12 @@ def read_asset_boxes(path: str | Path) -> dict[str, AssetBox]:
     """
     path = Path(path)
     remedy = "give a JSON file that says type and box [x, y, z] in meters of each asset"
-    try:
-        table = _parsed(path.read_bytes())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); {remedy}") from None
-    except InputError as error:
-        raise InputError(f"{path}: {error}; {remedy}") from None
     boxes = {}
-    for asset, entry in table.items():
+    for asset, entry in read_object(path, remedy, at_most=_LONGEST_LINE).items():
         try:
             boxes[asset] = AssetBox(str(entry["type"]), *(_number(abs(size), "box") for size in _list(entry, "box")))
         except (TypeError, KeyError, InputError):
-            raise InputError(f"{path}: asset {asset!r} is {str(entry)[:60]!r}; {remedy}") from None
+            raise InputError(f"{path}: asset {short(asset)} is {short(entry)}; {remedy}") from None
     return boxes
 
 
@@ -141,50 +138,46 @@ def house_plan(house: Mapping[str, Any], boxes: Mapping[str, AssetBox]) -> House
 
 def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
     """The non-empty lines of a file, with their numbers."""
-    opened = gzip.open if path.suffix == ".gz" else open
+    remedy = "give an undamaged file of houses in ProcTHOR's JSON format, .jsonl or .jsonl.gz"
     try:
-        with opened(path, "rb") as file:
-            for number, line in enumerate(file, 1):
+        with opened(path, remedy) as file:
+            lines: Any = gzip.GzipFile(fileobj=file) if path.suffix == ".gz" else file  # type: ignore[call-overload]
+            for number, line in read_lines(lines, path, at_most=_LONGEST_LINE):
+                if number > _MOST_LINES:
+                    raise InputError(f"{path}: has more than {_MOST_LINES} lines; divide it into several files")
                 if line.strip():
                     yield number, line
-    except FileNotFoundError:
-        remedy = "give a file of houses in ProcTHOR's JSON format, .jsonl or .jsonl.gz"
-        raise InputError(f"{path}: no such file; {remedy}") from None
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(f"{path}: cannot be read ({_first_line(error)}); give an undamaged file") from None
+    except (EOFError, zlib.error) as error:
+        raise InputError(f"{path}: cannot be read ({error}); {remedy}") from None
 
 
 def _parsed(text: bytes) -> dict[str, Any]:
     try:
-        parsed = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"it is not JSON ({_first_line(error)})") from None
+        parsed = parse_json(text)
+    except ValueError as error:
+        raise InputError(f"it is not JSON ({error})") from None
     if not isinstance(parsed, dict):
         raise InputError(f"it holds a {type(parsed).__name__} instead of an object")
     return parsed
 
 
-def _first_line(error: BaseException) -> str:
-    return str(error).partition("\n")[0]
-
-
 def _field(entry: Any, name: str) -> Any:
     """The value of a field. Raises InputError if the field is missing."""
     if not isinstance(entry, dict) or name not in entry:
-        raise InputError(f"no {name!r} in {str(entry)[:60]!r}")
+        raise InputError(f"no {name!r} in {short(entry)}")
     return entry[name]
 
 
 def _list(entry: Any, name: str) -> list[Any]:
     found = _field(entry, name)
     if not isinstance(found, list):
-        raise InputError(f"{name!r} is {str(found)[:60]!r}, not a list")
+        raise InputError(f"{name!r} is {short(found)}, not a list")
     return found
 
 
 def _number(value: Any, name: str, most: float = _FARTHEST) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= most:
-        raise InputError(f"{name!r} is {str(value)[:60]!r}, not a number from {-most:g} to {most:g}")
+        raise InputError(f"{name!r} is {short(value)}, not a number from {-most:g} to {most:g}")
     return float(value)
 
 
@@ -199,7 +192,7 @@ def _corners(entry: Any, name: str, least: int) -> Float[np.ndarray, "corner 2"]
 def _room(room: Any) -> Room:
     kind = _field(room, "roomType")
     if kind not in ROOM_NAMES[1:]:
-        raise InputError(f"the room type is {str(kind)[:60]!r}, none of {', '.join(ROOM_NAMES[1:])}")
+        raise InputError(f"the room type is {short(kind)}, none of {', '.join(ROOM_NAMES[1:])}")
     return Room(ROOM_NAMES.index(kind), _corners(room, "floorPolygon", 3))
 
 
@@ -217,10 +210,10 @@ def _opening(door: Any, walls: Mapping[str, Any]) -> Segment:
     start, end = np.array(_ends(walls[name]))
     length = float(np.hypot(*(end - start)))
     if length == 0:
-        raise InputError(f"wall {name!r} has no length, but a door")
+        raise InputError(f"wall {short(name)} has no length, but a door")
     hole = [_number(_field(corner, "x"), "x") for corner in _list(door, "holePolygon")[:2]]
     if len(hole) < 2:
-        raise InputError(f"the hole of door {_field(door, 'id')!r} has less than 2 corners")
+        raise InputError(f"the hole of door {short(_field(door, 'id'))} has less than 2 corners")
     near, far = (start + (end - start) * (x / length) for x in hole)
     return Segment(tuple(near.tolist()), tuple(far.tolist()))
 
@@ -229,7 +222,7 @@ def _pieces(entry: Any, boxes: Mapping[str, AssetBox], *, on_floor: bool) -> Ite
     """An object and what stands on it."""
     asset = str(_field(entry, "assetId"))
     if asset not in boxes:
-        raise InputError(f"asset {asset[:60]!r} is not in the table of boxes")
+        raise InputError(f"asset {short(asset)} is not in the table of boxes")
     box, position = boxes[asset], _field(entry, "position")
     x, middle, z = (_number(_field(position, axis), axis) for axis in "xyz")
     turn = _number(_field(_field(entry, "rotation"), "y"), "y", _FULLY_TURNED)

@@ -8,7 +8,6 @@ import dataclasses
 import functools
 import itertools
 import operator
-import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import Array, Int, UInt8
 
-from dc2g_jax.errors import InputError
+from dc2g_jax.errors import InputError, short
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.gridworld import belief_from_map
@@ -173,14 +172,16 @@ def _whole_numbers(name: str, values: Any, count: int) -> list[int]:
     except TypeError:
         numbers = []
     if len(numbers) != count:
-        found = textwrap.shorten(repr(values), 60, placeholder=" ...")
-        raise InputError(f"{name} is {found}; give whole numbers, {count} of them")
+        raise InputError(f"{name} is {short(values)}; give whole numbers, {count} of them")
     return numbers
 
 
 def _checked_grid(grid: npt.ArrayLike, largest: tuple[int, int]) -> UInt8[np.ndarray, "h w"]:
     """The grid, if it is valid."""
-    grid = np.asarray(grid)
+    try:
+        grid = np.asarray(grid)
+    except ValueError:
+        raise InputError(f"grid is {short(grid)}; give class indices, uint8 [rows columns]") from None
     if grid.dtype != np.uint8 or grid.ndim != 2:
         raise InputError(
             f"grid has dtype {grid.dtype} and shape {grid.shape}; give class indices, uint8 [rows columns]"

@@ -10,7 +10,7 @@ static. So one compiled program serves every checkpoint of the same architecture
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, get_args
 
 import jax
 import jax.numpy as jnp
@@ -32,7 +32,8 @@ from dc2g_jax.planning.selection import ENDLESS, ExpectedCost, Patience, Selecti
 
 #: Plan modes.
 EXPLORE, TO_GOAL, GAVE_UP = 0, 1, 2
-MODE_NAMES = ("explore", "to_goal", "gave_up")
+Mode = Literal["explore", "to_goal", "gave_up"]
+MODE_NAMES: tuple[Mode, ...] = get_args(Mode)
 
 
 @struct.dataclass

@@ -107,6 +107,25 @@ def use_devices(count: int | None = None) -> None:
         raise InputError(f"--devices {count}: there are {jax.local_device_count()} ({jax.local_devices()[0]})")
 
 
+def require_memory(needed: float, option: str) -> None:
+    """Check, before minutes of other work, that the devices hold what is surely needed.
+
+    Args:
+      needed: bytes, on all devices of all processes together.
+      option: option to lower, with its value.
+
+    Raises:
+      InputError: they do not, or on a CPU the machine does not.
+    """
+    limit = (jax.local_devices()[0].memory_stats() or {}).get("bytes_limit")
+    if limit is not None:
+        limit *= jax.device_count()
+    elif hasattr(os, "sysconf"):
+        limit = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") * jax.process_count()
+    if limit is not None and needed > limit:
+        raise InputError(f"{option}: needs more than {needed / 1e9:.3g} GB of memory, of {limit / 1e9:.3g}; lower it")
+
+
 def mesh_of(devices: Sequence[jax.Device] | None = None) -> Mesh:
     """A mesh of these devices; `None` for all devices of all processes."""
     return Mesh(np.array(jax.devices() if devices is None else devices), (AXIS,))

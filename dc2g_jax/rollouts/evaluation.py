@@ -8,19 +8,24 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Int, UInt8
+from jaxtyping import Array, Int, UInt8
 
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset, stack_worlds
 from dc2g_jax.datasets.starts import Start, sample_starts
-from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.estimators import Estimator
+from dc2g_jax.errors import InputError, short
+from dc2g_jax.estimation.estimators import Estimator, extent_of
+from dc2g_jax.grid import gridworld
+from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.ground import connected_to_goal, longest_way
-from dc2g_jax.grid.poses import ACTION_LETTERS, HEADINGS, make_pose
+from dc2g_jax.grid.poses import ACTION_LETTERS, HEADINGS, Pose, make_pose
+from dc2g_jax.grid.sensing import Kernel
 from dc2g_jax.grid.terrain import FRONT_DOOR
+from dc2g_jax.grid.world import World
 from dc2g_jax.planning.named import NETWORK_PLANNERS, check_names, make_planner, open_estimator
-from dc2g_jax.planning.planners import MODE_NAMES, Oracle, Planner
+from dc2g_jax.planning.planners import GAVE_UP, MODE_NAMES, Mode, Oracle, Planner
 from dc2g_jax.planning.rules import Rules, Settings, named_settings
 from dc2g_jax.rollouts.results import write_rows
 from dc2g_jax.rollouts.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
@@ -31,6 +36,9 @@ _CELLS_A_STEP = 50 * 50 // STEP_LIMIT
 
 #: Actions for each cell of the longest way to a goal, at least.
 _STEPS_A_CELL_OF_WAY = 4
+
+#: Largest error of extra steps in a table, in percent: earlier versions wrote one or two digits.
+_ROUNDING = 0.1
 
 #: Planners besides those of the package: name -> function that makes the planner from the rules of an episode.
 OwnPlanners = Mapping[str, Callable[[Rules], Planner]]
@@ -70,8 +78,23 @@ class EpisodeResult(NamedTuple):
     steps: int
     oracle_steps: int
     extra: float
-    mode: str
+    mode: Mode
     actions: str = ""
+
+    def check(self) -> None:
+        """Check that the values of a row belong together, such as one that was read from a file.
+
+        Raises:
+          ValueError: they do not.
+        """
+        if min(self.x, self.y, self.heading, self.range, self.steps) < 0 or self.heading >= HEADINGS:
+            raise ValueError(f"x {self.x}, y {self.y}, heading {self.heading}, range {self.range}, {self.steps} steps")
+        if set(self.actions) - set(ACTION_LETTERS):
+            raise ValueError(f"actions {short(self.actions)} are not letters {', '.join(ACTION_LETTERS)}")
+        if self.actions and len(self.actions) != self.steps:
+            raise ValueError(f"{len(self.actions)} actions for {self.steps} steps")
+        if not abs(self.extra - extra_steps(self.steps, self.oracle_steps)) < _ROUNDING:
+            raise ValueError(f"extra is {self.extra} for {self.steps} steps and {self.oracle_steps} of the oracle")
 
 
 class Results(tuple[EpisodeResult, ...]):
@@ -132,6 +155,19 @@ def _default_step_limit(terrain: UInt8[np.ndarray, "h w"]) -> int:
     return max(min(terrain.size // _CELLS_A_STEP, ground), _STEPS_A_CELL_OF_WAY * longest_way(terrain))
 
 
+def _estimates_nan(
+    estimator: Estimator, world: World, start: Pose, actions: Int[Array, "t"], *, sensing: Kernel
+) -> bool:
+    """Whether an estimate is NaN after these actions. Planners give up then, as where nothing is left to explore."""
+
+    def act(belief: Belief, action: Array) -> tuple[Belief, None]:
+        return gridworld.step(world, belief, action, sensing), None
+
+    belief, _ = jax.lax.scan(act, gridworld.reset(world, start, sensing), actions)
+    part = extent_of(estimator).part(belief.terrain, belief.pose)
+    return bool(jnp.any(jnp.isnan(estimator.estimate(part, estimator.init(world)))))
+
+
 class Runner:
     """Runs planners from given starts in the houses of one dataset, all episodes of a planner at once.
 
@@ -190,13 +226,14 @@ class Runner:
 
         Raises:
           KeyError: a start is in a house that the dataset does not have.
+          InputError: the planner gives up because its estimator estimates NaN.
         """
         episodes = episodes_from(starts, self._index)
         report = None
         if self._progress is not None:
             progress = self._progress
             report = lambda finished: progress(name, finished, len(starts))  # noqa: E731
-        return rollout(
+        done = rollout(
             planner,
             self._worlds,
             episodes,
@@ -204,6 +241,18 @@ class Runner:
             step_limit=self.step_limit,
             on_progress=report,
         )
+        estimator, gave_up = getattr(planner, "estimator", None), np.flatnonzero(done.mode == GAVE_UP)
+        if estimator is not None and gave_up.size:
+            first = int(gave_up[0])
+            world = jax.tree.map(lambda leaf: leaf[..., self._index[starts[first].house]], self._worlds)
+            pose = jax.tree.map(lambda leaf: leaf[first], episodes.start)
+            actions = jnp.asarray(done.actions[first][: done.steps[first]], jnp.int32)
+            if _estimates_nan(estimator, world, pose, actions, sensing=rules.sensing):
+                raise InputError(
+                    f"planner {name or type(planner).__name__}: {type(estimator).__name__} estimates NaN in house "
+                    f"{starts[first].house} after {len(actions)} actions; give an estimator of numbers"
+                )
+        return done
 
     def _oracle(self, rules: Rules, starts: Sequence[Start]) -> Trajectories:
         """The oracle's trajectories, of which the numbers of steps are kept.

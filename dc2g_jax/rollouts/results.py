@@ -3,12 +3,14 @@
 import csv
 import itertools
 import mmap
+import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import NoneType
 from typing import Any, Generic, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from dc2g_jax.errors import InputError
+from dc2g_jax.errors import InputError, short
+from dc2g_jax.files.reading import check_file
 from dc2g_jax.files.tables import table_lines, write_table
 
 #: A row of the file: a NamedTuple of strings, numbers and booleans, whose fields are the columns. Its first fields
@@ -33,6 +35,8 @@ def read_rows(path: Path, kind: type[_Row]) -> list[_Row]:
 def rows_of(path: Path, kind: type[_Row]) -> Iterator[_Row]:
     """Read the rows of `write_rows` one by one. Fields that have a default or may be `None` may be empty or missing.
 
+    A row may have a method `check`, which raises ValueError if its values contradict each other.
+
     Raises:
       InputError: the file cannot be read, a column is missing, or a value is invalid; the message names the line.
     """
@@ -42,11 +46,13 @@ def rows_of(path: Path, kind: type[_Row]) -> Iterator[_Row]:
     for line, cells in table_lines(path, columns, optional=optional, remedy="give the table of an earlier run"):
         try:
             values = {name: _value(types[name], cell) for name, cell in cells.items() if cell}
+            row = kind(**{**dict.fromkeys(optional), **defaults, **values})
+            getattr(row, "check", lambda: None)()
         except ValueError as error:
             raise InputError(
                 f"{path}: line {line}: {error}; repair the line, or remove the file to run it anew"
             ) from None
-        yield kind(**{**dict.fromkeys(optional), **defaults, **values})
+        yield row
 
 
 def _value(kind: Any, text: str) -> Any:
@@ -56,8 +62,12 @@ def _value(kind: Any, text: str) -> Any:
     if get_origin(kind) is Literal:
         if text in get_args(kind):
             return text
-        raise ValueError(f"{text!r} is none of {', '.join(get_args(kind))}")
-    return bool(int(text)) if kind is bool else kind(text)
+        raise ValueError(f"{short(text)} is none of {', '.join(get_args(kind))}")
+    if kind is bool and text not in ("0", "1"):
+        raise ValueError(f"{short(text)} is neither 0 nor 1")
+    if kind is int and not re.fullmatch(r"-?[0-9]{1,18}", text):
+        raise ValueError(f"{short(text)} is not a whole number")
+    return text == "1" if kind is bool else kind(text)
 
 
 class ResumableTable(Generic[_Row]):
@@ -78,9 +88,10 @@ class ResumableTable(Generic[_Row]):
         self._path, self._kind = path, kind
         self._kept: Iterator[_Row] = iter(())
         if path.exists():
+            check_file(path, "remove it, or give another folder")
             _drop_cut_off_line(path)
             with path.open(encoding="utf-8", errors="replace") as file:
-                as_written_now = file.readline().strip() == ",".join(get_type_hints(kind))
+                as_written_now = file.readline(2**16).strip() == ",".join(get_type_hints(kind))
             if not as_written_now:  # rows are added below
                 write_rows(path, kind, read_rows(path, kind))
             self._kept = rows_of(path, kind)

@@ -42,6 +42,11 @@ def check_numbers(learning_rate: float, **counts: int) -> None:
         raise InputError(f"learning rate {learning_rate}: give a number above 0 that single precision holds")
 
 
+def least_memory(config: "TrainingConfig", height: int, width: int) -> float:
+    """Bytes that a step surely needs for maps of this size: the pairs, and the features of the first layer."""
+    return config.batch_size * height * width * (9.0 + config.architecture.widths[0])
+
+
 @dataclasses.dataclass(frozen=True)
 class TrainingConfig:
     """Training configuration.

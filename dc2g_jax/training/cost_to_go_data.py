@@ -281,7 +281,8 @@ def check_masks(masks: Masks, houses: Sequence[House], where: str) -> None:
             f"{where}: masks of shape {masks.boards.dtype.name}{list(masks.boards.shape[1:])}, but maps of "
             f"{height} x {width} cells need uint32{list(wanted)}; delete the file to collect masks anew"
         )
-    if len(masks.world) != len(masks.boards) or np.any((masks.world < 0) | (masks.world >= len(houses))):
+    numbers = masks.world.ndim == 1 and np.issubdtype(masks.world.dtype, np.integer)
+    if not numbers or len(masks.world) != len(masks.boards) or np.any((masks.world < 0) | (masks.world >= len(houses))):
         raise InputError(
             f"{where}: masks of houses other than these {len(houses)}; delete the file to collect them anew"
         )

@@ -17,9 +17,14 @@ from jaxtyping import Array, Float
 from tqdm import tqdm
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.reading import number as as_number
+from dc2g_jax.files.reading import opened, parse_json, read_lines, whole_number
 from dc2g_jax.rollouts.devices import fetch, in_any_process, settle
 
 _State = TypeVar("_State")
+
+#: Most bytes of a line of the log.
+_LONGEST_LINE = 2**20
 
 #: Mean losses of the steps since the last fetch: a scalar for a single run, one per run for several.
 Losses = Float[np.ndarray, "*runs"]
@@ -114,14 +119,39 @@ class Log:
             file.write("\n" * cut_off)
             file.writelines(json.dumps(line) + "\n" for line in lines)
 
-    def by_step(self, run: str | None = None) -> dict[int, dict[str, Any]]:
-        """Validations by step, in order; those of `run` if several are trained together. Empty before the first."""
+    def by_step(self, run: str | None = None, figures: Collection[str] = ()) -> dict[int, dict[str, Any]]:
+        """Validations by step, in order; those of `run` if several are trained together. Empty before the first.
+
+        Lines that are not JSON are skipped: they were cut off when a process was killed, and their validation repeated.
+
+        Args:
+          run: name of the run; `None` for the only one.
+          figures: names of numbers that every line must have.
+
+        Raises:
+          InputError: the log cannot be read, or a line of it is no validation.
+        """
         found: dict[int, dict[str, Any]] = {}
-        for text in self._path.read_text().splitlines() if self._path.exists() else ():
-            with contextlib.suppress(json.JSONDecodeError):  # a line that was cut off when the process was killed
-                line = json.loads(text)
-                if run is None or line["run"] == run:
-                    found[line["step"]] = line
+        if not self._path.exists():
+            return found
+        with opened(self._path, "give another folder") as file:
+            for number, text in read_lines(file, self._path, at_most=_LONGEST_LINE):
+                try:
+                    line = parse_json(text)
+                except ValueError:
+                    continue
+                try:
+                    step = whole_number(line["step"])
+                    own = run is None or line["run"] == run
+                    for name in figures:
+                        as_number(line[name])
+                except (LookupError, TypeError, ArithmeticError) as error:
+                    raise InputError(
+                        f"{self._path}: line {number} is no validation of this run ({error}); delete the line to "
+                        "repeat it"
+                    ) from None
+                if own:
+                    found[step] = line
         return dict(sorted(found.items()))
 
 

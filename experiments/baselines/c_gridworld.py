@@ -4,7 +4,6 @@ import concurrent.futures
 import ctypes
 import dataclasses
 import functools
-import hashlib
 import os
 import shlex
 import shutil
@@ -43,29 +42,19 @@ def compiler() -> list[str]:
     return chosen
 
 
-def _build(command: list[str], target: Path) -> None:
-    """Compile into a file of its own first, so that no one ever loads half a library."""
-    partial = target.with_name(f"{target.stem}-{os.getpid()}.so")
-    result = subprocess.run(
-        [*command, *FLAGS, str(_SOURCE), "-o", str(partial)], capture_output=True, text=True, check=False
-    )
-    if result.returncode != 0:
-        lines = result.stderr.strip().splitlines() or [f"exit status {result.returncode}"]
-        raise BaselineUnavailable(f"{shlex.join(command)} cannot compile {_SOURCE.name}: {lines[0]}")
-    partial.replace(target)
-
-
 @functools.cache
 def library() -> ctypes.CDLL:
-    """The compiled program, built once for each version of the source, compiler and machine."""
+    """The compiled program, built once a process in a new folder, which no other user can write to."""
     command = compiler()
-    recipe = repr((_SOURCE.read_bytes(), command, FLAGS, os.uname()))
-    folder = Path(tempfile.gettempdir()) / f"dc2g_jax-baselines-{os.getuid()}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    target = folder / f"gridworld-{hashlib.sha256(recipe.encode()).hexdigest()[:16]}.so"
-    if not target.exists():
-        _build(command, target)
-    return ctypes.CDLL(str(target))
+    with tempfile.TemporaryDirectory() as folder:
+        built = Path(folder) / "gridworld.so"
+        result = subprocess.run(
+            [*command, *FLAGS, str(_SOURCE), "-o", str(built)], capture_output=True, text=True, check=False
+        )
+        if result.returncode != 0:
+            lines = result.stderr.strip().splitlines() or [f"exit status {result.returncode}"]
+            raise BaselineUnavailable(f"{shlex.join(command)} cannot compile {_SOURCE.name}: {lines[0]}")
+        return ctypes.CDLL(str(built))
 
 
 def _address(array: np.ndarray) -> ctypes.c_void_p:

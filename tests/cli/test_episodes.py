@@ -63,6 +63,29 @@ def test_a_damaged_table_is_refused(dataset, results, tmp_path, old, new, mentio
     assert runner.asked == []
 
 
+@pytest.mark.parametrize(
+    ("changes", "mention"),
+    [
+        ({"steps": -3}, "-3 steps"),
+        ({"steps": "9" * 400}, "'999999"),
+        ({"success": 7}, "'7' is neither 0 nor 1"),
+        ({"mode": "banana"}, "'banana' is none of explore, to_goal, gave_up"),
+        ({"actions": "ZZZ"}, "actions 'ZZZ' are not letters F, L, R"),
+        ({"actions": "F"}, "1 actions for"),
+        ({"extra": "nan"}, "extra is nan"),
+        ({"extra": -100.0}, "extra is -100.0"),
+        ({"heading": 4}, "heading 4"),
+        ({"x": "1_0"}, "'1_0' is not a whole number"),
+        ({"oracle_steps": 0}, "the oracle took 0 steps"),
+    ],
+    ids=str,
+)
+def test_rows_that_contradict_themselves_are_refused(results, tmp_path, changes, mention):
+    path = tmp_path / "episodes.csv"
+    write_rows(path, EpisodeResult, [results[0], results[1]._replace(**changes)])
+    refusal(lambda: read_rows(path, EpisodeResult), path, "line 3", mention, "repair the line")
+
+
 def test_an_interrupted_run_goes_on_with_the_planner_it_was_at(dataset, results, tmp_path):
     path = tmp_path / "episodes.csv"
     with pytest.raises(KeyboardInterrupt):

@@ -79,7 +79,7 @@ def test_a_run_is_resumed_with_the_options_it_was_begun_with(tmp_path):
     with pytest.raises(InputError, match=r"begun with --minutes 2\.0, now it is 3\.0"):
         output_folder(other, "wander")
     output_folder(other, "wander", free=("minutes",))
-    with pytest.raises(InputError, match="a run of wander, not of rest"):
+    with pytest.raises(InputError, match="a run of 'wander', not of rest"):
         output_folder(again, "rest")
 
 
@@ -121,6 +121,20 @@ def test_a_folder_that_another_process_writes_to_is_refused(tmp_path):
     assert folder_in_use() == run.resolve()
 
 
+def test_a_run_that_was_killed_before_it_wrote_anything_can_be_begun_again(tmp_path):
+    (tmp_path / "run").mkdir()
+    with replacing(tmp_path / "run" / "run.json") as unfinished:
+        unfinished.write_text("{}")
+        left = shutil.copy(unfinished, unfinished.with_stem(f"{unfinished.stem}9"))
+    (tmp_path / "run" / "run.json").unlink()
+    options = Resumable(out=tmp_path / "run")
+    with pytest.raises(InputError, match="leave out --resume to begin one"):
+        output_folder(dataclasses.replace(options, resume=True), "wander")
+    assert Path(left).exists()
+    output_folder(options, "wander")
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["run.json"]
+
+
 def test_without_git_the_commit_is_unknown(monkeypatch):
     def missing(*arguments, **options):
         raise FileNotFoundError("git")
@@ -134,7 +148,10 @@ def test_what_cannot_be_resumed_is_refused(tmp_path):
         output_folder(Resumable(resume=True), "wander")
     with pytest.raises(InputError, match="holds no run to resume"):
         output_folder(Resumable(out=tmp_path / "none", resume=True), "wander")
-    for damaged in ("{", "[]", '{"options": 3, "runs": []}'):
+    for damaged in (
+        "{", "[]", '{"options": 3, "runs": []}', '{"options": {}, "runs": [], "inputs": 0}', "[" * 100_000,
+        '{"options": {}, "runs": [], "inputs": ' + "9" * 5000 + "}",
+    ):  # fmt: skip
         (tmp_path / "run.json").write_text(damaged)
-        with pytest.raises(InputError, match=r"run\.json: cannot be read"):
+        with pytest.raises(InputError, match=r"run\.json: .*begin anew in another --out folder"):
             output_folder(Resumable(out=tmp_path, resume=True), "wander")

@@ -416,7 +416,7 @@ def test_a_cache_folder_that_may_not_be_created(fetch, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("text", "mentions"),
     [
-        (None, ["cannot be read"]),
+        (None, ["no such file"]),
         ("", ["empty"]),
         ("0123  a.png\n", ["line 1", "'0123  a.png'", "SHA-256"]),
         (f"{'a' * 64}  ../a.png\n", ["line 1", "relative path"]),

@@ -24,7 +24,7 @@ from dc2g_jax.datasets.houses import (
 )
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import read_class_image, read_palette, write_class_image
-from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, PATH, ROAD
+from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, HOUSE, PATH, ROAD
 from tests.files.pngs import chunk, png
 from tests.support.places import PUBLISHED, SHARED
 from tests.support.refusals import refusal
@@ -291,6 +291,13 @@ def test_transparency_is_refused(tmp_path, palette):
     refusal(lambda: read_class_image(path, palette), path, "not opaque")
 
 
+def test_the_first_of_the_classes_of_a_color_has_it(tmp_path):
+    (tmp_path / "palette.csv").write_text("class,r,g,b\nroad,1,2,3\ngrass,1,2,3\nhouse,4,5,6\n")
+    (tmp_path / "a.png").write_bytes(png(np.array([[1, 2, 3, 4, 5, 6]], np.uint8), 2))
+    found = read_class_image(tmp_path / "a.png", read_palette(tmp_path / "palette.csv"))
+    assert found.tolist() == [[ROAD, HOUSE]]
+
+
 def test_an_index_outside_the_files_own_palette(tmp_path, palette):
     path = tmp_path / "a.png"
     path.write_bytes(png(np.full((2, 2), 3, np.uint8), 3, 8, (b"PLTE", CLASS_COLORS[:3].tobytes())))
@@ -302,23 +309,23 @@ def test_a_color_outside_the_palette(folder):
     picture = cv2.imread(str(path))
     picture[7, 5] = (3, 120, 2)
     cv2.imwrite(str(path), picture)
-    message = refusal(lambda: load_dataset(folder), path, "x=5, y=7", "(2, 120, 3)", "grass (0, 128, 0)", "repaint")
+    message = refusal(lambda: load_dataset(folder), path, "x=5, y=7", "(2, 120, 3)", "'grass' (0, 128, 0)", "repaint")
     assert "more" not in message
     picture[9] = (3, 120, 2)
     cv2.imwrite(str(path), picture)
     refusal(lambda: load_dataset(folder), path, "70 more")
     indices = np.full((60, 60), 1, np.uint8)
     path.write_bytes(png(indices, 3, 8, (b"PLTE", bytes([0, 0, 0, 129, 0, 0]))))
-    refusal(lambda: load_dataset(folder), path, "x=0, y=0", "(129, 0, 0)", "front_door (128, 0, 0)")
+    refusal(lambda: load_dataset(folder), path, "x=0, y=0", "(129, 0, 0)", "'front_door' (128, 0, 0)")
 
 
 def test_a_class_the_package_does_not_know_is_refused_where_it_is_drawn(folder):
     csv = folder / "labels_colors.csv"
     words = csv.read_text()
     csv.write_text(words.replace("grass", "lawn"))
-    refusal(lambda: load_dataset(folder), folder / "full_semantic", "'lawn'", csv, "rename", "grass, road")
+    refusal(lambda: load_dataset(folder), folder / "full_semantic", "'lawn'", csv.name, "rename", "house, sidewalk")
     csv.write_text(words.replace("grass", "gras"))
-    assert refusal(lambda: load_dataset(folder), "'gras'", csv).endswith("rename it to grass")
+    assert refusal(lambda: load_dataset(folder), "'gras'", csv.name).endswith("rename it to grass")
 
 
 @pytest.mark.parametrize(
@@ -364,8 +371,8 @@ def test_missing_palette_file(folder):
         (b"house_id\n../n000m000h000\n", ["line 2", "'../n000m000h000'", "letters"]),
         (b'house_id\n"a\nb"\n', ["line 3", "'a\\nb'", "letters"]),
         (b"house_id,lot\n,3\n", ["line 2", "'house_id'", "fill it in"]),
-        (b"house_id\nn000\xe9\n", ["byte 0xe9 at offset 13", "UTF-8"]),
-        ("house_id\nn000\n".encode("utf-16"), ["byte 0xff at offset 0", "UTF-8"]),
+        (b"house_id\nn000\xe9\n", ["line 2: byte 0xe9", "UTF-8"]),
+        ("house_id\nn000\n".encode("utf-16"), ["line 1: byte 0xff", "UTF-8"]),
     ],
 )
 def test_bad_house_lists(folder, text, mentions):
@@ -403,7 +410,7 @@ def test_what_may_not_be_read_is_named(folder, monkeypatch):
     def deny(path, *_args):
         raise PermissionError(13, "Permission denied", str(path))
 
-    for method in ("read_bytes", "exists", "iterdir"):
+    for method in ("open", "exists", "iterdir"):
         with monkeypatch.context() as patch:
             patch.setattr(Path, method, deny)
             refusal(lambda: load_dataset(folder), folder, "cannot be read", "Permission denied")
@@ -495,7 +502,7 @@ def test_a_location_that_was_asked_for_is_never_replaced(folder, tmp_path, monke
         "give",
     )
     for location in ("", "~nobody-of-this-name/houses", "x" * 5000):
-        refusal(lambda location=location: open_dataset(location), repr(location), "not an existing", "give")
+        refusal(lambda location=location: open_dataset(location), repr(location)[:150], "not an existing", "give")
     monkeypatch.setenv("DC2G_DATA", str(tmp_path / "gone"))
     refusal(lambda: open_dataset(log=lines.append), tmp_path / "gone", "DC2G_DATA", "give")
     assert lines == []

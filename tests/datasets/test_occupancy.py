@@ -114,7 +114,12 @@ def test_spellings_that_other_tools_write(tmp_path):
         ({"negate": 2}, ["negate is 2", "0 where white is free"]),
         ({"mode": "Scale"}, ["mode is 'Scale'", "trinary, scale, raw"]),
         ({"mode": 3}, ["mode is 3", "trinary, scale, raw"]),
-        ({"image": "missing.pgm"}, ["missing.pgm: cannot be read", "lab.yaml names it"]),
+        ({"origin": "[[[[[0, 0, 0]]]]]"}, ["origin is [[[[...]]]]", "[x, y, yaw]"]),
+        ({"resolution": "[" + "9, " * 500 + "9]"}, ["resolution has [9, 9, 9", "not a number"]),
+        ({"resolution": "0x" + "f" * 9000}, ["resolution has a number of 36000 bits", "not a number"]),
+        ({"image": 7}, ["image is 7", "name of a PGM or PNG"]),
+        ({"image": '"a\\0b"'}, ["not the name of a file", "lab.yaml names"]),
+        ({"image": "missing.pgm"}, ["missing.pgm: no such file", "lab.yaml names"]),
     ],
 )
 def test_bad_facts(tmp_path, facts, mentions):
@@ -130,8 +135,9 @@ def test_bad_facts(tmp_path, facts, mentions):
         (b"image: [lab\nresolution: 1\n", ["line 2", "is not YAML", "repair"]),
         (b"image: \xff\n", ["offset 7", "not UTF-8"]),
         (b"image: \x00\n", ["is not YAML", "repair"]),
+        (b"image: &a [x, x]\nresolution: *a\n", ["aliases are not read", "repair"]),
         (b"image: 2026-13-45\n", ["is not YAML", "month", "repair"]),
-        (b"image: " + b"[" * 5000, ["is not YAML", "recursion", "repair"]),
+        (b"image: " + b"[" * 5000, ["is not YAML", "nested too deeply", "repair"]),
     ],
 )
 def test_files_that_are_no_yaml(tmp_path, text, mentions):
@@ -213,8 +219,13 @@ def test_maps_that_are_mostly_unknown_are_cropped(tmp_path, yaw):
     assert read_occupancy_map(save(tmp_path, np.full((5, 7), 205, np.uint8))).free.shape == (5, 7)
 
 
+def test_an_image_that_never_ends(tmp_path):
+    path = save(tmp_path, random_grays(3), image="/dev/zero")
+    refusal(lambda: read_map(path), "/dev/zero: cannot be read", "a device", "lab.yaml names")
+
+
 def test_a_missing_file(tmp_path):
-    refusal(lambda: read_map(tmp_path / "lab.yaml"), tmp_path / "lab.yaml", "cannot be read", "give")
+    refusal(lambda: read_map(tmp_path / "lab.yaml"), tmp_path / "lab.yaml", "no such file", "give")
 
 
 @pytest.mark.parametrize(

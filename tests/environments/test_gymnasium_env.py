@@ -36,6 +36,24 @@ def make_vec(robots, mode="vector_entry_point", **options):
     return gymnasium.make_vec(GYMNASIUM_ID, num_envs=robots, vectorization_mode=mode, **kwargs, **{**SMALL, **options})
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux")
+def test_processes_that_were_forked_end_with_one_line_where_jax_would_hang():
+    script = textwrap.dedent("""
+        import multiprocessing, sys
+        from tests.environments.test_gymnasium_env import make, make_vec
+        make().reset()
+        child = multiprocessing.get_context("fork").Process(target=make)
+        child.start()
+        child.join(60)
+        sys.exit(child.exitcode)
+    """)
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", script], capture_output=True, text=True, timeout=200)
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("error: JAX hangs in forked processes; give make_vec vectorization_mode=")
+    assert line.endswith("or vector_kwargs={'context': 'spawn'}")
+
+
 @pytest.mark.parametrize("render_mode", [None, "rgb_array"])
 def test_gymnasium_s_own_check(render_mode):
     """Warnings are errors here."""

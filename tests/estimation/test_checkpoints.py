@@ -1,6 +1,7 @@
 """Networks on disk: what is saved comes back bit for bit, and what is damaged is refused in one line."""
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -20,6 +21,9 @@ from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.grid.terrain import CLASS_NAMES
 
 N_SCALES = len(Architecture().widths)
+
+#: Facts of an architecture that can be built.
+GOOD = {"widths": [4] * N_SCALES, "quantiles": [0.5], "cost_scale": 1.0}
 
 
 def network(width: int = 4, seed: int = 0, cost_scale: float = 20.0) -> NetworkCostToGo:
@@ -108,6 +112,9 @@ def test_weights_of_another_training_are_refused(tmp_path):
     facts = json.loads(card.read_text())
     del facts["sha256"]  # a card written by hand
     card.write_text(json.dumps(facts))
+    told = refusal(tmp_path / "one", "network.json", 'if they belong together, add "sha256"')
+    facts["sha256"] = told.split('"')[-2]
+    card.write_text(json.dumps(facts))
     assert_equal(load_network(tmp_path / "one"), network(seed=1))
 
 
@@ -126,16 +133,16 @@ def test_saving_replaces_weights_that_are_damaged(folder):
 
 
 def test_a_folder_that_is_not_there(tmp_path):
-    refusal(tmp_path / "none", "network.json", "not found")
+    refusal(tmp_path / "none", "network.json", "no such file")
 
 
 def test_an_empty_folder(tmp_path):
-    refusal(tmp_path, "network.json", "not found")
+    refusal(tmp_path, "network.json", "no such file")
 
 
 def test_the_folder_of_a_training_names_its_network(tmp_path):
     save_network(tmp_path / "network", network())
-    refusal(tmp_path, "not found", f"give {tmp_path / 'network'}")
+    refusal(tmp_path, "no such file", f"give {tmp_path / 'network'}")
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"not JSON", b"[]", b"3", b"\xff\xfe\x00"])
@@ -197,12 +204,41 @@ def test_another_list_of_classes(folder, classes):
         {"widths": [0] * N_SCALES, "cost_scale": 1.0},
         {"widths": [-4] * N_SCALES, "cost_scale": 1.0},
         {"widths": [4] * N_SCALES, "cost_scale": "large"},
+        *({**GOOD, "cost_scale": scale} for scale in (float("nan"), float("inf"), 0, -1.0, True, 10**17)),
+        {**GOOD, "widths": [4.5] * N_SCALES},
+        {**GOOD, "widths": [10**9] * N_SCALES},
+        {**GOOD, "widths": [float("inf")] * N_SCALES},
+        {**GOOD, "quantiles": [float("nan")]},
+        {**GOOD, "quantiles": "0.5"},
     ],
     ids=json.dumps,
 )
 def test_an_architecture_that_cannot_be_built(folder, architecture):
     changed_card(folder, architecture=architecture)
     refusal(folder)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f'{{"cost_scale": 1{"0" * 400}}}',
+        f'{{"cost_scale": {"[" * 100_000}}}',
+        f'{{"network": "{"x" * 300}"}}',
+        '{"network": [Infinity]}',
+        '{"network": "compact_unet", "classes": [Infinity]}',
+    ],
+    ids=["400 digits", "100,000 brackets", "a long name", "infinity as a name", "infinity as a class"],
+)
+def test_cards_to_break_readers_with(folder, text):
+    (folder / "network.json").write_text(text)
+    refusal(folder, "network.json")
+
+
+def test_a_card_or_weights_that_are_not_files(folder):
+    for name in ("weights.safetensors", "network.json"):
+        (folder / name).unlink()
+        os.mkfifo(folder / name)
+        refusal(folder, name, "a device or a pipe")
 
 
 def test_weights_of_another_architecture(folder, tmp_path):
@@ -213,7 +249,7 @@ def test_weights_of_another_architecture(folder, tmp_path):
 
 def test_no_weights(folder):
     (folder / "weights.safetensors").unlink()
-    refusal(folder, "weights.safetensors", "No such file")
+    refusal(folder, "weights.safetensors", "no such file")
 
 
 @pytest.fixture

@@ -66,5 +66,5 @@ def test_files_without_a_header_are_refused(tmp_path, content):
 
 
 def test_what_is_no_file_is_refused(tmp_path):
-    refusal(lambda: read_safetensors(tmp_path / "missing"), tmp_path / "missing", "No such file")
+    refusal(lambda: read_safetensors(tmp_path / "missing"), tmp_path / "missing", "no such file")
     refusal(lambda: read_safetensors(tmp_path), tmp_path, "cannot be read")

@@ -1,7 +1,11 @@
 """The programs we compare ourselves with do the same as the recorded episodes and the plain NumPy oracle."""
 
 import csv
+import stat
+import subprocess
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -101,6 +105,26 @@ def test_a_compiler_that_is_not_there_is_named(monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler -m64")
     with pytest.raises(BaselineUnavailable, match="no-such-compiler"):
         c_gridworld.compiler()
+
+
+def test_the_compiled_program_is_loaded_from_a_folder_of_this_user_alone(monkeypatch, tmp_path):
+    built = []
+
+    def compile_into(command, **options):
+        folder = Path(command[-1]).parent
+        built.append((folder, stat.S_IMODE(folder.stat().st_mode)))
+        return subprocess.CompletedProcess(command, 1, stderr="stopped here")
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(c_gridworld, "compiler", lambda: ["cc"])
+    monkeypatch.setattr(subprocess, "run", compile_into)
+    for _ in range(2):
+        with pytest.raises(BaselineUnavailable, match="stopped here"):
+            c_gridworld.library.__wrapped__()
+    (first, mode), (second, _) = built
+    assert first != second
+    assert mode == 0o700
+    assert not any(tmp_path.iterdir())
 
 
 def test_scipy_labels_what_is_reachable():

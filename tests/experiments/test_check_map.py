@@ -62,7 +62,7 @@ def test_what_cannot_be_read_is_not_drawn(tmp_path):
     (tmp_path / "palette.csv").write_text(PALETTE.replace("tree,64,128,0", "tree,64,128,9"))
     write_class_image(tmp_path / "campus.png", CAMPUS)
     options = Options(tmp_path / "campus.png", tmp_path / "palette.csv", out=tmp_path / "out")
-    with pytest.raises(InputError, match=re.escape("(64, 128, 0) at pixel x=15, y=3 and 1 more (nearest: tree")):
+    with pytest.raises(InputError, match=re.escape("(64, 128, 0) at x=15, y=3 and 1 more (nearest: 'tree'")):
         main(options)
     assert not (tmp_path / "out").exists()
 

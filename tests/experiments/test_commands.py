@@ -26,6 +26,7 @@ from experiments import (
     head_to_head,
     latency,
     noisy_mapping,
+    objectnav_train,
     reproduce_fig5,
     reproduce_fig7,
     reproduce_fig8,
@@ -33,6 +34,7 @@ from experiments import (
     run_episodes,
     sweep_losses,
     train,
+    train_translator,
 )
 from tests.support.commands import complaint, run
 from tests.support.places import ROOT
@@ -204,6 +206,85 @@ def test_lack_of_memory_is_one_line_that_names_the_option_to_lower(command, opti
     assert capfd.readouterr().err == (
         f"error: a device is out of memory; {remedy} (RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes.)\n"
     )
+
+
+@pytest.mark.parametrize(
+    ("command", "options"),
+    [
+        (train, ["--dataset", "procedural"]),
+        (sweep_losses, ["--dataset", "procedural"]),
+        (train_translator, ["--dataset", "procedural"]),
+        (objectnav_train, []),
+    ],
+)
+def test_batches_beyond_all_memory_are_refused_before_anything_is_collected(command, options, monkeypatch, capfd):
+    words = [f"{command.__name__}.py", "--out", "out", *options, "--batch-size", str(10**9)]
+    monkeypatch.setattr(sys, "argv", words)
+    began = time.monotonic()
+    with pytest.raises(SystemExit) as stopped:
+        command_line(command.Options, command.main)
+    assert stopped.value.code == 2
+    error = capfd.readouterr().err
+    assert re.fullmatch(r"error: --batch-size 1000000000.*: needs more than [\d.e+]+ GB of memory.*; lower it\n", error)
+    assert not Path("out").exists()
+    assert time.monotonic() - began < 60
+
+
+WRITES = '''
+import dataclasses, pathlib, resource, sys
+import numpy as np
+from dc2g_jax.cli.common import command_line
+from dc2g_jax.cli.options import TrainingOptions
+from dc2g_jax.cli.outputs import output_folder
+from dc2g_jax.files.tables import write_table
+
+@dataclasses.dataclass(frozen=True)
+class Options(TrainingOptions):
+    """Write a table."""
+
+def main(options):
+    output_folder(options, "writing")
+    if not options.resume:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
+    write_table(options.out / "table.csv", ["x"], ([x] for x in range(100_000)))
+    for _ in range(100_000):
+        print("written")
+
+command_line(Options, main)
+'''
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits the size of files as POSIX does")
+def test_a_full_disk_and_a_closed_pipe_are_one_line_that_says_how_to_go_on(tmp_path):
+    command = [sys.executable, "-c", WRITES, "--out", str(tmp_path / "out")]
+    full = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert full.returncode == 2
+    (line,) = full.stderr.splitlines()
+    assert line.startswith("error: ")
+    assert line.endswith(
+        "file too large; make room on the disk; what was written is kept: the same command with --resume goes on"
+    )
+    with subprocess.Popen(
+        [*command, "--resume"], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as piped:
+        assert piped.stdout.readline() == "written\n"
+        piped.stdout.close()
+        told = piped.stderr.read()
+    assert piped.returncode == 141
+    assert told == (
+        "nobody reads the output any more; what was written is kept: the same command with --resume goes on\n"
+    )
+    assert len((tmp_path / "out" / "table.csv").read_text().splitlines()) == 100_001
+
+
+def test_help_may_be_cut_off():
+    for words in (["--help"], ["train", "--help"]):
+        code = f"import sys; from dc2g_jax.cli.commands import main; sys.argv = {['dc2g', *words]}; main()"
+        command = [sys.executable, "-c", code]
+        with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as cut_off:
+            cut_off.stdout.close()
+            assert cut_off.stderr.read() == b""
+        assert cut_off.returncode == 141
 
 
 def test_commands_refuse_what_they_cannot_use(few_houses, tmp_path):

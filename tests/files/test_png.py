@@ -1,5 +1,6 @@
 """What Pillow would show although it is damaged is refused, and nothing is decoded before its size is known."""
 
+import os
 import struct
 import subprocess
 import sys
@@ -7,7 +8,6 @@ import zlib
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from dc2g_jax.files.png import read_png, write_png
 from tests.files.pngs import chunk, png
@@ -71,13 +71,14 @@ def test_no_byte_can_be_missing_and_no_bit_can_be_other(tmp_path, whole, capfd):
         (png(PIXELS[..., 0] & 1, 3, 8, (b"PLTE", COLORS[:6]), (b"PLTE", COLORS[6:])), ["2 chunks PLTE"]),
         (png(PIXELS[..., 0] & 1, 3, 8, (b"PLTE", COLORS), (b"tRNS", b"\xff"), (b"tRNS", b"\0")), ["2 chunks tRNS"]),
         (png(PIXELS, 2, 8, (b"IHDR", struct.pack(">2I5B", 2, 3, 8, 2, 0, 0, 0))), ["2 chunks IHDR"]),
+        (png(PIXELS, 2, 8, (b"acTL", bytes(8))), ["animated"]),
         (png(PIXELS[..., 0], 3), ["palette of 0 colors"]),
         (png(PIXELS[..., 0] & 1 | 4, 3, 8, (b"PLTE", COLORS)), ["index 5", "palette of 4 colors"]),
         (png(PIXELS, 2, idat=b""), ["0 of 65 bytes"]),
         (png(PIXELS, 2, idat=b"\0" * 52), ["52 of 65 bytes"]),
         (png(PIXELS, 2, idat=b"\0" * 66), ["more of 65 bytes"]),
         (png(PIXELS, 2, idat=b"\7" + b"\0" * 64), ["unrecognized data"]),
-        (png(PIXELS[:, :0], 2), ["not an intact PNG"]),
+        (png(PIXELS[:, :0], 2), ["has 0 x 5 pixels"]),
     ],
     ids=str,
 )
@@ -106,17 +107,18 @@ def claiming(width: int, height: int, pixel_data: bytes) -> bytes:
 def test_an_enormous_picture_is_refused_before_it_is_decoded(tmp_path):
     path = tmp_path / "a.png"
     path.write_bytes(claiming(10**6, 10**6, b""))
-    refusal(lambda: read(path), path, "1000000000000 pixels", "scale it down")
+    refusal(lambda: read(path), path, "1000000 x 1000000 pixels", "1 to 60000000 pixels")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits memory as Linux does")
 @pytest.mark.parametrize(
     ("size", "pixel_data", "mention"),
     [
-        ((9000, 9000), zlib.compress(b""), "0 of 243009000 bytes"),
+        ((11585, 11585), zlib.compress(bytes(11585 * 34756), 9), "has 11585 x 11585 pixels"),
+        ((7000, 7000), zlib.compress(b""), "0 of 147007000 bytes"),
         ((8, 8), zlib.compress(bytes(10**9), 9), "more of 200 bytes"),
     ],
-    ids=["large header", "large data"],
+    ids=["large picture", "large header", "large data"],
 )
 def test_no_memory_is_taken_for_pixels_that_are_not_there_or_not_wanted(tmp_path, size, pixel_data, mention):
     path = tmp_path / "a.png"
@@ -136,8 +138,29 @@ def test_no_memory_is_taken_for_pixels_that_are_not_there_or_not_wanted(tmp_path
     assert int(told[1].split()[0]) < 30
 
 
-def test_the_limit_is_that_of_pillow(tmp_path, monkeypatch):
+def test_a_flipped_bit_of_a_length_takes_no_memory(tmp_path):
+    path, whole = tmp_path / "a.png", png(PIXELS[..., 0], 0, 16)
+    for bit in (0x40, 0x80):
+        changed = bytearray(whole)
+        changed[whole.index(b"IDAT") - 4] ^= bit
+        path.write_bytes(changed)
+        refusal(lambda: read(path), path, f"declares {(bit << 24) + len(whole) - 57} bytes")
+
+
+def test_a_picture_of_a_known_size_is_refused_by_its_header(tmp_path):
     path = tmp_path / "a.png"
-    write_png(path, PIXELS)
-    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 9)
-    refusal(lambda: read(path), path, "20 pixels", "limit of 18")
+    path.write_bytes(claiming(8000, 8000, zlib.compress(bytes(8))))
+    refusal(
+        lambda: read_png(path, KINDS, "anything", size=(8, 6)), path, "is 8000 x 8000 pixels, not 8 x 6; give anything"
+    )
+
+
+@pytest.mark.parametrize(("kind", "make"), [("folder", os.mkdir), ("pipe", os.mkfifo)])
+def test_what_is_not_a_file(tmp_path, kind, make):
+    make(tmp_path / "a.png")
+    refusal(lambda: read(tmp_path / "a.png"), tmp_path / "a.png", kind, "not a file")
+
+
+def test_names_that_no_file_has(tmp_path):
+    refusal(lambda: read(tmp_path / "a\0.png"), "a?.png", "not the name of a file")
+    refusal(lambda: read(tmp_path / ("a" * 300)), "aaa ... ", "name too long")

@@ -90,6 +90,17 @@ def test_opaque_cells_hide_what_is_behind_them(shape, seed, density):
         assert counts[pose[2], pose[1], pose[0]] == np.sum(cells & targets)
 
 
+def test_batches_see_what_each_of_them_sees():
+    kernel, height, width = sensing.line_of_sight(6), 9, 33
+    robots = [maps.random_pose(seed, np.ones((height, width), bool)) for seed in range(6)]
+    opaque = np.stack([maps.random_cells(seed, (height, width), 0.2) for seed in range(6)])
+    boards = bitboard.pack(jnp.moveaxis(jnp.asarray(opaque), 0, -1).reshape(height, width, 2, 3))
+    pose = jax.tree.map(lambda part: part.reshape(2, 3), make_pose(*np.array(robots).T))
+    seen = np.asarray(bitboard.unpack(kernel.visible(pose, boards, width), width)).reshape(height, width, 6)
+    for number, robot in enumerate(robots):
+        np.testing.assert_array_equal(seen[..., number], oracle.visible_past(opaque[number], robot, 6))
+
+
 def test_a_wall_hides_a_street():
     picture = maps.drawn("""
         RRRRRRRRR

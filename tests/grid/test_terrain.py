@@ -77,5 +77,12 @@ def test_more_indoor_classes_than_bits_in_a_cell_are_refused(monkeypatch):
         loaded(dc2g_jax.objectnav.mapping, monkeypatch)
 
 
+def test_the_first_class_is_unknown_and_black():
+    assert terrain.CLASS_NAMES[terrain.UNKNOWN] == "__ignore__"
+    assert terrain.CLASS_COLORS[terrain.UNKNOWN].tolist() == [0, 0, 0]
+    assert not terrain.TRAVERSABLE[terrain.UNKNOWN]
+    assert not terrain.OPAQUE[terrain.UNKNOWN]
+
+
 def test_every_class_has_a_color_of_its_own():
     assert len(np.unique(terrain.CLASS_COLORS, axis=0)) == len(terrain.CLASS_NAMES) == len(terrain.CLASS_COLORS)

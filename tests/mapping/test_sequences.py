@@ -1,6 +1,7 @@
 import dataclasses
 import io
 import math
+import os
 
 import jax.numpy as jnp
 import numpy as np
@@ -149,6 +150,8 @@ def test_colors_are_classes_by_the_palette(recording):
         ("groundtruth.txt", poses(1.0) + "2 1 2 3 0 0 0\n", ("line 2", "7 values, not 8", "qw")),
         ("groundtruth.txt", "# time\n" + poses(1.0) + "2 1 2 3 0 0 0 0\n", ("line 3", "quaternion", "length 0")),
         ("groundtruth.txt", "1 1 2 x 0 0 0 1\n", ("line 1", "'x'")),
+        ("groundtruth.txt", "1 1 2 1e308 0 0 0 1\n", ("line 1 has 1e+308", "give meters")),
+        ("groundtruth.txt", "1 1 2 3 0 0 0 -1e200\n", ("line 1 has -1e+200",)),
         ("groundtruth.txt", "1 1 2 nan 0 0 0 1\n", ("line 1", "'nan'")),
         ("groundtruth.txt", poses(7.0), ("none of its 3 depth images", "0.02 s")),
         ("groundtruth.txt", "", ("none of its 3 depth images",)),
@@ -157,7 +160,9 @@ def test_colors_are_classes_by_the_palette(recording):
         ("camera.txt", "", ("has 0 lines", "focal_x")),
         ("camera.txt", "19 23 14 9 28.5 18\n", ("width is 28.5",)),
         ("camera.txt", "0 23 14 9 28 18\n", ("focal_x is 0",)),
-        ("camera.txt", b"\xff\xfe", ("byte 0", "UTF-8")),
+        ("camera.txt", "19 23 14 9 1e300 18\n", ("width is 1e+300",)),
+        ("camera.txt", "19 23 14 9 28 " + "9" * 5000, ("line 1 has '9999", "...")),
+        ("camera.txt", b"\xff\xfe", ("byte 0xff at offset 0", "UTF-8")),
     ],
 )
 def test_lists_that_say_nothing_are_refused(recording, file, text, mentions):
@@ -166,10 +171,22 @@ def test_lists_that_say_nothing_are_refused(recording, file, text, mentions):
     refusal(lambda: read_sequence(recording), *where, *mentions)
 
 
+def test_a_path_that_no_map_covers_is_refused(recording):
+    (recording / "groundtruth.txt").write_text("1 0 0 1 0 0 0 1\n2 1e6 -1e6 1 0 0 0 1\n")
+    refusal(lambda: covered(read_sequence(recording), 0.5, 3.0), "a map of 20000", "cells of 0.5 m", "groundtruth.txt")
+
+
+def test_lists_may_name_what_is_no_file(recording):
+    os.mkfifo(recording / "pipe.png")
+    for name, mention in (("pipe.png", "a device or a pipe"), ("nu\0l.png", "not the name of a file"), (".", "folder")):
+        (recording / "depth.txt").write_text(f"1.0 {name}\n")
+        refusal(lambda: next(frames(read_sequence(recording))), recording, mention)
+
+
 @pytest.mark.parametrize("file", ["depth.txt", "classes.txt", "groundtruth.txt", "camera.txt"])
 def test_lists_that_are_missing_are_named(recording, file):
     (recording / file).unlink()
-    refusal(lambda: read_sequence(recording), recording / file, "No such file", "write it")
+    refusal(lambda: read_sequence(recording), recording / file, "no such file", "write it")
     refusal(lambda: read_sequence(recording / "nowhere"), recording / "nowhere", "no such folder")
 
 
@@ -185,9 +202,9 @@ def test_lists_that_are_missing_are_named(recording, file):
         ),
         ("depth/0.png", png(np.zeros((18, 27), np.uint16)), ("27 x 18", "28 x 18", "camera.txt")),
         ("classes/c 0.png", png(np.zeros((17, 28), np.uint8)), ("28 x 17", "28 x 18")),
-        ("depth/0.png", png(np.arange(504, dtype=np.uint16).reshape(SHAPE))[:-60], ("not an intact PNG",)),
+        ("depth/0.png", png(np.arange(504, dtype=np.uint16).reshape(SHAPE))[:-60], ("truncated PNG",)),
         ("depth/0.png", b"", ("not an intact PNG",)),
-        ("depth/0.png", None, ("No such file",)),
+        ("depth/0.png", None, ("no such file",)),
     ],
 )
 def test_images_of_no_use_are_refused_when_they_are_read(recording, file, data, mentions):

@@ -149,6 +149,11 @@ def test_what_cannot_be_read_is_refused(tmp_path):
         read_procthor(house_lines.write(tmp_path, "{}"), log=lambda line: None)
     with pytest.raises(InputError, match="no such file"):
         read_procthor(tmp_path / "val.jsonl")
+    with gzip.open(tmp_path / "test.jsonl.gz", "wb", 1) as file:
+        for _ in range(20):
+            file.write(bytes(2**20))
+    with pytest.raises(InputError, match="line 1 has more than 16777216 bytes"):
+        read_procthor(tmp_path / "test.jsonl.gz")
     damaged = tmp_path / "val.jsonl.gz"
     damaged.write_bytes(gzip.compress(b"x" * 5000)[:-9])
     with pytest.raises(InputError, match="cannot be read"):
@@ -156,7 +161,7 @@ def test_what_cannot_be_read_is_refused(tmp_path):
     (tmp_path / "asset_boxes.json").write_text('{"a": {"type": "Bed", "box": [1, 2]}}')
     with pytest.raises(InputError, match="asset 'a'"):
         read_procthor(damaged)
-    with pytest.raises(InputError, match=r"boxes\.json: cannot be read"):
+    with pytest.raises(InputError, match=r"boxes\.json: no such file"):
         read_procthor(damaged, tmp_path / "boxes.json")
 
 

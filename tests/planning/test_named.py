@@ -58,7 +58,7 @@ def test_make_takes_settings_and_the_network_from_where_it_is_told():
     assert make("dc2g", network=ExactCostToGo()) == NETWORK_PLANNERS["dc2g"](ExactCostToGo(), complete_rules(8))
     assert isinstance(make("dc2g").estimator, NetworkCostToGo)
     refusal(lambda: make("frontier", sensing_range=65), "sensing range 65", "1 to 64")
-    refusal(lambda: make("dc2g", network="no_such_folder"), "no_such_folder", "not found")
+    refusal(lambda: make("dc2g", network="no_such_folder"), "no_such_folder", "no such file")
 
 
 def test_a_class_is_named_by_its_module():

@@ -380,6 +380,7 @@ def with_cell(value: int) -> np.ndarray:
     [
         (ROAD.astype(np.int32), (1, 2, 0), (0, 0), ["int32", "uint8"]),
         (ROAD[0], (1, 2, 0), (0, 0), ["(6,)", "[rows columns]"]),
+        ([[3, 3], [3]], (0, 0, 0), (0, 0), ["grid is [[3, 3], [3]]", "uint8 [rows columns]"]),
         (ROAD[:0], (1, 2, 0), (0, 0), ["(0, 6)", "1 to 14 rows"]),
         (np.full((15, 5), 3, np.uint8), (1, 2, 0), (0, 0), ["(15, 5)", "1 to 14 rows", "larger"]),
         (np.full((5, 33), 3, np.uint8), (1, 2, 0), (0, 0), ["(5, 33)", "1 to 32 columns", "larger"]),

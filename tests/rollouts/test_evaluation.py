@@ -1,16 +1,18 @@
 """Episodes by name: planners, order of results, extra steps and summaries."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import struct
 
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.estimation.compact_unet import Architecture, init_weights
-from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo
 from dc2g_jax.grid.terrain import FRONT_DOOR, HOUSE, ROAD
 from dc2g_jax.planning.named import make
-from dc2g_jax.planning.planners import Frontier
+from dc2g_jax.planning.planners import DC2G, Frontier
 from dc2g_jax.planning.rules import SETTINGS, complete_rules
 from dc2g_jax.rollouts.evaluation import Results, Runner, episodes_from, evaluate
 from experiments.baselines import numpy_gridworld as oracle
@@ -33,6 +35,29 @@ STARTS = (
     Start("left", 0, 6, 3),
     Start("right", 4, 4, 1, 4, 3),
 )
+
+
+@struct.dataclass
+class NoNumber(ExactCostToGo):
+    """Answers with no number once so many cells are known, as a network that has diverged does."""
+
+    known: int = struct.field(pytree_node=False, default=0)
+
+    def estimate(self, terrain, state):
+        diverged = jnp.sum(terrain > 0, axis=(0, 1)) >= self.known
+        return jnp.where(diverged, jnp.nan, super().estimate(terrain, state))
+
+
+@pytest.mark.parametrize(("known", "actions"), [(0, " 0 actions"), (15, "actions")])
+def test_estimates_that_are_no_numbers_are_refused(dataset, known, actions):
+    runner = Runner(dataset, SETTINGS["paper"])
+    rules = complete_rules(3)
+    starts = [start._replace(sensing_range=3, expanding_range=None) for start in STARTS[1:3]]
+    runner.trajectories(DC2G(ExactCostToGo(), rules), rules, starts)
+    refusal(
+        lambda: runner.trajectories(DC2G(NoNumber(known=known), rules), rules, starts, "mine"),
+        "planner mine: NoNumber estimates NaN in house ", actions, "give an estimator of numbers",
+    )  # fmt: skip
 
 
 def test_results_come_in_the_order_of_planners_and_starts_whatever_their_ranges(dataset):

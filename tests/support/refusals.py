@@ -14,7 +14,7 @@ def refusal_of(kind: type[Exception], call, *mentions: object) -> str:
     message = str(caught.value)
     assert "\n" not in message
     for mention in mentions:
-        assert str(mention) in message
+        assert str(mention) in message, message
     return message
 
 

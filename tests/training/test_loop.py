@@ -14,6 +14,7 @@ from jaxtyping import Array, Int
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.training.loop import Log, Pauses, Task, train
+from tests.support.refusals import refusal
 
 
 @struct.dataclass
@@ -194,6 +195,27 @@ def test_validations_made_again_count_once(tmp_path):
     log.write({"step": 30, "l1": 0.2})
     assert log.by_step().pop(30) == {"step": 30, "l1": 0.2}
     assert list(log.by_step().items())[:2] == [(10, {"step": 10, "l1": 0.5}), (20, {"step": 20, "l1": 0.3})]
+
+
+@pytest.mark.parametrize(
+    "line", ["[1]", "3", "null", '{"l1": 0.3}', '{"step": "10", "l1": 0.3}', '{"step": 1.5, "l1": 0.3}', '{"step": 20}']
+)
+def test_a_line_that_is_no_validation_is_named(tmp_path, line):
+    log = Log(tmp_path)
+    log.write({"step": 10, "l1": 0.5})
+    with (tmp_path / "log.jsonl").open("a") as file:
+        file.write(line)
+    refusal(lambda: log.by_step(None, ("l1",)), tmp_path / "log.jsonl", "line 2 is no validation", "delete the line")
+
+
+@pytest.mark.parametrize("line", [b"\xff\xfe", bytes(99), b"[" * 100_000, b"9" * 5000, b'{"step": 20, "l'])
+def test_a_line_that_is_not_json_is_a_validation_to_repeat(tmp_path, line):
+    log = Log(tmp_path)
+    log.write({"step": 10})
+    with (tmp_path / "log.jsonl").open("ab") as file:
+        file.write(line)
+    log.write({"step": 30})
+    assert list(log.by_step()) == [10, 30]
 
 
 def test_runs_trained_together_have_one_log(tmp_path):

@@ -13,6 +13,7 @@ import numpy as np
 
 from dc2g_jax.datasets.procedural.drawing import Points
 from dc2g_jax.errors import InputError, require_extra
+from dc2g_jax.files.reading import check_file
 
 #: What the license of the data asks to be named.
 ATTRIBUTION = "(c) OpenStreetMap contributors, Open Database License (https://www.openstreetmap.org/copyright)"
@@ -149,11 +150,8 @@ def read_extract(path: Path, around: tuple[float, float] | None = None, reach: f
         raise InputError(f"{path}: is no OpenStreetMap extract; give a file that ends in {', '.join(EXTRACT_ENDINGS)}")
     if around is not None and not (abs(around[0]) < 89 and abs(around[1]) <= 180):
         raise InputError(f"--around {around[0]:g} {around[1]:g}: give a latitude and a longitude, in degrees")
-    try:
-        empty = path.stat().st_size == 0
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give an OpenStreetMap extract") from None
-    if empty:
+    check_file(path, "give an OpenStreetMap extract")
+    if path.stat().st_size == 0:
         raise InputError(f"{path}: is empty; download the extract again")
     import osmium
 
