@@ -137,7 +137,7 @@ def mesh_for_batch(size: int) -> Mesh:
 
 
 def settle(tree: Any) -> None:
-    """Wait for arrays around a program in which devices exchange data. Only several cores of a CPU as devices need this.
+    """Wait for arrays around a program in which devices exchange data. Only cores of a CPU as devices need this.
 
     They share a few threads. Each device holds one while it waits for the data of another, and one while it starts a
     program and 32 wait already. Together they can hold all of them, and nothing goes on.
