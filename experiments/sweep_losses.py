@@ -88,9 +88,8 @@ class Options(DatasetOptions, TrainingOptions, PauseOptions):
     episodes: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
     runs_at_once: int = 64
 
-    @property
-    def runs(self) -> dict[str, TrainingConfig]:
-        """The runs of the grid, by name.
+    def runs(self, side: int) -> dict[str, TrainingConfig]:
+        """The runs of the grid, by name, for training maps whose longer side has `side` cells.
 
         Raises:
           InputError: a value is invalid.
@@ -100,7 +99,7 @@ class Options(DatasetOptions, TrainingOptions, PauseOptions):
         except ValueError:
             raise InputError(f"widths: {' '.join(self.widths)}; give whole numbers such as 16,32,64,128") from None
         return runs_of_grid(
-            TrainingConfig(steps=self.steps, batch_size=self.batch_size),
+            TrainingConfig(Architecture(side=side), steps=self.steps, batch_size=self.batch_size),
             losses=self.losses,
             learning_rates=self.learning_rates,
             widths=widths,
@@ -237,12 +236,12 @@ def run_episodes(validation: Validation, runs: Collection[str], out: Path) -> di
 
 def main(options: Options) -> None:
     """Train and validate all runs; write and plot the results."""
-    _, runs = options.pauses, options.runs  # raises before anything is written
+    dataset = open_dataset(options.dataset)
+    height, width = dataset.houses[0].terrain.shape
+    _, runs = options.pauses, options.runs(max(height, width))  # raises before anything is written
     groups = group_by_shape(runs)
     turns = [turn for group in groups for turn in in_turns(group, options.runs_at_once)]
-    dataset = open_dataset(options.dataset)
     check_houses(dataset, extra=options.data.extra_houses, drawn=options.episodes, validated=True)
-    height, width = dataset.houses[0].terrain.shape
     largest = max(sum(least_memory(config, height, width) for config in turn.values()) for turn in turns)
     require_memory(largest, f"--batch-size {options.batch_size} or --runs-at-once {options.runs_at_once}")
     output_folder(options, "sweep_losses", free=("minutes_per_checkpoint", "runs_at_once"), inputs=digests(dataset))

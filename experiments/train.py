@@ -70,9 +70,8 @@ class Options(DatasetOptions, TrainingOptions, PauseOptions):
     record: bool = False
     connect: Annotated[str | None, tyro.conf.arg(metavar="URL")] = None
 
-    @property
-    def training(self) -> TrainingConfig:
-        """The training configuration.
+    def training(self, side: int) -> TrainingConfig:
+        """The training configuration for maps whose longer side has `side` cells.
 
         Raises:
           InputError: a number or a name is invalid.
@@ -85,7 +84,7 @@ class Options(DatasetOptions, TrainingOptions, PauseOptions):
                 f"give the middles of equal parts, such as {' '.join(map(str, middles))}"
             )
         return TrainingConfig(
-            architecture=Architecture(widths=self.widths, quantiles=self.quantiles),
+            architecture=Architecture(widths=self.widths, quantiles=self.quantiles, side=side),
             steps=self.steps,
             batch_size=self.batch_size,
             losses=parse_losses(self.loss),
@@ -136,24 +135,24 @@ def model_card(
     }
 
 
-def open_recording(options: Options, dataset: HouseDataset) -> TrainingRecording | None:
+def open_recording(options: Options, config: TrainingConfig, dataset: HouseDataset) -> TrainingRecording | None:
     """The recording, if the options ask for one. It shows validation houses, the same ones for every run."""
     if not options.record and options.connect is None:
         return None
     maps = maps_to_watch(dataset, _MAPS_RECORDED)
     file = next_file(options.out) if options.record else None
-    return TrainingRecording(options.out, options.training, maps, file=file, viewer=options.connect)
+    return TrainingRecording(options.out, config, maps, file=file, viewer=options.connect)
 
 
 def training_task(
     options: Options,
+    config: TrainingConfig,
     dataset: HouseDataset,
     network: NetworkCostToGo | None,
     recording: TrainingRecording | None,
 ) -> Task[TrainingState]:
     """The training task. It starts from `network` if given. Each validation saves the network."""
     after = None if options.after is None else read_object(options.after / CARD, "give another network")
-    config = options.training
     recipe, hyperparameters, draw = config.recipe, config.hyperparameters, options.data.draw_batch
     validation = Validation(dataset) if options.validate_every else None  # raises before minutes of data collection
     data = replicate(open_training_set(options.out, dataset, options.data, network), mesh_of())
@@ -198,12 +197,11 @@ def training_task(
 
 def main(options: Options) -> None:
     """Train, validate and save the network."""
-    config = options.training  # raises before anything is written, as for all other options
-    pauses = options.pauses
+    pauses, dataset = options.pauses, open_dataset(options.dataset)
+    config = options.training(max(dataset.houses[0].terrain.shape))
     network = None if options.after is None else compact_network(options.after, config.architecture)
     if options.connect is not None:
         viewer_sink(options.connect)  # an invalid address raises before anything is written
-    dataset = open_dataset(options.dataset)
     watched = options.validate_every > 0 or options.record or options.connect is not None
     check_houses(dataset, extra=options.data.extra_houses, drawn=options.validate_every > 0, validated=watched)
     free = {"validate_every", "minutes_per_checkpoint", "record", "connect"}
@@ -213,9 +211,9 @@ def main(options: Options) -> None:
     facts = {name: value for name, value in dataclasses.asdict(options).items() if name not in apart}
     facts["after"] = None if options.after is None else str(options.after)
     facts |= {"dataset": dataset.name, "parts": config.parts}
-    recording = open_recording(options, dataset) if newest_step(options.out) < config.steps else None
+    recording = open_recording(options, config, dataset) if newest_step(options.out) < config.steps else None
     with contextlib.closing(recording) if recording else contextlib.nullcontext():
-        task = training_task(options, dataset, network, recording)
+        task = training_task(options, config, dataset, network, recording)
         train(task, options.out, TrainingCheckpoints(options.out, config, facts, first_state=first_state), pauses)
     print(f"Trained: {options.out / 'network'}")
 

@@ -52,6 +52,7 @@ def _read_compact(facts: Any) -> Architecture:
         widths=tuple(whole_number(width) for width in facts["widths"]),
         quantiles=tuple(map(number, facts["quantiles"])),
         cost_scale=number(facts["cost_scale"]),
+        side=whole_number(facts.get("side", Architecture.side)),
     )
 
 

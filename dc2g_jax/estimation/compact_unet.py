@@ -20,6 +20,9 @@ _HALVINGS = 4
 #: Largest number of channels.
 _WIDEST = 4096
 
+#: Longest side of training maps, in cells.
+_LONGEST_SIDE = 4096
+
 
 @dataclasses.dataclass(frozen=True)
 class Architecture:
@@ -30,14 +33,16 @@ class Architecture:
       quantiles: levels of the predicted quantiles of the cost-to-go, ascending, each between 0 and 1. Evenly spaced
         ones, (i + 1/2) / n, are equally likely outcomes.
       cost_scale: cells of cost-to-go per unit of the last layer's output.
+      side: longer side of the training maps, in cells. A planner's larger maps are resampled to it.
 
     Raises:
-      InputError: widths, quantiles or the scale of costs are invalid.
+      InputError: widths, quantiles, the scale of costs or the side are invalid.
     """
 
     widths: tuple[int, ...] = (16, 32, 64, 128)
     quantiles: tuple[float, ...] = (0.1, 0.3, 0.5, 0.7, 0.9)
     cost_scale: float = 32.0
+    side: int = 50
 
     def __post_init__(self) -> None:
         if len(self.widths) != _HALVINGS or not 1 <= min(self.widths) <= max(self.widths) <= _WIDEST:
@@ -49,6 +54,8 @@ class Architecture:
             raise InputError(f"quantiles {short(levels)}: give ascending levels between 0 and 1, one at least")
         if not 0 < self.cost_scale < float("inf"):
             raise InputError(f"cost_scale {short(self.cost_scale)}: give cells, a number above 0")
+        if not 1 <= self.side <= _LONGEST_SIDE:
+            raise InputError(f"side {short(self.side)}: give 1 to {_LONGEST_SIDE} cells")
 
 
 def patches(grid: Shaped[Array, "b h w c"], side: int) -> Shaped[Array, "b h2 w2 c2"]:

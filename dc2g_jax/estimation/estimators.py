@@ -13,10 +13,8 @@ from dc2g_jax.estimation import compact_unet, images, pix2pix
 from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax.grid import bitboard, search
-from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.sampling import resize_nearest
-from dc2g_jax.grid.terrain import OUTSIDE
 from dc2g_jax.grid.world import World
 
 #: Estimates as stored by a planner.
@@ -84,23 +82,16 @@ def _call_sizes(n_robots: int, fewest: int) -> list[int]:
     return [largest >> halvings for halvings in range(4) if largest >> halvings >= fewest]
 
 
-def update_estimates(
-    estimate: Callable[[UInt8[Array, "h w some"], Pose, Estimates, Any], Estimates],
-    wanted: Bool[Array, "*batch"],
-    belief: Belief,
-    state: Any,
-    estimates: Float[Array, "kept h w *batch"],
-    *,
-    fewest: int = 4,
-) -> Float[Array, "kept h w *batch"]:
-    """Make new estimates for some of the robots, a few at a time, and keep the old estimates of the others.
+def for_some(
+    function: Callable[[Any, Any], Any], wanted: Bool[Array, "*batch"], inputs: Any, before: Any, *, fewest: int = 4
+) -> Any:
+    """Apply a function to some of the robots, a few at a time, and keep the old values of the others.
 
     Args:
-      estimate: `(observed class indices, poses, old estimates, states) ->` new estimates.
-      wanted: whether each robot needs a new estimate.
-      belief: beliefs of the robots.
-      state: state of the estimator.
-      estimates: the old estimates.
+      function: `(inputs, old values) -> new values`, for a batch of robots.
+      wanted: whether each robot needs new values.
+      inputs: pytree of arrays whose last axes are those of `wanted`.
+      before: old values, likewise.
       fewest: smallest batch size; for tiny batches, the last bits of a convolution may depend on it.
     """
     batch_axes = wanted.ndim
@@ -108,42 +99,34 @@ def update_estimates(
     def flat(leaf: Array) -> Array:
         return leaf.reshape(*leaf.shape[: leaf.ndim - batch_axes], -1)
 
-    terrain = belief.terrain
-    if belief.outside is not None:
-        terrain = jnp.where(bitboard.unpack(belief.outside, belief.width), jnp.uint8(OUTSIDE), terrain)
-    wanted, terrain, pose, old, state = jax.tree.map(flat, (wanted, terrain, belief.pose, estimates, state))
-    n_robots = wanted.shape[0]
+    flat_wanted, inputs, old = jax.tree.map(flat, (wanted, inputs, before))
+    n_robots = flat_wanted.shape[0]
     sizes = _call_sizes(n_robots, fewest)
     # Indices of the wanted robots come first; the rest are out of bounds, where nothing is written.
-    queue = jnp.nonzero(wanted, size=n_robots + sizes[-1], fill_value=n_robots)[0]
-    n_wanted = jnp.sum(wanted, dtype=jnp.int32)
-    # Unpack before the loop: inside it, XLA would unpack every cell again for each of a network's one-hot inputs.
-    terrain = jnp.moveaxis(terrain, -1, 0)
+    queue = jnp.nonzero(flat_wanted, size=n_robots + sizes[-1], fill_value=n_robots)[0]
+    n_wanted = jnp.sum(flat_wanted, dtype=jnp.int32)
 
-    def run_batch(batch_size: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        done, answers = carry
+    def run_batch(batch_size: int, carry: tuple[Array, Any]) -> tuple[Array, Any]:
+        done, values = carry
         robots = jax.lax.dynamic_slice_in_dim(queue, done, batch_size)
-        # Past the end of the queue, the map is all unknown.
-        own_terrain = jnp.moveaxis(terrain.at[robots].get(mode="fill", fill_value=0), 0, -1)
-        own_pose, own_state = jax.tree.map(lambda leaf: leaf.at[..., robots].get(mode="clip"), (pose, state))
-        before = jnp.moveaxis(answers.at[robots].get(mode="clip"), 0, -1)
-        answer = estimate(own_terrain, own_pose, before, own_state)
-        answer = jnp.moveaxis(answer, -1, 0).astype(answers.dtype)
-        return done + batch_size, answers.at[robots].set(answer, mode="drop")
+        own = jax.tree.map(lambda leaf: leaf.at[..., robots].get(mode="clip"), (inputs, values))
+        new = function(*own)
+        values = jax.tree.map(
+            lambda leaf, own: leaf.at[..., robots].set(own.astype(leaf.dtype), mode="drop"), values, new
+        )
+        return done + batch_size, values
 
-    def run_batches(batch_size: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+    def run_batches(batch_size: int, carry: tuple[Array, Any]) -> tuple[Array, Any]:
         """Run full batches while there are enough robots; the smallest size also takes the rest."""
         least = 1 if batch_size == sizes[-1] else batch_size
         return jax.lax.while_loop(
             lambda carry: carry[0] + least <= n_wanted, functools.partial(run_batch, batch_size), carry
         )
 
-    # Move the robots' axis to the front, so that each answer is contiguous.
-    carry = (jnp.int32(0), jnp.moveaxis(old, -1, 0))
+    carry = (jnp.int32(0), old)
     for batch_size in sizes:
         carry = run_batches(batch_size, carry)
-    answers = jnp.moveaxis(carry[1], 0, -1)
-    return answers.reshape(estimates.shape)
+    return jax.tree.map(lambda leaf, own: own.reshape(leaf.shape), before, carry[1])
 
 
 @struct.dataclass
@@ -164,12 +147,19 @@ class NetworkCostToGo:
         return ()
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "outcomes h w *batch"]:
-        """The network's estimate for partial maps, in cells, with one outcome per quantile."""
+        """The network's estimate for partial maps, in cells, with one outcome per quantile.
+
+        Maps that are larger than those of the training are resampled to their size, so that a house looks to the
+        network as it did in training, however small the cells are.
+        """
         del state
         height, width, *batch = terrain.shape
-        maps = jnp.moveaxis(terrain.reshape(height, width, -1), -1, 0)
-        answers = compact_unet.apply(self.architecture, self.weights, maps)
-        return jnp.moveaxis(answers, (-1, 0), (0, -1)).reshape(-1, height, width, *batch)
+        longest = max(height, width, self.architecture.side)
+        rows, columns = (-(-size * self.architecture.side // longest) for size in (height, width))
+        shrunk = resize_nearest(terrain, rows, columns).reshape(rows, columns, -1)
+        answers = compact_unet.apply(self.architecture, self.weights, jnp.moveaxis(shrunk, -1, 0))
+        cells = jnp.moveaxis(answers, (-1, 0), (2, -1)).reshape(rows, columns, -1, *batch)
+        return longest / self.architecture.side * jnp.moveaxis(resize_nearest(cells, height, width), 2, 0)
 
 
 @struct.dataclass

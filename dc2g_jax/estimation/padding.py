@@ -1,7 +1,7 @@
 """The network on a grid larger than the map, so that one compiled program serves maps of many sizes.
 
-The map is in the grid's upper left corner. All other cells are `OUTSIDE`, which the network reads as no class. The
-result is the same as for the map alone: convolutions see nothing beyond the map's edge.
+The map is in the grid's upper left corner. All other cells are `OUTSIDE`. The result is the same as for the map alone:
+convolutions see nothing beyond the map's edge, and larger maps than those of the training are resampled.
 """
 
 import functools
@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped, UInt8
 
 from dc2g_jax.estimation import compact_unet
 from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.grid.sampling import nearest_pixel
 from dc2g_jax.grid.terrain import OUTSIDE
 from dc2g_jax.grid.world import World
 
@@ -70,13 +71,39 @@ class PaddedNetwork:
         """
         del state
         (grid,) = jnp.moveaxis(terrain.reshape(*terrain.shape[:2], -1), -1, 0)
-        inside = grid != OUTSIDE
-        rows, columns = (jnp.sum(jnp.any(inside, axis=axis), dtype=jnp.int32) for axis in (1, 0))
-        network = compact_unet.build(self.network.architecture, self.network.weights)
+        architecture = self.network.architecture
+        shrunk, map_shape, cells, cell_side = _shrunk(grid, architecture.side)
+        network = compact_unet.build(architecture, self.network.weights)
         for _, module in nnx.iter_modules(network):
             if isinstance(module, nnx.Conv):
-                module.conv_general_dilated = functools.partial(_convolved, (rows, columns), grid.shape)
-        return jnp.moveaxis(network(grid[None])[0], -1, 0).reshape(-1, *terrain.shape)
+                module.conv_general_dilated = functools.partial(_convolved, map_shape, shrunk.shape)
+        answer = cell_side * network(shrunk[None])[0][cells]
+        return jnp.moveaxis(answer, -1, 0).reshape(-1, *terrain.shape)
+
+
+def _shrunk(
+    grid: UInt8[Array, "h w"], side: int
+) -> tuple[
+    UInt8[Array, "h2 w2"], tuple[Int[Array, ""], Int[Array, ""]], tuple[Int[Array, "h 1"], Int[Array, "w"]], Array
+]:
+    """The map in a grid, resampled if its longer side has more than `side` cells.
+
+    Returns:
+      The new grid, with the map in its upper left corner; the map's new size; row and column there of each cell of the
+      old grid; and the side length of a new cell, in old cells.
+    """
+    inside = grid != OUTSIDE
+    sizes = [jnp.sum(jnp.any(inside, axis=axis), dtype=jnp.int32) for axis in (1, 0)]
+    longest = jnp.maximum(jnp.maximum(*sizes), side)
+    new_sizes = (-(-sizes[0] * side // longest), -(-sizes[1] * side // longest))
+    read, there, back = [], [], []
+    for size, new_size, grid_size in zip(sizes, new_sizes, grid.shape, strict=True):
+        new = jnp.arange(min(grid_size, side))
+        read.append(nearest_pixel(new, size, new_size))
+        there.append(new < new_size)
+        back.append(jnp.clip(nearest_pixel(jnp.arange(grid_size), new_size, size), 0, new_size - 1))
+    shrunk = jnp.where(there[0][:, None] & there[1], grid[read[0][:, None], read[1]], jnp.uint8(OUTSIDE))
+    return shrunk, new_sizes, (back[0][:, None], back[1]), longest / side
 
 
 def mirrored(

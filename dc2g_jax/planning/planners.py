@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float, Int, UInt8
 
-from dc2g_jax.estimation.estimators import Estimates, Estimator, NetworkCostToGo, extent_of, update_estimates
+from dc2g_jax.estimation.estimators import Estimates, Estimator, NetworkCostToGo, extent_of, for_some
 from dc2g_jax.estimation.padding import PaddedNetwork, mirrored
 from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.bitboard import Board
@@ -289,6 +289,8 @@ class DC2G(AssessingPlanner):
       patience: penalty for staying near promising cells that reveal no goal.
       asking: `in_turn` to alternate between views, or `at_once` to use all views in each estimate.
       fewest_maps: smallest batch size for the estimator; the last bits of an estimate may depend on it.
+      enough_news: share of the cells in the field of view that has to be newly seen before the planner decides anew; it
+        also does when its subgoal reveals nothing more. 0 to decide anew as soon as any cell is.
     """
 
     estimator: Estimator
@@ -301,6 +303,7 @@ class DC2G(AssessingPlanner):
     patience: Patience = struct.field(pytree_node=False, default=ENDLESS)
     asking: Callable[[Ask, Array, Views, Array], Estimates] = struct.field(pytree_node=False, default=in_turn)
     fewest_maps: int = struct.field(pytree_node=False, default=4)
+    enough_news: float = struct.field(pytree_node=False, default=0.0)
     #: A network needs less time per map in larger batches.
     robots_a_core: ClassVar[int] = 64
     robots_on_large_maps: ClassVar[int] = 16
@@ -317,14 +320,13 @@ class DC2G(AssessingPlanner):
         estimator_state = self.estimator.init(world)
         told = jax.eval_shape(self._told, world.terrain, estimator_state)
         prior = extent_of(self.estimator).prior
-        return ExplorationState(
-            reachable=nothing,
+        choice = Choice(
             estimates=jnp.full((len(self.views), *told.shape), prior, jnp.float32),
             estimated_from=nothing,
             view=jnp.zeros(nothing.shape[2:], jnp.int32),
-            decided_near=jnp.zeros(told.shape[1:], jnp.int32),
-            estimator=estimator_state,
+            subgoals=every_heading(nothing),
         )
+        return ExplorationState(nothing, choice, jnp.zeros(told.shape[1:], jnp.int32), estimator_state)
 
     def _told(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Estimates:
         """The selection rule's summary of the estimate.
@@ -376,42 +378,87 @@ class DC2G(AssessingPlanner):
             penalty -= of_one_cell * frontiers.information_gain(belief, candidates, sensing)
         return penalty
 
-    def assess(self, belief: Belief, state: "ExplorationState") -> "tuple[Assessment, ExplorationState]":
-        """Head for the most promising frontier-expanding pose, or for the goal once it is reachable."""
-        reachable = reachable_cells(belief, state.reachable)
-        candidates = self._candidates(belief, reachable)
-        undecided = ~poses.is_empty(candidates) & ~bitboard.intersects(reachable, belief.goals)
-        # An estimate is valid until something new is seen. Robots that do not explore need none.
-        outdated = undecided & ~bitboard.is_empty(belief.seen ^ state.estimated_from)
-        asked_about = state.view, state.estimator
-        latest = update_estimates(
-            self._estimate, outdated, belief, asked_about, state.estimates[0], fewest=self.fewest_maps
-        )[None]
-        first = bitboard.is_empty(state.estimated_from)
-        estimates = jnp.where(outdated, jnp.concatenate([latest, state.estimates[:-1]]), state.estimates)
-        # The first estimate stands for all views.
-        estimates = jnp.where(first, latest, estimates)
-        estimated_from = jnp.where(outdated, belief.seen, state.estimated_from)
-        view = jnp.where(outdated, (state.view + 1) % len(self.views), state.view)
-        nearest, lengths = candidates, jnp.int32(0)
+    def _scored(
+        self,
+        belief: Belief,
+        reachable: Board,
+        estimates: Float[Array, "views kept h w *batch"],
+        decided_near: Int[Array, "h w *batch"],
+    ) -> tuple[PoseSet, Float[Array, "h w *batch"]]:
+        """The candidates, and the score of each cell with one (Algorithm 2, lines 6 to 10)."""
+        candidates = nearest = self._candidates(belief, reachable)
+        lengths = jnp.int32(0)
         if self.selection.distance_weight:
-            free = jnp.where(undecided, reachable, jnp.uint32(0))
-            nearest, lengths = search.nearest_headings(belief.pose, candidates, free, belief.width)
+            nearest, lengths = search.nearest_headings(belief.pose, candidates, reachable, belief.width)
             nearest = self.headings(belief, nearest)
+        cost = self.selection(jnp.mean(estimates, axis=0), lengths)
+        return nearest, cost + self._penalty(belief, candidates, decided_near)
+
+    def _choose(self, inputs: tuple[Belief, Board, Int[Array, "h w *batch"], Any], before: "Choice") -> "Choice":
+        """A new estimate, and the subgoals of lowest score with it (Algorithm 2, lines 6 to 11)."""
+        belief, reachable, decided_near, estimator_state = inputs
+        terrain = belief.terrain
+        if belief.outside is not None:
+            terrain = jnp.where(bitboard.unpack(belief.outside, belief.width), jnp.uint8(OUTSIDE), terrain)
+        # Without the barrier, XLA would unpack every cell again for each of a network's one-hot inputs.
+        terrain = jax.lax.optimization_barrier(terrain)
+        latest = self._estimate(terrain, belief.pose, before.estimates[0], (before.view, estimator_state))[None]
+        first = bitboard.is_empty(before.estimated_from)
+        # The first estimate stands for all views.
+        estimates = jnp.where(first, latest, jnp.concatenate([latest, before.estimates[:-1]]))
+        candidates, score = self._scored(belief, reachable, estimates, decided_near)
+        return Choice(
+            estimates=estimates,
+            estimated_from=belief.seen,
+            view=(before.view + 1) % len(self.views),
+            subgoals=candidates & _lowest(score, poses.occupied(candidates), belief.width),
+        )
+
+    def assess(self, belief: Belief, state: "ExplorationState") -> "tuple[Assessment, ExplorationState]":
+        """Head for the most promising frontier-expanding pose, or for the goal once it is reachable.
+
+        The scores are the current ones; the subgoal had the lowest when it was chosen.
+        """
+        reachable = reachable_cells(belief, state.reachable)
+        revealing = frontiers.complete(belief, reachable, self.rules.sensing)
+        undecided = ~poses.is_empty(revealing) & ~bitboard.intersects(reachable, belief.goals)
         decided_near = state.decided_near
         if self.patience.price:
             decided_near = decided_near + self.patience.near(belief.pose, belief.height, belief.width)
-        # The lowest score wins (Algorithm 2, line 11).
-        score = self.selection(jnp.mean(estimates, axis=0), lengths) + self._penalty(belief, candidates, decided_near)
-        # Without a current estimate, all candidates are equal, and the plan goes to the nearest.
-        subgoals = jnp.where(undecided, nearest & _lowest(score, poses.occupied(nearest), belief.width), candidates)
-        plan = _explore_or_finish(belief, reachable, subgoals, self.rules)
-        state = ExplorationState(reachable, estimates, estimated_from, view, decided_near, state.estimator)
-        return Assessment(plan, reachable, nearest, score, state.cost_to_go), state
+        news = bitboard.count(belief.seen ^ state.choice.estimated_from)
+        enough = max(1, round(self.enough_news * len(self.rules.sensing.offsets[0])))
+        # Robots that do not explore need no subgoal.
+        outdated = undecided & ((news >= enough) | poses.is_empty(state.choice.subgoals & revealing))
+        inputs = belief, reachable, decided_near, state.estimator
+        choice = for_some(self._choose, outdated, inputs, state.choice, fewest=self.fewest_maps)
+        plan = _explore_or_finish(belief, reachable, choice.subgoals & revealing, self.rules)
+        candidates, score = self._scored(belief, reachable, choice.estimates, decided_near)
+        state = ExplorationState(reachable, choice, decided_near, state.estimator)
+        return Assessment(plan, reachable, candidates, score, state.cost_to_go), state
 
     def revised(self, state: "ExplorationState", changed: Board) -> "ExplorationState":
-        """The state without the ground, which can be lost. If observed cells changed, the estimate is outdated."""
-        return state._replace(reachable=jnp.zeros_like(state.reachable), estimated_from=state.estimated_from & ~changed)
+        """The state without the ground, which can be lost. If observed cells changed, it is time for another choice."""
+        choice = state.choice._replace(
+            estimated_from=state.choice.estimated_from & ~changed,
+            subgoals=jnp.where(bitboard.is_empty(changed), state.choice.subgoals, jnp.uint32(0)),
+        )
+        return state._replace(reachable=jnp.zeros_like(state.reachable), choice=choice)
+
+
+class Choice(NamedTuple):
+    """The last choice of a subgoal.
+
+    Attributes:
+      estimates: the selection rule's summaries of the latest estimate of each view, the newest first.
+      estimated_from: observed cells at the time of the newest estimate.
+      view: number of the next view.
+      subgoals: poses of lowest score; the plan goes to the nearest.
+    """
+
+    estimates: Float[Array, "views kept h w *batch"]
+    estimated_from: Board
+    view: Int[Array, "*batch"]
+    subgoals: PoseSet
 
 
 class ExplorationState(NamedTuple):
@@ -419,24 +466,20 @@ class ExplorationState(NamedTuple):
 
     Attributes:
       reachable: reachable cells at the last step.
-      estimates: the selection rule's summaries of the latest estimate of each view, the newest first.
-      estimated_from: observed cells at the time of the newest estimate.
-      view: number of the next view.
+      choice: the last choice of a subgoal.
       decided_near: number of decisions near each cell, if `patience` has a price.
       estimator: state of the estimator.
     """
 
     reachable: Board
-    estimates: Float[Array, "views kept h w *batch"]
-    estimated_from: Board
-    view: Int[Array, "*batch"]
+    choice: Choice
     decided_near: Int[Array, "h w *batch"]
     estimator: Any
 
     @property
     def cost_to_go(self) -> Float[Array, "h w *batch"]:
         """The mean of the estimates, which the planner uses."""
-        return jnp.mean(self.estimates, axis=(0, 1))
+        return jnp.mean(self.choice.estimates, axis=(0, 1))
 
 
 def _lowest(score: Float[Array, "h w *batch"], cells: Board, width: int) -> Board:

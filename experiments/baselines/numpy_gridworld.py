@@ -375,6 +375,7 @@ def run_episode(
     rim_width: int = 0,
     patience: tuple[int, int, float] | None = None,
     new_cell: float = 0.0,
+    enough_news: int = 1,
 ) -> tuple[bool, str, Mode]:
     """Run one episode on terrain classes [h w]; return success, actions as letters, mode of the last plan.
 
@@ -382,7 +383,8 @@ def run_episode(
     (seen, observed terrain), unseen terrain being 0, and goes where something is revealed, beyond a rim of `rim_width`
     cells if it can. `patience` is a radius, a number of decisions and a price: cells with more decisions than that made
     at most the radius to their side cost the price more for each. A cell that would be seen for the first time takes
-    `new_cell` off the cost of where it would be seen from.
+    `new_cell` off the cost of where it would be seen from. The choice holds until `enough_news` cells are newly seen
+    or none of the chosen poses reveals anything.
     A start on a goal cell is a success without an action.
     """
     traversable = np.isin(terrain, TRAVERSABLE_CLASSES)
@@ -391,6 +393,7 @@ def run_episode(
     seen = visible(pose, sensing_radius, terrain.shape)
     letters: list[str] = []
     been: list[Pose] = []
+    chosen, seen_at_choice = np.zeros((4, *terrain.shape), bool), np.zeros_like(seen)
     mode: Mode = "explore"
     while not goals[pose[1], pose[0]]:
         if len(letters) == max_steps:
@@ -408,16 +411,19 @@ def run_episode(
             poses = explore_poses(seen, reached, pose, rules=rules, **radii)
             if planner == "dc2g":
                 assert cost_to_go is not None
-                poses = revealing_poses(poses, seen, reached, pose, **radii)
-                opening = opening_poses(poses, seen, rim_width, sensing_radius)
-                poses = opening if opening.any() else poses
-                observed = np.where(seen, terrain, 0)
-                costs = cost_to_go(seen, observed) if callable(cost_to_go) else cost_to_go
-                if patience:
-                    costs = costs + penalties(been, terrain.shape, *patience)
-                if new_cell:
-                    costs = costs - new_cell * newly_seen(poses, seen, sensing_radius)
-                poses = lowest_cost_poses(poses, costs)
+                revealing = explore_poses(seen, reached, pose, rules="complete", **radii)
+                if (seen & ~seen_at_choice).sum() >= enough_news or not (chosen & revealing).any():
+                    poses = revealing_poses(poses, seen, reached, pose, **radii)
+                    opening = opening_poses(poses, seen, rim_width, sensing_radius)
+                    poses = opening if opening.any() else poses
+                    observed = np.where(seen, terrain, 0)
+                    costs = cost_to_go(seen, observed) if callable(cost_to_go) else cost_to_go
+                    if patience:
+                        costs = costs + penalties(been, terrain.shape, *patience)
+                    if new_cell:
+                        costs = costs - new_cell * newly_seen(poses, seen, sensing_radius)
+                    chosen, seen_at_choice = lowest_cost_poses(poses, costs), seen.copy()
+                poses = chosen & revealing
             mode, actions = "explore", shortest_actions(free, pose, poses)
         if actions is None:
             return False, "".join(letters), "gave_up"

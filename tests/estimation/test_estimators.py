@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from flax import struct
 
-from dc2g_jax.estimation.estimators import update_estimates
+from dc2g_jax.estimation.estimators import for_some
 from dc2g_jax.grid import gridworld
 from dc2g_jax.grid.gridworld import belief_from_map
 from dc2g_jax.grid.poses import make_pose
@@ -52,11 +52,12 @@ def test_the_wanted_robots_get_new_estimates_and_the_others_keep_theirs(count, s
     wanted = np.random.default_rng(count).random(count) < share
     state, old = jnp.arange(count), jnp.full((2, *SHAPE, count), -1.0)
 
-    def estimate(terrain, pose, before, state):
-        return Counting().estimate(terrain, state)
+    def estimate(inputs, before):
+        belief, state = inputs
+        return Counting().estimate(belief.terrain, state)
 
-    update = jax.jit(lambda *arguments: update_estimates(estimate, *arguments))
-    new = jax.block_until_ready(update(jnp.asarray(wanted), belief, state, old))
+    update = jax.jit(lambda *arguments: for_some(estimate, *arguments))
+    new = jax.block_until_ready(update(jnp.asarray(wanted), (belief, state), old))
     jax.effects_barrier()
     whole = terrain + 100 * (terrain != 0).sum(axis=(0, 1)) + 10000 * np.arange(count)
     np.testing.assert_array_equal(new, np.where(wanted, np.stack([whole, -whole]), -1))

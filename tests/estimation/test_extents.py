@@ -128,7 +128,7 @@ def test_a_planner_keeps_what_has_left_the_window(street):
     belief = gridworld.reset(world, make_pose(9, 5, 2), rules.sensing)
     step = jax.jit(functools.partial(gridworld.step, sensing=rules.sensing))
     plan, state = jax.jit(planner.plan), planner.init(world)
-    np.testing.assert_array_equal(state.estimates, 77)
+    np.testing.assert_array_equal(state.choice.estimates, 77)
     wanted = np.full((2, *street.shape), 77, np.float32)
     for turn in range(4):
         terrain, pose = np.asarray(belief.terrain), jax.device_get(belief.pose)
@@ -140,6 +140,6 @@ def test_a_planner_keeps_what_has_left_the_window(street):
         # The planner keeps the mean of the outcomes.
         latest = np.where(np.isnan(part[0]), wanted[0], part.mean(axis=0))
         wanted = np.stack([latest, latest if turn == 0 else wanted[0]])
-        np.testing.assert_allclose(state.estimates[:, 0], wanted)
+        np.testing.assert_allclose(state.choice.estimates[:, 0], wanted)
         belief = step(world, belief, jnp.int32(0))
     assert len(np.unique(wanted[0] == 77)) == 2

@@ -22,13 +22,15 @@ def network() -> NetworkCostToGo:
     return random_network(SMALL)
 
 
-# Odd and even numbers of cells after none to four halvings; one that fills the grid.
-@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (17, 32), (25, 26), (40, 51)], ids="{0[0]}x{0[1]}".format)
+# Odd and even numbers of cells after none to four halvings; one that fills the grid; two that are resampled.
+@pytest.mark.parametrize(
+    "shape", [(1, 1), (2, 3), (17, 32), (25, 26), (40, 50), (37, 61), (64, 9)], ids="{0[0]}x{0[1]}".format
+)
 def test_the_answer_is_that_to_the_map_alone(network, shape):
     terrain = maps.random_terrain(sum(shape), shape, 0.6)
     terrain[maps.random_cells(sum(shape), shape, 0.5)] = 0
     wanted = np.asarray(alone(network, terrain))
-    for grid_shape in ((40, 51), (64, 64)):
+    for grid_shape in ((64, 64), (70, 96)):
         grid = np.full(grid_shape, OUTSIDE, np.uint8)
         grid[: shape[0], : shape[1]] = terrain
         answer = np.asarray(padded(network, grid))[:, : shape[0], : shape[1]]

@@ -132,6 +132,17 @@ def test_dc2g_is_drawn_to_where_much_would_be_new(rules):
         check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go)
 
 
+@both_rules
+def test_dc2g_keeps_to_its_choice_until_much_is_new(rules):
+    terrains, starts = random_worlds((11, 33), 1300)
+    in_view = len(field_of_view(SENSING).offsets[0])
+    done = run(DC2G(Scattered(), RULES[rules], enough_news=7 / in_view), terrains, starts)
+    cost_to_go = {"cost_to_go": lambda index: scattered}
+    check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, enough_news=7)
+    with pytest.raises(AssertionError):
+        check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go)
+
+
 class InTurn:
     """Asks about what has been observed as it is and mirrored, in turn, and gives the mean of the last two answers."""
 
@@ -330,12 +341,12 @@ def test_what_is_left_of_a_state_on_a_map_that_has_changed():
     belief = belief_from_map(terrain, make_pose(*pose))
     _, state = planner.plan(belief, planner.init(world_from_terrain(terrain)))
     nothing = jnp.zeros_like(belief.seen)
-    state = state._replace(estimated_from=belief.seen)
+    state = state._replace(choice=state.choice._replace(estimated_from=belief.seen))
     same, other = planner.revised(state, nothing), planner.revised(state, nothing.at[0, 4].set(1))
     assert not same.reachable.any()
     assert not other.reachable.any()
-    assert (same.estimated_from == belief.seen).all()
-    assert int(jnp.sum(other.estimated_from != belief.seen)) == 1  # the estimator is asked anew
+    assert (same.choice.estimated_from == belief.seen).all()
+    assert int(jnp.sum(other.choice.estimated_from != belief.seen)) == 1  # the estimator is asked anew
     assert Frontier(RULES["complete"]).revised(state.reachable, nothing).sum() == 0
     known = Oracle().init(world_from_terrain(terrain))
     assert Oracle().revised(known, nothing) is known
