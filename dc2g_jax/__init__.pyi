@@ -17,6 +17,8 @@ from .estimation.checkpoints import load_network as load_network
 from .planning.planners import Planner as Planner
 from .planning.planners import Plan as Plan
 from .estimation.estimators import Estimator as Estimator
+from .rollouts.checks import check_planner as check_planner
+from .rollouts.checks import check_estimator as check_estimator
 from .planning.rules import Rules as Rules
 from .planning.rules import SETTINGS as SETTINGS
 from .programs import jit as jit
