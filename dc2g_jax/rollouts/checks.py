@@ -261,6 +261,9 @@ def check_planner(planner: Planner) -> None:
       as many actions as the ground has poses.
     - In a batch, every robot acts as alone.
 
+    Frontier exploration by the authors' published rules does not pass: between two poses that reveal nothing it can
+    turn back and forth without an end. All shipped planners pass with the paper's rules.
+
     Args:
       planner: the planner. Robots have the field of view of its `rules`; of 5 cells if it has none.
 
