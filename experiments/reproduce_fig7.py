@@ -28,7 +28,7 @@ from dc2g_jax.inspection import recording
 from dc2g_jax.inspection.episode_figures import plot_episode
 from dc2g_jax.inspection.figures import Table, plot_extra_steps, plot_house_strips
 from dc2g_jax.inspection.replay import replay_result
-from dc2g_jax.planning.named import PLANNERS
+from dc2g_jax.planning.named import FIGURE_PLANNERS
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax.rollouts.published import PUBLISHED_GROUPS, frontier_over_dc2g
@@ -50,7 +50,7 @@ class Options(DatasetOptions, NetworkOptions, StepLimitOptions, OutOptions, Resu
     """
 
     settings: Literal["both", "published", "paper"] = "both"
-    planner: PlannersOption = PLANNERS
+    planner: PlannersOption = FIGURE_PLANNERS
     starts_per_house: int = 10
     seed: int = 0
     record: int = 0
@@ -95,7 +95,7 @@ def sampled_episodes(dataset: HouseDataset, options: Options) -> tuple[Runner, l
 def drawn(planners: Sequence[str]) -> list[str]:
     """Planners in figures of single houses: DC2G, frontier exploration and the user's own; all if none of these ran."""
     ran = [planner for planner in planners if planner != "oracle"]
-    return [planner for planner in ran if planner in ("dc2g", "frontier") or planner not in PLANNERS] or ran
+    return [planner for planner in ran if planner in ("dc2g", "frontier") or planner not in FIGURE_PLANNERS] or ran
 
 
 def record(

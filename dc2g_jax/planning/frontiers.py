@@ -19,7 +19,7 @@ def _beyond(belief: Belief, known: Board) -> Board:
     return beyond if belief.outside is None else beyond & ~belief.outside
 
 
-def _unseen(belief: Belief) -> Board:
+def unseen(belief: Belief) -> Board:
     """In-bounds cells that have not been observed."""
     return _beyond(belief, belief.seen)
 
@@ -31,7 +31,7 @@ def _reachable_but_here(pose_set: PoseSet, belief: Belief, reachable: Board) -> 
 
 def frontier_cells(belief: Belief, reachable: Board) -> Board:
     """Reachable cells with an unobserved in-bounds 4-neighbor (paper, section III-D)."""
-    return reachable & bitboard.neighbors(_unseen(belief))
+    return reachable & bitboard.neighbors(unseen(belief))
 
 
 def complete(belief: Belief, reachable: Board, sensing: Kernel) -> PoseSet:
@@ -45,7 +45,7 @@ def complete(belief: Belief, reachable: Board, sensing: Kernel) -> PoseSet:
       reachable: observed traversable cells connected to the robot.
       sensing: the robot's field of view.
     """
-    targets = _unseen(belief) & bitboard.neighbors(frontier_cells(belief, reachable))
+    targets = unseen(belief) & bitboard.neighbors(frontier_cells(belief, reachable))
     return _reachable_but_here(sensing.poses_that_see(targets, belief.opaque), belief, reachable)
 
 
@@ -59,7 +59,7 @@ def reference(belief: Belief, reachable: Board, expanding: Kernel) -> PoseSet:
       reachable: observed traversable cells connected to the robot.
       expanding: see `dc2g_jax.grid.sensing.expanding_kernel`.
     """
-    frontier = belief.seen & bitboard.neighbors(_unseen(belief))
+    frontier = belief.seen & bitboard.neighbors(unseen(belief))
     return _reachable_but_here(poses_that_see(frontier, expanding), belief, reachable)
 
 
@@ -91,7 +91,7 @@ def information_gain(belief: Belief, candidates: PoseSet, sensing: Kernel) -> UI
       candidates: candidate poses.
       sensing: the robot's field of view.
     """
-    new = sensing.count_seen(_unseen(belief), belief.opaque, belief.width)
+    new = sensing.count_seen(unseen(belief), belief.opaque, belief.width)
     return jnp.max(jnp.where(poses.unpack(candidates, belief.width), new, 0), axis=0)
 
 
@@ -102,11 +102,11 @@ def facing_most(belief: Belief, pose_set: PoseSet) -> PoseSet:
       belief: belief of the robot.
       pose_set: poses to choose from. Each cell with a pose keeps at least one.
     """
-    unseen = bitboard.unpack(_unseen(belief), belief.width)
-    of_columns, of_rows = (jnp.sum(unseen, axis=axis, dtype=jnp.int32, keepdims=True) for axis in (0, 1))
+    new = bitboard.unpack(unseen(belief), belief.width)
+    of_columns, of_rows = (jnp.sum(new, axis=axis, dtype=jnp.int32, keepdims=True) for axis in (0, 1))
     up_to_column, up_to_row = jnp.cumsum(of_columns, axis=1), jnp.cumsum(of_rows, axis=0)
     right, below = up_to_column[:, -1:] - up_to_column, up_to_row[-1:] - up_to_row
     left, above = up_to_column - of_columns, up_to_row - of_rows
-    ahead = jnp.stack([jnp.broadcast_to(cells, unseen.shape) for cells in (right, below, left, above)])
+    ahead = jnp.stack([jnp.broadcast_to(cells, new.shape) for cells in (right, below, left, above)])
     ahead = jnp.where(poses.unpack(pose_set, belief.width), ahead, -1)
     return pose_set & poses.pack(ahead == jnp.max(ahead, axis=0))

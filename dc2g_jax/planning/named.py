@@ -10,6 +10,7 @@ from typing import Any
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, ExactCostToGo, answers_in_cells
 from dc2g_jax.planning.frontiers import facing_most
+from dc2g_jax.planning.guarantee import Guaranteed
 from dc2g_jax.planning.planners import DC2G, Frontier, MapRevisingPlanner, Oracle
 from dc2g_jax.planning.rules import Rules, Settings, named_settings, nearest_goal
 from dc2g_jax.planning.selection import ExpectedCost, Patience, QuantileCost, Selection
@@ -22,8 +23,10 @@ def _on_network(selection: Selection, estimator: Estimator, rules: Rules, patien
     """A planner with a network, with the parameters chosen on validation houses (see docs/notebook).
 
     It alternates between the map and its mirror image as the network's input. It heads for the nearest reachable goal
-    under all rules.
+    under all rules. Without a scale, no distance can be added to the costs; the paper's rule needs none.
     """
+    if not answers_in_cells(estimator):
+        return DC2G(estimator, rules)
     return DC2G(
         estimator,
         dataclasses.replace(rules, goal_poses=nearest_goal),
@@ -37,6 +40,12 @@ def _on_network(selection: Selection, estimator: Estimator, rules: Rules, patien
     )
 
 
+def _guarded(estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIENCE) -> Guaranteed:
+    """`dc2g` with a bound on its actions (see docs/notebook/guarantee.md)."""
+    planner = NETWORK_PLANNERS["dc2g"](estimator, rules, patience)
+    return Guaranteed(planner, planner.rules, factor=2.0, slack=3.0)
+
+
 #: Planners without a network, called with the rules.
 _PLANNERS_BY_RULES: Mapping[str, Callable[[Rules], MapRevisingPlanner]] = {
     "oracle": lambda rules: Oracle(),
@@ -45,13 +54,17 @@ _PLANNERS_BY_RULES: Mapping[str, Callable[[Rules], MapRevisingPlanner]] = {
 }
 
 #: Planners with a network, called with the network, the rules and, optionally, their patience.
-NETWORK_PLANNERS: Mapping[str, Callable[..., DC2G]] = {
+NETWORK_PLANNERS: Mapping[str, Callable[..., Any]] = {
     "dc2g": functools.partial(_on_network, ExpectedCost(distance_weight=0.5)),
     "dc2g_uncertain": functools.partial(_on_network, QuantileCost(level=0.7, distance_weight=0.5)),
+    "dc2g_guarded": _guarded,
 }
 
-#: Planner names, in the order of the tables.
-PLANNERS: tuple[str, ...] = ("oracle", "frontier", *NETWORK_PLANNERS, "true_cost_to_go")
+#: Planners of the figures and tables, in their order.
+FIGURE_PLANNERS: tuple[str, ...] = ("oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go")
+
+#: All planner names.
+PLANNERS: tuple[str, ...] = (*FIGURE_PLANNERS, "dc2g_guarded")
 
 
 def make(
@@ -69,8 +82,8 @@ def make(
 
     Args:
       name: one of `PLANNERS`, or `package.module:Class` for a class of your own, which is called with the rules.
-      network: network of `dc2g` and `dc2g_uncertain`: an estimator or the folder of a trained network; `None` for the
-        shipped network.
+      network: network of a planner in `NETWORK_PLANNERS`: an estimator or the folder of a trained network; `None` for
+        the shipped network.
       settings: the rules, one of `dc2g_jax.planning.rules.SETTINGS` or its name.
       sensing_range: range of the field of view in cells; `None` for the default of the settings.
 
@@ -90,8 +103,8 @@ def make_planner(
     Args:
       name: one of `PLANNERS`, or `package.module:Class` for a class of your own, which is called with the rules.
       rules: field of view and definition of frontiers.
-      estimator: network of `dc2g` and `dc2g_uncertain`.
-      patience: patience of `dc2g` and `dc2g_uncertain`.
+      estimator: network of a planner in `NETWORK_PLANNERS`.
+      patience: patience of a planner in `NETWORK_PLANNERS`.
 
     Raises:
       InputError: the name is unknown, or the estimator is missing.
@@ -99,10 +112,7 @@ def make_planner(
     if name in _PLANNERS_BY_RULES:
         return _PLANNERS_BY_RULES[name](rules)
     if name in NETWORK_PLANNERS and estimator is not None:
-        # Without a scale, no distance can be added to the costs. The paper's rule needs none.
-        if answers_in_cells(estimator):
-            return NETWORK_PLANNERS[name](estimator, rules, patience)
-        return DC2G(estimator, rules)
+        return NETWORK_PLANNERS[name](estimator, rules, patience)
     if name in NETWORK_PLANNERS:
         raise InputError(f"the planner {name!r} needs an estimator, such as a trained network")
     return _imported(name)(rules)

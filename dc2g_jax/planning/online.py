@@ -26,13 +26,13 @@ from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax.grid.terrain import CLASS_NAMES, OUTSIDE, TRAVERSABLE, UNKNOWN
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.decisions import Decision, RobotPose, View, decide
-from dc2g_jax.planning.named import NETWORK_PLANNERS, make
+from dc2g_jax.planning.named import make
 from dc2g_jax.planning.planners import Planner, assess, measured
 from dc2g_jax.planning.rules import Rules, complete_rules
 from dc2g_jax.programs import jit
 
-#: Planners that only need the robot's map.
-ONLINE_PLANNERS = ("frontier", *NETWORK_PLANNERS)
+#: Planners that only need the robot's map, and no memory.
+ONLINE_PLANNERS = ("frontier", "dc2g", "dc2g_uncertain")
 
 #: Side length of the smallest compiled grid, in cells. Each further one is twice as large.
 _SMALLEST_GRID = 32

@@ -18,7 +18,7 @@ from dc2g_jax.objectnav.agent import Agent
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
 from dc2g_jax.objectnav.searches import TIME_LIMIT, sample_episodes, search_all
-from dc2g_jax.planning.named import PLANNERS
+from dc2g_jax.planning.named import FIGURE_PLANNERS
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.devices import mesh_for_batch, replicate
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
@@ -109,7 +109,7 @@ def _fig7(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
     cases = {"paper": sample_starts(dataset.split("test")[: 2 if bench.quick else None], 10, seed=0)}
     if dataset.source == "published" and not bench.quick:
         cases = {"published": [episode.start for episode in published_episodes()]} | cases
-    planners = ("oracle",) if bench.quick else PLANNERS
+    planners = ("oracle",) if bench.quick else FIGURE_PLANNERS
     for settings, starts in cases.items():
         row = own("fig7", f"{settings}: {len(starts)} episodes x {len(planners)} planners", "episodes")
 
