@@ -25,8 +25,8 @@ FLOOR, WALL, DOOR = (CLASS_NAMES.index(name) for name in ("path", "house", "fron
 class Hostile:
     """Each world of a stack gets one of eight kinds of bad planner, in turn.
 
-    It explores at random or from the farthest candidate, flees the goal, turns for ever, turns and lies that it heads
-    for a goal, drives ahead into walls and off the map, takes random actions, or gives up at once.
+    It explores at random or from the farthest candidate, flees the goal, turns for ever, turns and claims to head
+    for a goal, drives ahead into walls and off the map, takes random actions, or gives up.
     """
 
     rules: Rules = struct.field(pytree_node=False)
@@ -51,7 +51,9 @@ class Hostile:
         misled = jnp.where(misled.found, misled.action, 1)
         thrown = (_mixed(jnp.uint32(belief.steps)) >> 8).astype(jnp.int32) % 3
         action = jnp.select([kind <= 2, kind <= 4, kind == 6], [misled, 1, thrown], 0)
-        mode = jnp.select([(kind == 4) | (thrown == 0), kind == 7], [TO_GOAL, GAVE_UP], EXPLORE).astype(jnp.int32)
+        # Whatever it does, it claims to head for a goal at every other step.
+        claims = (kind == 4) | (belief.steps % 2 == 0)
+        mode = jnp.select([claims, kind == 7], [TO_GOAL, GAVE_UP], EXPLORE).astype(jnp.int32)
         plan = dataclasses.replace(honest.plan, action=action.astype(jnp.int32), mode=mode, subgoals=worst)
         return plan, (kind, reachable, cost_to_go)
 
