@@ -133,9 +133,7 @@ def _missing(folder: Path, entries: Mapping[str, str]) -> list[str]:
         if not os.path.isfile(path):
             missing.append(name)
         elif (found := pooch.file_hash(path)) != digest:
-            raise InputError(
-                f"{path}: SHA-256 is {found}, expected {digest}; delete the folder {folder} to download it again"
-            )
+            raise InputError(f"{path}: SHA-256 is {found}, expected {digest}; delete the file to download it again")
     return missing
 
 

@@ -224,9 +224,13 @@ class TrainingCheckpoints:
             found = read_object(folder / _CONFIG, "give another folder")
             changed = [name for name in wanted if found.get(name) != wanted[name]]
             if changed:
+                name, was, now = changed[0], found.get(changed[0]), wanted[changed[0]]
+                if isinstance(was, dict) and isinstance(now, dict):
+                    within = next(key for key in {**was, **now} if was.get(key) != now.get(key))
+                    name, was, now = f"{name}: {within}", was.get(within), now.get(within)
                 raise InputError(
-                    f"{folder / _CONFIG}: {changed[0]} was {short(found.get(changed[0]))} in the run that is there, "
-                    f"now {short(wanted[changed[0]])}; give the same options to resume it, or another folder"
+                    f"{folder / _CONFIG}: {name} was {short(was)} in the run that is there, now {short(now)}; give the "
+                    "same options to resume it, or another folder"
                 )
         else:
             write_json(folder / _CONFIG, wanted)

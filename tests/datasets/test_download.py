@@ -393,7 +393,7 @@ def test_a_changed_file_in_the_cache(fetch, server, source):
     right = hashlib.sha256(path.read_bytes()).hexdigest()
     path.write_bytes(b"other")
     wrong = hashlib.sha256(b"other").hexdigest()
-    refusal_of(InputError, fetch, path, right, wrong, f"delete the folder {folder}")
+    refusal_of(InputError, fetch, path, right, wrong, "delete the file")
     assert path.read_bytes() == b"other"
 
 

@@ -49,7 +49,7 @@ def test_runs_that_wait_their_turn_end_like_runs_trained_together(tmp_path):
 
     def weights(out, at_once, turns=slice(None)):
         options = Options(out=out, losses=("l1",), widths=("4,4,4,4",), steps=3, batch_size=4, seeds=(0, 1, 2))
-        (group,) = group_by_shape(options.runs)
+        (group,) = group_by_shape(options.runs(50))
         for turn in in_turns(group, at_once)[turns]:
             train_group(options, turn, data, pairs, {})
         return [load_network(network_folder(out, run)).weights for run in group] if turns == slice(None) else None

@@ -232,7 +232,8 @@ def test_scores_are_those_the_planner_goes_by():
         score = np.where(poses.any(axis=0), cost + 0.5 * nearest + lost_patience - gained, np.nan)
         np.testing.assert_allclose(found.score[step], score, atol=1e-4)
         chosen = found.subgoals[step].any(axis=0)
-        np.testing.assert_allclose(found.score[step][chosen], np.nanmin(score), atol=1e-4)
+        if step == 0 or np.any(seen != found.seen[step - 1]):  # else the choice stands
+            np.testing.assert_allclose(found.score[step][chosen], np.nanmin(score), atol=1e-4)
     assert np.any(found.seen[1:] != found.seen[:-1], axis=(1, 2)).sum() > 5
     assert decided_near.max() > 10
 

@@ -207,8 +207,8 @@ def test_training_is_the_same_with_and_without_a_recording(tmp_path):
 
 def test_the_command_records_observed_parts_of_validation_houses(tmp_path, street):
     dataset = HouseDataset("two", "folder", (House("a", "val", street), House("b", "val", street[:, ::-1].copy())))
-    assert open_recording(Options(out=tmp_path), dataset) is None
-    recording = open_recording(Options(out=tmp_path, record=True), dataset)
+    assert open_recording(Options(out=tmp_path), _CONFIG, dataset) is None
+    recording = open_recording(Options(out=tmp_path, record=True), _CONFIG, dataset)
     recording.close()
     maps = maps_to_watch(dataset, 6)
     shown = read(tmp_path / "training-001.rrd")["/maps/known", "SegmentationImage:buffer"][None]
