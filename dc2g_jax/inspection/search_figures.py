@@ -20,7 +20,7 @@ from matplotlib.patches import Patch
 from dc2g_jax.inspection.driving_figures import ROBOT_ARROW
 from dc2g_jax.inspection.figures import PAGE_WIDTH, save_figure
 from dc2g_jax.inspection.sheets import DPI, FONT, cell_rim
-from dc2g_jax.objectnav.classes import NOTHING, OBJECT_CLASSES, OBJECT_COLORS, SEMANTIC_CLASSES
+from dc2g_jax.objectnav.classes import NO_OBJECT, OBJECT_CLASSES, OBJECT_COLORS, SEMANTIC_CLASSES
 from dc2g_jax.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL
 from dc2g_jax.objectnav.worlds import IndoorWorld
 
@@ -146,7 +146,7 @@ def _robots_map(cells: UInt32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
     """Colors of a robot's map. A cell with several classes shows the first one, so goals take precedence."""
     bits = (cells[..., None] >> np.arange(EXPLORED_CHANNEL + 1, dtype=np.uint32)) & 1 == 1
     own = bits[..., :SEMANTIC_CLASSES]
-    classes = np.where(own.any(axis=-1), own.argmax(axis=-1) + 1, NOTHING)
+    classes = np.where(own.any(axis=-1), own.argmax(axis=-1) + 1, NO_OBJECT)
     return _map_image(classes, bits[..., EXPLORED_CHANNEL], bits[..., OBSTACLE_CHANNEL])
 
 
@@ -156,8 +156,8 @@ def _map_image(
 ) -> UInt8[np.ndarray, "h w 3"]:  # fmt: skip
     """Colors of a map: the color of the class if a cell has one, else dark walls, gray floor, and white elsewhere."""
     floor_color, wall_color = (np.round(255 * np.array(to_rgb(color))).astype(np.uint8) for color in (_FLOOR, _WALL))
-    bare = np.where(walls[..., None], wall_color, np.where(floor[..., None], floor_color, OBJECT_COLORS[NOTHING]))
-    return np.where((classes != NOTHING)[..., None], OBJECT_COLORS[classes], bare)
+    bare = np.where(walls[..., None], wall_color, np.where(floor[..., None], floor_color, OBJECT_COLORS[NO_OBJECT]))
+    return np.where((classes != NO_OBJECT)[..., None], OBJECT_COLORS[classes], bare)
 
 
 def _show(axes: Axes, image: np.ndarray, first: Sequence[int] | Int[np.ndarray, "2"], size: float) -> None:
@@ -169,7 +169,7 @@ def _show(axes: Axes, image: np.ndarray, first: Sequence[int] | Int[np.ndarray, 
 
 def _legend(classes: UInt8[np.ndarray, "h w"], target: int) -> list[Any]:
     """The entries of the legend: the classes that occur in the house, lines and marks."""
-    found = [int(index) for index in np.unique(classes) if index not in (NOTHING, target)]
+    found = [int(index) for index in np.unique(classes) if index not in (NO_OBJECT, target)]
     patches = [
         (f"target: {OBJECT_CLASSES[target]}", OBJECT_COLORS[target] / 255, _TARGET, 1.4),
         *((OBJECT_CLASSES[index], OBJECT_COLORS[index] / 255, "#777777", 0.4) for index in found),

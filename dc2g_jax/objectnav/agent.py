@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, intrinsics
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.mapping.simulator import render
-from dc2g_jax.objectnav.classes import GOALS, NOTHING
+from dc2g_jax.objectnav.classes import GOALS, NO_OBJECT
 from dc2g_jax.objectnav.cost_maps import cost_lookup, dense_costs
 from dc2g_jax.objectnav.goal_reacher import STOP, distance_to_object
 from dc2g_jax.objectnav.mapping import IndoorMap, IndoorMapSettings, empty_map, grid_cell, integrate, stood_on
@@ -261,7 +261,7 @@ def site_of(world: IndoorWorld, name: str, radius: float = ROBOT_RADIUS) -> Indo
 @functools.partial(jit, static_argnames=("radius", "cell_size"))
 def _object_distances(free: Array, classes: Array, radius: float, cell_size: float) -> Float[Array, "goal h w"]:
     """Distance of each cell to each of `GOALS`. Cells that are neither free nor an object are walls, or outside."""
-    walls = ~free & (classes == NOTHING)
+    walls = ~free & (classes == NO_OBJECT)
     return jax.lax.map(
         lambda goal: distance_to_object(~free, walls, classes == goal, radius=radius, cell_size=cell_size),
         jnp.array(GOALS, jnp.uint8),

@@ -41,7 +41,7 @@ OBJECT_COLORS = np.array(list(_PALETTE.values()), np.uint8)
 #: Semantic classes, those of the map's channels: class index `1 + channel`.
 SEMANTIC_CLASSES = len(OBJECT_CLASSES) - 1
 
-NOTHING = 0
+NO_OBJECT = 0
 (
     BED, CHAIR, SINK, PLANT, COUCH, ARMCHAIR, TABLE, DESK, CABINET, SHELF, TELEVISION, TOILET, REFRIGERATOR, COUNTER,
     LAMP, OTHER,

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from dc2g_jax.grid.fast_marching import geodesic_distance
-from dc2g_jax.objectnav.classes import NOTHING, OBJECT_CLASSES
+from dc2g_jax.objectnav.classes import NO_OBJECT, OBJECT_CLASSES
 from dc2g_jax.objectnav.cost_maps import straight_distance, with_tight_cells
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.searches import Search, Searches
@@ -97,7 +97,7 @@ def success_region(house: IndoorHouse, target: str) -> SuccessRegion:
     """
     world = house.world
     free, classes, cell_size = np.asarray(world.free), np.asarray(world.classes), float(world.cell_size)
-    goals, walls = classes == OBJECT_CLASSES.index(target), ~free & (classes == NOTHING)
+    goals, walls = classes == OBJECT_CLASSES.index(target), ~free & (classes == NO_OBJECT)
     region = _success_region(goals, walls, free, passable(free, cell_size), cell_size)
     return SuccessRegion(*(np.asarray(leaf) for leaf in region))
 

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from scipy import ndimage, spatial
 
 from dc2g_jax.datasets.osm.extract import Area, Line, Spot
-from dc2g_jax.datasets.osm.shapes import CONNECTED, Shape, street_width
+from dc2g_jax.datasets.osm.shapes import CONNECTED, Patch, street_width
 from dc2g_jax.datasets.procedural.drawing import (
     PictureFrame,
     Placement,
@@ -60,7 +60,7 @@ class Entry:
 
     doors: Polygons
     mapped: bool
-    added: list[Shape] = field(default_factory=list)
+    added: list[Patch] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +186,7 @@ def street_points(streets: Sequence[Line]) -> StreetPoints:
     )
 
 
-class Site:
+class Drawn:
     """The picture around a building, as far as it is known.
 
     Attributes:
@@ -252,7 +252,9 @@ def _on_outline(point: Points, building: Area) -> bool:
     return False
 
 
-def front_of(building: Area, walls: Facades, site: Site, streets: StreetPoints, rng: np.random.Generator) -> int | None:
+def front_of(
+    building: Area, walls: Facades, site: Drawn, streets: StreetPoints, rng: np.random.Generator
+) -> int | None:
     """A place for a front door: a point of the walls that faces a street, with nothing between.
 
     The street of the address comes first, then any other, then alleys. The place is drawn from those nearly as close to
@@ -270,7 +272,7 @@ def front_of(building: Area, walls: Facades, site: Site, streets: StreetPoints, 
     return None
 
 
-def _views(walls: Facades, site: Site, streets: StreetPoints) -> tuple[Float[np.ndarray, "k"], Bool[np.ndarray, "k"]]:
+def _views(walls: Facades, site: Drawn, streets: StreetPoints) -> tuple[Float[np.ndarray, "k"], Bool[np.ndarray, "k"]]:
     """Meters from each point of the walls to the nearest street, and whether it faces it with nothing between."""
     distance, street = streets.nearest(walls.points)
     toward = street - walls.points
@@ -280,8 +282,13 @@ def _views(walls: Facades, site: Site, streets: StreetPoints) -> tuple[Float[np.
 
 
 def add_driveway(
-    building: Area, walls: Facades, site: Site, streets: StreetPoints, rng: np.random.Generator, front: Placement | None
-) -> tuple[Shape, Points] | None:
+    building: Area,
+    walls: Facades,
+    site: Drawn,
+    streets: StreetPoints,
+    rng: np.random.Generator,
+    front: Placement | None,
+) -> tuple[Patch, Points] | None:
     """A straight driveway from the street to a wall beside the front door, and where a walkway leaves it, [2].
 
     Detached houses and garages get one where none is mapped. `None` where there is none or no room for one.
@@ -314,13 +321,13 @@ def add_driveway(
             line = resample(np.array([mouth, wall + toward, frame.place((0, 0.5))]), 0.8)
             width = max(uniform(rng, (3.0, 5.0) if front is not None else (2.6, 3.4)), CONNECTED * site.cell)
             shape = tapered(rng, line, width, width, uniform(rng, (1.0, 1.5)))
-            return Shape("driveway", shape), wall + uniform(rng, (1.0, 3.0)) * toward
+            return Patch("driveway", shape), wall + uniform(rng, (1.0, 3.0)) * toward
     return None
 
 
 def add_walkway(
-    door: Placement, site: Site, streets: StreetPoints, rng: np.random.Generator, start: Points | None
-) -> list[Shape] | None:
+    door: Placement, site: Drawn, streets: StreetPoints, rng: np.random.Generator, start: Points | None
+) -> list[Patch] | None:
     """A walkway to a door, from a driveway, or straight from the nearest ground that leads to a street.
 
     Args:
@@ -337,9 +344,9 @@ def add_walkway(
     if start is not None:
         shape = walkway(rng, (0.0, 0.0), door, start, width)
         if np.mean(site.at(np.concatenate(shape)) == HOUSE) < 0.2:
-            return [Shape("path", shape)]
+            return [Patch("path", shape)]
         if site.clear(threshold, start):
-            return [Shape("path", stroke(np.array([start, threshold, door.origin]), width))]
+            return [Patch("path", stroke(np.array([start, threshold, door.origin]), width))]
     ends = [site.nearest_ground(threshold), streets.nearest(door.origin[None])[1][0]]
     for end in ends:
         if end is not None and site.clear(threshold, end):
@@ -347,13 +354,13 @@ def add_walkway(
             if length < 0.5:
                 return []
             beyond = end + 0.6 * (end - threshold) / length
-            return [Shape("path", stroke(np.array([beyond, threshold, door.origin]), width))]
+            return [Patch("path", stroke(np.array([beyond, threshold, door.origin]), width))]
     return None
 
 
 def plan_entry(
     building: Area,
-    site: Site,
+    site: Drawn,
     streets: StreetPoints,
     entrances: Sequence[Spot],
     rng: np.random.Generator,

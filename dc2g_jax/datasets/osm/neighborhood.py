@@ -10,8 +10,8 @@ import numpy as np
 from scipy import spatial
 
 from dc2g_jax.datasets.osm.entrances import (
+    Drawn,
     Entry,
-    Site,
     Uses,
     add_driveway,
     facades,
@@ -21,7 +21,7 @@ from dc2g_jax.datasets.osm.entrances import (
 )
 from dc2g_jax.datasets.osm.extract import Area, Extract, Line
 from dc2g_jax.datasets.osm.shapes import (
-    Shape,
+    Patch,
     fill,
     mapped_shapes,
     sidewalk_sides,
@@ -81,7 +81,7 @@ class _Index(Generic[_Item]):
         return list(itertools.compress(self._items, near))
 
 
-def _shape_index(shapes: Sequence[Shape]) -> _Index[Shape]:
+def _shape_index(shapes: Sequence[Patch]) -> _Index[Patch]:
     return _Index(shapes, [shape.outer for shape in shapes])
 
 
@@ -124,7 +124,7 @@ class Neighborhood:
     def _random(self, name: str) -> np.random.Generator:
         return np.random.default_rng([self._seed, zlib.crc32(name.encode())])
 
-    def _added_sidewalks(self) -> list[Shape]:
+    def _added_sidewalks(self) -> list[Patch]:
         """Sidewalks along streets of which it is not mapped whether they have some."""
         walks = [line.points for line in self._extract.lines if line.tags.get("footway") == "sidewalk"]
         mapped = spatial.KDTree(np.concatenate([resample(points, 2.0) for points in walks])) if walks else None
@@ -165,7 +165,7 @@ class Neighborhood:
             return "no street is near enough to be on its map"
         sketch = Sketch(view)
         fill(sketch, [*self._mapped.within(view), *self._sidewalks.within(view)])
-        site, rng = Site(view, sketch.classes(), self._meters / self._cells), self._random(building.name)
+        site, rng = Drawn(view, sketch.classes(), self._meters / self._cells), self._random(building.name)
         if self._uses.has_front_door(building):
             return plan_entry(building, site, self._streets, self._entrances, rng, self._only_mapped)
         driveway = None

@@ -52,7 +52,7 @@ SAMPLED, CONNECTED = 1.0, 1.45
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class Patch:
     """Polygons in one layer of a sketch.
 
     Attributes:
@@ -66,7 +66,7 @@ class Shape:
     inner: Polygons = field(default_factory=list)
 
 
-def fill(sketch: Sketch, shapes: Iterable[Shape]) -> None:
+def fill(sketch: Sketch, shapes: Iterable[Patch]) -> None:
     """Fill shapes into a sketch."""
     whole: dict[str, Polygons] = {}
     for shape in shapes:
@@ -113,36 +113,36 @@ def sidewalk_sides(tags: Tags) -> tuple[bool, bool] | None:
     return left, right
 
 
-def sidewalks(line: Line, sides: tuple[bool, bool], cell: float) -> Shape | None:
+def sidewalks(line: Line, sides: tuple[bool, bool], cell: float) -> Patch | None:
     """Sidewalks along a street, on its left and right."""
     half, beside = street_width(line.tags) / 2, max(SIDEWALK_WIDTH, CONNECTED * cell)
     if all(sides):
-        return Shape("pavement", strip(line.points, 2 * (half + beside)))
+        return Patch("pavement", strip(line.points, 2 * (half + beside)))
     if not any(sides):
         return None
     side = 1 if sides[1] else -1  # y grows downward: what ribbons call left is to the right
-    return Shape("pavement", ribbon(line.points, side * (half + beside), 0.0))
+    return Patch("pavement", ribbon(line.points, side * (half + beside), 0.0))
 
 
-def mapped_shapes(extract: Extract, cell: float) -> list[Shape]:
+def mapped_shapes(extract: Extract, cell: float) -> list[Patch]:
     """All that an extract maps, except for entrances.
 
     Args:
       extract: the extract.
       cell: side of a cell of the maps, meters: nothing is too narrow to appear there.
     """
-    shapes: list[Shape | None] = [_area_shape(area) for area in extract.areas]
+    shapes: list[Patch | None] = [_area_shape(area) for area in extract.areas]
     for line in extract.lines:
         shapes += _line_shapes(line, cell)
     for spot in extract.spots:
         round_things = {"tree": ("tree", _TREE_RADIUS), "turning_circle": ("road", _TURNING_RADIUS)}
         layer, radius = round_things.get(spot.tags.get("natural", spot.tags.get("highway", "")), ("", 0.0))
         if layer:
-            shapes.append(Shape(layer, strip(spot.point[None], 2 * radius)))
+            shapes.append(Patch(layer, strip(spot.point[None], 2 * radius)))
     return [shape for shape in shapes if shape is not None]
 
 
-def _line_shapes(line: Line, cell: float) -> list[Shape | None]:
+def _line_shapes(line: Line, cell: float) -> list[Patch | None]:
     tags, highway = line.tags, line.tags.get("highway")
     found, sides = [], None
     if tags.get("tunnel") == "building_passage":
@@ -159,14 +159,14 @@ def _line_shapes(line: Line, cell: float) -> list[Shape | None]:
         found = [_WAYS[highway]]
     elif tags.get("bridge", "no") == "no":
         found = [_LINES[tag] for tag in tags.items() if tag in _LINES]
-    shapes: list[Shape | None] = []
+    shapes: list[Patch | None] = []
     for layer, width in found:
         least = (SAMPLED if layer in ("path", "fence", "bush", "tree") else CONNECTED) * cell
-        shapes.append(Shape(layer, strip(line.points, max(width, least))))
+        shapes.append(Patch(layer, strip(line.points, max(width, least))))
     return [*shapes, sidewalks(line, sides, cell)] if sides else shapes
 
 
-def _area_shape(area: Area) -> Shape | None:
+def _area_shape(area: Area) -> Patch | None:
     tags = area.tags
     paved = tags.get("area:highway", tags.get("highway"))
     layer = next((_AREAS[tag] for tag in tags.items() if tag in _AREAS), None)
@@ -176,4 +176,4 @@ def _area_shape(area: Area) -> Shape | None:
         layer = None if paved in _CLOSED else "pavement" if paved in _WALKED else "road"
     elif tags.get("amenity") == "parking":
         layer = "driveway" if tags.get("parking", "surface") in ("surface", "street_side", "lane") else None
-    return None if layer is None else Shape(layer, area.outer, area.inner)
+    return None if layer is None else Patch(layer, area.outer, area.inner)
