@@ -213,7 +213,7 @@ def main(options: Options) -> None:
         tables["paper"] = tabulate(entries["paper"], PAPER_GROUPS)
         houses = len({episode.house for episode in entries["paper"]})
         print_table(
-            f"{options.starts_per_house} sampled starts in each of {houses} test houses, 8-cell sensing ({label})",
+            f"Sampled starts, {options.starts_per_house} in each of {houses} test houses, 8-cell sensing ({label})",
             tables["paper"],
             PAPER_GROUPS,
         )
