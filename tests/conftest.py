@@ -2,6 +2,7 @@
 
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -81,6 +82,18 @@ def shared() -> Path:
     if not SHARED.is_dir():
         pytest.skip("../shared is absent")
     return SHARED
+
+
+@pytest.fixture(scope="session")
+def shared_files(shared: Path) -> Callable[[str, str], list[Path]]:
+    """Files in a folder of recorded data, by the folder's name and their pattern, in order."""
+
+    def files(folder: str, pattern: str) -> list[Path]:
+        if not (shared / folder).is_dir():
+            pytest.skip(f"../shared is absent in part: it has no {folder}")
+        return sorted((shared / folder).glob(pattern))
+
+    return files
 
 
 @pytest.fixture(scope="session")

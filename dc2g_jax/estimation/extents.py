@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt8
 
+from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.estimation.estimators import Estimates, Estimator, Extent, answers_in_cells
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.sampling import nearest_pixel
@@ -19,7 +20,7 @@ from dc2g_jax.grid.terrain import UNKNOWN
 from dc2g_jax.grid.world import World
 
 #: Side length of the training maps of the shipped network, in cells.
-_TRAINED_SIDE = 50
+_TRAINED_SIDE = Architecture.side
 
 
 def _count(number: int, like: Int[Array, "*batch"]) -> Int[Array, "number ..."]:

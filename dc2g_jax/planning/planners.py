@@ -355,9 +355,8 @@ class DC2G(AssessingPlanner):
         answer = self.asking(lambda seen_as: self._told(seen_as, estimator_state), part, self.views, view)
         return extent.merged(answer, pose, before)
 
-    def _candidates(self, belief: Belief, reachable: Board) -> PoseSet:
-        """Candidate poses for the subgoal (Algorithm 2, lines 6 to 8)."""
-        revealing = frontiers.complete(belief, reachable, self.rules.sensing)
+    def _candidates(self, belief: Belief, reachable: Board, revealing: PoseSet) -> PoseSet:
+        """Candidate poses for the subgoal (Algorithm 2, lines 6 to 8), of those that reveal something."""
         preferred = self.rules.frontier_expanding(belief, reachable) & revealing
         candidates = jnp.where(poses.is_empty(preferred), revealing, preferred)
         if self.rim_width:
@@ -382,11 +381,12 @@ class DC2G(AssessingPlanner):
         self,
         belief: Belief,
         reachable: Board,
+        revealing: PoseSet,
         estimates: Float[Array, "views kept h w *batch"],
         decided_near: Int[Array, "h w *batch"],
     ) -> tuple[PoseSet, Float[Array, "h w *batch"]]:
         """The candidates, and the score of each cell with one (Algorithm 2, lines 6 to 10)."""
-        candidates = nearest = self._candidates(belief, reachable)
+        candidates = nearest = self._candidates(belief, reachable, revealing)
         lengths = jnp.int32(0)
         if self.selection.distance_weight:
             nearest, lengths = search.nearest_headings(belief.pose, candidates, reachable, belief.width)
@@ -394,9 +394,11 @@ class DC2G(AssessingPlanner):
         cost = self.selection(jnp.mean(estimates, axis=0), lengths)
         return nearest, cost + self._penalty(belief, candidates, decided_near)
 
-    def _choose(self, inputs: tuple[Belief, Board, Int[Array, "h w *batch"], Any], before: "Choice") -> "Choice":
+    def _choose(
+        self, inputs: tuple[Belief, Board, PoseSet, Int[Array, "h w *batch"], Any], before: "Choice"
+    ) -> "Choice":
         """A new estimate, and the subgoals of lowest score with it (Algorithm 2, lines 6 to 11)."""
-        belief, reachable, decided_near, estimator_state = inputs
+        belief, reachable, revealing, decided_near, estimator_state = inputs
         terrain = belief.terrain
         if belief.outside is not None:
             terrain = jnp.where(bitboard.unpack(belief.outside, belief.width), jnp.uint8(OUTSIDE), terrain)
@@ -406,7 +408,7 @@ class DC2G(AssessingPlanner):
         first = bitboard.is_empty(before.estimated_from)
         # The first estimate stands for all views.
         estimates = jnp.where(first, latest, jnp.concatenate([latest, before.estimates[:-1]]))
-        candidates, score = self._scored(belief, reachable, estimates, decided_near)
+        candidates, score = self._scored(belief, reachable, revealing, estimates, decided_near)
         return Choice(
             estimates=estimates,
             estimated_from=belief.seen,
@@ -429,10 +431,10 @@ class DC2G(AssessingPlanner):
         enough = max(1, round(self.enough_news * len(self.rules.sensing.offsets[0])))
         # Robots that do not explore need no subgoal.
         outdated = undecided & ((news >= enough) | poses.is_empty(state.choice.subgoals & revealing))
-        inputs = belief, reachable, decided_near, state.estimator
+        inputs = belief, reachable, revealing, decided_near, state.estimator
         choice = for_some(self._choose, outdated, inputs, state.choice, fewest=self.fewest_maps)
         plan = _explore_or_finish(belief, reachable, choice.subgoals & revealing, self.rules)
-        candidates, score = self._scored(belief, reachable, choice.estimates, decided_near)
+        candidates, score = self._scored(belief, reachable, revealing, choice.estimates, decided_near)
         state = ExplorationState(reachable, choice, decided_near, state.estimator)
         return Assessment(plan, reachable, candidates, score, state.cost_to_go), state
 

@@ -246,12 +246,9 @@ def test_bad_pictures(tmp_path, data, mentions):
     refusal(lambda: read_map(path), tmp_path / "lab.pgm", *mentions)
 
 
-def test_real_maps(shared):
+def test_real_maps(shared_files):
     """All are read, and have ground to drive on."""
-    folder = shared / "datasets" / "ros_maps"
-    if not folder.is_dir():
-        pytest.skip(f"{folder} is absent")
-    files = sorted(folder.glob("*.yaml"))
+    files = shared_files("datasets/ros_maps", "*.yaml")
     assert len(files) == 8
     for file in files:
         assert np.any(draw_map(file) == ROAD), file

@@ -302,12 +302,9 @@ def test_a_clipped_extract(tmp_path):
     refusal(lambda: read_extract(tmp_path / "hamlet.osm", (10.0, 0.0), 100.0), "within 100 m of 10 0", "no buildings")
 
 
-def test_real_extracts(shared):
+def test_real_extracts(shared_files):
     """Each has a map of a building with a door that a street leads to."""
-    folder = shared / "datasets" / "osm"
-    if not folder.is_dir():
-        pytest.skip(f"{folder} is absent")
-    files = sorted(folder.glob("*.osm.gz"))
+    files = shared_files("datasets/osm", "*.osm.gz")
     assert len(files) == 10
     for file in files:
         drawn = neighborhood(read_extract(file))
