@@ -158,13 +158,14 @@ class PPO:
         logits, value = self.network(learner.weights, view)
         action = jax.random.categorical(action_key, logits)
         keys = jax.random.split(step_key, len(action))
-        observations, states, reward, done, info = jax.vmap(self.environment.step, in_axes=(0, 0, 0, None))(
-            keys, learner.states, action, self.params
-        )
+        observations, states, reward, terminated, truncated, info = jax.vmap(
+            self.environment.step, in_axes=(0, 0, 0, None)
+        )(keys, learner.states, action, self.params)
         # Where only the steps ran out the future is not worth nothing, but what the network expects of it.
         future = self.network(learner.weights, self.view(info["final_observation"]))[1]
-        reward = REWARD_SCALE * reward + DISCOUNT * future * info["truncated"]
-        lived = Lived(view, action, -cross_entropy(logits, action), value, reward, done, info["episode_length"])
+        reward = REWARD_SCALE * reward + DISCOUNT * future * truncated
+        done, length = terminated | truncated, info["episode_length"]
+        lived = Lived(view, action, -cross_entropy(logits, action), value, reward, done, length)
         return learner._replace(states=states, observations=observations, key=key), lived
 
     def loss(self, weights: Any, lived: Lived, advantage: Array, target: Array) -> Float[Array, ""]:

@@ -89,5 +89,6 @@ def test_a_name_that_is_none():
 
 def test_environments_by_name():
     env, params = dc2g_jax.make_env("FrontDoor-v0", dataset="procedural", split="val", sensing_range=5)
-    assert (env.sensing.radius, env.observation_shape(params)) == (5, (50, 50))
+    assert (env.sensing.radius, env.observation_space(params).spaces["terrain"].shape) == (5, (50, 50))
+    assert env.default_params is params
     refusal(lambda: dc2g_jax.make_env("FrontDoor-v1"), "FrontDoor-v1", "FrontDoor-v0")

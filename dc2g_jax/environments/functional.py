@@ -1,15 +1,16 @@
-"""The search for a front door as a JAX environment: pure functions in the style of gymnax and PureJaxRL.
+"""The search for a front door as a JAX environment: pure functions with the interface of gymnax 1.0.
 
 Functions take one robot; use `jax.vmap` for batches. A whole training loop fits into one `jax.jit`:
 
     environment, params = front_door(houses)
     observation, state = environment.reset(key, params)
-    observation, state, reward, done, info = environment.step(key, state, action, params)
+    observation, state, reward, terminated, truncated, info = environment.step(key, state, action, params)
 
 An episode starts on the road of a random house (`dc2g_jax.datasets.starts.start_cells`), in a random heading. Every
 action costs 1, so the return is minus the number of steps. The episode terminates when the robot stands on a front
 door after an action, and is truncated at the step limit. Actions are those of `dc2g_jax.grid.poses`: 0 forward, 1 turn
-left, 2 turn right. A robot that drives against an obstacle stays in place.
+left, 2 turn right. A robot that drives against an obstacle stays in place. Any other action does nothing; under
+`jax.experimental.checkify.checkify` it is an error.
 """
 
 import dataclasses
@@ -21,21 +22,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
+from jax.experimental import checkify
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt8
 
 from dc2g_jax.datasets.houses import House, stack_worlds
 from dc2g_jax.datasets.starts import start_cells, why_no_episode
+from dc2g_jax.environments import spaces
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid import bitboard, gridworld
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import ACTION_LETTERS, HEADINGS, Pose, moved
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE, Kernel, field_of_view
-from dc2g_jax.grid.terrain import OUTSIDE
+from dc2g_jax.grid.terrain import CLASS_NAMES, OUTSIDE
 from dc2g_jax.grid.world import World, unpack_classes
 from dc2g_jax.rollouts.rollout import NO_ACTION, STEP_LIMIT
 
 #: Reward of every action.
 STEP_REWARD = -1.0
+
+#: The actions in words, for messages.
+ACTIONS = "0 (forward), 1 (turn left) or 2 (turn right)"
 
 #: Default range of the field of view in cells, as in the paper.
 SENSING_RANGE = 8
@@ -44,9 +50,11 @@ SENSING_RANGE = 8
 _MAX_STEP_LIMIT = 2**31 - 1
 
 
-@struct.dataclass
+@struct.dataclass(eq=False)
 class Params:
     """Parameters of the environment. They are traced: programs are compiled once for all parameters of equal shapes.
+
+    Compared by identity, so that an environment that holds them is hashable.
 
     Attributes:
       worlds: the houses, stacked along the last axis.
@@ -100,14 +108,26 @@ class FrontDoor:
 
     Attributes:
       sensing: the robot's field of view.
+      default_params: the parameters that `reset` and `step` use where none are given.
     """
 
     sensing: Kernel
+    default_params: Params | None = dataclasses.field(default=None, repr=False)
+    name: ClassVar[str] = "FrontDoor-v0"
     num_actions: ClassVar[int] = len(ACTION_LETTERS)
 
-    def observation_shape(self, params: Params) -> tuple[int, int]:
-        """Rows and columns of an observation's terrain."""
-        return params.worlds.height, params.worlds.width
+    def action_space(self, params: Params | None = None) -> spaces.Discrete:
+        """The actions, which are the same for all parameters."""
+        del params
+        return spaces.Discrete(self.num_actions)
+
+    def observation_space(self, params: Params | None = None) -> spaces.Dict:
+        """The observations: `terrain`, whose shape is that of the houses, and `pose`."""
+        worlds = self._or_default(params).worlds
+        terrain = spaces.Box(0, len(CLASS_NAMES) - 1, (worlds.height, worlds.width), jnp.uint8)
+        bounds = {"x": worlds.width, "y": worlds.height, "heading": HEADINGS}
+        pose = spaces.Dict({name: spaces.Discrete(bound) for name, bound in bounds.items()}, Pose)
+        return spaces.Dict({"terrain": terrain, "pose": pose}, Observation)
 
     def start(self, house: Int[Array, ""], pose: Pose, params: Params) -> tuple[Observation, State]:
         """Begin an episode in a given house at a given pose.
@@ -121,8 +141,9 @@ class FrontDoor:
         state = State(house=house, belief=belief, episode_return=jnp.zeros((), jnp.float32))
         return observe(state), state
 
-    def reset(self, key: PRNGKeyArray, params: Params) -> tuple[Observation, State]:
+    def reset(self, key: PRNGKeyArray, params: Params | None = None) -> tuple[Observation, State]:
         """Begin an episode in a random house, on a random start cell, in a random heading."""
+        params = self._or_default(params)
         house_key, cell_key, heading_key = jax.random.split(key, 3)
         house = jax.random.randint(house_key, (), 0, len(params.start_count), jnp.int32)
         number = jax.random.randint(cell_key, (), 0, params.start_count[house], jnp.int32)
@@ -131,7 +152,7 @@ class FrontDoor:
         return self.start(house, Pose(x=x, y=y, heading=heading), params)
 
     def advance(
-        self, state: State, action: Int[Array, ""], params: Params
+        self, state: State, action: int | Int[Array, ""], params: Params
     ) -> tuple[State, Float[Array, ""], Bool[Array, ""], Bool[Array, ""]]:
         """Take one action, without a reset at the end of an episode.
 
@@ -139,6 +160,8 @@ class FrontDoor:
           State; reward; `terminated`, whether the robot stands on a front door; and `truncated`, whether it does not
           and has reached the step limit.
         """
+        action = jnp.asarray(action, jnp.int32)
+        checkify.debug_check(self.action_space().contains(action), f"action is {{}}; give {ACTIONS}", action)
         world = _world(params, state.house)
         ahead = moved(state.belief.pose, action, world.height, world.width)
         # The robot stays in place if the cell ahead is not traversable.
@@ -151,8 +174,8 @@ class FrontDoor:
         return state, reward, terminated, truncated
 
     def step(
-        self, key: PRNGKeyArray, state: State, action: Int[Array, ""], params: Params
-    ) -> tuple[Observation, State, Float[Array, ""], Bool[Array, ""], dict[str, Any]]:
+        self, key: PRNGKeyArray, state: State, action: int | Int[Array, ""], params: Params | None = None
+    ) -> tuple[Observation, State, Float[Array, ""], Bool[Array, ""], Bool[Array, ""], dict[str, Any]]:
         """Take one action, and begin a new episode if it ends the current one.
 
         Args:
@@ -162,10 +185,11 @@ class FrontDoor:
           params: parameters of the environment.
 
         Returns:
-          Observation and state, those of the new episode if one begins; reward; whether the current episode has ended;
-          and information about it: `final_observation`, `terminated`, `truncated`, `episode_return` and
-          `episode_length`. The last two count the episode so far if it continues.
+          Observation and state, those of the new episode if one begins; reward; `terminated` and `truncated`, see
+          `advance`; and information about the current episode: `final_observation`, `terminated`, `truncated`,
+          `episode_return` and `episode_length`. The last two count the episode so far if it continues.
         """
+        params = self._or_default(params)
         last, reward, terminated, truncated = self.advance(state, action, params)
         done = terminated | truncated
         state = jax.tree.map(lambda new, old: jnp.where(done, new, old), self.reset(key, params)[1], last)
@@ -176,7 +200,13 @@ class FrontDoor:
             "episode_return": last.episode_return,
             "episode_length": last.belief.steps,
         }
-        return observe(state), state, reward, done, info
+        return observe(state), state, reward, terminated, truncated, info
+
+    def _or_default(self, params: Params | None) -> Params:
+        params = self.default_params if params is None else params
+        if params is None:
+            raise InputError("params: none given, and the environment has no default_params; give those of front_door")
+        return params
 
 
 def front_door(
@@ -208,7 +238,7 @@ def front_door(
         step_limit=jnp.int32(whole_number("step_limit", step_limit, 1, _MAX_STEP_LIMIT)),
     )
     sensing = field_of_view(whole_number("sensing_range", sensing_range, 1, MAX_SENSING_RANGE))
-    return FrontDoor(sensing), params
+    return FrontDoor(sensing, params), params
 
 
 def whole_number(name: str, value: object, low: int, high: int | None = None) -> int:
@@ -244,6 +274,11 @@ def egocentric(observation: Observation, radius: int) -> UInt8[Array, "side side
     square = jax.lax.dynamic_slice(framed, (observation.pose.y, observation.pose.x), (side, side))
     # Heading 0 points to the right of the map; a quarter turn counterclockwise makes it point up.
     return jax.lax.select_n(observation.pose.heading, *(jnp.rot90(square, turns) for turns in (1, 2, 3, 0)))
+
+
+def one_hot_view(observation: Observation, radius: int) -> Float[Array, "class side side"]:
+    """The egocentric view as one plane per class, ones and zeros: see `egocentric`. The last class is `OUTSIDE`."""
+    return jax.nn.one_hot(egocentric(observation, radius), OUTSIDE + 1, axis=0)
 
 
 def _world(params: Params, house: Int[Array, ""]) -> World:

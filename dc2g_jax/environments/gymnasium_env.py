@@ -27,6 +27,7 @@ from jaxtyping import Array, Float, Int, UInt8
 
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.environments.functional import (
+    ACTIONS,
     SENSING_RANGE,
     FrontDoor,
     Observation,
@@ -70,8 +71,6 @@ RENDERED_ROBOT_RADIUS = 9
 
 #: The process that imported this module, and with it JAX.
 _IMPORTED_BY = os.getpid()
-
-_ACTIONS = "give 0 (forward), 1 (turn left) or 2 (turn right)"
 
 if GYMNASIUM_ID not in registration.registry:
     registration.register(
@@ -151,7 +150,7 @@ class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         if self._state is None:
             raise gymnasium.error.ResetNeeded("the episode has ended or none has begun; call reset() first")
         if not self.action_space.contains(action):
-            raise InputError(f"action is {action!r}; {_ACTIONS}")
+            raise InputError(f"action is {action!r}; give {ACTIONS}")
         task = self._task
         self._observation, self._state, reward, terminated, truncated = _advance(
             self._state, np.int32(action), task.params, task.environment
@@ -277,7 +276,7 @@ class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.nd
                 f"actions have shape {chosen.shape} and type {chosen.dtype}; give {self.num_envs} whole numbers"
             )
         if len(wrong := chosen[(chosen < 0) | (chosen >= FrontDoor.num_actions)]):
-            raise InputError(f"an action is {wrong[0]}; {_ACTIONS}")
+            raise InputError(f"an action is {wrong[0]}; give {ACTIONS}")
         return chosen.astype(np.int32)
 
     def _infos(self) -> dict[str, Any]:
@@ -316,7 +315,7 @@ def _checked_render_mode(mode: str | None) -> str | None:
 
 
 def _observation_space(task: FrontDoorTask) -> gymnasium.Space[Any]:
-    height, width = task.environment.observation_shape(task.params)
+    height, width = task.params.worlds.height, task.params.worlds.width
     return spaces.Dict(
         {
             "terrain": spaces.Box(0, len(CLASS_NAMES) - 1, (height, width), np.uint8),
@@ -390,8 +389,8 @@ def _step_all(
 
     def step_one(key: Array, state: State, action: Array) -> tuple[Any, ...]:
         next_key, own_key = jax.random.split(key)
-        observation, state, reward, done, info = environment.step(own_key, state, action, params)
-        return jnp.where(done, next_key, key), observation, state, reward, info
+        observation, state, reward, terminated, truncated, info = environment.step(own_key, state, action, params)
+        return jnp.where(terminated | truncated, next_key, key), observation, state, reward, info
 
     return jax.vmap(step_one)(keys, states, actions)
 

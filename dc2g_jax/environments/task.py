@@ -17,9 +17,6 @@ from dc2g_jax.grid.poses import HEADINGS, Pose, make_pose
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR
 from dc2g_jax.rollouts.rollout import STEP_LIMIT
 
-#: The environment that `make_env` makes.
-FRONT_DOOR_ID = "FrontDoor-v0"
-
 _START = ("house", "x", "y", "heading")
 
 
@@ -35,7 +32,7 @@ class FrontDoorTask:
       cells: side length of the square maps, if `dataset` is not open yet.
 
     Attributes:
-      environment: the functional environment.
+      environment: the functional environment, without default parameters: those of equal sensing share programs.
       params: its parameters.
       names: names of the houses, by their index in the stack of worlds: object [houses].
 
@@ -57,7 +54,8 @@ class FrontDoorTask:
         houses = [house for house in dataset.split(split) if why_no_episode(house) is None]
         if not houses:
             raise InputError(f"{dataset.name}: no episode can be run in any house of split {split!r}; use another")
-        self.environment, self.params = front_door(houses, sensing_range=sensing_range, step_limit=step_limit)
+        environment, self.params = front_door(houses, sensing_range=sensing_range, step_limit=step_limit)
+        self.environment = FrontDoor(environment.sensing)
         self.names = np.array([house.name for house in houses], object)
 
     def starts(self, options: Mapping[str, Any], robots: int) -> tuple[Int[Array, "robots"], Pose]:
@@ -119,7 +117,7 @@ def _check_ground(house: House, x: int, y: int) -> None:
 
 
 def make_env(
-    name: str = FRONT_DOOR_ID,
+    name: str = FrontDoor.name,
     *,
     dataset: str | os.PathLike[str] | HouseDataset | None = None,
     split: str = "train",
@@ -127,12 +125,12 @@ def make_env(
     step_limit: int = STEP_LIMIT,
     cells: int = 50,
 ) -> tuple[FrontDoor, Params]:
-    """Make a functional environment and its parameters, as in gymnax.
+    """Make a functional environment and its parameters, as `gymnax.make` does.
 
     ```
     env, params = dc2g_jax.make_env("FrontDoor-v0", dataset="procedural")
     observation, state = env.reset(key, params)
-    observation, state, reward, done, info = env.step(key, state, action, params)
+    observation, state, reward, terminated, truncated, info = env.step(key, state, action, params)
     ```
 
     Args:
@@ -147,7 +145,7 @@ def make_env(
     Raises:
       InputError: an option or the dataset is invalid.
     """
-    if name != FRONT_DOOR_ID:
-        raise InputError(f"no environment is called {name!r}; known: {FRONT_DOOR_ID}")
+    if name != FrontDoor.name:
+        raise InputError(f"no environment is called {name!r}; known: {FrontDoor.name}")
     task = FrontDoorTask(dataset, split, sensing_range, step_limit, cells)
-    return task.environment, task.params
+    return FrontDoor(task.environment.sensing, task.params), task.params

@@ -7,10 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.experimental import checkify
 
 from dc2g_jax.datasets.houses import stack_worlds
 from dc2g_jax.datasets.starts import sample_starts
-from dc2g_jax.environments.functional import Observation, egocentric, front_door
+from dc2g_jax.environments.functional import FrontDoor, Observation, egocentric, front_door, observe, one_hot_view
+from dc2g_jax.environments.wrappers import FlattenObservation
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.sensing import field_of_view
 from dc2g_jax.grid.terrain import OUTSIDE
@@ -83,15 +85,15 @@ def test_random_actions_against_a_plain_simulation():
     simulation.check(observation)
     bumped, endings = 0, collections.Counter()
     for number, action in enumerate(actions):
-        observation, next_house, reward, done, info = jax.tree.map(lambda leaf, at=number: leaf[at], steps)
+        observation, next_house, reward, *ends, info = jax.tree.map(lambda leaf, at=number: leaf[at], steps)
         before = simulation.pose
         terminated, truncated = simulation.act(int(action))
         bumped += action == 0 and simulation.pose == before
         simulation.check(info["final_observation"])
         assert reward == -1.0
-        assert (info["terminated"], info["truncated"], done) == (terminated, truncated, terminated or truncated)
+        assert ends == [info["terminated"], info["truncated"]] == [terminated, truncated]
         assert info["episode_return"] == -simulation.steps == -info["episode_length"]
-        if done:
+        if terminated or truncated:
             endings[int(house_index), terminated] += 1
             house_index, first = next_house, pose_of(observation)
             assert first in start_poses(TERRAINS[house_index])
@@ -112,8 +114,8 @@ def test_the_oracle_s_actions_end_the_episode_when_the_rollout_says():
         _, state = begin(("street", "yard").index(one.house), one.x, one.y, one.heading)
         for count in range(planned.steps[number]):
             action = jnp.int32(planned.actions[number, count])
-            _, state, _, done, info = step(jax.random.key(0), state, action, PARAMS)
-            assert bool(done) == bool(info["terminated"]) == (count + 1 == planned.steps[number])
+            _, state, _, terminated, truncated, info = step(jax.random.key(0), state, action, PARAMS)
+            assert (bool(terminated), bool(truncated)) == (count + 1 == planned.steps[number], False)
         assert float(info["episode_return"]) == -planned.steps[number]
 
 
@@ -121,11 +123,10 @@ def test_a_door_reached_with_the_last_step_is_no_truncation():
     params = dataclasses.replace(PARAMS, step_limit=jnp.int32(2))
     for first_action, ends in ((0, (True, False)), (1, (False, True))):
         _, state = begin(1, 3, 3, 3)
-        _, state, _, done, _ = step(jax.random.key(0), state, jnp.int32(first_action), params)
-        assert not done
-        *_, done, info = step(jax.random.key(0), state, jnp.int32(0), params)
-        assert done
-        assert (bool(info["terminated"]), bool(info["truncated"])) == ends
+        _, state, _, *first_ends, _ = step(jax.random.key(0), state, jnp.int32(first_action), params)
+        assert not any(first_ends)
+        *_, terminated, truncated, _ = step(jax.random.key(0), state, jnp.int32(0), params)
+        assert (bool(terminated), bool(truncated)) == ends
 
 
 def test_starts_are_uniform_over_houses_and_over_their_road_in_every_heading():
@@ -152,9 +153,9 @@ def test_step_keeps_structure_shapes_dtypes_and_weak_types(action):
     after = jax.eval_shape(ENVIRONMENT.step, jax.random.key(0), before[1], action, PARAMS)
     assert jax.tree.structure(before) == jax.tree.structure(given) == jax.tree.structure(after[:2])
     assert signature(before) == signature(given) == signature(after[:2])
-    assert signature(after[4]["final_observation"]) == signature(before[0])
+    assert signature(after[5]["final_observation"]) == signature(before[0])
     assert not any(weak for _, _, weak in signature(after))
-    assert [leaf.dtype for leaf in after[2:4]] == [jnp.float32, jnp.bool_]
+    assert [leaf.dtype for leaf in after[2:5]] == [jnp.float32, jnp.bool_, jnp.bool_]
 
 
 def test_many_robots_go_through_what_each_does_alone():
@@ -190,9 +191,76 @@ def test_egocentric_cells_lie_ahead_and_to_the_right(heading, cell):
             assert seen[radius - up, radius + aside] == (terrain[y, x] if inside else OUTSIDE)
 
 
-def test_observations_have_the_shape_that_is_promised():
-    assert ENVIRONMENT.observation_shape(PARAMS) == STREET.shape
-    assert ENVIRONMENT.num_actions == 3
+def test_a_plane_of_the_one_hot_view_is_one_where_the_view_has_its_class():
+    observation, _ = begin(0, 0, 4, 1)
+    planes = one_hot_view(observation, 3)
+    assert (planes.shape, planes.dtype) == ((OUTSIDE + 1, 7, 7), jnp.float32)
+    assert np.all(np.asarray(planes).sum(axis=0) == 1)
+    np.testing.assert_array_equal(planes.argmax(axis=0), egocentric(observation, 3))
+
+
+def test_the_interface_of_gymnax():
+    """Names, spaces and values as in its base class, and parameters that need not be given."""
+    assert (ENVIRONMENT.name, ENVIRONMENT.num_actions, ENVIRONMENT.default_params) == ("FrontDoor-v0", 3, PARAMS)
+    actions, observations = ENVIRONMENT.action_space(PARAMS), ENVIRONMENT.observation_space(PARAMS)
+    assert (actions.n, actions.shape, actions.dtype) == (3, (), jnp.int32)
+    assert observations.spaces["terrain"].shape == STREET.shape
+    key = jax.random.key(0)
+    seen, state = begun = ENVIRONMENT.reset(key)
+    jax.tree.map(np.testing.assert_array_equal, begun, reset(key, PARAMS))
+    jax.tree.map(np.testing.assert_array_equal, ENVIRONMENT.step(key, state, 1), step(key, state, 1, PARAMS))
+    assert observations.contains(seen)
+    drawn = observations.sample(key)
+    assert observations.contains(drawn)
+    assert signature(drawn) == signature(seen)
+    beyond = dataclasses.replace(seen, pose=make_pose(STREET.shape[1], 0, 0))
+    assert not observations.contains(beyond)
+    assert not observations.contains(dataclasses.replace(seen, terrain=seen.terrain.at[0, 0].set(OUTSIDE)))
+    assert {int(actions.sample(one)) for one in jax.random.split(key, 40)} == {0, 1, 2}
+    assert actions.contains(jnp.array([-1, 0, 2, 3])).tolist() == [False, True, True, False]
+    refusal(lambda: FrontDoor(ENVIRONMENT.sensing).reset(key), "params: none given")
+
+
+def test_checkify_refuses_unknown_actions():
+    """For one of many robots, too; without `checkify` such an action does nothing."""
+    robots = jax.vmap(ENVIRONMENT.step, in_axes=(0, 0, 0, None))
+    checked = jax.jit(checkify.checkify(robots))
+    keys = jax.random.split(jax.random.key(0), 3)
+    _, states = jax.vmap(ENVIRONMENT.reset, in_axes=(0, None))(keys, PARAMS)
+    checked(keys, states, jnp.array([0, 1, 2]), PARAMS)[0].throw()
+    error, after = checked(keys, states, jnp.array([0, 3, 2]), PARAMS)
+    with pytest.raises(checkify.JaxRuntimeError, match=r"action is 3; give 0 \(forward\), 1 \(turn left\)"):
+        error.throw()
+    assert jax.tree.map(lambda leaf: leaf[1].tolist(), after[0].pose) == jax.tree.map(
+        lambda leaf: leaf[1].tolist(), states.belief.pose
+    )
+
+
+def test_a_training_loop_for_five_values_and_flat_observations():
+    """The calls of PureJaxRL's `ppo.py`: a network of the spaces' sizes acts for several robots, inside a scan."""
+    env = FlattenObservation(ENVIRONMENT, radius=2)
+    (inputs,) = env.observation_space(PARAMS).shape
+    weights = jax.random.normal(jax.random.key(1), (inputs, env.action_space(PARAMS).n))
+
+    def env_step(carry, key):
+        states, last = carry
+        actions = jax.random.categorical(key, last @ weights)
+        keys = jax.random.split(key, len(last))
+        seen, states, reward, done, info = jax.vmap(env.step, in_axes=(0, 0, 0, None))(keys, states, actions, PARAMS)
+        return (states, seen), (last, reward, done, info)
+
+    keys = jax.random.split(jax.random.key(0), 4)
+    first, states = jax.vmap(env.reset, in_axes=(0, None))(keys, PARAMS)
+    scan = jax.jit(lambda carry, keys: jax.lax.scan(env_step, carry, keys))
+    (states, last), (seen, reward, done, info) = scan((states, first), jax.random.split(jax.random.key(2), 2 * LIMIT))
+    assert (seen.shape, seen.dtype) == ((2 * LIMIT, 4, 25 * (OUTSIDE + 1)), jnp.float32)
+    np.testing.assert_array_equal(last[0], one_hot_view(observe(jax.tree.map(lambda leaf: leaf[0], states)), 2).ravel())
+    assert done.any(axis=0).all()
+    np.testing.assert_array_equal(done, info["terminated"] | info["truncated"])
+    assert np.all(info["episode_length"][done] == -info["episode_return"][done])
+    assert np.all(reward == -1)
+    # What such a loop keeps of every step is small.
+    assert max(leaf.size for leaf in jax.tree.leaves(info)) == done.size
 
 
 def test_refusals():

@@ -1,0 +1,62 @@
+"""The environment as training loops written for gymnax before version 1.0 expect it, such as those of PureJaxRL."""
+
+import dataclasses
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from dc2g_jax.environments import spaces
+from dc2g_jax.environments.functional import FrontDoor, Observation, Params, State, one_hot_view
+from dc2g_jax.grid.terrain import OUTSIDE
+
+
+@dataclasses.dataclass(frozen=True)
+class FlattenObservation:
+    """`FrontDoor` with flat observations, and with the five values of gymnax's former `step`.
+
+    An observation is the egocentric view (`dc2g_jax.environments.functional.one_hot_view`) as one row of ones and
+    zeros, float32. It stands in place of PureJaxRL's `FlattenObservationWrapper`.
+
+    Attributes:
+      environment: the environment.
+      radius: cells seen in each direction.
+    """
+
+    environment: FrontDoor
+    radius: int = 8
+
+    @property
+    def default_params(self) -> Params | None:
+        """The parameters that `reset` and `step` use where none are given."""
+        return self.environment.default_params
+
+    def action_space(self, params: Params | None = None) -> spaces.Discrete:
+        """The actions, which are the same for all parameters."""
+        return self.environment.action_space(params)
+
+    def observation_space(self, params: Params | None = None) -> spaces.Box:
+        """The flat observations, which have the same shape for all parameters."""
+        del params
+        return spaces.Box(0.0, 1.0, ((2 * self.radius + 1) ** 2 * (OUTSIDE + 1),))
+
+    def reset(self, key: PRNGKeyArray, params: Params | None = None) -> tuple[Float[Array, "inputs"], State]:
+        """Begin an episode, see `FrontDoor.reset`."""
+        observation, state = self.environment.reset(key, params)
+        return self._flat(observation), state
+
+    def step(
+        self, key: PRNGKeyArray, state: State, action: Int[Array, ""], params: Params | None = None
+    ) -> tuple[Float[Array, "inputs"], State, Float[Array, ""], Bool[Array, ""], dict[str, Any]]:
+        """Take one action, see `FrontDoor.step`.
+
+        Returns:
+          Observation; state; reward; whether the episode has ended; and information about it, without the final
+          observation: PureJaxRL keeps the information of all steps of a training.
+        """
+        observation, state, reward, terminated, truncated, info = self.environment.step(key, state, action, params)
+        del info["final_observation"]
+        return self._flat(observation), state, reward, terminated | truncated, info
+
+    def _flat(self, observation: Observation) -> Float[Array, "inputs"]:
+        return jnp.ravel(one_hot_view(observation, self.radius))
