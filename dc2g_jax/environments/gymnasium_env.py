@@ -1,13 +1,11 @@
 """The search for a front door as Gymnasium environments: a single one, and a vectorized one in one compiled call.
 
-    import dc2g_jax.environments.gymnasium_env  # registers the environments
+    import dc2g_jax  # registers the environments
 
     gymnasium.make("dc2g_jax/FrontDoor-v0", dataset="procedural", split="train")
     gymnasium.make_vec("dc2g_jax/FrontDoor-v0", num_envs=256, vectorization_mode="vector_entry_point")
 
-Both wrap `dc2g_jax.environments.functional.FrontDoor` and take the same options. They need the extra `gym`. Since
-version 1.0 Gymnasium does not discover plug-ins, so this module must be imported. Gymnasium imports it itself for the
-name `"dc2g_jax.environments.gymnasium_env:dc2g_jax/FrontDoor-v0"`.
+Both wrap `dc2g_jax.environments.functional.FrontDoor` and take the same options. They need the extra `gym`.
 
 An observation is a dictionary: `terrain`, uint8 [h w], holds the class index of every observed cell (see
 `dc2g_jax.grid.terrain`) and 0 elsewhere; `pose`, int32 [3], is column, row and heading (0 = +x, 1 = +y, 2 = -x, 3 = -y;
@@ -24,6 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt8
+from PIL import Image, ImageColor, ImageDraw
 
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.environments.functional import (
@@ -37,16 +36,15 @@ from dc2g_jax.environments.functional import (
     whole_number,
 )
 from dc2g_jax.environments.task import FrontDoorTask
-from dc2g_jax.errors import InputError, require_extra
+from dc2g_jax.errors import InputError
 from dc2g_jax.grid.poses import FORWARD, HEADINGS, Pose
-from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES
+from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_COLORS
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.rollout import STEP_LIMIT
 
 try:
     import gymnasium
     from gymnasium import spaces
-    from gymnasium.envs import registration
     from gymnasium.utils import seeding
     from gymnasium.vector import AutoresetMode
     from gymnasium.vector.utils import batch_space
@@ -57,27 +55,20 @@ except ModuleNotFoundError as error:
         name=error.name,
     ) from None
 
-#: Gymnasium's name of the environment.
-GYMNASIUM_ID = "dc2g_jax/FrontDoor-v0"
-
 #: Approximate length of the longer side of a rendered frame, pixels.
 FRAME_SIDE = 400
 
+#: Class index -> RGB color in a frame, that of figures, uint8 [class 3].
+RENDERED_COLORS = np.array([ImageColor.getrgb(color) for color in FIGURE_COLORS.values()], np.uint8)
+
 #: Color of the robot in a frame, RGB; no class has it.
-RENDERED_ROBOT_COLOR = (255, 60, 200)
+RENDERED_ROBOT_COLOR = (240, 228, 66)
 
 #: Least half-length of the robot in a frame, pixels.
 RENDERED_ROBOT_RADIUS = 9
 
 #: The process that imported this module, and with it JAX.
 _IMPORTED_BY = os.getpid()
-
-if GYMNASIUM_ID not in registration.registry:
-    registration.register(
-        GYMNASIUM_ID,
-        entry_point=f"{__name__}:FrontDoorEnv",
-        vector_entry_point=f"{__name__}:FrontDoorVectorEnv",
-    )
 
 
 class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
@@ -396,23 +387,19 @@ def _step_all(
 
 
 def frame(terrain: UInt8[np.ndarray, "h w"], pose: Int[np.ndarray, "3"]) -> UInt8[np.ndarray, "height width 3"]:
-    """An image of a belief: observed cells in the colors of their classes, others black, the robot as a triangle.
+    """An image of a belief: observed cells, and others as unknown, in the colors of figures; the robot as a triangle.
 
     Args:
       terrain: observed class indices.
       pose: column, row and heading.
     """
     scale = max(FRAME_SIDE // max(terrain.shape), 4)
-    picture = np.repeat(np.repeat(CLASS_COLORS[terrain], scale, axis=0), scale, axis=1)
+    picture = Image.fromarray(np.repeat(np.repeat(RENDERED_COLORS[terrain], scale, axis=0), scale, axis=1))
     x, y, heading = pose
     ahead = np.array(FORWARD[heading])
     aside = np.array([-ahead[1], ahead[0]])
     corners = np.array([ahead, 0.8 * aside - 0.9 * ahead, -0.8 * aside - 0.9 * ahead])
     middle = np.array([x + 0.5, y + 0.5]) * scale
-    triangle = np.rint(middle + corners * max(0.45 * scale, RENDERED_ROBOT_RADIUS)).astype(np.int32)
-    require_extra("cv2")
-    import cv2
-
-    cv2.fillPoly(picture, [triangle], RENDERED_ROBOT_COLOR, lineType=cv2.LINE_AA)
-    cv2.polylines(picture, [triangle], isClosed=True, color=(255, 255, 255), thickness=1, lineType=cv2.LINE_AA)
-    return picture
+    triangle = middle + corners * max(0.45 * scale, RENDERED_ROBOT_RADIUS)
+    ImageDraw.Draw(picture).polygon(triangle.ravel().tolist(), fill=RENDERED_ROBOT_COLOR, outline=(34, 34, 34))
+    return np.array(picture)

@@ -28,6 +28,26 @@ CLASS_NAMES: tuple[str, ...] = tuple(_PALETTE)
 #: Class index -> RGB color, uint8 [class 3].
 CLASS_COLORS = np.array(list(_PALETTE.values()), np.uint8)
 
+#: Class -> color in figures. Ground is pale and the rest is dark, so that they differ in grayscale; unknown is between.
+FIGURE_COLORS = {
+    "__ignore__": "#a79bb5",
+    "front_door": "#d55e00",
+    "grass": "#4f9d69",
+    "road": "#d5d8dc",
+    "driveway": "#9ecae9",
+    "car": "#b5446e",
+    "path": "#f0d589",
+    "house": "#2f3144",
+    "sidewalk": "#f4ece1",
+    "fence": "#7b5ea7",
+    "tree": "#1b5e3c",
+    "mailbox": "#b8860b",
+    "bush": "#a3bb55",
+    "garage door": "#a6611a",
+    "nothing": "#111111",
+    "traversable": "#fffdf5",
+}
+
 #: Largest number of classes: indices are bytes, the two highest values mark unknown colors while reading images.
 MOST_CLASSES = 254
 if len(CLASS_NAMES) > MOST_CLASSES:

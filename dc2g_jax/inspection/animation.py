@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.errors import InputError
-from dc2g_jax.grid.terrain import CLASS_NAMES, TRAVERSABLE
+from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_COLORS, TRAVERSABLE
 from dc2g_jax.inspection.costs import (
     BLOCKED_COLOR,
     COST_COLORS,
@@ -24,7 +24,7 @@ from dc2g_jax.inspection.costs import (
     highest_cost,
 )
 from dc2g_jax.inspection.episode_figures import goal_marks, outcome
-from dc2g_jax.inspection.figures import FIGURE_COLORS, hidden_color, map_image, planner_style, present_classes
+from dc2g_jax.inspection.figures import hidden_color, map_image, planner_style, present_classes
 from dc2g_jax.inspection.replay import Frames, running_extra_steps
 from dc2g_jax.inspection.video import Picture, frequent_colors, write_gif, write_mp4
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL

@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.typing import ColorType
 
-from dc2g_jax.grid.terrain import CLASS_NAMES
+from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_COLORS
 from dc2g_jax.rollouts.evaluation import EpisodeResult
 from dc2g_jax.rollouts.statistics import Summary
 
@@ -57,26 +57,6 @@ PLANNER_STYLES = {
 _OTHER_COLORS = ("#777777", "#aaaaaa", "#4d4d4d", "#909090")
 _OTHER_HATCHES = ("", "\\\\\\", "...", "+++", "ooo")
 _OTHER_MARKERS = ("P", "X", "v", "h", "<", "p", ">")
-
-#: Class -> color on maps. Ground is pale and the rest is dark, so that they differ in grayscale; unknown is between.
-FIGURE_COLORS = {
-    "__ignore__": "#a79bb5",
-    "front_door": "#d55e00",
-    "grass": "#4f9d69",
-    "road": "#d5d8dc",
-    "driveway": "#9ecae9",
-    "car": "#b5446e",
-    "path": "#f0d589",
-    "house": "#2f3144",
-    "sidewalk": "#f4ece1",
-    "fence": "#7b5ea7",
-    "tree": "#1b5e3c",
-    "mailbox": "#b8860b",
-    "bush": "#a3bb55",
-    "garage door": "#a6611a",
-    "nothing": "#111111",
-    "traversable": "#fffdf5",
-}
 
 #: Ground that has not been observed is drawn in the class colors mixed with this much white.
 _HIDDEN_WHITE = 0.85

@@ -8,8 +8,7 @@ from jaxtyping import Bool, Float, UInt8
 from matplotlib import colormaps
 from matplotlib.colors import to_rgb
 
-from dc2g_jax.grid.terrain import CLASS_NAMES
-from dc2g_jax.inspection.figures import FIGURE_COLORS
+from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_COLORS
 
 #: Layers over the observed map: name and color, RGBA. The legend names them.
 REACHABLE_LAYER = ("reachable", (0, 190, 230, 60))

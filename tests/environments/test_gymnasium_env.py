@@ -13,10 +13,14 @@ from gymnasium.error import ResetNeeded  # noqa: E402
 from gymnasium.utils.env_checker import check_env, data_equivalence  # noqa: E402
 from gymnasium.vector import AutoresetMode  # noqa: E402
 from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
+from matplotlib.colors import to_rgb  # noqa: E402
 
 from dc2g_jax.datasets.houses import HouseDataset, save_dataset  # noqa: E402
-from dc2g_jax.environments.gymnasium_env import GYMNASIUM_ID, RENDERED_ROBOT_COLOR, FrontDoorEnv, FrontDoorVectorEnv  # noqa: E402
-from dc2g_jax.grid.terrain import CLASS_COLORS  # noqa: E402
+from dc2g_jax.environments.functional import egocentric, observe  # noqa: E402
+from dc2g_jax.environments.gymnasium_env import RENDERED_ROBOT_COLOR, FrontDoorEnv, FrontDoorVectorEnv  # noqa: E402
+from dc2g_jax.environments.gymnasium_wrappers import EgocentricObservation, EgocentricVectorObservation  # noqa: E402
+from dc2g_jax.environments.registration import GYMNASIUM_ID  # noqa: E402
+from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_COLORS, OUTSIDE  # noqa: E402
 from experiments.baselines import numpy_gridworld as oracle  # noqa: E402
 from tests.support.houses import DATASET, STREET, YARD, house, start_poses  # noqa: E402
 from tests.support.refusals import refusal  # noqa: E402
@@ -60,20 +64,32 @@ def test_gymnasium_s_own_check(render_mode):
     check_env(make(render_mode=render_mode).unwrapped)
 
 
-def test_gymnasium_imports_the_module_that_is_named_and_reads_the_folder_that_is_given(tmp_path):
+@pytest.mark.parametrize(
+    ("imports", "name"),
+    [
+        ("import gymnasium", f"dc2g_jax:{GYMNASIUM_ID}"),
+        ("import gymnasium, dc2g_jax", GYMNASIUM_ID),
+        ("import dc2g_jax, gymnasium", GYMNASIUM_ID),
+        ("import dc2g_jax, gymnasium", f"dc2g_jax:{GYMNASIUM_ID}"),
+        ("import dc2g_jax, importlib.util; importlib.util.find_spec('gymnasium'); import gymnasium", GYMNASIUM_ID),
+    ],
+)
+def test_registration_whichever_is_imported_first(imports, name):
+    """Warnings, as of a second registration, are errors. The environment itself is not imported."""
+    script = f"""
+import sys
+{imports}
+print(gymnasium.envs.registration._find_spec("{name}").entry_point, "jax" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-W", "error", "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout == "dc2g_jax.environments.gymnasium_env:FrontDoorEnv False\n"
+
+
+def test_a_folder_of_houses_by_name(tmp_path):
     squares = np.kron(np.pad(STREET, ((0, 2), (0, 0)), mode="edge"), np.ones((3, 3), np.uint8))
-    folder = save_dataset([("street", "train", squares)], tmp_path / "houses")
-    script = textwrap.dedent("""
-        import sys
-        import gymnasium
-        named = "dc2g_jax.environments.gymnasium_env:dc2g_jax/FrontDoor-v0"
-        options = {"dataset": sys.argv[1], "cells": 10}
-        print(gymnasium.make(named, **options).unwrapped.__class__.__name__)
-        envs = gymnasium.make_vec(named, num_envs=3, vectorization_mode="vector_entry_point", **options)
-        print(envs.__class__.__name__, envs.reset(seed=0)[0]["terrain"].shape)
-    """)
-    done = subprocess.run([sys.executable, "-c", script, folder], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines() == ["FrontDoorEnv", "FrontDoorVectorEnv (3, 10, 10)"]
+    options = {"dataset": save_dataset([("street", "train", squares)], tmp_path / "houses"), "cells": 10}
+    assert isinstance(make(**options).unwrapped, FrontDoorEnv)
+    assert make_vec(3, **options).reset(seed=0)[0]["terrain"].shape == (3, 10, 10)
 
 
 def test_an_episode_from_a_given_start_to_the_door():
@@ -193,12 +209,14 @@ def test_pictures_show_what_is_observed_and_the_robot():
     observation, _ = env.reset(options=TO_THE_DOOR)
     picture = env.render()
     scale = 400 // max(YARD.shape)
+    colors = np.array([to_rgb(FIGURE_COLORS[name]) for name in CLASS_NAMES])
     assert picture.shape == (YARD.shape[0] * scale, YARD.shape[1] * scale, 3)
     assert picture.dtype == np.uint8
     cells = picture.reshape(YARD.shape[0], scale, YARD.shape[1], scale, 3)
     for y, x in np.ndindex(YARD.shape):
         if (x, y) != (5, 4):
-            assert np.all(cells[y, :, x] == CLASS_COLORS[observation["terrain"][y, x]])
+            np.testing.assert_allclose(cells[y, 0, x, 0] / 255, colors[observation["terrain"][y, x]], atol=1e-6)
+            assert np.all(cells[y, :, x] == cells[y, 0, x, 0])
     middle = cells[4, scale // 2, 5, scale // 2]
     assert tuple(middle) == RENDERED_ROBOT_COLOR
     # The robot looks up: its color reaches further up in the middle column than at the sides, below only there.
@@ -211,6 +229,27 @@ def test_pictures_show_what_is_observed_and_the_robot():
     pictures.reset(options=TO_THE_DOOR)
     for one in pictures.render():
         np.testing.assert_array_equal(one, picture)
+
+
+def test_egocentric_observations():
+    """They are what a robot sees of its own episode: alone, among others, and in the last step."""
+    env, envs = EgocentricObservation(make(), radius=3), EgocentricVectorObservation(make_vec(2), radius=3)
+    assert env.observation_space == envs.single_observation_space
+    assert env.observation_space.shape == (OUTSIDE + 1, 7, 7)
+    views, views_of_both = [env.reset(options=TO_THE_DOOR)[0]], [envs.reset(options=TO_THE_DOOR)[0]]
+    for action in WAY:
+        views.append(env.step(action)[0])
+        seen, *_, infos = envs.step(np.array([action, 1]))
+        views_of_both.append(seen)
+        if action != WAY[-1]:
+            expected = egocentric(observe(env.unwrapped._state), 3)
+            np.testing.assert_array_equal(views[-1].argmax(axis=0), expected)
+    assert seen in envs.observation_space
+    np.testing.assert_array_equal([both[0] for both in views_of_both[:-1]], views[:-1])
+    np.testing.assert_array_equal(infos["final_obs"][0], views[-1])
+    assert infos["final_obs"][1] is None
+    views[-1][:] = 0  # the caller's own
+    refusal(lambda: EgocentricObservation(make(), radius=0), "radius is 0", "at least 1")
 
 
 def test_refused_starts():
