@@ -19,6 +19,7 @@ from jaxtyping import Array, Int, UInt8
 
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.estimation.estimators import Estimator
+from dc2g_jax.files.cache import keep_compiled_programs
 from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.gridworld import belief_from_map
 from dc2g_jax.grid.poses import HEADINGS, Pose
@@ -68,7 +69,9 @@ class OnlinePlanner:
     cells that its sensor cannot classify as `nothing`.
 
     Creating the planner compiles a program for each of a few grid sizes. This takes some seconds each, and longer for
-    longer sensing ranges. After that, no call compiles anything, and decisions do not depend on the grid size. Other
+    longer sensing ranges. The programs are kept on disk as those of commands are, see
+    `dc2g_jax.files.cache.keep_compiled_programs`, and the next start finds them. No call compiles anything after the
+    start, and decisions do not depend on the grid size. Other
     estimators than `NetworkCostToGo` and planners of your own get grids of exactly the map's size; each new size is
     compiled.
 
@@ -96,6 +99,7 @@ class OnlinePlanner:
         open_ended: bool = False,
         settings: str = "paper",
     ):
+        keep_compiled_programs()
         rows, columns = _whole_numbers("largest", largest, 2)
         (reach,) = _whole_numbers("sensing_range", [sensing_range], 1)
         if min(rows, columns, reach) < 1:
