@@ -19,10 +19,10 @@ from tqdm import tqdm
 
 from dc2g_jax.cli.commands import drop_output, reader_may_leave
 from dc2g_jax.cli.outputs import RUN_FILE, CommandOptions, folder_in_use, program
-from dc2g_jax.datasets.download import cache_folder
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network
+from dc2g_jax.files.cache import keep_compiled_programs
 from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.planning.named import NETWORK_PLANNERS, check_names
 from dc2g_jax.rollouts.devices import join_processes, use_devices
@@ -152,14 +152,6 @@ def check_planners(planners: Sequence[str]) -> None:
     if not planners or len(set(planners)) < len(planners):
         raise InputError(f"--planner {' '.join(planners)}: give each planner once, one at least")
     check_names(planners)
-
-
-def keep_compiled_programs() -> None:
-    """Cache compiled programs in the user's cache folder, unless JAX already has a cache."""
-    folder_option = "jax_compilation_cache_dir"
-    if getattr(jax.config, folder_option) is None:
-        jax.config.update(folder_option, str(cache_folder() / "compiled"))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
 def network_for(planners: Iterable[str], folder: Path | None) -> TrainedNetwork | None:

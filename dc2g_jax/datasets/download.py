@@ -19,6 +19,7 @@ import requests
 from tqdm import tqdm
 
 from dc2g_jax.errors import InputError, short
+from dc2g_jax.files.cache import cache_folder
 from dc2g_jax.files.reading import FACTS, read_text
 from dc2g_jax.files.resources import resource
 
@@ -77,15 +78,6 @@ def matches_published(folder: Path) -> bool:
         os.path.isfile(folder / name) and pooch.file_hash(folder / name) == digest
         for name, digest in read_manifest().items()
     )
-
-
-def cache_folder() -> Path:
-    """The folder of downloads: `DC2G_CACHE`, else `dc2g_jax` in the user's cache folder."""
-    chosen = os.environ.get("DC2G_CACHE")
-    try:
-        return Path(chosen or pooch.os_cache("dc2g_jax")).expanduser()
-    except RuntimeError:
-        raise InputError(f"DC2G_CACHE={chosen!r}: there is no such home folder; set DC2G_CACHE to a folder") from None
 
 
 def fetch_dataset(

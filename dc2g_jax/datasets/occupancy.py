@@ -12,6 +12,8 @@ from jaxtyping import Bool, Float, UInt, UInt8
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.files.png import MOST_PIXELS, bands, read_png
 from dc2g_jax.files.reading import read_bytes, read_yaml
+from dc2g_jax.grid.map_frame import MapFrame
+from dc2g_jax.grid.sampling import sample_conservatively
 from dc2g_jax.grid.terrain import HOUSE, ROAD, UNKNOWN
 
 #: File endings of occupancy maps.
@@ -49,8 +51,7 @@ class OccupancyMap:
       free: pixels known to be free.
       occupied: pixels known to be occupied; pixels that are neither are unknown.
       resolution: meters per pixel.
-      origin: position of the lower left corner of the image in the map frame, x and y in meters, and the
-        counterclockwise rotation of the image about it in radians.
+      origin: where the image lies in the map frame.
       doubts: lines about what may be a mistake in the metadata, and about what was left out of the image.
     """
 
@@ -58,7 +59,7 @@ class OccupancyMap:
     free: Bool[np.ndarray, "h w"]
     occupied: Bool[np.ndarray, "h w"]
     resolution: float
-    origin: tuple[float, float, float]
+    origin: MapFrame
     doubts: tuple[str, ...]
 
     def terrain(self, columns: int, rows: int) -> UInt8[np.ndarray, "{rows} {columns}"]:
@@ -67,10 +68,9 @@ class OccupancyMap:
         The trained network of the package knows these classes. A cell is free only if all of its pixels are free, and
         occupied if any of its pixels is, so that no wall is lost on a coarser grid.
         """
-        free = ~_touched(~self.free, columns, rows)
-        occupied = _touched(self.occupied, columns, rows)
         road, house, unknown = np.array([ROAD, HOUSE, UNKNOWN], np.uint8)
-        return np.where(free, road, np.where(occupied, house, unknown))
+        pixels = np.where(self.free, road, np.where(self.occupied, house, unknown))
+        return sample_conservatively(pixels, columns, rows)
 
     def cell(self, x: float, y: float, columns: int, rows: int) -> tuple[int, int] | None:
         """Column and row of a point in the map frame, on a grid of this size.
@@ -84,25 +84,10 @@ class OccupancyMap:
           rows: rows of the grid.
         """
         height, width = self.free.shape
-        east, north, yaw = x - self.origin[0], y - self.origin[1], self.origin[2]
-        right = (east * math.cos(yaw) + north * math.sin(yaw)) / self.resolution
-        up = (north * math.cos(yaw) - east * math.sin(yaw)) / self.resolution
+        right, up = (meters / self.resolution for meters in self.origin.to_grid(x, y))
         if not (math.isfinite(right) and math.isfinite(up)):
             return None
         return math.floor(right * columns / width), rows - 1 - math.floor(up * rows / height)
-
-
-def _touched(pixels: Bool[np.ndarray, "h w"], columns: int, rows: int) -> Bool[np.ndarray, "{rows} {columns}"]:
-    """The cells of a grid over an image that touch one of these pixels."""
-    for axis, cells in enumerate((rows, columns)):
-        size, cell = pixels.shape[axis], np.arange(cells + 1)
-        if cells == size:
-            continue
-        first, beyond = cell[:-1] * size // cells, -(-cell[1:] * size // cells)
-        # Only every other of the parts from bound to bound is that of a cell; the last bound lies beyond the image.
-        bounds = np.stack([first, beyond], axis=-1).ravel()[:-1]
-        pixels = np.logical_or.reduceat(pixels, bounds, axis=axis).take(np.arange(0, 2 * cells, 2), axis=axis)
-    return pixels
 
 
 def read_occupancy_map(path: Path) -> OccupancyMap:
@@ -125,7 +110,7 @@ def read_occupancy_map(path: Path) -> OccupancyMap:
     origin = facts["origin"]
     if not isinstance(origin, list) or len(origin) != 3:
         raise InputError(f"{path}: origin is {short(origin)}; give [x, y, yaw] in meters and radians")
-    x, y, yaw = (_number(path, "origin", value) for value in origin)
+    frame = MapFrame(*(_number(path, "origin", value) for value in origin))
     free_threshold, occupied_threshold = (_number(path, key, facts[key]) for key in ("free_thresh", "occupied_thresh"))
     if not 0 <= free_threshold <= occupied_threshold <= 1:
         raise InputError(
@@ -147,7 +132,7 @@ def read_occupancy_map(path: Path) -> OccupancyMap:
             f"{unknown_grays} pixels are gray {_UNKNOWN_GRAY}, which map savers write where nothing is known, but "
             f"free_thresh {free_threshold} makes them free; if that is not meant, write {_USUAL_FREE_THRESHOLD}"
         )
-    pixels = OccupancyMap(path, free[levels] & opaque, occupied[levels] & opaque, resolution, (x, y, yaw), (*doubts,))
+    pixels = OccupancyMap(path, free[levels] & opaque, occupied[levels] & opaque, resolution, frame, (*doubts,))
     return _cropped(pixels)
 
 
@@ -176,10 +161,7 @@ def _cropped(pixels: OccupancyMap) -> OccupancyMap:
     height, width = known.shape
     if (bottom - top, right - left) == (height, width):
         return pixels
-    x, y, yaw = pixels.origin
-    east, north = left * pixels.resolution, (height - bottom) * pixels.resolution
-    corner_x = float(x + east * math.cos(yaw) - north * math.sin(yaw))
-    corner_y = float(y + east * math.sin(yaw) + north * math.cos(yaw))
+    corner = pixels.origin.to_map(float(left * pixels.resolution), float((height - bottom) * pixels.resolution))
     doubt = (
         f"most of the map is unknown: of its {width} x {height} pixels, columns {left} to {right - 1} and rows {top} "
         f"to {bottom - 1} are kept; columns and rows count from there"
@@ -189,7 +171,7 @@ def _cropped(pixels: OccupancyMap) -> OccupancyMap:
         pixels,
         free=pixels.free[part],
         occupied=pixels.occupied[part],
-        origin=(corner_x, corner_y, yaw),
+        origin=MapFrame(*corner, pixels.origin.yaw),
         doubts=(*pixels.doubts, doubt),
     )
 

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from dc2g_jax.grid.terrain import FRONT_DOOR, PATH
+from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, PATH, TRAVERSABLE, UNKNOWN
 
 ClassImage = npt.NDArray[np.uint8]
 Grid = TypeVar("Grid", np.ndarray, jax.Array)
@@ -63,3 +63,43 @@ def sample_grid(classes: ClassImage, cells: int | tuple[int, int] = 50) -> Class
     sampled = resize_nearest(classes, rows, columns)
     path = ndimage.binary_dilation(sampled == PATH, np.ones((3, 3)))
     return np.where(path & (sampled != FRONT_DOOR), np.uint8(PATH), sampled).astype(np.uint8)
+
+
+def sample_conservatively(classes: ClassImage, columns: int, rows: int) -> ClassImage:
+    """Resample a class image to a coarser grid on which no obstacle and no door is lost.
+
+    A cell covers every pixel that it touches. It is a front door if any of its pixels is. Otherwise it is an obstacle
+    if any is, unknown if any is, and traversable if all are. Of several such classes, it has the most frequent one.
+
+    Args:
+        classes: class indices, uint8 [H W].
+        columns: columns of the grid, at most W.
+        rows: rows of the grid, at most H.
+
+    Returns:
+        Class indices, uint8 [rows columns].
+    """
+    if classes.shape == (rows, columns):
+        return classes.copy()
+    present = np.array([index for index in range(len(CLASS_NAMES)) if np.any(classes == index)], np.uint8)
+    doors, unknown, traversable = present == FRONT_DOOR, present == UNKNOWN, TRAVERSABLE[present]
+    sampled = np.zeros((rows, columns), np.uint8)
+    # Later ones take precedence.
+    for kind in (traversable, unknown, ~(traversable | unknown), doors):
+        if np.any(kind):
+            pixels = np.stack([_pixels_per_cell(classes == index, columns, rows) for index in present[kind]])
+            sampled = np.where(np.any(pixels, axis=0), present[kind][np.argmax(pixels, axis=0)], sampled)
+    return sampled
+
+
+def _pixels_per_cell(pixels: npt.NDArray[np.bool_], columns: int, rows: int) -> npt.NDArray[np.int32]:
+    """How many of these pixels each cell of a grid over an image touches, int32 [rows columns]."""
+    counts: np.ndarray = pixels
+    for axis, cells in enumerate((rows, columns)):
+        size, cell = pixels.shape[axis], np.arange(cells + 1)
+        first, beyond = cell[:-1] * size // cells, -(-cell[1:] * size // cells)
+        # Only every other of the parts from bound to bound is that of a cell; the last bound lies beyond the image.
+        bounds = np.stack([first, beyond], axis=-1).ravel()[:-1]
+        parts = np.add.reduceat(counts, bounds, axis=axis, dtype=np.int32)
+        counts = parts.take(np.arange(0, 2 * cells, 2), axis=axis)
+    return counts

@@ -1,7 +1,7 @@
 """Decisions of one robot from distances, candidates and scores, in plain NumPy and Python."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -114,15 +114,10 @@ def decide(view: View, left: int, top: int) -> Decision:
     if view.mode != TO_GOAL and np.isnan(view.score[chosen_from]).any():
         raise InputError("the estimated cost-to-go is not a number (NaN) in some cell; check the estimator's weights")
     if view.mode == GAVE_UP:
-        why = "gave up: no door is reachable, and nothing unobserved can be seen from anywhere reachable"
-        return Decision(None, mode, None, (), "", (), why)
+        return Decision(None, mode, None, (), "", (), explain(mode, (), ()))
     plan, actions = shortest_plan(view.distance, view.subgoals)
     path = tuple(RobotPose(left + x, top + y, heading) for x, y, heading in plan)
-    if view.mode == EXPLORE:
-        ranked = _ranked(view, plan[-1], left, top)
-        why = _why_explore(path[-1], len(actions), ranked)
-    else:
-        ranked, why = (), _why_to_goal(path[-1], len(actions))
+    ranked = _ranked(view, plan[-1], left, top) if view.mode == EXPLORE else ()
     return Decision(
         action=actions[0] if actions else None,
         mode=mode,
@@ -130,7 +125,7 @@ def decide(view: View, left: int, top: int) -> Decision:
         path=path,
         actions=actions,
         candidates=ranked,
-        why=why,
+        why=explain(mode, path, ranked),
     )
 
 
@@ -186,33 +181,46 @@ def _ranked(view: View, subgoal: tuple[int, int, int], left: int, top: int) -> t
     )
 
 
-def _actions(number: int) -> str:
-    return "1 action" if number == 1 else f"{number} actions"
+def _in_cells(x: int, y: int, heading: int) -> tuple[str, str]:
+    return f"({x}, {y})", HEADING_NAMES[heading]
 
 
-def _why_explore(subgoal: RobotPose, length: int, ranked: Sequence[Candidate]) -> str:
-    """The reason to explore from the subgoal, which is usually the first candidate."""
-    place = f"explore: ({subgoal.x}, {subgoal.y}) facing {HEADING_NAMES[subgoal.heading]}"
-    details = f"{_actions(length)} away"
-    if not ranked or ranked[0][:2] != subgoal[:2]:
-        return f"{place} is the planner's choice, {details}"
-    best, *others = ranked
+def explain(
+    mode: str,
+    path: Sequence[RobotPose],
+    candidates: Sequence[Candidate],
+    words: Callable[[int, int, int], tuple[str, str]] = _in_cells,
+) -> str:
+    """The reason for a decision, in one sentence.
+
+    Args:
+      mode: mode of the decision.
+      path: its path.
+      candidates: its candidates; the subgoal is usually the first.
+      words: column, row and heading -> how to name the place and the direction.
+    """
+    if not path:
+        return "gave up: no door is reachable, and nothing unobserved can be seen from anywhere reachable"
+    length = len(path) - 1
+    (place, facing), away = words(*path[-1]), "1 action" if length == 1 else f"{length} actions"
+    if mode == MODE_NAMES[TO_GOAL]:
+        reached = (
+            f"the door at {place} is reachable in {away}" if length else f"the robot stands on the door at {place}"
+        )
+        return f"to goal: {reached}"
+    subgoal, details = f"explore: {place} facing {facing}", f"{away} away"
+    if not candidates or candidates[0][:2] != path[-1][:2]:
+        return f"{subgoal} is the planner's choice, {details}"
+    best, *others = candidates
     what, digits = "is the nearest", 0
     if best.cost_to_go is not None:
         details = f"predicted cost-to-go {best.cost_to_go:.1f}, {details}"
     if best.cost_to_go is not None or best.score != best.distance:
         what, digits, details = "has the lowest score", 1, f"{best.score:.1f}: {details}"
     if not others:
-        return f"{place} is the only candidate, {details}"
+        return f"{subgoal} is the only candidate, {details}"
     second = others[0]
     if second.score < best.score:
         what = "is the planner's choice"
-    next_best = f"next best {second.score:.{digits}f} at ({second.x}, {second.y})"
-    return f"{place} {what} of {len(ranked)} candidates, {details}; {next_best}"
-
-
-def _why_to_goal(door: RobotPose, length: int) -> str:
-    """The reason to head for a door."""
-    if length == 0:
-        return f"to goal: the robot stands on the door at ({door.x}, {door.y})"
-    return f"to goal: the door at ({door.x}, {door.y}) is reachable in {_actions(length)}"
+    next_best = f"next best {second.score:.{digits}f} at {words(*second[:3])[0]}"
+    return f"{subgoal} {what} of {len(candidates)} candidates, {details}; {next_best}"

@@ -19,6 +19,7 @@ from jaxtyping import Array, Int, UInt8
 
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.estimation.estimators import Estimator
+from dc2g_jax.files.cache import keep_compiled_programs
 from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.gridworld import belief_from_map
 from dc2g_jax.grid.poses import HEADINGS, Pose
@@ -68,7 +69,9 @@ class OnlinePlanner:
     cells that its sensor cannot classify as `nothing`.
 
     Creating the planner compiles a program for each of a few grid sizes. This takes some seconds each, and longer for
-    longer sensing ranges. After that, no call compiles anything, and decisions do not depend on the grid size. Other
+    longer sensing ranges. The programs are kept on disk as those of commands are, see
+    `dc2g_jax.files.cache.keep_compiled_programs`, and the next start finds them. No call compiles anything after the
+    start, and decisions do not depend on the grid size. Other
     estimators than `NetworkCostToGo` and planners of your own get grids of exactly the map's size; each new size is
     compiled.
 
@@ -79,6 +82,8 @@ class OnlinePlanner:
       largest: rows and columns of the largest map.
       open_ended: whether the world continues beyond the map's edges. If so, the robot explores across them too.
         Otherwise the map's size is the world's, and there is nothing to observe beyond it.
+      settings: rules of a planner by name, see `dc2g_jax.planning.rules.SETTINGS`; `occluded` where walls hide what is
+        behind them.
 
     Raises:
       InputError: the planner is unknown or has another sensing range, the network cannot be read, or a size is invalid.
@@ -92,7 +97,9 @@ class OnlinePlanner:
         sensing_range: int = 8,
         largest: tuple[int, int] = (100, 100),
         open_ended: bool = False,
+        settings: str = "paper",
     ):
+        keep_compiled_programs()
         rows, columns = _whole_numbers("largest", largest, 2)
         (reach,) = _whole_numbers("sensing_range", [sensing_range], 1)
         if min(rows, columns, reach) < 1:
@@ -104,10 +111,10 @@ class OnlinePlanner:
                 raise InputError(
                     f"planner {planner!r}: use one of {', '.join(ONLINE_PLANNERS)}, or give one of your own"
                 )
-            planner = make(planner, network=network, sensing_range=reach)
-        self._rules: Rules = getattr(planner, "rules", complete_rules(reach))
-        if self._rules.sensing.radius != reach:
-            raise InputError(f"sensing_range {reach}: the planner's rules say {self._rules.sensing.radius}; give that")
+            planner = make(planner, network=network, settings=settings, sensing_range=reach)
+        self.rules: Rules = getattr(planner, "rules", complete_rules(reach))
+        if self.rules.sensing.radius != reach:
+            raise InputError(f"sensing_range {reach}: the planner's rules say {self.rules.sensing.radius}; give that")
         self._planner = getattr(planner, "memoryless", lambda: planner)()
         self._largest = rows, columns
         self._margin = max(_OPEN_MARGIN, reach) if open_ended else 0
@@ -154,7 +161,7 @@ class OnlinePlanner:
 
     def _view(self, terrain: UInt8[np.ndarray, "h w"], robot: RobotPose) -> View:
         """The inputs of a decision, computed in one call of the device."""
-        looked = _look(self._planner, terrain, np.array(robot, np.int32), rules=self._rules)
+        looked = _look(self._planner, terrain, np.array(robot, np.int32), rules=self.rules)
         return View(*jax.device_get(looked))
 
 

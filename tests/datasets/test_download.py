@@ -22,7 +22,6 @@ from dc2g_jax.datasets.download import (
     BASE_URL,
     FOLDER_NAME,
     NetworkUnavailable,
-    cache_folder,
     fetch_dataset,
     matches_published,
     read_manifest,
@@ -189,19 +188,6 @@ def test_trouble_that_passes_is_tried_again(fetch, source, server):
     }
     assert contents(fetch()) == contents(source)
     assert server.requests["full/test/a 2.png"] == 3
-
-
-@pytest.mark.parametrize("variable", ["DC2G_CACHE", "XDG_CACHE_HOME", "HOME"])
-def test_cache_folder_from_the_environment(variable, tmp_path, monkeypatch):
-    for name in ("DC2G_CACHE", "XDG_CACHE_HOME"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv(variable, str(tmp_path))
-    expected = {
-        "DC2G_CACHE": tmp_path,
-        "XDG_CACHE_HOME": tmp_path / "dc2g_jax",
-        "HOME": tmp_path / ".cache/dc2g_jax",
-    }
-    assert cache_folder() == expected[variable]
 
 
 def test_download_goes_to_the_cache_of_the_environment(server, manifest, source, tmp_path, monkeypatch):

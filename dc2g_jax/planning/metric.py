@@ -1,0 +1,229 @@
+"""The planner on a robot's own map: grids as ROS has them, with poses in meters of the map frame."""
+
+import collections
+import functools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+import numpy.typing as npt
+from jaxtyping import Array, Bool, Int, UInt8
+
+from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.estimators import Estimator
+from dc2g_jax.grid import bitboard
+from dc2g_jax.grid.gridworld import belief_from_map
+from dc2g_jax.grid.poses import make_pose
+from dc2g_jax.grid.sensing import MAX_SENSING_RANGE, Kernel
+from dc2g_jax.grid.terrain import UNKNOWN
+from dc2g_jax.planning.decisions import explain
+from dc2g_jax.planning.metric_map import DrawnMap, MetricMap, MetricPose, class_of_values, draw, numbers_of
+from dc2g_jax.planning.online import OnlinePlanner
+from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, Planner
+from dc2g_jax.programs import jit
+
+#: A robot this close to its subgoal has reached it, in meters, or within a cell of it. Navigation2 stops within 0.25 m.
+_ARRIVAL = 0.3
+
+
+class MetricCandidate(NamedTuple):
+    """A pose that the robot might explore from, see `dc2g_jax.planning.decisions.Candidate`.
+
+    Attributes:
+      pose: the pose.
+      cost_to_go: predicted cost from there to the door, in cells of the planner; `None` without predictions.
+      distance: actions from the robot: one cell forward, or a quarter turn.
+      score: the planner's score; the lowest wins.
+    """
+
+    pose: MetricPose
+    cost_to_go: float | None
+    distance: int
+    score: float
+
+
+@dataclass(frozen=True)
+class MetricDecision:
+    """The next subgoal of a robot, and the reason for it.
+
+    Attributes:
+      mode: "explore", "to_goal" (a door is reachable) or "gave_up".
+      subgoal: last pose of the path; `None` if the planner gave up.
+      path: the robot's own pose, then the centers of the cells along a shortest plan, one pose an action.
+      candidates: candidates for exploration, the subgoal first, then in ascending order of score.
+      why: the reason, in one sentence.
+      cell_size: side of a cell that this was planned with, in meters.
+    """
+
+    mode: str
+    subgoal: MetricPose | None
+    path: tuple[MetricPose, ...]
+    candidates: tuple[MetricCandidate, ...]
+    why: str
+    cell_size: float
+
+
+@functools.partial(jit, static_argnames=("sensing",))
+def _in_view(terrain: UInt8[Array, "h w"], heading: Int[Array, ""], *, sensing: Kernel) -> Bool[Array, "h w"]:
+    """What is seen from the middle of a map."""
+    height, width = terrain.shape
+    belief = belief_from_map(terrain, make_pose(width // 2, height // 2, heading))
+    return bitboard.unpack(sensing.visible(belief.pose, belief.opaque, width), width)
+
+
+class MetricPlanner:
+    """Decides for one robot on its own map in meters, one call at a time, with an `OnlinePlanner`.
+
+    ```
+    planner = MetricPlanner(cell_size=0.25, sensing_range=3.0)
+    decision = planner.plan(MetricMap(cells, 0.05, MapFrame(-10.0, -10.0, 0.0)), (0.0, 0.0, 1.57))
+    ```
+
+    The map may be finer than the planner's cells: a cell has the smallest whole number of pixels along a side that
+    makes it at least `cell_size`, and stays in its place when the map grows. What becomes of the pixels:
+    `dc2g_jax.grid.sampling.sample_conservatively`. The robot's own cell counts as traversable. The world goes on beyond
+    the map's edges.
+
+    If there is nothing to explore and no path to a door, the planner halves its cells and looks again, down to the
+    pixels of the map. So it only gives up if nothing unknown can be seen from any ground that free pixels connect to
+    the robot, apart from what was set aside: a cell that is still unknown at the next call after the robot has reached
+    its subgoal and looked at it is set aside until it becomes known.
+
+    Args:
+      planner: see `OnlinePlanner`; `None` for `dc2g` on semantic maps and `frontier` on occupancy maps, from whose two
+        classes the trained network predicts too little.
+      cell_size: side of the planner's cells, in meters: about the robot's diameter, and at most half as wide as the
+        narrowest passage, so that some cell fits into it.
+      sensing_range: range of the robot's 90-degree field of view, in meters; walls hide what is behind them.
+      labels: value of a cell -> class name, see `dc2g_jax.grid.terrain.CLASS_NAMES`, for semantic maps; `None` for
+        occupancy maps, whose cells are 0 (free) to 100 (occupied).
+      network: see `OnlinePlanner`.
+      largest: rows and columns of the largest map, in cells of the planner. Larger ones compile once more.
+
+    Raises:
+      InputError: a size is invalid, a label is unknown, or `OnlinePlanner` rejects the planner.
+    """
+
+    def __init__(
+        self,
+        planner: str | Planner | None = None,
+        *,
+        cell_size: float,
+        sensing_range: float,
+        labels: Mapping[int, str] | None = None,
+        network: Estimator | str | Path | None = None,
+        largest: tuple[int, int] = (100, 100),
+    ):
+        if not (0 < cell_size < math.inf and 0 < sensing_range < math.inf):
+            raise InputError(f"cell_size {cell_size}, sensing_range {sensing_range}: give meters, such as 0.25 and 3.0")
+        self._classes = class_of_values(labels)
+        self._cell_size = cell_size
+        self._make = functools.partial(
+            OnlinePlanner,
+            ("frontier" if labels is None else "dc2g") if planner is None else planner,
+            network=network,
+            sensing_range=min(max(1, math.floor(sensing_range / cell_size + 1e-6)), MAX_SENSING_RANGE),
+            open_ended=True,
+            settings="occluded",
+        )
+        self._largest = largest
+        self._online = self._make(largest=largest)
+        self._aside: dict[int, set[tuple[int, int]]] = collections.defaultdict(set)
+        self._drawn: DrawnMap | None = None
+        self._target: MetricPose | None = None
+        self._reached: MetricPose | None = None
+
+    def plan(self, grid: MetricMap, pose: npt.ArrayLike, *, doors: Iterable[Sequence[float]] = ()) -> MetricDecision:
+        """Decide the next subgoal (Algorithm 2).
+
+        Args:
+          grid: the map so far.
+          pose: x, y and yaw of the robot in the map frame, meters and radians. The yaw is taken as the nearest quarter
+            turn of the grid.
+          doors: x and y of the doors that the robot has detected, in the map frame. Each makes its cell a door,
+            whatever the map says there. Those far off the map count once it comes near.
+
+        Raises:
+          InputError: the map, the pose or a door is invalid.
+        """
+        here = MetricPose(*numbers_of("pose", pose, 3))
+        found = tuple(numbers_of("door", door, 2) for door in doors)
+        self._look_around(here, grid)
+        factor = max(1, math.ceil(self._cell_size / grid.resolution - 1e-4))
+        decision = self._decided(grid, factor, here, found)
+        while decision.mode == MODE_NAMES[GAVE_UP] and factor > 1:
+            factor //= 2
+            decision = self._decided(grid, factor, here, found)
+        self._target = decision.subgoal if decision.mode == MODE_NAMES[EXPLORE] else None
+        return decision
+
+    def set_aside(self, pose: MetricPose) -> None:
+        """Set aside what would be seen from a pose and is unknown: the robot has been there, or cannot get there.
+
+        Args:
+          pose: the subgoal of the last decision.
+        """
+        if self._drawn is None:
+            return
+        terrain, left, top, cells, factor = self._drawn
+        sensing = self._online.rules.sensing
+        reach = sensing.radius
+        x, y, heading = cells.pose_in(pose)
+        if not (0 <= x - left < terrain.shape[1] and 0 <= y - top < terrain.shape[0]):
+            return
+        around = np.pad(terrain, reach)[y - top :, x - left :][: 2 * reach + 1, : 2 * reach + 1]
+        seen = jax.device_get(_in_view(around, np.int32(heading), sensing=sensing))
+        rows, columns = np.nonzero(seen & (around == UNKNOWN))
+        self._aside[factor] |= set(zip((columns + x - reach).tolist(), (rows + y - reach).tolist(), strict=True))
+
+    def _look_around(self, here: MetricPose, grid: MetricMap) -> None:
+        """Set aside what the robot looked at in vain. Forget all of that if the map's cells are others than before."""
+        if self._drawn is None:
+            return
+        cells, factor = self._drawn.cells, self._drawn.factor
+        if not (
+            math.isclose(cells.frame.yaw, grid.origin.yaw, abs_tol=1e-6)
+            and math.isclose(cells.size, factor * grid.resolution, rel_tol=1e-6)
+        ):
+            self._aside.clear()
+            self._drawn = self._target = self._reached = None
+            return
+        if self._reached is not None:
+            self.set_aside(self._reached)
+        self._reached = None
+        if self._target is not None:
+            near = math.dist(here[:2], self._target[:2]) <= max(_ARRIVAL, cells.size)
+            if near and cells.pose_in(here).heading == cells.pose_in(self._target).heading:
+                self._reached = self._target
+
+    def _decided(
+        self, grid: MetricMap, factor: int, here: MetricPose, doors: Iterable[Sequence[float]]
+    ) -> MetricDecision:
+        """The decision in cells of so many pixels along a side."""
+        aside, margin = self._aside[factor], self._online.rules.sensing.radius
+        self._drawn = draw(grid, factor, self._classes, here, doors=doors, aside=aside, margin=margin)
+        terrain, left, top, cells, _ = self._drawn
+        if any(side > largest for side, largest in zip(terrain.shape, self._largest, strict=True)):
+            rows, columns = (max(side, 2 * largest) for side, largest in zip(terrain.shape, self._largest, strict=True))
+            self._largest = rows, columns
+            self._online = self._make(largest=self._largest)
+        decision = self._online.plan(terrain, cells.pose_in(here), origin=(left, top))
+        path = [here, *(cells.center(*pose) for pose in decision.path[1:])] if decision.path else []
+        why = explain(decision.mode, decision.path, decision.candidates, cells.words)
+        if decision.mode == MODE_NAMES[GAVE_UP] and aside:
+            why += f"; {len(aside)} cells are still unknown after the robot looked at them"
+        return MetricDecision(
+            mode=decision.mode,
+            subgoal=cells.center(*decision.subgoal) if decision.subgoal else None,
+            path=tuple(path),
+            candidates=tuple(
+                MetricCandidate(cells.center(*each[:3]), each.cost_to_go, each.distance, each.score)
+                for each in decision.candidates
+            ),
+            why=why,
+            cell_size=cells.size,
+        )

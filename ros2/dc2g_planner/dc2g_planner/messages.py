@@ -1,0 +1,161 @@
+"""Messages of ROS as inputs of the planner, and its decisions as messages. Nothing here needs ROS itself."""
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from dc2g_jax.errors import InputError, short
+from dc2g_jax.grid.map_frame import MapFrame
+from dc2g_jax.planning.metric import MetricDecision
+from dc2g_jax.planning.metric_map import MetricMap, MetricPose
+
+#: Colors of the best and the worst candidate and of the subgoal; red, green, blue.
+_BEST, _WORST, _SUBGOAL = (0.1, 0.8, 0.2), (0.9, 0.4, 0.1), (0.1, 0.3, 1.0)
+
+
+def map_of(message: Any) -> MetricMap:
+    """The map of a `nav_msgs/OccupancyGrid`.
+
+    Raises:
+      InputError: the message contradicts itself, or a value is invalid.
+    """
+    info, cells = message.info, np.asarray(message.data)
+    if cells.size != info.width * info.height:
+        raise InputError(
+            f"the map has {cells.size} cells, but says {info.width} x {info.height}; publish one value for each"
+        )
+    at = info.origin.position
+    frame = MapFrame(at.x, at.y, yaw_of(info.origin.orientation))
+    return MetricMap(cells.reshape(info.height, info.width), float(info.resolution), frame)
+
+
+def yaw_of(quaternion: Any) -> float:
+    """The yaw of a `geometry_msgs/Quaternion`, in radians."""
+    x, y, z, w = quaternion.x, quaternion.y, quaternion.z, quaternion.w
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def pose_of(transform: Any) -> MetricPose:
+    """The pose of the robot by a `geometry_msgs/Transform` from the map to it."""
+    return MetricPose(transform.translation.x, transform.translation.y, yaw_of(transform.rotation))
+
+
+def doors_of(message: Any, frame: str) -> list[tuple[float, float]]:
+    """The doors of a `geometry_msgs/PoseArray`.
+
+    Raises:
+      InputError: they are not given in the frame of the map.
+    """
+    if message.header.frame_id != frame:
+        raise InputError(f"doors are in the frame {message.header.frame_id!r}; give them in {frame!r}, that of the map")
+    return [(pose.position.x, pose.position.y) for pose in message.poses]
+
+
+def labels_of(lines: Iterable[str]) -> dict[int, str] | None:
+    """The classes of `["1:road", "7:house"]`; `None` if no line says anything.
+
+    Raises:
+      InputError: a line says something else.
+    """
+    labels = {}
+    for line in filter(None, lines):
+        value, colon, name = line.partition(":")
+        if not (colon and value.strip().isdecimal()):
+            raise InputError(f"labels: {short(line)}; write VALUE:CLASS, such as 1:road")
+        labels[int(value)] = name.strip()
+    return labels or None
+
+
+def place_to_drive_to(decision: MetricDecision) -> MetricPose | None:
+    """Where to send the robot: to the subgoal, or in front of the door. `None` if it is there, or has nowhere to go."""
+    steps = decision.path[:-1] if decision.mode == "to_goal" else decision.path
+    return steps[-1] if len(steps) > 1 else None
+
+
+class Outgoing:
+    """Messages with a decision.
+
+    Args:
+      types: has the message classes by name, as attributes: `ColorRGBA`, `Header`, `Marker`, `MarkerArray`, `Path`,
+        `Point`, `Pose`, `PoseArray`, `PoseStamped`, `Quaternion`, `String` and `Vector3`.
+      frame: frame of the map.
+      stamp: time of the decision.
+    """
+
+    def __init__(self, types: Any, frame: str, stamp: Any):
+        self._types = types
+        self._header = types.Header(stamp=stamp, frame_id=frame)
+
+    def pose(self, pose: MetricPose) -> Any:
+        """A `geometry_msgs/Pose`."""
+        turn = self._types.Quaternion(x=0.0, y=0.0, z=math.sin(pose.yaw / 2), w=math.cos(pose.yaw / 2))
+        return self._types.Pose(position=self._types.Point(x=pose.x, y=pose.y, z=0.0), orientation=turn)
+
+    def stamped(self, pose: MetricPose) -> Any:
+        """A `geometry_msgs/PoseStamped`."""
+        return self._types.PoseStamped(header=self._header, pose=self.pose(pose))
+
+    def frontiers(self, decision: MetricDecision) -> Any:
+        """A `geometry_msgs/PoseArray` of the candidates, the subgoal first, then by score."""
+        poses = [self.pose(candidate.pose) for candidate in decision.candidates]
+        return self._types.PoseArray(header=self._header, poses=poses)
+
+    def path(self, decision: MetricDecision) -> Any:
+        """A `nav_msgs/Path`."""
+        return self._types.Path(header=self._header, poses=[self.stamped(pose) for pose in decision.path])
+
+    def why(self, decision: MetricDecision) -> Any:
+        """A `std_msgs/String` with the reason."""
+        return self._types.String(data=decision.why)
+
+    def markers(self, decision: MetricDecision) -> Any:
+        """A `visualization_msgs/MarkerArray`: candidates from the best (green) to the worst, the subgoal, and why."""
+        new, size = self._types, decision.cell_size
+        markers = [new.Marker(header=self._header, action=new.Marker.DELETEALL)]
+        if decision.candidates:
+            shares = np.linspace(0.0, 1.0, len(decision.candidates))[:, None]
+            colors = ((1 - shares) * _BEST + shares * _WORST).tolist()
+            poses = [candidate.pose for candidate in decision.candidates]
+            markers.append(
+                self._marker(
+                    new.Marker.CUBE_LIST,
+                    (0.6 * size, 0.6 * size, 0.02),
+                    points=[new.Point(x=pose.x, y=pose.y, z=0.0) for pose in poses],
+                    colors=[self._color(color) for color in colors],
+                )
+            )
+        if decision.subgoal is not None:
+            above = self.pose(decision.subgoal)
+            above.position.z = 0.5
+            arrow = (2 * size, 0.4 * size, 0.4 * size)
+            markers += [
+                self._marker(new.Marker.ARROW, arrow, pose=self.pose(decision.subgoal), color=self._color(_SUBGOAL)),
+                self._marker(
+                    new.Marker.TEXT_VIEW_FACING,
+                    (0.0, 0.0, 0.2),
+                    pose=above,
+                    color=self._color((1.0, 1.0, 1.0)),
+                    text=decision.why,
+                ),
+            ]
+        for number, marker in enumerate(markers):
+            marker.id = number
+        return new.MarkerArray(markers=markers)
+
+    def _marker(self, kind: int, scale: tuple[float, float, float], **fields: Any) -> Any:
+        x, y, z = scale
+        fields = {"pose": self.pose(MetricPose(0.0, 0.0, 0.0)), **fields}
+        return self._types.Marker(
+            header=self._header,
+            ns="dc2g",
+            type=kind,
+            action=self._types.Marker.ADD,
+            scale=self._types.Vector3(x=x, y=y, z=z),
+            **fields,
+        )
+
+    def _color(self, color: Iterable[float]) -> Any:
+        red, green, blue = color
+        return self._types.ColorRGBA(r=red, g=green, b=blue, a=1.0)

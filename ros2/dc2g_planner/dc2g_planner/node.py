@@ -1,0 +1,150 @@
+"""The node: a map and the robot's pose come in; subgoal, path and ranked frontiers go out."""
+
+import functools
+import gc
+import sys
+from types import SimpleNamespace
+from typing import Any
+
+import rclpy
+from action_msgs.msg import GoalStatus
+from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion, Vector3
+from nav2_msgs.action import NavigateToPose
+from nav_msgs.msg import OccupancyGrid, Path
+from rclpy.action import ActionClient
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.time import Time
+from std_msgs.msg import ColorRGBA, Header, String
+from tf2_ros import Buffer, TransformException, TransformListener
+from visualization_msgs.msg import Marker, MarkerArray
+
+from dc2g_jax.errors import InputError
+from dc2g_jax.planning.metric import MetricDecision, MetricPlanner
+from dc2g_jax.planning.metric_map import MetricPose
+
+from .messages import Outgoing, doors_of, labels_of, map_of, place_to_drive_to, pose_of
+
+_TYPES = SimpleNamespace(
+    ColorRGBA=ColorRGBA, Header=Header, Marker=Marker, MarkerArray=MarkerArray, Path=Path, Point=Point, Pose=Pose,
+    PoseArray=PoseArray, PoseStamped=PoseStamped, Quaternion=Quaternion, String=String, Vector3=Vector3,
+)  # fmt: skip
+
+#: The last message is kept for subscribers that come later.
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+#: Two places to drive to are the same if they differ by less, in meters and radians.
+_SAME = 0.01
+
+
+class PlannerNode(Node):
+    """Decides after each new map, and drives if the parameter `drive` says so."""
+
+    def __init__(self) -> None:
+        super().__init__("dc2g_planner")
+        defaults: dict[str, Any] = {
+            "planner": "", "network": "", "cell_size": 0.25, "sensing_range": 3.0, "labels": [""],
+            "largest": [100, 100], "base_frame": "base_link", "period": 1.0, "drive": False,
+        }  # fmt: skip
+        given = {name: self.declare_parameter(name, default).value for name, default in defaults.items()}
+        self._planner = MetricPlanner(
+            given["planner"] or None,
+            cell_size=given["cell_size"],
+            sensing_range=given["sensing_range"],
+            labels=labels_of(given["labels"]),
+            network=given["network"] or None,
+            largest=tuple(given["largest"]),
+        )
+        gc.freeze()  # a full collection would delay some decision by a tenth of a second
+        self._base_frame = given["base_frame"]
+        self._map: OccupancyGrid | None = None
+        self._doors = PoseArray()
+        self._is_news = False
+        self._goal: MetricPose | None = None
+        self._tf = Buffer()
+        self._listener = TransformListener(self._tf, self)
+        self._nav2 = ActionClient(self, NavigateToPose, "navigate_to_pose") if given["drive"] else None
+        self._out = {
+            name: self.create_publisher(kind, f"~/{name}", _LATCHED)
+            for name, kind in (
+                ("frontiers", PoseArray), ("subgoal", PoseStamped), ("path", Path), ("markers", MarkerArray),
+                ("why", String),
+            )
+        }  # fmt: skip
+        self.create_subscription(OccupancyGrid, "map", self._on_map, _LATCHED)
+        self.create_subscription(PoseArray, "doors", self._on_doors, 1)
+        self.create_timer(given["period"], self._decide)
+
+    def _on_map(self, message: OccupancyGrid) -> None:
+        self._map, self._is_news = message, True
+
+    def _on_doors(self, message: PoseArray) -> None:
+        self._doors, self._is_news = message, True
+
+    def _decide(self) -> None:
+        """Decide on the latest map, if anything is new, and publish the decision."""
+        if self._map is None or not self._is_news:
+            return
+        frame = self._map.header.frame_id
+        try:
+            transform = self._tf.lookup_transform(frame, self._base_frame, Time()).transform
+            doors = doors_of(self._doors, frame) if self._doors.poses else []
+            decision = self._planner.plan(map_of(self._map), pose_of(transform), doors=doors)
+        except (InputError, TransformException) as error:
+            self.get_logger().warning(f"no decision: {error}")
+            return
+        self._is_news = False
+        out = Outgoing(_TYPES, frame, self.get_clock().now().to_msg())
+        for name in ("frontiers", "path", "markers", "why"):
+            self._out[name].publish(getattr(out, name)(decision))
+        if decision.subgoal is not None:
+            self._out["subgoal"].publish(out.stamped(decision.subgoal))
+        self._drive(out, decision)
+
+    def _drive(self, out: Outgoing, decision: MetricDecision) -> None:
+        """Send the robot to where the decision says, unless it is on its way there. Nav2 drops its last goal then."""
+        place = place_to_drive_to(decision)
+        if self._nav2 is None or place is None:
+            return
+        if self._goal is not None and max(abs(a - b) for a, b in zip(place, self._goal, strict=True)) < _SAME:
+            return
+        if not self._nav2.server_is_ready():
+            self.get_logger().warning("Nav2's action navigate_to_pose is not there yet")
+            self._is_news = True
+            return
+        self._goal = place
+        goal = NavigateToPose.Goal()
+        goal.pose = out.stamped(place)
+        self._nav2.send_goal_async(goal).add_done_callback(functools.partial(self._on_answer, place, decision))
+
+    def _on_answer(self, place: MetricPose, decision: MetricDecision, future: Any) -> None:
+        handle = future.result()
+        if handle.accepted:
+            handle.get_result_async().add_done_callback(functools.partial(self._on_result, place, decision))
+        elif place == self._goal:
+            self.get_logger().warning("Nav2 rejected the subgoal")
+            self._goal, self._is_news = None, True
+
+    def _on_result(self, place: MetricPose, decision: MetricDecision, future: Any) -> None:
+        """Decide anew at the subgoal; if it cannot be reached, do without what would be seen from there."""
+        if place != self._goal:
+            return
+        if future.result().status == GoalStatus.STATUS_ABORTED:
+            self.get_logger().warning(f"Nav2 cannot reach ({place.x:.2f}, {place.y:.2f})")
+            if decision.mode == "explore":
+                self._planner.set_aside(place)
+                self._goal = None
+        self._is_news = True
+
+
+def main() -> None:
+    """Run the node."""
+    rclpy.init()
+    try:
+        rclpy.spin(PlannerNode())
+    except InputError as error:
+        sys.exit(f"error: {error}")
+    except KeyboardInterrupt:
+        pass
+    finally:
+        rclpy.try_shutdown()

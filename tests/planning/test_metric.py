@@ -1,0 +1,345 @@
+"""The planner in meters: plain loops in the map frame, maps turned, mirrored and grown, and coarser cells."""
+
+import collections
+import functools
+import math
+
+import numpy as np
+import pytest
+
+from dc2g_jax.grid.map_frame import MapFrame
+from dc2g_jax.planning.metric import MetricPlanner
+from dc2g_jax.planning.metric_map import MetricMap, MetricPose
+from dc2g_jax.planning.planners import Frontier
+from dc2g_jax.planning.rules import complete_rules
+from tests.support.refusals import refusal
+
+FREE, OCCUPIED, UNKNOWN = 0, 100, -1
+
+#: Meters of a pixel as in a message, which has 32 bits for them, and the sensing range in cells.
+PIXEL, REACH = float(np.float32(0.05)), 3
+
+#: Quarter turns counterclockwise, as (dx, dy) with y upward.
+TURNS = ((1, 0), (0, 1), (-1, 0), (0, -1))
+
+FRAME = MapFrame(-3.2, 7.0, 0.7)
+
+
+@functools.cache
+def without_occlusion() -> Frontier:
+    return Frontier(complete_rules(REACH))
+
+
+def planner_of(pixels: int = 1, planner=None, **options) -> MetricPlanner:
+    """One whose cells have so many pixels along a side."""
+    size = pixels * 0.05
+    return MetricPlanner(planner, cell_size=size, sensing_range=REACH * size, largest=(16, 16), **options)
+
+
+def grid_of(cells: np.ndarray, frame: MapFrame = FRAME) -> MetricMap:
+    return MetricMap(np.asarray(cells, np.int8), PIXEL, frame)
+
+
+def place(column: float, row: float, turns: int = 0, frame: MapFrame = FRAME) -> MetricPose:
+    """The middle of a pixel in the map frame; the row counts from below."""
+    right, up = (column + 0.5) * PIXEL, (row + 0.5) * PIXEL
+    x = frame.x + right * math.cos(frame.yaw) - up * math.sin(frame.yaw)
+    y = frame.y + right * math.sin(frame.yaw) + up * math.cos(frame.yaw)
+    return MetricPose(x, y, frame.yaw + turns * math.pi / 2)
+
+
+def random_moment(seed: int, shape=(9, 13), free: float = 0.6):
+    """Random pixels, and a robot on one that is free."""
+    rng = np.random.default_rng(seed)
+    unknown = (1 - free) * rng.choice([0.1, 0.5])
+    cells = rng.choice([FREE, OCCUPIED, UNKNOWN], shape, p=[free, 1 - free - unknown, unknown])
+    row, column = (int(rng.integers(size)) for size in shape)
+    cells[row, column] = FREE
+    return cells, (column, row, int(rng.integers(4)))
+
+
+# --- plain loops, with y upward ---------------------------------------------------------------------------------------
+
+
+def actions_from(free: set, start) -> dict:
+    """Actions to every pose."""
+    found, queue = {start: 0}, collections.deque([start])
+    while queue:
+        column, row, turns = pose = queue.popleft()
+        dx, dy = TURNS[turns]
+        nexts = [(column, row, (turns + turn) % 4) for turn in (1, -1)]
+        if (column + dx, row + dy) in free:
+            nexts.append((column + dx, row + dy, turns))
+        for other in nexts:
+            if other not in found:
+                found[other] = found[pose] + 1
+                queue.append(other)
+    return found
+
+
+def frontier_poses(cells: np.ndarray, robot) -> dict:
+    """Poses from which an unknown neighbor of reachable ground is in view, and the actions to each."""
+    height, width = cells.shape
+    pixels = {(x, y): cells[y, x] for x in range(width) for y in range(height)}
+    free = {at for at, value in pixels.items() if value == FREE} | {robot[:2]}
+    actions = actions_from(free, robot)
+    beside = {(x + dx, y + dy) for x, y, _ in actions for dx, dy in TURNS}
+    wanted = {at for at in beside if pixels.get(at, UNKNOWN) == UNKNOWN} - {robot[:2]}
+
+    def sees(pose, at) -> bool:
+        dx, dy, (ahead_x, ahead_y) = at[0] - pose[0], at[1] - pose[1], TURNS[pose[2]]
+        ahead, aside = dx * ahead_x + dy * ahead_y, dx * ahead_y - dy * ahead_x
+        return abs(aside) < ahead and dx * dx + dy * dy <= REACH * REACH
+
+    return {pose: n for pose, n in actions.items() if pose != robot and any(sees(pose, at) for at in wanted)}
+
+
+def test_subgoals_and_candidates_are_those_of_plain_loops():
+    modes: collections.Counter = collections.Counter()
+    for seed in range(40):
+        cells, robot = random_moment(seed, free=(0.6, 0.3)[seed % 2])
+        decision = planner_of(planner=without_occlusion()).plan(grid_of(cells), place(*robot))
+        wanted = frontier_poses(cells, robot)
+        modes[decision.mode] += 1
+        assert (decision.mode == "gave_up") == (not wanted)
+        if not wanted:
+            continue
+        nearest: dict = {}
+        for (column, row, _), actions in wanted.items():
+            nearest[column, row] = min(actions, nearest.get((column, row), actions))
+        found = {tuple(np.round(each.pose[:2], 6)): each.distance for each in decision.candidates}
+        assert found == {tuple(np.round(place(*at)[:2], 6)): actions for at, actions in nearest.items()}
+        least = min(wanted.values())
+        ends = [place(*pose) for pose, actions in wanted.items() if actions == least]
+        assert any(same_pose(decision.subgoal, end) for end in ends)
+        assert len(decision.path) == least + 1
+        check_path(decision, cells, place(*robot))
+    assert min(modes["explore"], modes["gave_up"]) > 2, modes
+
+
+def same_pose(one: MetricPose, other: MetricPose) -> bool:
+    turned = math.remainder(one.yaw - other.yaw, math.tau)
+    return math.dist(one[:2], other[:2]) < 1e-6 and abs(turned) < 1e-6
+
+
+def check_path(decision, cells: np.ndarray, start: MetricPose) -> None:
+    """One cell ahead or a quarter turn at a time, over free pixels."""
+    assert decision.path[0] == start
+    assert decision.path[-1] == decision.subgoal
+    for before, after in zip(decision.path[:-1], decision.path[1:], strict=True):
+        turn = abs(math.remainder(after.yaw - before.yaw, math.tau))
+        ahead = before.x + PIXEL * math.cos(before.yaw), before.y + PIXEL * math.sin(before.yaw)
+        assert math.dist(after[:2], before[:2] if turn > 1 else ahead) < 1e-6
+        assert turn == pytest.approx(math.pi / 2 if turn > 1 else 0, abs=1e-6)
+    free = [place(column, row)[:2] for row, column in np.argwhere(cells == FREE)]
+    assert all(min(math.dist(pose[:2], at) for at in free) < 1e-6 for pose in decision.path)
+
+
+# --- the same ground in other grids -----------------------------------------------------------------------------------
+
+
+def summary(decision, moved=lambda x, y: (x, y)):
+    """What must not change: mode, length of the path, all candidates. Of equally near ones, any may be the subgoal."""
+    places = np.array([moved(*each.pose[:2]) for each in decision.candidates]).reshape(-1, 2).round(5).tolist()
+    distances = (each.distance for each in decision.candidates)
+    return decision.mode, len(decision.path), sorted(zip(places, distances, strict=True))
+
+
+@pytest.mark.parametrize("pixels", [1, 2, 3])
+def test_a_map_turned_mirrored_or_grown_gives_the_same_subgoals(pixels):
+    explored, width, frame = 0, 18, MapFrame(0.0, 0.0, 0.7)
+    across = width * PIXEL
+
+    def plan(cells, frame, pose):
+        return planner_of(pixels).plan(grid_of(cells, frame), pose)
+
+    def mirrored(x, y):
+        right, up = frame.to_grid(x, y)
+        return frame.to_map(across - right, up)
+
+    for seed in range(12):
+        cells, robot = random_moment(seed, (12, width), free=(0.7, 0.95)[seed % 2])
+        here = place(*robot, frame=frame)
+        wanted = plan(cells, frame, here)
+        explored += wanted.mode == "explore"
+        grown = np.pad(cells, ((5, 1), (7, 2)), constant_values=UNKNOWN)
+        corner = frame.to_map(-7 * PIXEL, -5 * PIXEL)
+        assert summary(plan(grown, MapFrame(*corner, frame.yaw), here)) == summary(wanted)
+        corner = frame.to_map(across, 0.0)
+        assert summary(plan(cells.T[::-1], MapFrame(*corner, frame.yaw + math.pi / 2), here)) == summary(wanted)
+        there = MetricPose(*mirrored(*here[:2]), 2 * frame.yaw + math.pi - here.yaw)
+        assert summary(plan(cells[:, ::-1], frame, there)) == summary(wanted, mirrored)
+    assert explored > 8
+
+
+@pytest.mark.parametrize(("away", "turns"), [(0.5, 0), (-0.7, 0), (0.8, 1)])
+def test_the_yaw_is_taken_as_the_nearest_quarter_turn(away, turns):
+    cells, robot = random_moment(4, free=0.95)
+    pose = place(*robot)
+    snapped = place(*robot[:2], robot[2] + turns)
+    there, here = (planner_of().plan(grid_of(cells), each) for each in (pose._replace(yaw=pose.yaw + away), snapped))
+    assert there.path[1:] == here.path[1:]
+
+
+# --- coarser cells ----------------------------------------------------------------------------------------------------
+
+
+def test_gives_up_only_if_no_pixel_is_left_to_explore():
+    modes: collections.Counter = collections.Counter()
+    for seed in range(30):
+        cells, robot = random_moment(seed, free=(0.3, 0.5, 0.75)[seed % 3])
+        decision = planner_of(3, without_occlusion()).plan(grid_of(cells), place(*robot))
+        # (In coarse cells there may be more to look at: pixels that no ground leads to.)
+        assert decision.mode == "explore" or not frontier_poses(cells, robot)
+        modes[decision.mode, round(decision.cell_size / PIXEL)] += 1
+    assert modes["gave_up", 1] > 2
+    assert modes["explore", 3] > 2
+    assert modes["explore", 1] > 2
+
+
+def test_passages_as_narrow_as_a_pixel_are_found():
+    cells = np.full((9, 30), OCCUPIED)
+    cells[:, :9] = cells[:, 20:] = FREE
+    cells[4, 9:20] = FREE
+    cells[:, 29] = UNKNOWN
+    cells[[0, -1]] = OCCUPIED
+    cells[:, 0] = OCCUPIED
+    planner = planner_of(3)
+    decision = planner.plan(grid_of(cells), place(3, 4))
+    assert decision.mode == "explore"
+    assert decision.cell_size == pytest.approx(PIXEL)
+    assert planner.plan(grid_of(cells), place(24, 4)).cell_size == pytest.approx(3 * PIXEL)
+
+
+# --- a robot under way ------------------------------------------------------------------------------------------------
+
+
+def drive(planner: MetricPlanner, world: np.ndarray, robot, hidden=(), doors=()):
+    """Decisions on the way; the robot goes to each subgoal and sees the pixels of its field of view but the hidden."""
+    seen, decisions = np.zeros(world.shape, bool), []
+    known_doors = [place(*door)[:2] for door in doors]
+    for _ in range(200):
+        column, row, turns = robot
+        for y, x in np.ndindex(world.shape):
+            dx, dy, (ahead_x, ahead_y) = x - column, y - row, TURNS[turns]
+            ahead, aside = dx * ahead_x + dy * ahead_y, dx * ahead_y - dy * ahead_x
+            seen[y, x] |= (abs(aside) < ahead and math.hypot(dx, dy) <= 3 * REACH) or max(abs(dx), abs(dy)) <= 1
+        for x, y in hidden:
+            seen[y, x] = False
+        decision = planner.plan(grid_of(np.where(seen, world, UNKNOWN)), place(*robot), doors=known_doors)
+        decisions.append(decision)
+        if decision.mode == "gave_up" or len(decision.path) == 1:
+            return decisions, seen
+        right, up = FRAME.to_grid(*decision.subgoal[:2])
+        turns = round((decision.subgoal.yaw - FRAME.yaw) / (math.pi / 2)) % 4
+        robot = math.floor(right / PIXEL), math.floor(up / PIXEL), turns
+    raise AssertionError("the robot never ends")
+
+
+@pytest.mark.parametrize("pixels", [1, 2])
+def test_exploration_sees_everything_and_ends_whatever_the_sensor_misses(pixels):
+    world = np.pad(np.full((12, 16), FREE), 1, constant_values=OCCUPIED)
+    world[6, :9] = OCCUPIED
+    hidden = [(12, 5), (12, 6), (5, 6)]  # a hole in the ground, and one in the wall
+    decisions, seen = drive(planner_of(pixels), world, (3, 2, 0), hidden)
+    assert decisions[-1].mode == "gave_up"
+    assert (~seen).sum() <= len(hidden) + 4, "all but the hidden and the corners"
+    assert "still unknown after the robot looked at them" in decisions[-1].why
+
+
+def test_what_was_set_aside_counts_again_when_it_is_known():
+    cells = np.full((1, 8), FREE)
+    cells[0, 7] = UNKNOWN
+    world = np.pad(cells, 1, constant_values=OCCUPIED)
+    planner = planner_of()
+    decision = planner.plan(grid_of(world), place(1, 1, 0))
+    assert decision.mode == "explore"
+    planner.set_aside(decision.subgoal)
+    assert planner.plan(grid_of(world), place(1, 1, 0)).mode == "gave_up"
+    world[1, 8], world[1, 9] = FREE, UNKNOWN
+    assert planner.plan(grid_of(world), place(1, 1, 0)).mode == "explore"
+
+
+# --- doors and classes ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("pixels", [1, 3])
+def test_a_detected_door_is_the_goal_even_in_a_wall(pixels):
+    world = np.pad(np.full((12, 15), FREE), 1, constant_values=OCCUPIED)
+    decision = planner_of(pixels).plan(grid_of(world), place(3, 3), doors=[place(16, 7)[:2], (1e6, -1e6)])
+    assert decision.mode == "to_goal"
+    assert math.dist(decision.subgoal[:2], place(16, 7)[:2]) < pixels * PIXEL
+    assert decision.why.startswith(f"to goal: the door at ({decision.subgoal.x:.2f}, {decision.subgoal.y:.2f}) m is")
+    there = planner_of(pixels).plan(grid_of(world), decision.subgoal, doors=[place(16, 7)[:2]])
+    assert (there.mode, len(there.path)) == ("to_goal", 1)
+
+
+def test_classes_by_the_robots_own_labels():
+    labels = {7: "road", 9: "house", 100: "front_door"}
+    cells = np.full((6, 9), 7)
+    cells[:, 8], cells[2, 8] = 9, 100
+    planner = planner_of(2, "frontier", labels=labels)
+    decision = planner.plan(grid_of(cells), place(1, 1))
+    assert decision.mode == "to_goal"
+    assert math.dist(decision.subgoal[:2], place(8, 2)[:2]) < 2 * PIXEL
+    cells[cells == 100] = -1
+    assert planner.plan(grid_of(cells), place(1, 1)).mode == "explore"
+    cells[3, 4] = 8
+    refusal(lambda: planner.plan(grid_of(cells), place(1, 1)), "the map holds 8 in column 4, row 3", "labels")
+
+
+def test_thresholds_are_those_of_map_saver():
+    """As in `nav2_map_server`: free up to 25, occupied from 65, between them unknown."""
+    for value, mode in ((0, "gave_up"), (25, "gave_up"), (26, "explore"), (64, "explore"), (65, "gave_up")):
+        world = np.pad(np.full((3, 5), FREE), 1, constant_values=100)
+        world[2, 5] = value
+        assert planner_of().plan(grid_of(world), place(1, 1)).mode == mode, value
+
+
+def test_the_planner_is_frontier_unless_there_are_classes():
+    assert planner_of()._make.args == ("frontier",)
+    with pytest.raises(Exception, match="no_such_network"):
+        planner_of(labels={1: "road"}, network="no_such_network")
+
+
+# --- bad input --------------------------------------------------------------------------------------------------------
+
+ROOM = np.full((4, 5), FREE)
+
+
+@pytest.mark.parametrize(
+    ("grid", "pose", "doors", "words"),
+    [
+        (lambda: grid_of(ROOM), (0, 0), (), ["pose is (0, 0)", "3 numbers"]),
+        (lambda: grid_of(ROOM), "here", (), ["pose is 'here'"]),
+        (lambda: grid_of(ROOM), (0, math.nan, 0), (), ["pose has nan"]),
+        (lambda: grid_of(ROOM), (0, 0, 1e300), (), ["pose has 1e+300"]),
+        (lambda: grid_of(ROOM), (0.0, 0.0, 0.0), (), ["(0.00, 0.00) m", "off the map of 5 x 4", "map frame"]),
+        (lambda: grid_of(ROOM), place(1, 1), [(1, 2, 3)], ["door is (1, 2, 3)", "2 numbers"]),
+        (lambda: grid_of(ROOM), place(1, 1), [(1, math.inf)], ["door has inf"]),
+        (lambda: grid_of(ROOM + 101), place(1, 1), (), ["holds 101 in column 0, row 0", "100 (occupied)"]),
+        (lambda: grid_of(ROOM - 2), place(1, 1), (), ["holds -2 to -2", "-1 (unknown)"]),
+        (lambda: grid_of(ROOM[0]), place(1, 1), (), ["shape (5,)", "int8 [rows columns]"]),
+        (lambda: grid_of(ROOM[:0]), place(1, 1), (), ["shape (0, 5)"]),
+        (lambda: MetricMap(ROOM + 0.5, 1.0, FRAME), place(1, 1), (), ["float64"]),
+        (lambda: MetricMap(ROOM, 0.0, FRAME), place(1, 1), (), ["resolution is 0.0"]),
+        (lambda: MetricMap(ROOM, math.nan, FRAME), place(1, 1), (), ["resolution is nan"]),
+        (lambda: MetricMap(ROOM, 1.0, MapFrame(0, 1e9, 0)), place(1, 1), (), ["origin has 1000000000"]),
+    ],
+)
+def test_bad_input_is_one_line(grid, pose, doors, words):
+    refusal(lambda: planner_of().plan(grid(), pose, doors=doors), *words)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"cell_size": 0}, ["cell_size 0", "meters"]),
+        ({"sensing_range": math.inf}, ["sensing_range inf"]),
+        ({"labels": {1: "lawn"}}, ["1 is 'lawn'", "grass"]),
+        ({"labels": {-1: "road"}}, ["-1 is 'road'", "0 to 127"]),
+        ({"planner": "oracle"}, ["'oracle'"]),
+    ],
+)
+def test_planners_that_cannot_be_made(options, words):
+    refusal(lambda: MetricPlanner(**{"cell_size": 0.25, "sensing_range": 3.0, **options}), *words)

@@ -1,0 +1,264 @@
+"""The node of ROS 2: real messages as CDR and in a bag, and its callbacks with a stand-in for rclpy."""
+
+import importlib
+import math
+
+import numpy as np
+import pytest
+import yaml
+from dc2g_planner import messages
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Writer
+
+from dc2g_jax.planning.metric import MetricPlanner
+from dc2g_jax.planning.metric_map import MetricPose
+from dc2g_jax.planning.online import OnlinePlanner
+from experiments.baselines import numpy_gridworld as oracle
+from tests.support import maps, ros
+from tests.support.places import ROOT
+from tests.support.refusals import refusal
+
+ROAD, HOUSE = 3, 7
+M = ros.MESSAGES
+
+#: Meters of a cell, as in a message; sensing range in cells; where the grid lies.
+CELL, REACH = float(np.float32(0.25)), 4
+X, Y, YAW = -2.0, 5.5, math.pi / 6
+
+
+def quaternion(yaw: float):
+    return M.Quaternion(x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2))
+
+
+def in_map(column: float, row: float, rows: int) -> tuple[float, float]:
+    """The middle of a cell in meters; the row counts from the top."""
+    right, up = (column + 0.5) * CELL, (rows - row - 0.5) * CELL
+    return X + right * math.cos(YAW) - up * math.sin(YAW), Y + right * math.sin(YAW) + up * math.cos(YAW)
+
+
+def map_message(terrain: np.ndarray):
+    """Observed terrain with rows from the top, 0 unknown, as a map: -1, 0 or 100, with rows from below."""
+    values = np.where(terrain == 0, -1, np.where(np.isin(terrain, oracle.TRAVERSABLE_CLASSES), 0, 100))
+    rows, columns = terrain.shape
+    origin = M.Pose(position=M.Point(x=X, y=Y, z=0.0), orientation=quaternion(YAW))
+    info = M.MapMetaData(resolution=CELL, width=columns, height=rows, origin=origin)
+    return M.OccupancyGrid(header=M.Header(frame_id="map"), info=info, data=np.ravel(values[::-1]).astype(np.int8))
+
+
+def transform_of(pose, rows: int):
+    x, y = in_map(pose[0], pose[1], rows)
+    return M.Transform(translation=M.Vector3(x=x, y=y, z=0.0), rotation=quaternion(YAW - pose[2] * math.pi / 2))
+
+
+def run(seed: int, steps: int = 12):
+    """What a robot on frontier exploration observes, step by step, and its poses."""
+    terrain = maps.random_terrain(seed, (14, 18), 0.75, doors=0)
+    pose = maps.random_pose(seed, np.isin(terrain, oracle.TRAVERSABLE_CLASSES))
+    seen = np.zeros(terrain.shape, bool)
+    for action in np.random.default_rng(seed).integers(3, size=steps).tolist():
+        seen |= oracle.visible(pose, REACH, terrain.shape)
+        yield np.where(seen, terrain, 0), pose
+        after = oracle.moved(pose, action, terrain.shape)
+        if terrain[after[1], after[0]] in oracle.TRAVERSABLE_CLASSES:
+            pose = after
+
+
+def test_a_bag_leads_to_the_subgoals_of_the_planner_in_cells(tmp_path):
+    with Writer(tmp_path / "bag", version=9) as bag:
+        topics = {
+            name: bag.add_connection(name, kind, typestore=ros.STORE)
+            for name, kind in (("/map", "nav_msgs/msg/OccupancyGrid"), ("/tf", "tf2_msgs/msg/TFMessage"))
+        }
+        walks = [moment for seed in range(3) for moment in run(seed)]
+        for time, (terrain, pose) in enumerate(walks):
+            header = M.Header(frame_id="map")
+            robot = M.TransformStamped(
+                header=header, child_frame_id="base_link", transform=transform_of(pose, len(terrain))
+            )
+            for name, message in (("/tf", M.TFMessage(transforms=[robot])), ("/map", map_message(terrain))):
+                bag.write(topics[name], time, ros.STORE.serialize_cdr(message, message.__msgtype__))
+    in_cells = OnlinePlanner("frontier", sensing_range=REACH, largest=(18, 18), open_ended=True, settings="occluded")
+    explored = 0
+    with AnyReader([tmp_path / "bag"], default_typestore=ros.STORE) as bag:
+        robot, moments = None, iter(walks)
+        for connection, _, data in bag.messages():
+            message = bag.deserialize(data, connection.msgtype)
+            if connection.topic == "/tf":
+                robot = messages.pose_of(message.transforms[0].transform)
+                continue
+            terrain, pose = next(moments)
+            planner = MetricPlanner(cell_size=0.25, sensing_range=REACH * 0.25, largest=(18, 18))
+            decision = planner.plan(messages.map_of(message), robot)
+            grid = np.where(np.isin(terrain, (0, *oracle.TRAVERSABLE_CLASSES)), np.where(terrain, ROAD, 0), HOUSE)
+            wanted = in_cells.plan(grid.astype(np.uint8), pose)
+            explored += wanted.mode == "explore"
+            assert decision.mode == wanted.mode
+            frontiers = ros.copied(messages.Outgoing(M, "map", M.Time()).frontiers(decision))
+            found = [(pose.position.x, pose.position.y, messages.yaw_of(pose.orientation)) for pose in frontiers.poses]
+            expected = [
+                (*in_map(each.x, each.y, len(terrain)), math.remainder(YAW - each.heading * math.pi / 2, math.tau))
+                for each in wanted.candidates
+            ]
+            np.testing.assert_allclose(found, expected, atol=1e-6)
+            if wanted.subgoal:
+                assert decision.subgoal == pytest.approx(found[0] if found else decision.subgoal, abs=1e-6)
+    assert next(moments, None) is None
+    assert explored > 20
+
+
+# --- messages in and out ----------------------------------------------------------------------------------------------
+
+
+def test_what_a_message_says_that_cannot_be():
+    message = map_message(np.full((3, 4), ROAD))
+    message.info.width = 5
+    refusal(lambda: messages.map_of(message), "12 cells", "5 x 3")
+    doors = M.PoseArray(header=M.Header(frame_id="odom"), poses=[M.Pose()])
+    refusal(lambda: messages.doors_of(doors, "map"), "'odom'", "'map'")
+    for line in ("road", "x:road", "-1:road", ":road"):
+        refusal(lambda line=line: messages.labels_of([line]), line, "VALUE:CLASS")
+
+
+def test_labels():
+    assert messages.labels_of([""]) is None
+    assert messages.labels_of(["1:road", "12: garage door"]) == {1: "road", 12: "garage door"}
+
+
+# --- the node ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def start(monkeypatch):
+    """Start a node with parameters."""
+    ros.install(monkeypatch)
+    monkeypatch.delitem(importlib.sys.modules, "dc2g_planner.node", raising=False)
+    node = importlib.import_module("dc2g_planner.node")
+    monkeypatch.setattr(node.gc, "freeze", lambda: None)
+
+    def started(**parameters):
+        sizes = {"cell_size": 0.25, "sensing_range": REACH * 0.25, "largest": [18, 18]}
+        monkeypatch.setattr(ros.Node, "parameters", {**sizes, **parameters})
+        return node.PlannerNode()
+
+    return started
+
+
+CORRIDOR = np.pad(np.array([[ROAD] * 9 + [0]], np.uint8), ((1, 1), (1, 0)), constant_values=HOUSE)
+
+
+def at(node, pose, terrain=CORRIDOR) -> None:
+    """The robot is at a pose and publishes a map; the node's timer ticks."""
+    node._tf.transforms["map", "base_link"] = transform_of(pose, len(terrain))
+    node.subscribed["map"](ros.copied(map_message(terrain)))
+    node.tick()
+
+
+def test_a_decision_is_published(start):
+    node = start()
+    node.tick()
+    node.subscribed["map"](map_message(CORRIDOR))
+    node.tick()
+    assert node.published == {}
+    assert node.warnings == ["no decision: base_link is not connected to map"]
+    at(node, (2, 1, 0))
+    subgoal, path, frontiers, markers, why = (
+        node.published[f"~/{name}"] for name in ("subgoal", "path", "frontiers", "markers", "why")
+    )
+    x, y = in_map(6, 1, 3)
+    assert (subgoal.pose.position.x, subgoal.pose.position.y) == pytest.approx((x, y))
+    assert messages.yaw_of(subgoal.pose.orientation) == pytest.approx(YAW)
+    assert (subgoal.header.frame_id, subgoal.header.stamp.sec) == ("map", 7)
+    assert path.poses[-1].pose == subgoal.pose == frontiers.poses[0]
+    assert len(path.poses) == 5
+    assert [marker.type for marker in markers.markers[1:]] == [6, 0, 9]
+    assert len(markers.markers[1].points) == len(markers.markers[1].colors) == len(frontiers.poses)
+    assert why.data == markers.markers[3].text
+    assert why.data.startswith(f"explore: ({x:.2f}, {y:.2f}) m facing 30 degrees is the nearest")
+    node.published.clear()
+    node.tick()
+    assert node.published == {}, "nothing is new"
+
+
+def test_the_file_of_parameters_has_those_of_the_node(start):
+    text = (ROOT / "ros2/dc2g_planner/config/dc2g_planner.yaml").read_text()
+    parameters = yaml.safe_load(text)["dc2g_planner"]["ros__parameters"]
+    assert parameters.pop("use_sim_time") is False  # every node has it
+    node = start(**parameters)
+    assert node.declared == parameters.keys()
+    table = (ROOT / "docs/tutorials/on_a_ros2_robot.md").read_text()
+    assert [name for name in node.declared if f"| `{name}` |" not in table] == []
+
+
+def test_doors_count_in_the_frame_of_the_map(start):
+    node = start()
+    x, y = in_map(5, 0, 3)
+    door = M.Pose(position=M.Point(x=x, y=y, z=0.0))
+    node.subscribed["doors"](M.PoseArray(header=M.Header(frame_id="odom"), poses=[door]))
+    at(node, (2, 1, 0))
+    assert "'odom'" in node.warnings[0]
+    node.subscribed["doors"](M.PoseArray(header=M.Header(frame_id="map"), poses=[door]))
+    node.tick()
+    assert node.published["~/why"].data.startswith(f"to goal: the door at ({x:.2f}, {y:.2f}) m is reachable in 5")
+    assert node.published["~/frontiers"].poses == []
+
+
+def test_it_drives_only_if_asked(start):
+    assert start()._nav2 is None
+    node = start(drive=True)
+    node._nav2.ready = False
+    at(node, (2, 1, 0))
+    assert node._nav2.goals == []
+    node._nav2.ready = True
+    node.tick()
+    at(node, (3, 1, 0))
+    ((goal, answer),) = node._nav2.goals
+    assert goal.pose == node.published["~/subgoal"].pose
+    result = ros.Future()
+    answer.happens(accepted=True, get_result_async=lambda: result)
+    result.happens(status=4)
+    at(node, (6, 1, 0))
+    assert len(node._nav2.goals) == 2
+
+
+def test_a_subgoal_out_of_reach_is_set_aside(start):
+    node = start(drive=True)
+    at(node, (2, 1, 0))
+    ((_, answer),) = node._nav2.goals
+    result = ros.Future()
+    answer.happens(accepted=True, get_result_async=lambda: result)
+    result.happens(status=6)
+    node.tick()
+    assert node.published["~/why"].data.startswith("gave up")
+    assert node.published["~/path"].poses == []
+    assert [marker.action for marker in node.published["~/markers"].markers] == [3]
+    assert len(node._nav2.goals) == 1
+
+
+def test_a_rejected_subgoal_is_sent_again_and_an_old_one_forgotten(start):
+    node = start(drive=True)
+    at(node, (2, 1, 0))
+    node._nav2.goals[0][1].happens(accepted=False)
+    node.tick()
+    assert len(node._nav2.goals) == 2
+    result = ros.Future()
+    node._nav2.goals[1][1].happens(accepted=True, get_result_async=lambda: result)
+    longer = np.pad(CORRIDOR[:, :-1], ((0, 0), (0, 4)), mode="edge")
+    longer[1, -1] = 0
+    at(node, (2, 1, 0), longer)
+    assert len(node._nav2.goals) == 3
+    result.happens(status=6)
+    assert node.warnings[-1] == "Nav2 rejected the subgoal"
+
+
+def test_the_robot_stops_in_front_of_the_door():
+    wall = np.full((3, 6), HOUSE, np.uint8)
+    wall[1, 1:5], wall[1, 5] = ROAD, 1
+    planner = MetricPlanner(cell_size=0.25, sensing_range=1.0, largest=(18, 18))
+    door, (x, y) = in_map(5, 1, 3), in_map(4, 1, 3)
+
+    def place(column):
+        robot = MetricPose(*in_map(column, 1, 3), YAW)
+        return messages.place_to_drive_to(planner.plan(messages.map_of(map_message(wall)), robot, doors=[door]))
+
+    assert place(1) == pytest.approx((x, y, YAW))
+    assert place(4) is None
