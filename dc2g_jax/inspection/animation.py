@@ -49,23 +49,24 @@ _LAST_SECONDS = 2.5
 #: Number of colors of the predicted cost-to-go; few, so that files stay small.
 _COST_LEVELS = 40
 
-_MARK, _ROBOT, _SUBGOAL = "#ffffff", "#f0e442", "#ff6ec7"
+#: Colors of marks: start and goal, robot, subgoal.
+MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR = "#ffffff", "#f0e442", "#ff6ec7"
 _INK, _PALE_INK, _FRAME = "#222222", "#666666", "#bbbbbb"
 
 #: Colors of the outlines of seen cells and of the field of view.
 _SEEN_RIM, _VIEW_RIM = to_rgb("#4d4d4d"), to_rgb("#e69f00")
 
-# Outlines of marks around the origin, in units of half a mark.
-_TRIANGLES = [[(1, 0), (-0.8, -0.85), (-0.8, 0.85)]]
+#: Outlines of marks around the origin, in units of half a mark; the robot's in each heading.
+TRIANGLES = [[(1, 0), (-0.8, -0.85), (-0.8, 0.85)]]
 for _ in range(3):  # one per heading: a right turn takes (x, y) to (-y, x)
-    _TRIANGLES.append([(-y, x) for x, y in _TRIANGLES[-1]])
+    TRIANGLES.append([(-y, x) for x, y in TRIANGLES[-1]])
 _CIRCLE = [(math.cos(angle), math.sin(angle)) for angle in np.linspace(0, 2 * np.pi, 24, endpoint=False)]
-_STAR = [
+STAR = [
     (radius * math.sin(np.pi * corner / 5), -radius * math.cos(np.pi * corner / 5))
     for corner, radius in enumerate((1, 0.42) * 5)
 ]
-_CROSS = [(0, 0.4), (0.6, 1), (1, 0.6), (0.4, 0), (1, -0.6), (0.6, -1)]
-_CROSS += [(-x, -y) for x, y in _CROSS]
+CROSS = [(0, 0.4), (0.6, 1), (1, 0.6), (0.4, 0), (1, -0.6), (0.6, -1)]
+CROSS += [(-x, -y) for x, y in CROSS]
 
 
 class _Panel(NamedTuple):
@@ -207,9 +208,9 @@ class _Painter:
         self._extra = [running_extra_steps(panel.frames) for panel in panels]
         self._font, self._bold = _font("DejaVuSans"), _font("DejaVuSans-Bold")
         side = int(np.clip(2.6 * layout.scale, 11, 24))
-        self._robots = [_mark(triangle, _ROBOT, side + 3) for triangle in _TRIANGLES]
-        self._start, self._subgoal = _mark(_CIRCLE, _MARK, side * 2 // 3), _mark(_CROSS, _SUBGOAL, side - 1)
-        self._goal, self._reached = _mark(_STAR, _MARK, side + 1), _mark(_STAR, _MARK, 2 * side + 6)
+        self._robots = [_mark(triangle, ROBOT_COLOR, side + 3) for triangle in TRIANGLES]
+        self._start, self._subgoal = _mark(_CIRCLE, MARK_COLOR, side * 2 // 3), _mark(CROSS, SUBGOAL_COLOR, side - 1)
+        self._goal, self._reached = _mark(STAR, MARK_COLOR, side + 1), _mark(STAR, MARK_COLOR, 2 * side + 6)
         estimates = {panel.planner: panel.frames for panel in panels if panel.cost}
         self._high = highest_cost(house, estimates, exact_cost_to_go(house)) if estimates else 1.0
         self._paper = _with_legend(layout.size, self._entries(bool(estimates)), self._font)
@@ -383,7 +384,7 @@ def animate(
         if path.suffix.lower() == ".gif":
             sample = pictures(house, frames_by_planner, steps[:: max(1, len(steps) // _SAMPLE)] + steps[-1:])
             durations = [1 / frames_per_second] * (len(steps) - 1) + [_LAST_SECONDS]
-            write_gif(path, shown, frequent_colors(sample, (_MARK, _ROBOT, _SUBGOAL)), durations)
+            write_gif(path, shown, frequent_colors(sample, (MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR)), durations)
         else:
             write_mp4(path, shown, frames_per_second, _LAST_SECONDS)
     except OSError as error:

@@ -116,7 +116,8 @@ def _frame(belief: Belief, state: Any, world: World, planner: Planner, rules: Ru
 
 
 @functools.partial(jit, static_argnames=("rules",))
-def _first_carry(world: World, start: Pose, planner: Planner, *, rules: Rules) -> tuple[Belief, Any]:
+def first_carry(world: World, start: Pose, planner: Planner, *, rules: Rules) -> tuple[Belief, Any]:
+    """The robot's first belief, and the planner's first state."""
     return gridworld.reset(world, start, rules.sensing), planner.init(world)
 
 
@@ -162,7 +163,7 @@ def replay(
     n_frames = len(actions) + 1
     padded = np.full(-(-n_frames // _CHUNK) * _CHUNK, NO_ACTION, np.int8)
     padded[: len(actions)] = actions
-    carry = _first_carry(world, start, planner, rules=rules)
+    carry = first_carry(world, start, planner, rules=rules)
     chunks: list[dict[str, Any]] = []
     path: list[np.ndarray] = []
     for first in range(0, len(padded), _CHUNK):

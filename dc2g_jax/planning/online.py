@@ -21,14 +21,14 @@ from dc2g_jax.errors import InputError, short
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.files.cache import keep_compiled_programs
 from dc2g_jax.grid import bitboard, poses
-from dc2g_jax.grid.gridworld import belief_from_map
+from dc2g_jax.grid.gridworld import Belief, belief_from_map
 from dc2g_jax.grid.poses import HEADINGS, Pose
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax.grid.terrain import CLASS_NAMES, OUTSIDE, TRAVERSABLE, UNKNOWN
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.decisions import Decision, RobotPose, View, decide
 from dc2g_jax.planning.named import make
-from dc2g_jax.planning.planners import Planner, assess, measured
+from dc2g_jax.planning.planners import Assessment, Planner, assess, measured
 from dc2g_jax.planning.rules import Rules, complete_rules
 from dc2g_jax.programs import jit
 
@@ -43,16 +43,22 @@ _SMALLEST_GRID = 32
 _OPEN_MARGIN = 24
 
 
+def view_fields(belief: Belief, assessment: Assessment) -> tuple[Any, ...]:
+    """The fields of a `View` of one robot, for use in compiled functions."""
+    distance, score = measured(belief, assessment)
+    subgoals, candidates = (
+        poses.unpack(these, belief.width) for these in (assessment.plan.subgoals, assessment.candidates)
+    )
+    return distance, assessment.plan.mode, subgoals, candidates, assessment.cost_to_go, score
+
+
 @functools.partial(jit, static_argnames=("rules",))
 def _look(planner: Planner, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"], *, rules: Rules) -> tuple[Any, ...]:
     """The fields of a `View`, given class indices that are `OUTSIDE` beyond the map, and column, row and heading."""
-    width = terrain.shape[1]
     observed = jnp.where(terrain == OUTSIDE, jnp.uint8(UNKNOWN), terrain)
     belief = dataclasses.replace(belief_from_map(observed, Pose(*pose)), outside=bitboard.pack(terrain == OUTSIDE))
     assessment, _ = assess(planner, belief, planner.init(world_from_terrain(observed)), rules)
-    distance, score = measured(belief, assessment)
-    subgoals, candidates = (poses.unpack(these, width) for these in (assessment.plan.subgoals, assessment.candidates))
-    return distance, assessment.plan.mode, subgoals, candidates, assessment.cost_to_go, score
+    return view_fields(belief, assessment)
 
 
 class OnlinePlanner:

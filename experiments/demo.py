@@ -1,0 +1,44 @@
+"""A page to play on: `python -m experiments.demo` shows planners on a map, step by step, in the browser.
+
+Choose a map or draw one, place the robot, and watch what each planner sees and why it decides as it does.
+"""
+
+import dataclasses
+
+from dc2g_jax.cli.common import DatasetOption, PlannersOption, check_planners, command_line
+from dc2g_jax.cli.options import DatasetOptions, NetworkOptions
+from dc2g_jax.errors import require_extra
+from dc2g_jax.estimation.checkpoints import load_network
+from dc2g_jax.inspection.demo import open_maps
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(DatasetOptions, NetworkOptions):
+    """Serve a page on this machine, on which planners run step by step on a map that you choose or draw.
+
+    Attributes:
+      dataset: maps to begin with: a folder of houses, a map file, or `procedural`.
+      planner: planners to run at first; package.module:Class for one of your own. The page offers the others too.
+      port: port of the page.
+      no_browser: do not open the page in a browser.
+    """
+
+    dataset: DatasetOption = "procedural"
+    planner: PlannersOption = ("frontier", "dc2g")
+    port: int = 8080
+    no_browser: bool = False
+
+
+def main(options: Options) -> None:
+    """Serve the page until Ctrl-C."""
+    require_extra("nicegui", extra="demo")
+    from dc2g_jax.cli.demo_page import check_port, serve
+
+    check_port(options.port)
+    check_planners(options.planner)
+    maps, network = open_maps(options.dataset), load_network(options.network)
+    serve(maps, options.planner, network, port=options.port, open_browser=not options.no_browser)
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

@@ -1,0 +1,149 @@
+"""The page of `dc2g demo`, with a simulated visitor and with a browser."""
+
+import asyncio
+import os
+import shutil
+import socket
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from dc2g_jax.estimation.compact_unet import Architecture
+from dc2g_jax.grid.terrain import FRONT_DOOR
+from dc2g_jax.inspection.demo import Demo
+from dc2g_jax.planning.decisions import RobotPose
+from experiments import demo as command
+from tests.support.networks import random_network
+from tests.support.places import ROOT
+from tests.support.refusals import refusal
+from tests.support.toy import HOUSE
+
+pytest.importorskip("nicegui", reason="the extra demo is not installed")
+
+from nicegui import ui
+from nicegui.testing import user_simulation
+
+from dc2g_jax.cli.demo_page import Page, check_port
+
+
+def visited(visit) -> None:
+    """Run `visit(user, pages)` on pages with a toy map and frontier exploration; `pages` grows with each visit."""
+    network, pages = random_network(Architecture(widths=(4, 4, 4, 4))), []
+
+    def root() -> None:
+        state = Demo({"toy": HOUSE.terrain}, ["frontier"], network)
+        state.start, state.sensing_range = RobotPose(9, 6, 0), 3
+        pages.append(Page(state))
+
+    async def run() -> BaseException | None:
+        async with user_simulation(root) as user:
+            try:
+                await visit(user, pages)
+            except AssertionError as error:  # raised in here, it would keep the server from ending
+                return error
+        return None
+
+    if failure := asyncio.run(run()):
+        raise failure
+
+
+def test_a_visitor_steps_scrubs_and_meets_nobody_else():
+    async def visit(user, pages):
+        await user.open("/")
+        await user.should_see("step 0", retries=200)
+        page = pages[0]
+        await page.forward()
+        await user.should_see("step 1")
+        image = page.panels["frontier"][1]
+        second = image.content
+        page.show(0)
+        await user.should_see("step 0")
+        assert image.content != second
+        await page.forward()
+        assert (image.content, len(page.state.walks["frontier"].moments)) == (second, 2)
+        await user.http_client.get("/")
+        pages[1].state.paint((0, 0), (3, 3), "road", 1)
+        np.testing.assert_array_equal(page.state.terrain, HOUSE.terrain)
+
+    visited(visit)
+
+
+def test_a_visitor_draws_a_map_and_is_told_what_is_wrong():
+    async def visit(user, pages):
+        await user.open("/")
+        await user.should_see("step 0", retries=200)
+        (page,) = pages
+        user.find("Empty map").click()
+        pointer = user.find(ui.interactive_image).elements - {panel[1] for panel in page.panels.values()}
+        assert pointer == {page.canvas}
+
+        def point(kind: str, x: float, y: float) -> None:
+            with user:
+                for listener in page.canvas._event_listeners.values():
+                    event = {"mouse_event_type": kind, "image_x": x, "image_y": y}
+                    if listener.type == "mouse":
+                        listener.handler(type("Event", (), {"args": event}))
+
+        point("pointermove", 9.5, 9.5)  # nothing is pressed
+        assert not np.any(page.state.terrain == FRONT_DOOR)
+        for kind, x in (("pointerdown", 3.2), ("pointermove", 6.7), ("pointerup", 6.7), ("pointermove", 9.5)):
+            point(kind, x, 12.5)
+        assert np.argwhere(page.state.terrain == FRONT_DOOR).tolist() == [[12, x] for x in (3, 4, 5, 6)]
+        page.tool.value = "robot"
+        point("pointerdown", 0.5, 0.5)
+        assert page.state.start[:2] == (0, 0)
+        await page.restart()
+        assert "the robot's cell (0, 0) is 'grass'" in user.notify.messages[-1]
+
+    visited(visit)
+
+
+def test_a_port_that_is_taken():
+    with socket.socket() as holder:
+        holder.bind(("127.0.0.1", 0))
+        holder.listen()
+        port = holder.getsockname()[1]
+        refusal(lambda: command.main(command.Options(port=port)), f"--port {port}", "in use", "another --port")
+    check_port(port)
+    refusal(lambda: check_port(70000), "--port 70000")
+
+
+@pytest.mark.slow
+def test_a_browser_plays_and_paints(tmp_path):
+    """In Chromium, which asks nobody but this machine."""
+    browsers = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    names = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
+    chromium = next(filter(None, map(shutil.which, names)), None)
+    if chromium is None:
+        pytest.skip(f"no browser is installed: none of {', '.join(names)}")
+    np.save(tmp_path / "toy.npy", HOUSE.terrain)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    options = ["--no-browser", "--port", port, "--dataset", tmp_path / "toy.npy", "--planner", "frontier"]
+    # Where NiceGUI sees pytest, it serves as its own tests need it.
+    outside = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
+    command_line = [sys.executable, "-m", "experiments.demo", *options]
+    with subprocess.Popen(command_line, cwd=ROOT, env=outside, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert port in process.stdout.readline()
+        with browsers.sync_playwright() as play:
+            page = play.chromium.launch(executable_path=chromium, args=["--no-sandbox"]).new_page()
+            page.set_default_timeout(60_000)
+            asked: list[str] = []
+            page.on("request", lambda request: asked.append(request.url))
+            page.goto(f"http://127.0.0.1:{port}/")
+            page.get_by_text("step 0:").wait_for()
+            page.get_by_role("button", name="Play").click()
+            page.get_by_text("reached the door").wait_for()
+            page.get_by_role("tab", name="Draw").click()
+            canvas = page.locator(".canvas img")
+            before = canvas.get_attribute("src")
+            canvas.click(position={"x": 5, "y": 5})
+            page.wait_for_function("src => document.querySelector('.canvas img').src != src", arg=before)
+            page.get_by_role("tab", name="Watch").click()
+            page.get_by_text("step 0:").wait_for()
+        assert {url.split("/")[2] for url in asked if not url.startswith("data:")} == {f"127.0.0.1:{port}"}
+        process.terminate()
