@@ -50,12 +50,12 @@ def short(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:56]} ..."
 
 
-def require_extra(*modules: str) -> None:
-    """Check that modules which come with the extra `all` are installed, without importing them.
+def require_extra(*modules: str, extra: str = "all") -> None:
+    """Check that modules which come with an extra of the package are installed, without importing them.
 
     Raises:
       InputError: one is not.
     """
     missing = [module for module in modules if importlib.util.find_spec(module) is None]
     if missing:
-        raise InputError(f'{", ".join(missing)}: not installed; run: pip install "dc2g_jax[all]"')
+        raise InputError(f'{", ".join(missing)}: not installed; run: pip install "dc2g_jax[{extra}]"')

@@ -55,7 +55,7 @@ def main(options: Options) -> None:
     for loss, config in configs.items():
         for seed in options.seeds:
             folder = options.out / f"{loss}-seed{seed}"
-            train_translator(folder, dataset, data, config, options.training, seed=seed)
+            train_translator(folder, dataset, data, config, options.training, seed=seed, track=options.track)
             runs[loss].append(Log(folder).by_step())
     training = options.training
     caption = (

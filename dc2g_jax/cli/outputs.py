@@ -50,7 +50,7 @@ class CommandOptions:
 _LARGEST_RECORD = 2**24
 
 #: Options that may always change when a run is resumed.
-WHERE = ("out", "resume", *(field.name for field in dataclasses.fields(CommandOptions)))
+WHERE = ("out", "resume", "track", *(field.name for field in dataclasses.fields(CommandOptions)))
 
 #: Folders that this process writes to, as absolute paths in order, each with the open file that locks it.
 _held: dict[Path, int | None] = {}

@@ -327,10 +327,13 @@ def test_training_resumes_and_its_network_plans(few_houses, tmp_path):
     options = [
         "train", "--dataset", few_houses, "--out", out, "--extra-houses", 2, "--starts-per-house", 1,
         "--masks-per-episode", 2, "--steps", 4, "--batch-size", 4, "--ranges", 6, "--validate-every", 0, "--record",
+        "--track", "tensorboard",
     ]  # fmt: skip
     first = run(*options)
     assert first.returncode == 0, first.stderr
     assert [path.name for path in out.glob("*.rrd")] == ["training-001.rrd"]
+    assert len(list((out / "tensorboard").iterdir())) == 1
+    assert (out / "curve.csv").read_text().startswith("step,loss,learning_rate\n4,")
     card = json.loads((out / "network" / "network.json").read_text())
     assert card["steps"] == 4
     finished = {path: path.stat().st_mtime_ns for path in (out / "network").rglob("*")}
@@ -377,7 +380,7 @@ def test_a_sweep_that_was_killed_ends_like_one_that_was_not(few_houses, tmp_path
     process.wait()
     assert not (tmp_path / "killed" / "results.csv").exists()
     assert run(*options(tmp_path / "killed"), "--resume").returncode == 0
-    for name in ("results.csv",):
+    for name in ("results.csv", "curve.csv"):
         assert (tmp_path / "killed" / name).read_text() == (tmp_path / "whole" / name).read_text()
     for network in (tmp_path / "whole" / "runs").glob("*/network"):
         one, other = (
