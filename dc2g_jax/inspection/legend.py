@@ -70,9 +70,14 @@ Point at a cell or a dot for its class, cost or score.
 """
 
 
+def rgb(color: str) -> tuple[int, ...]:
+    """A color of figures as RGB from 0 to 255."""
+    return tuple(round(255 * part) for part in to_rgb(color))
+
+
 def terrain_colors() -> UInt8[np.ndarray, "classes 3"]:
     """The RGB color of each terrain class."""
-    return np.rint([[255 * part for part in to_rgb(color)] for color in FIGURE_COLORS.values()]).astype(np.uint8)
+    return np.array([rgb(color) for color in FIGURE_COLORS.values()], np.uint8)
 
 
 def terrain_context() -> rr.AnnotationContext:
