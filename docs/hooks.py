@@ -1,5 +1,7 @@
 """What the site takes from elsewhere in the repository when it is built."""
 
+import os
+import tomllib
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
@@ -7,6 +9,16 @@ from mkdocs.structure.files import File, Files
 
 #: Leaves the width of the page to the tables.
 _HEAD = "---\nhide: [navigation]\n---\n\n"
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Name the version and, where GitHub builds the site, link to its repository."""
+    project = tomllib.loads((Path(config.config_file_path).parent / "pyproject.toml").read_text())["project"]
+    config.copyright = f"dc2g_jax {project['version']}, {config.copyright}"
+    if repository := os.environ.get("GITHUB_REPOSITORY"):
+        config.repo_name = repository
+        config.repo_url = f"{os.environ['GITHUB_SERVER_URL']}/{repository}"
+    return config
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

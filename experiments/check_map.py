@@ -11,6 +11,7 @@ from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.map_report import map_report, map_warnings
 from dc2g_jax.datasets.maps import require_path_to_goal
 from dc2g_jax.estimation.estimators import world_cost_to_go
+from dc2g_jax.files.class_images import read_palette
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.inspection.map_figures import plot_map
 
@@ -29,7 +30,8 @@ def main(options: Options) -> None:
     lines += [f"warning: {line}" for line in map_warnings(terrain) + doubts_about(options)]
     title = f"{options.map.name}: {terrain.shape[1]} x {terrain.shape[0]} cells"
     print("\n".join([title, *lines]))
-    files = plot_map(out / options.map.stem, title, terrain, cost_to_go)
+    palette = None if options.palette is None else read_palette(options.palette)
+    files = plot_map(out / options.map.stem, title, terrain, cost_to_go, palette)
     print(f"Written: {', '.join(str(file) for file in files)}")
     require_path_to_goal(str(options.map), terrain)
 

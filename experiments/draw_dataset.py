@@ -36,7 +36,7 @@ def main(options: Options) -> None:
     title = f"{dataset.name}: {len(houses)} houses"
     for number, rows in enumerate(tqdm(pages, desc="drawing", unit="page", file=sys.stderr), 1):
         plot_contact_page(out / f"page-{number}", title, f"page {number} of {len(pages)}", rows)
-    print(f"{title}, pages: {len(pages)}, written to {out}: page-1.png, page-1.svg ...")
+    print(f"{title}, pages: {len(pages)}, written to {out}: page-1.png, page-1.svg, page-1.pdf ...")
 
 
 if __name__ == "__main__":

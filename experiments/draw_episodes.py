@@ -67,7 +67,8 @@ def main(options: Options) -> None:
     for one in results:
         by_ranges.setdefault(ranges_of(one), []).append(one)
     for ranges, some in by_ranges.items() if compared else ():
-        plot_house_strips(out / f"houses{ranges if len(by_ranges) > 1 else ''}", some, group_by_house)
+        name = f"houses{ranges if len(by_ranges) > 1 else ''}"
+        plot_house_strips(out / name, some, group_by_house, f"{some[0].range}-cell sensing")
     by_start: dict[str, dict[str, EpisodeResult]] = {}
     for one in results:
         if one.house in options.house:

@@ -147,7 +147,8 @@ def main(options: Options) -> None:
         print(f"depth images without class image or pose: {sequence.skipped}; frames that were left out: {wrong}")
     if house is not None and np.any(known):
         print(f"of the known cells, {100 * np.mean((terrain == house.terrain)[known]):.1f} % are as in the house")
-    print(f"Written: {out}: map.png, map.svg, map.npy, recording.rrd (open it with: rerun {out / 'recording.rrd'})")
+    files = "map.png, map.svg, map.pdf, map.npy, recording.rrd"
+    print(f"Written: {out}: {files} (open it with: rerun {out / 'recording.rrd'})")
 
 
 if __name__ == "__main__":

@@ -38,6 +38,7 @@ from dc2g_jax.objectnav.training import (
     Recipe,
     figures,
     first_state,
+    learning_rate_schedule,
     train_step,
     validation_samples,
 )
@@ -139,7 +140,7 @@ def open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
     folder = options.out / "encoder"
     facts = {"steps": options.encoder_steps, "seed": options.seed}
     checkpoints = TrainingCheckpoints(folder, EncoderArchitecture(), facts, first_state=lambda _: task.init())
-    train(task, folder, checkpoints, Pauses(0, options.minutes_per_checkpoint))
+    train(task, folder, checkpoints, Pauses(0, options.minutes_per_checkpoint), options.track)
     # Load the half-precision weights that will be used.
     return load_encoder(own)
 
@@ -168,7 +169,7 @@ def training_task(
     """The training task. Each validation saves the network."""
     batches = validation_samples(validation, config, options.validation_samples)
     mesh = mesh_for_batch(config.batch_size)
-    data = replicate(data, mesh)
+    data, rate = replicate(data, mesh), learning_rate_schedule(config)
 
     def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
         weights = first_copy(state.average if config.recipe.average_decay else state.weights)
@@ -194,6 +195,7 @@ def training_task(
         validate=validate,
         validated=Log(options.out).by_step(),
         place=functools.partial(replicate, mesh=mesh),
+        learning_rate=lambda step: rate(step - 1),
     )
 
 
@@ -245,7 +247,7 @@ def main(options: Options) -> None:
     config = options.training(encoder.size)
     facts = {name: str(getattr(options, name)) for name in ("houses", "count", "collection")}
     checkpoints = TrainingCheckpoints(options.out, config, facts, first_state=first_state)
-    train(training_task(options, config, data, validation), options.out, checkpoints, pauses)
+    train(training_task(options, config, data, validation), options.out, checkpoints, pauses, options.track)
     print(f"Trained: {options.out / NETWORK_FILE}")
 
 

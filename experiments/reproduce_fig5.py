@@ -55,7 +55,7 @@ def main(options: Options) -> None:
     for loss, config in configs.items():
         for seed in options.seeds:
             folder = options.out / f"{loss}-seed{seed}"
-            train_translator(folder, dataset, data, config, options.training, seed=seed)
+            train_translator(folder, dataset, data, config, options.training, seed=seed, track=options.track)
             runs[loss].append(Log(folder).by_step())
     training = options.training
     caption = (
@@ -72,7 +72,7 @@ def main(options: Options) -> None:
         "runs": {loss: [list(log.values()) for log in logs] for loss, logs in runs.items()},
     }
     write_json(options.out / "results.json", facts)
-    print(f"Written to {options.out}: fig5.png, fig5.svg, results.json, a folder for each run")
+    print(f"Written to {options.out}: fig5.png, fig5.svg, fig5.pdf, results.json, a folder for each run")
 
 
 if __name__ == "__main__":

@@ -59,6 +59,9 @@ class Options(DatasetOptions, NetworkOptions, StepLimitOptions, OutOptions, Resu
 #: Groups of the sampled episodes in tables, in order; `test` holds all episodes.
 PAPER_GROUPS = ("same_neighborhood", "new_neighborhood", "urban", "test")
 
+#: Columns of a summary that a single house has: none of them an interval over houses.
+_OF_A_HOUSE = Summary._fields.index("mean_low")
+
 
 def _episode(result: EpisodeResult, group: str) -> ExtraSteps:
     return ExtraSteps(result.planner, group, result.house, result.extra, result.success)
@@ -154,13 +157,14 @@ def write_tables(out: Path, tables: dict[str, Table], entries: dict[str, list[Ex
             by_house[episode.planner, episode.house, episode.group].append(episode)
         for key, own in by_house.items():
             summary = summarize([episode.extra for episode in own], [episode.success for episode in own])
-            houses.append((settings, *key, *(round(value, 4) for value in summary)))
-    write_table(out / "houses.csv", ("settings", "planner", "house", "group", *Summary._fields), houses)
+            houses.append((settings, *key, *(round(value, 4) for value in summary[:_OF_A_HOUSE])))
+    columns = ("settings", "planner", "house", "group", *Summary._fields[:_OF_A_HOUSE])
+    write_table(out / "houses.csv", columns, houses)
 
 
 def as_json(table: Table) -> dict[str, dict[str, dict[str, float]]]:
     """The columns of a table that `results.json` holds."""
-    keys = ("mean_extra", "median_extra", "success", "episodes")
+    keys = ("mean_extra", "mean_low", "mean_high", "median_extra", "success", "episodes")
     return {
         planner: {group: {key: getattr(summary, key) for key in keys} for group, summary in row.items()}
         for planner, row in table.items()
@@ -223,7 +227,7 @@ def main(options: Options) -> None:
     for settings, part in results.items():
         compared = [result for result in part if result.planner in drawn(options.planner)]
         groups = {episode.house: episode.group for episode in entries[settings]}
-        plot_house_strips(out / f"houses_{settings}", compared, groups)
+        plot_house_strips(out / f"houses_{settings}", compared, groups, settings)
         if options.record:
             record(out, dataset, settings, part, network, options.record)
     facts = {

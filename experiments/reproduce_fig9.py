@@ -103,7 +103,7 @@ def main(options: Options) -> None:
     right = 100 * np.mean((last.terrain == house.terrain)[known])
     print(f"{house.name}: {STATUS_NAMES[int(last.status)]} after {int(last.periods) / 10:.1f} s, {len(drive)} frames")
     print(f"of {np.sum(known):,} cells known in the end, {right:.1f} % are as in the house")
-    print(f"Written to {out}: fig9.png, fig9.svg, fig9.rrd (open it with: rerun {out / 'fig9.rrd'})")
+    print(f"Written to {out}: fig9.png, fig9.svg, fig9.pdf, fig9.rrd (open it with: rerun {out / 'fig9.rrd'})")
 
 
 if __name__ == "__main__":

@@ -30,12 +30,14 @@ from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.reading import read_object
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.inspection.training_figures import plot_sweep
+from dc2g_jax.inspection.training_recording import prediction_picture
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import fetch, mesh_of, replicate, require_memory
 from dc2g_jax.training.cost_to_go import (
     TrainingConfig,
     TrainingState,
     first_state,
+    learning_rates,
     least_memory,
     mean_error,
     train_step,
@@ -51,9 +53,13 @@ from dc2g_jax.training.sweeps import (
     stacked_hyperparameters,
     steps_left_out,
 )
+from dc2g_jax.training.tracking import Image
 
 #: Number of validation pairs, and the batch size for them.
 _PAIRS, _PAIRS_AT_A_TIME = 512, 64
+
+#: Number of them in pictures for a tracker.
+_PAIRS_SHOWN = 6
 
 #: Numbers in every line of the log.
 _FIGURES = ("error", "steps_left_out")
@@ -128,6 +134,16 @@ def train_group(
     configs = list(runs.values())
     recipe, hyperparameters = configs[0].recipe, stacked_hyperparameters(configs)
     draw, log = options.data.draw_batch, Log(options.out)
+    rates = np.stack([learning_rates(config) for config in configs], axis=1)
+
+    def networks_of(states: TrainingState) -> list[NetworkCostToGo]:
+        stacked = jax.tree.map(fetch, states.average)
+        each = (jax.tree.map(lambda leaf, run=run: leaf[run], stacked) for run in range(len(runs)))
+        return [NetworkCostToGo(weights=weights, architecture=recipe.architecture) for weights in each]
+
+    def pictures(states: TrainingState) -> list[Image]:
+        shown = jax.tree.map(lambda leaf: leaf[:_PAIRS_SHOWN], pairs)
+        return [prediction_picture(network, shown) for network in networks_of(states)]
 
     def validate(states: TrainingState, step: int, losses: Losses | None) -> list[dict[str, Any]]:
         errors = np.asarray(validation_errors(recipe.architecture, jax.tree.map(fetch, states.average), pairs))
@@ -150,6 +166,9 @@ def train_group(
         validate=validate,
         validated=set.intersection(*(set(log.by_step(run)) for run in runs)),
         name=f"{len(runs)} runs",
+        runs=tuple(runs),
+        learning_rate=lambda step: rates[step - 1],
+        pictures=pictures,
     )
     checkpoints = StackedCheckpoints(
         [
@@ -157,12 +176,9 @@ def train_group(
             for network, config in zip(networks, configs, strict=True)
         ]
     )
-    states = train(task, options.out, checkpoints, options.pauses)
-    weights = jax.tree.map(fetch, states.average)
-    for index, config in enumerate(configs):
-        own = jax.tree.map(lambda leaf, index=index: leaf[index], weights)
-        network = NetworkCostToGo(weights=own, architecture=recipe.architecture)
-        save_network(networks[index], network, {"config": dataclasses.asdict(config), "facts": facts})
+    states = train(task, options.out, checkpoints, options.pauses, options.track)
+    for folder, network, config in zip(networks, networks_of(states), configs, strict=True):
+        save_network(folder, network, {"config": dataclasses.asdict(config), "facts": facts})
 
 
 def network_folder(out: Path, run: str) -> Path:

@@ -24,15 +24,22 @@ from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.files.reading import read_object
 from dc2g_jax.inspection.columns import viewer_sink
-from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_watch, next_file
+from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_watch, next_file, prediction_picture
 from dc2g_jax.rollouts.devices import first_copy, mesh_of, replicate, require_memory
-from dc2g_jax.training.cost_to_go import TrainingConfig, TrainingState, first_state, least_memory, train_step
+from dc2g_jax.training.cost_to_go import (
+    TrainingConfig,
+    TrainingState,
+    first_state,
+    learning_rates,
+    least_memory,
+    train_step,
+)
 from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses
 from dc2g_jax.training.loop import Log, Losses, Task, train
 from dc2g_jax.training.losses import parse_losses
 
-#: Number of maps in a recording.
-_MAPS_RECORDED = 6
+#: Number of maps in a recording, and in pictures for a tracker.
+_MAPS_SHOWN = 6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -139,7 +146,7 @@ def open_recording(options: Options, config: TrainingConfig, dataset: HouseDatas
     """The recording, if the options ask for one. It shows validation houses, the same ones for every run."""
     if not options.record and options.connect is None:
         return None
-    maps = maps_to_watch(dataset, _MAPS_RECORDED)
+    maps = maps_to_watch(dataset, _MAPS_SHOWN)
     file = next_file(options.out) if options.record else None
     return TrainingRecording(options.out, config, maps, file=file, viewer=options.connect)
 
@@ -156,6 +163,7 @@ def training_task(
     recipe, hyperparameters, draw = config.recipe, config.hyperparameters, options.data.draw_batch
     validation = Validation(dataset) if options.validate_every else None  # raises before minutes of data collection
     data = replicate(open_training_set(options.out, dataset, options.data, network), mesh_of())
+    rates, maps = learning_rates(config), maps_to_watch(dataset, _MAPS_SHOWN) if options.track else None
 
     def init() -> TrainingState:
         state = first_state(config)
@@ -192,6 +200,8 @@ def training_task(
             step for step, line in Log(options.out).by_step().items() if "mean_extra" in line or validation is None
         ],
         watch=watch,
+        learning_rate=lambda step: rates[step - 1],
+        pictures=None if maps is None else lambda state: [prediction_picture(network_of(state), maps)],
     )
 
 
@@ -202,7 +212,7 @@ def main(options: Options) -> None:
     network = None if options.after is None else compact_network(options.after, config.architecture)
     if options.connect is not None:
         viewer_sink(options.connect)  # an invalid address raises before anything is written
-    watched = options.validate_every > 0 or options.record or options.connect is not None
+    watched = options.validate_every > 0 or options.record or options.connect is not None or options.track is not None
     check_houses(dataset, extra=options.data.extra_houses, drawn=options.validate_every > 0, validated=watched)
     free = {"validate_every", "minutes_per_checkpoint", "record", "connect"}
     require_memory(least_memory(config, *dataset.houses[0].terrain.shape), f"--batch-size {config.batch_size}")
@@ -214,7 +224,8 @@ def main(options: Options) -> None:
     recording = open_recording(options, config, dataset) if newest_step(options.out) < config.steps else None
     with contextlib.closing(recording) if recording else contextlib.nullcontext():
         task = training_task(options, config, dataset, network, recording)
-        train(task, options.out, TrainingCheckpoints(options.out, config, facts, first_state=first_state), pauses)
+        checkpoints = TrainingCheckpoints(options.out, config, facts, first_state=first_state)
+        train(task, options.out, checkpoints, pauses, options.track)
     print(f"Trained: {options.out / 'network'}")
 
 

@@ -51,7 +51,7 @@ def main(options: Options) -> None:
         f"Training on {len(data.train.pair_house)} pairs of {len(data.train.terrain)} houses of {dataset.name}, "
         f"validating on {len(data.validation.pair_house)}"
     )
-    train_translator(options.out, dataset, data, config, options.training, seed=options.seed)
+    train_translator(options.out, dataset, data, config, options.training, seed=options.seed, track=options.track)
     print(f"Trained: {options.out / 'network'}")
 
 

@@ -50,6 +50,7 @@ from dc2g_jax.rollouts.results import ResumableTable, read_rows, write_rows
 from dc2g_jax.training.cost_to_go_data import check_masks
 from dc2g_jax.training.loop import Log
 from dc2g_jax.training.mask_collection import Masks
+from dc2g_jax.training.tracking import Curve
 from tests.support import house_lines, occupancy
 from tests.support.damage import damaged
 from tests.support.frames import CAMERA, random_frame
@@ -157,6 +158,11 @@ def write_log(folder: Path) -> None:
     Log(folder).write({"step": 10, "error": 0.5}, {"step": 20, "error": 0.25})
 
 
+def write_curve(folder: Path) -> None:
+    for step in (10, 20):
+        Curve(folder, ("a", "b")).add(step, [{"loss": 0.5}, {"loss": 0.25}])
+
+
 def write_episodes(folder: Path) -> None:
     write_rows(folder / "episodes.csv", EpisodeResult, list(RESULTS.values()))
 
@@ -216,6 +222,7 @@ READERS = (
     ),
     Reader(("run.json",), write_run, _read_run),
     Reader(("log.jsonl",), write_log, lambda folder: Log(folder).by_step(None, ("error",))),
+    Reader(("curve.csv",), write_curve, lambda folder: Curve(folder, ("a", "b"))),
     Reader(("episodes.csv",), write_episodes, read_episodes),
     Reader(("masks.npz",), write_masks, read_masks),
     Reader(("train.jsonl", "train.jsonl.gz", "asset_boxes.json"), write_indoor_houses, read_indoor_houses),

@@ -26,6 +26,7 @@ from dc2g_jax.files.cache import keep_compiled_programs
 from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.planning.named import NETWORK_PLANNERS, check_names
 from dc2g_jax.rollouts.devices import join_processes, use_devices
+from dc2g_jax.training.tracking import check_tracker
 
 _Options = TypeVar("_Options", bound=CommandOptions)
 
@@ -54,6 +55,7 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
             parsed = _silent_unless_first(parsed)
         keep_compiled_programs()
         check_seed(getattr(parsed, "seed", 0))
+        check_tracker(getattr(parsed, "track", None))
         main(parsed)
         sys.stdout.flush()
     except InputError as error:

@@ -10,6 +10,7 @@ from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, StepLim
 from dc2g_jax.cli.outputs import CommandOptions
 from dc2g_jax.errors import InputError
 from dc2g_jax.training.loop import Pauses
+from dc2g_jax.training.tracking import TrackerName
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -74,9 +75,11 @@ class TrainingOptions(ResumeOptions):
 
     Attributes:
       out: folder for checkpoints, networks, logs and figures.
+      track: tracker to send curves and pictures to.
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    track: Annotated[TrackerName | None, tyro.conf.arg(help_behavior_hint="")] = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -50,7 +50,7 @@ class CommandOptions:
 _LARGEST_RECORD = 2**24
 
 #: Options that may always change when a run is resumed.
-WHERE = ("out", "resume", *(field.name for field in dataclasses.fields(CommandOptions)))
+WHERE = ("out", "resume", "track", *(field.name for field in dataclasses.fields(CommandOptions)))
 
 #: Folders that this process writes to, as absolute paths in order, each with the open file that locks it.
 _held: dict[Path, int | None] = {}
@@ -124,6 +124,7 @@ def output_folder(
                 "began": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
                 "commit": commit(),
                 "versions": versions(),
+                **_environment(options),
             },
         ],
     }
@@ -132,6 +133,12 @@ def output_folder(
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror}); give --out another folder") from None
     return folder
+
+
+def _environment(options: OutputOptions) -> dict[str, Any]:
+    """Where houses are read from, if not an option but `DC2G_DATA` says it."""
+    location = os.environ.get("DC2G_DATA")
+    return {"DC2G_DATA": location} if location and getattr(options, "dataset", location) is None else {}
 
 
 def _make_new(folder: Path, *, resumable: bool) -> None:

@@ -20,6 +20,7 @@ from dc2g_jax.training.image_data import MaskKind, image_set
 from dc2g_jax.training.image_evaluation import metrics_over_pairs
 from dc2g_jax.training.image_pairs import ImageSet, draw_image_pairs
 from dc2g_jax.training.loop import Log, Losses, Task, train
+from dc2g_jax.training.tracking import TrackerName
 from dc2g_jax.training.translator import TranslatorConfig, TranslatorState, init_translator, translator_step
 
 #: Steps between progress updates. A step takes seconds on a CPU.
@@ -130,6 +131,7 @@ def train_translator(
     options: TranslationOptions,
     *,
     seed: int,
+    track: TrackerName | None = None,
 ) -> None:
     """Train a translator, continuing an earlier run in the same folder. Ctrl-C saves a checkpoint.
 
@@ -167,6 +169,7 @@ def train_translator(
         place=partial(replicate, mesh=mesh),
         name=out.name,
         steps_per_look=_STEPS_PER_LOOK,
+        learning_rate=lambda step: config.learning_rate,
     )
     checkpoints = TrainingCheckpoints(out, config, options.facts(dataset, seed), first_state=first_state)
-    train(task, out, checkpoints, options.pauses)
+    train(task, out, checkpoints, options.pauses, track)

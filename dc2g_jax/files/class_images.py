@@ -54,6 +54,12 @@ class Palette:
             table[code] = known.get(name, _FOREIGN_CLASS)
         return table
 
+    def color_of_class(self) -> dict[int, tuple[int, int, int]]:
+        """RGB color of each terrain class that has one; the first if it has several."""
+        classes = self.class_of_color[_color_codes(self.colors)].tolist()
+        colors = dict(zip(classes[::-1], map(_rgb, self.colors[::-1]), strict=True))
+        return {index: color for index, color in colors.items() if index < len(CLASS_NAMES)}
+
     def name_of(self, color: Sequence[int]) -> str:
         """Return the name of the class that has this RGB color, which must be in the palette."""
         return self.names[int(np.flatnonzero((self.colors == np.asarray(color)).all(axis=1))[0])]

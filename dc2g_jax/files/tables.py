@@ -26,7 +26,7 @@ def read_table(
 
 
 def table_lines(
-    path: Path, columns: Sequence[str], *, optional: Sequence[str] = (), remedy: str
+    path: Path, columns: Sequence[str], *, optional: Sequence[str] | None = (), remedy: str
 ) -> Iterator[tuple[int, dict[str, str]]]:
     """Go through the named columns of a CSV file with a header row, whatever its length.
 
@@ -35,7 +35,7 @@ def table_lines(
     Args:
         path: the CSV file, UTF-8.
         columns: required columns; values are stripped of surrounding blanks.
-        optional: optional columns, which may be absent or empty; their values are then empty.
+        optional: optional columns, which may be absent or empty; their values are then empty. `None` for all others.
         remedy: end of the message about a missing file: what to do about it.
 
     Yields:
@@ -57,12 +57,13 @@ def table_lines(
                     continue
                 if header is None:
                     header = cells
+                    optional = header if optional is None else optional
                     _check_header(path, header, columns, optional)
                     continue
                 values = _pick(path, reader.line_num, header, cells, columns)
                 given = dict(zip(header, cells, strict=False))
                 empty = False
-                yield reader.line_num, values | {column: given.get(column, "") for column in optional}
+                yield reader.line_num, values | {column: given.get(column, "") for column in optional or ()}
     except csv.Error as error:
         raise InputError(f"{path}: line {reader.line_num} is not CSV ({error}); repair the file") from None
     if empty:

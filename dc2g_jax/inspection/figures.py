@@ -1,4 +1,4 @@
-"""Figures for publication as PNG and SVG, readable in grayscale and with color blindness."""
+"""Figures for publication as PNG, SVG and PDF, readable in grayscale and with color blindness."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -76,9 +76,9 @@ _TITLES = {
 }
 
 
-def _compared_styles(planners: Iterable[str]) -> dict[str, PlannerStyle]:
-    """Styles of the planners compared with the oracle, in the order of `PLANNER_STYLES`, other planners last."""
-    present = dict.fromkeys(planner for planner in planners if planner != "oracle")
+def planner_styles(planners: Iterable[str]) -> dict[str, PlannerStyle]:
+    """Styles of planners, in the order of `PLANNER_STYLES`, other planners last."""
+    present = dict.fromkeys(planners)
     known = {name: style for name, style in PLANNER_STYLES.items() if name in present}
     others = [name for name in present if name not in known]
     return known | {name: _other_style(name, n) for n, name in enumerate(others)}
@@ -91,17 +91,20 @@ def _other_style(name: str, n: int) -> PlannerStyle:
 
 
 def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, PlannerStyle]) -> None:
-    """Draw grouped bars of the mean, with a line at the median."""
+    """Draw grouped bars of the mean with its interval, and a line at the median."""
     planners = [planner for planner in styles if planner in table]
     width = 0.92 / len(planners)
     for place, planner in enumerate(planners):
         _, color, hatch, _ = styles[planner]
         x = np.arange(len(groups)) + (place - (len(planners) - 1) / 2) * width
-        mean = [table[planner][group].mean_extra for group in groups]
-        median = [table[planner][group].median_extra for group in groups]
+        rows = [table[planner][group] for group in groups]
+        mean, median = [row.mean_extra for row in rows], [row.median_extra for row in rows]
+        low, high = np.array([(row.mean_low, row.mean_high) for row in rows]).T
         axes.bar(x, mean, width * 0.92, color=color, hatch=hatch, edgecolor="#333333", linewidth=0.5)
+        axes.vlines(x, low, high, color="white", linewidth=2.2)
         axes.hlines(median, x - width * 0.46, x + width * 0.46, color="black", linewidth=1.4)
-        for position, value, tick in zip(x, mean, median, strict=True):
+        axes.vlines(x, low, high, color="#333333", linewidth=1.0)
+        for position, value, tick in zip(x, mean, np.fmax(median, high), strict=True):
             axes.annotate(
                 f"{value:.0f}" if value >= 10 else f"{value:.1f}",
                 (position, max(value, tick)),
@@ -112,6 +115,7 @@ def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, 
             )
     axes.set_xticks(np.arange(len(groups)), [_GROUP_LABELS.get(group, group) for group in groups])
     axes.set_xlim(-0.5, len(groups) - 0.5)
+    axes.margins(y=0.09)
     axes.tick_params(labelsize=7.5)
     axes.tick_params(axis="x", length=0)
     axes.yaxis.grid(True, color="#dddddd", linewidth=0.6)
@@ -120,13 +124,14 @@ def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, 
 
 
 def save_figure(figure: Figure, path: str | Path, dpi: int = 160) -> list[Path]:
-    """Write a figure as PNG with `dpi` pixels per inch and as SVG; `path` is the file name without ending.
+    """Write a figure as PNG with `dpi` pixels per inch, as SVG and as PDF; `path` is the file name without ending.
 
-    Text in the SVG stays text: it can be searched and edited. Viewers show it in DejaVu Sans if they have it.
+    Text stays text: it can be searched and edited. The PDF has its font in it (TrueType, as journals ask for). Viewers
+    show the SVG in DejaVu Sans if they have it.
     """
     FigureCanvasAgg(figure)
-    written = [Path(f"{path}{ending}") for ending in (".png", ".svg")]
-    with matplotlib.rc_context({"svg.fonttype": "none"}):
+    written = [Path(f"{path}{ending}") for ending in (".png", ".svg", ".pdf")]
+    with matplotlib.rc_context({"svg.fonttype": "none", "pdf.fonttype": 42}):
         for target in written:
             figure.savefig(target, dpi=dpi)
     return written
@@ -154,7 +159,7 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], caption: str
         names.sort(key=_group_place)
     figure = Figure(figsize=(PAGE_WIDTH, 0.8 + 2.2 * len(panels)), layout="constrained")
     all_axes = figure.subplots(len(panels), 1, squeeze=False, sharey=True)[:, 0]
-    styles = _compared_styles(name for table in panels.values() for name in table)
+    styles = planner_styles(name for table in panels.values() for name in table if name != "oracle")
     for axes, (settings, table) in zip(all_axes, panels.items(), strict=True):
         _bars(axes, table, groups[settings], styles)
         axes.set_title(_TITLES.get(settings, settings), fontsize=8.5)
@@ -170,7 +175,8 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], caption: str
         frameon=False,
         fontsize=7.5,
     )
-    figure.supxlabel(f"Bars: mean; black lines: median. {caption}", fontsize=7, color="#555555")
+    note = "Bars: mean, with its 95 % interval over houses; black lines: median."
+    figure.supxlabel(f"{note} {caption}", fontsize=7, color="#555555")
     return save_figure(figure, path, dpi=300)
 
 
@@ -263,9 +269,10 @@ def legend_patch(label: str, color: ColorType) -> Patch:
     return Patch(facecolor=color, edgecolor="#777777", linewidth=0.4, label=label)
 
 
-def class_patch(index: int) -> Patch:
-    """The legend entry of a class."""
-    return legend_patch(CLASS_NAMES[index].replace("_", " ") if index else "unknown", FIGURE_COLORS[CLASS_NAMES[index]])
+def class_patch(index: int, color: ColorType | None = None) -> Patch:
+    """The legend entry of a class, in its color of `FIGURE_COLORS` or another one."""
+    label = CLASS_NAMES[index].replace("_", " ") if index else "unknown"
+    return legend_patch(label, FIGURE_COLORS[CLASS_NAMES[index]] if color is None else color)
 
 
 def hidden_color(index: int) -> tuple[float, float, float]:
@@ -301,7 +308,7 @@ _ONE_COLUMN = 20
 
 
 def plot_house_strips(
-    path: str | Path, results: Iterable[EpisodeResult], group_by_house: Mapping[str, str]
+    path: str | Path, results: Iterable[EpisodeResult], group_by_house: Mapping[str, str], settings: str = ""
 ) -> list[Path]:
     """Draw one strip per house: the extra steps of episodes as points, with a lane and a mean for each planner.
 
@@ -309,6 +316,7 @@ def plot_house_strips(
       path: output path without ending.
       results: episodes of any number of planners; those of the oracle are left out.
       group_by_house: house -> group; houses are ordered by group and name.
+      settings: name or description of the episodes' settings.
 
     Returns:
       The files written: PNG and SVG.
@@ -322,7 +330,7 @@ def plot_house_strips(
             extra.setdefault(result.house, {}).setdefault(result.planner, []).append(result.extra)
     if not extra:
         raise ValueError("no planner to compare with the oracle: give episodes of another one as well")
-    styles = _compared_styles(planner for by_planner in extra.values() for planner in by_planner)
+    styles = planner_styles(planner for by_planner in extra.values() for planner in by_planner)
     groups = sorted({group_by_house[house] for house in extra}, key=_group_place)
     sections = [(group, sorted(house for house in extra if group_by_house[house] == group)) for group in groups]
     pages = _columns_of_houses(sections, 1 if len(extra) <= _ONE_COLUMN else 2)
@@ -341,8 +349,8 @@ def plot_house_strips(
         axes.xaxis.grid(True, color="#cccccc", linewidth=0.5)
         axes.set_axisbelow(True)
         axes.spines[["top", "right", "left"]].set_visible(False)
-    lines = [f"extra steps beyond the oracle (%), {_SCALE_NOTE}", "bars: means"]
-    figure.supxlabel(("\n" if len(pages) == 1 else "; ").join(lines), fontsize=8.5)
+    lines = [f"extra steps beyond the oracle (%), {_SCALE_NOTE}", "bars: means", _TITLES.get(settings, settings)]
+    figure.supxlabel(("\n" if len(pages) == 1 else "; ").join(filter(None, lines)), fontsize=8.5)
     handles = [
         Line2D([], [], linestyle="none", marker=style.marker, color=style.color, markersize=5, label=style.label)
         for style in styles.values()

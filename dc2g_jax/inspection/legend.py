@@ -69,11 +69,20 @@ Point at a cell or a dot for its class, cost or score.
 """
 
 
+def rgb(color: str) -> tuple[int, ...]:
+    """A color of figures as RGB from 0 to 255."""
+    return tuple(round(255 * part) for part in to_rgb(color))
+
+
+def terrain_colors() -> UInt8[np.ndarray, "classes 3"]:
+    """The RGB color of each terrain class."""
+    return np.array([rgb(color) for color in FIGURE_COLORS.values()], np.uint8)
+
+
 def terrain_context() -> rr.AnnotationContext:
     """Names and colors of the terrain classes."""
-    colors = [tuple(round(255 * part) for part in to_rgb(color)) for color in FIGURE_COLORS.values()]
     names = ("not observed", *CLASS_NAMES[1:])
-    return rr.AnnotationContext(list(zip(range(len(names)), names, colors, strict=True)))
+    return rr.AnnotationContext(list(zip(range(len(names)), names, map(tuple, terrain_colors().tolist()), strict=True)))
 
 
 def layer_context(name: str, color: tuple[int, ...]) -> rr.AnnotationContext:
@@ -110,14 +119,18 @@ class CostScale(NamedTuple):
 
     def context(self) -> rr.AnnotationContext:
         """Names and colors of the classes."""
-        costs = self.step * np.arange(LAST_COST - FIRST_COST + 1)
-        colors = _colors("viridis_r", _BRIGHT * np.minimum(costs / self.farthest, 1))
-        known = [
-            (FIRST_COST + index, self.words.format(cost), tuple(color))
-            for index, (cost, color) in enumerate(zip(costs.tolist(), colors.tolist(), strict=True))
-        ]
-        none = [(NOT_SHOWN, "not observed", _NOT_SHOWN_COLOR), (NO_WAY, "no way", _NO_WAY_COLOR)]
-        return rr.AnnotationContext([*none, *known])
+        names = ["not observed", "no way", *map(self.words.format, self._costs().tolist())]
+        colors = map(tuple, self.colors().tolist())
+        return rr.AnnotationContext(list(zip(range(len(names)), names, colors, strict=True)))
+
+    def colors(self) -> UInt8[np.ndarray, "classes 3"]:
+        """The RGB color of each class."""
+        known = _colors("viridis_r", _BRIGHT * np.minimum(self._costs() / self.farthest, 1))
+        return np.array([_NOT_SHOWN_COLOR, _NO_WAY_COLOR, *known], np.uint8)
+
+    def _costs(self) -> Float[np.ndarray, "costs"]:
+        """The costs of the classes from `FIRST_COST` on."""
+        return self.step * np.arange(LAST_COST - FIRST_COST + 1.0)
 
 
 #: Scale of costs relative to the highest one, 0 to 1.

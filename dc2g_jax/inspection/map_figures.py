@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
+from dc2g_jax.files.class_images import Palette
 from dc2g_jax.grid.ground import connected_to_goal, goals_without_ground, pieces
 from dc2g_jax.grid.terrain import FIGURE_COLORS, FRONT_DOOR, TRAVERSABLE
 from dc2g_jax.inspection.figures import class_patch, present_classes, save_figure
@@ -39,7 +40,11 @@ _LEGEND_COLUMNS = 3
 
 
 def plot_map(
-    path: str | Path, title: str, terrain: UInt8[np.ndarray, "h w"], cost_to_go: Float[np.ndarray, "h w"]
+    path: str | Path,
+    title: str,
+    terrain: UInt8[np.ndarray, "h w"],
+    cost_to_go: Float[np.ndarray, "h w"],
+    palette: Palette | None = None,
 ) -> list[Path]:
     """Draw a map's classes, the ground that leads to a goal, and the distance to the goal.
 
@@ -48,12 +53,13 @@ def plot_map(
       title: description of the map.
       terrain: class indices.
       cost_to_go: exact cost-to-go; shown on ground that is connected to a goal.
+      palette: colors of classes; those of figures where it has none.
 
     Returns:
       The files written: PNG and SVG.
     """
     classes, ground, distance = _panels(title, terrain)
-    _draw_classes(classes, terrain)
+    _draw_classes(classes, terrain, palette)
     _draw_ground(ground, terrain)
     _draw_distance(distance, terrain, cost_to_go)
     figure = classes.figure
@@ -97,9 +103,14 @@ def _legend(axes: Axes, handles: list[Any]) -> None:
     )  # fmt: skip
 
 
-def _draw_classes(axes: Axes, terrain: UInt8[np.ndarray, "h w"]) -> None:
-    _show(axes, list(FIGURE_COLORS.values()), terrain)
-    _legend(axes, [class_patch(index) for index in present_classes(terrain)])
+def _draw_classes(axes: Axes, terrain: UInt8[np.ndarray, "h w"], palette: Palette | None) -> None:
+    own = {} if palette is None else palette.color_of_class()
+    colors = [
+        "#{:02x}{:02x}{:02x}".format(*own[index]) if index in own else color
+        for index, color in enumerate(FIGURE_COLORS.values())
+    ]
+    _show(axes, colors, terrain)
+    _legend(axes, [class_patch(index, colors[index]) for index in present_classes(terrain)])
     _draw_goals(axes, terrain)
     axes.set_title("what is where", fontsize=10)
 

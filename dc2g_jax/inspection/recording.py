@@ -29,6 +29,7 @@ from dc2g_jax.inspection.columns import (
 )
 from dc2g_jax.inspection.costs import exact_cost_to_go
 from dc2g_jax.inspection.episode_layout import episode_layout
+from dc2g_jax.inspection.figures import planner_styles
 from dc2g_jax.inspection.legend import CostScale
 from dc2g_jax.inspection.replay import Frames, actions_from_letters, replay_result, running_extra_steps
 from dc2g_jax.planning.decisions import HEADING_NAMES
@@ -244,9 +245,9 @@ def record_frames(path: str | Path, *, house: House, episodes: Mapping[str, Reco
     )
     about = f"**{house.name}** from {place}; the oracle takes {first.oracle_steps} steps"
     _send_house(stream, house, exact, scale, about)
-    for number, (label, episode) in enumerate(episodes.items()):
-        color = legend.CURVE_COLORS[number % len(legend.CURVE_COLORS)]
-        _send_episode(stream, label, episode, scale, color)
+    styles = planner_styles(episodes)
+    for label, episode in episodes.items():
+        _send_episode(stream, label, episode, scale, legend.rgb(styles[label].color))
     stream.flush()
     stream.disconnect()
     return path

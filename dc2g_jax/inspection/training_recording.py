@@ -26,12 +26,15 @@ from dc2g_jax.planning.planners import Frontier
 from dc2g_jax.planning.rules import complete_rules
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.evaluation import episodes_from
-from dc2g_jax.training.cost_to_go import TrainingConfig, learning_rate_schedule
+from dc2g_jax.training.cost_to_go import TrainingConfig, learning_rates
 from dc2g_jax.training.cost_to_go_data import training_set, usable
 from dc2g_jax.training.mask_collection import Masks, collect_masks
 
 #: Gap between two maps side by side, columns.
 _GAP = 2
+
+#: Pixels along a side of a cell in pictures.
+_PIXELS_A_CELL = 3
 
 #: Range of the field of view of the robots whose maps are shown, cells.
 _SENSING_RANGE = 8
@@ -61,12 +64,6 @@ def _expected_cost(network: NetworkCostToGo, terrain: UInt8[Array, "n h w"]) -> 
     return jnp.mean(compact_unet.apply(network.architecture, network.weights, terrain), axis=-1)
 
 
-def learning_rates(config: TrainingConfig) -> Float[np.ndarray, "steps"]:
-    """The learning rate of every step."""
-    rates = jax.vmap(learning_rate_schedule(config.recipe))(jnp.arange(config.steps))
-    return config.learning_rate * np.asarray(rates)
-
-
 def maps_to_watch(dataset: HouseDataset, count: int) -> Pair:
     """Partial maps of the dataset's validation houses by exploring robots, the same in every run.
 
@@ -89,7 +86,9 @@ def maps_to_watch(dataset: HouseDataset, count: int) -> Pair:
         seed=0,
     )
     if not len(masks.world):
-        raise InputError(f"{dataset.name}: robots see a door of its validation houses at once; train without --record")
+        raise InputError(
+            f"{dataset.name}: robots see a door of its validation houses at once; train without --record and --track"
+        )
     chosen = np.linspace(0, len(masks.world) - 1, count).round().astype(int)
     data = training_set(houses, len(houses), Masks(masks.boards[chosen], masks.world[chosen]))
     return jax.vmap(lambda index: make_pair(data, index, jnp.int32(0), edge_weight=1.0))(jnp.arange(count))
@@ -134,6 +133,16 @@ def _layout(shape: tuple[int, int], steps: int) -> rrb.Blueprint:
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
         auto_views=False,
     )
+
+
+def prediction_picture(network: NetworkCostToGo, maps: Pair) -> UInt8[np.ndarray, "h w 3"]:
+    """Observed maps, and below them the predicted and the exact cost-to-go, in the colors of the recording."""
+    exact, counts = np.asarray(maps.target), np.asarray(maps.weight) > 0
+    scale = CostScale.of(exact)
+    costs = [scale.classes(np.asarray(cost), counts) for cost in (_expected_cost(network, maps.terrain), exact)]
+    rows = [(np.asarray(maps.terrain), legend.terrain_colors()), *((classes, scale.colors()) for classes in costs)]
+    picture = np.concatenate([colors[_side_by_side(classes)] for classes, colors in rows])
+    return picture.repeat(_PIXELS_A_CELL, axis=0).repeat(_PIXELS_A_CELL, axis=1)
 
 
 class TrainingRecording:

@@ -105,12 +105,15 @@ class CostMapConfig:
         check_numbers(self.recipe.peak, steps=self.steps, batch_size=self.batch_size)
 
 
+def learning_rate_schedule(config: CostMapConfig) -> optax.Schedule:
+    """`step ->` learning rate of the recipe."""
+    recipe, warmup = config.recipe, round(config.recipe.warmup * config.steps)
+    return optax.warmup_cosine_decay_schedule(0.0, recipe.peak, warmup, max(config.steps, warmup + 1), recipe.last)
+
+
 def optimizer(config: CostMapConfig) -> optax.GradientTransformation:
     """The optimizer of the recipe with its learning-rate schedule."""
-    recipe = config.recipe
-    warmup = round(recipe.warmup * config.steps)
-    rate = optax.warmup_cosine_decay_schedule(0.0, recipe.peak, warmup, max(config.steps, warmup + 1), recipe.last)
-    return OPTIMIZERS[recipe.optimizer](rate, recipe.weight_decay)
+    return OPTIMIZERS[config.recipe.optimizer](learning_rate_schedule(config), config.recipe.weight_decay)
 
 
 def _keys(seed: int) -> tuple[Array, Array]:

@@ -1,6 +1,7 @@
 """Extra steps, and their statistics over many episodes (paper, section IV-B)."""
 
 import collections
+import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
@@ -28,6 +29,8 @@ class Summary(NamedTuple):
       quartile_75: upper quartile.
       success: share of episodes that reached a goal, 0 to 1.
       episodes: number of episodes.
+      mean_low: lower end of the 95 % interval of the mean, see `house_bootstrap`; NaN where houses were not given.
+      mean_high: its upper end.
     """
 
     mean_extra: float
@@ -36,10 +39,18 @@ class Summary(NamedTuple):
     quartile_75: float
     success: float
     episodes: int
+    mean_low: float = math.nan
+    mean_high: float = math.nan
 
 
-def summarize(extra: Sequence[float] | np.ndarray, success: Sequence[bool] | np.ndarray) -> Summary:
-    """Summarize a set of episodes. Each has the same weight.
+#: Samples of houses for intervals in summaries, and their seed.
+_RESAMPLES, _SEED = 10_000, 0
+
+
+def summarize(
+    extra: Sequence[float] | np.ndarray, success: Sequence[bool] | np.ndarray, houses: Sequence[str] | None = None
+) -> Summary:
+    """Summarize a set of episodes, with an interval of the mean where the house of each is given.
 
     Raises:
       ValueError: there are no episodes.
@@ -47,13 +58,9 @@ def summarize(extra: Sequence[float] | np.ndarray, success: Sequence[bool] | np.
     if len(extra) == 0:
         raise ValueError("no episode to summarize")
     low, median, high = np.percentile(extra, (25, 50, 75))
+    interval = () if houses is None else house_bootstrap(extra, houses, resamples=_RESAMPLES, seed=_SEED)
     return Summary(
-        mean_extra=float(np.mean(extra)),
-        median_extra=float(median),
-        quartile_25=float(low),
-        quartile_75=float(high),
-        success=float(np.mean(success)),
-        episodes=len(extra),
+        float(np.mean(extra)), float(median), float(low), float(high), float(np.mean(success)), len(extra), *interval
     )
 
 
@@ -75,7 +82,7 @@ def tabulate(episodes: Iterable[ExtraSteps], groups: tuple[str, ...]) -> dict[st
             cells[episode.planner][group].append(episode)
     return {
         planner: {
-            group: summarize([e.extra for e in by_group[group]], [e.success for e in by_group[group]])
+            group: summarize(*zip(*((e.extra, e.success, e.house) for e in by_group[group]), strict=True))
             for group in groups
             if group in by_group
         }

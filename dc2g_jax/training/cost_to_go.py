@@ -165,6 +165,12 @@ def learning_rate_schedule(recipe: TrainingConfig) -> optax.Schedule:
     return optax.warmup_cosine_decay_schedule(0.0, 1.0, warmup, recipe.steps)
 
 
+def learning_rates(config: TrainingConfig) -> Float[np.ndarray, "steps"]:
+    """The learning rate of every step."""
+    rates = jax.vmap(learning_rate_schedule(config.recipe))(jnp.arange(config.steps))
+    return config.learning_rate * np.asarray(rates)
+
+
 def optimizer(recipe: TrainingConfig) -> optax.GradientTransformation:
     """AdamW with clipped gradients, for a peak learning rate of 1."""
     adamw = optax.adamw(learning_rate_schedule(recipe), weight_decay=recipe.weight_decay)

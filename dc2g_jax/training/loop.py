@@ -1,4 +1,4 @@
-"""The training loop: steps, progress, late fetching of losses, validations and their log, checkpoints."""
+"""The training loop: steps, progress, late fetching of losses, validations and their log, curves, checkpoints."""
 
 import contextlib
 import dataclasses
@@ -13,6 +13,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import jax
 import numpy as np
+import numpy.typing as npt
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
@@ -20,11 +21,18 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.files.reading import number as as_number
 from dc2g_jax.files.reading import opened, parse_json, read_lines, whole_number
 from dc2g_jax.rollouts.devices import fetch, in_any_process, settle
+from dc2g_jax.training.tracking import Curve, Image, TrackerName
 
 _State = TypeVar("_State")
 
 #: Most bytes of a line of the log.
 _LONGEST_LINE = 2**20
+
+#: Steps between pictures for a tracker, which also gets one at each validation.
+_STEPS_PER_PICTURE = 500
+
+#: What is in lines of the log, but not in the curves of validations.
+_NO_VALIDATION = ("step", "run", "loss")
 
 #: Mean losses of the steps since the last fetch: a scalar for a single run, one per run for several.
 Losses = Float[np.ndarray, "*runs"]
@@ -47,6 +55,9 @@ class Task(Generic[_State]):
       place: puts the first state, or a restored one, on the devices of the task.
       name: title of the progress bar.
       steps_per_look: maximum number of steps between fetches of the losses, which wait for the device.
+      runs: names of the runs trained together; empty for a single one.
+      learning_rate: called as `learning_rate(step)`; the learning rate of a step, from 1, or that of each run.
+      pictures: makes a picture of predictions for a tracker, one per run.
     """
 
     steps: int
@@ -58,6 +69,15 @@ class Task(Generic[_State]):
     place: Callable[[_State], _State] = lambda state: state
     name: str = "train"
     steps_per_look: int = 50
+    runs: Sequence[str] = ()
+    learning_rate: Callable[[int], npt.ArrayLike] | None = None
+    pictures: Callable[[_State], Sequence[Image]] | None = None
+
+    def figures(self, step: int, losses: Losses) -> list[dict[str, float]]:
+        """Loss and learning rate of a step, for each run."""
+        columns = {"loss": losses} | ({"learning_rate": self.learning_rate(step)} if self.learning_rate else {})
+        each = {name: np.broadcast_to(values, max(1, len(self.runs))).tolist() for name, values in columns.items()}
+        return [dict(zip(each, values, strict=True)) for values in zip(*each.values(), strict=True)]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -215,14 +235,17 @@ def _check_finite(losses: Losses, step: int, out: Path) -> None:
         )
 
 
-def train(task: Task[_State], out: Path, checkpoints: Checkpoints, pauses: Pauses) -> _State:
+def train(
+    task: Task[_State], out: Path, checkpoints: Checkpoints, pauses: Pauses, track: TrackerName | None = None
+) -> _State:
     """Train to the end from the newest checkpoint. Saves checkpoints regularly, at the end, and at Ctrl-C.
 
     Args:
       task: the training task.
-      out: folder of the log.
+      out: folder of the log and the curves.
       checkpoints: storage of the states; closed at the end.
       pauses: when to validate and to save.
+      track: tracker to send the curves to.
 
     Returns:
       The last state.
@@ -237,9 +260,19 @@ def train(task: Task[_State], out: Path, checkpoints: Checkpoints, pauses: Pause
         bar.set_description("validate")
         lines = task.validate(state, step, losses)
         Log(out).write(*lines)
+        if lines:
+            figures = [{name: line[name] for name in line if name not in _NO_VALIDATION} for line in lines]
+            curve.add(step, figures, "validation/")
         if len(lines) == 1:
             tqdm.write(json.dumps(lines[0]), file=sys.stderr)
         bar.set_description(task.name)
+
+    def look() -> None:
+        task.watch(state, step, losses)
+        if losses is not None:
+            curve.add(step, task.figures(step, losses))
+        if curve.tracked and task.pictures and (step % _STEPS_PER_PICTURE == 0 or pauses.validates(step, task.steps)):
+            curve.show(step, "cost-to-go", task.pictures(state))
 
     def save() -> None:
         nonlocal saved, last_save
@@ -250,7 +283,7 @@ def train(task: Task[_State], out: Path, checkpoints: Checkpoints, pauses: Pause
         if noted:
             raise KeyboardInterrupt
 
-    with contextlib.closing(checkpoints):
+    with contextlib.closing(checkpoints), contextlib.closing(Curve(out, task.runs, track)) as curve:
         state: Any = checkpoints.restore()
         state = task.place(task.init() if state is None else state)
         step = int(np.max(fetch(state.step)))
@@ -259,7 +292,7 @@ def train(task: Task[_State], out: Path, checkpoints: Checkpoints, pauses: Pause
                 if step not in task.validated and pauses.validates(step, task.steps):
                     validate()
                 if step < task.steps:
-                    task.watch(state, step, None)
+                    look()
                 while step < task.steps:
                     count = _steps_to_next_stop(task, pauses, step)
                     state, each, interrupted = _take_steps(state, count, task.step)
@@ -271,7 +304,7 @@ def train(task: Task[_State], out: Path, checkpoints: Checkpoints, pauses: Pause
                         _check_finite(losses, step, out)
                     if in_any_process(interrupted):
                         raise KeyboardInterrupt
-                    task.watch(state, step, losses)
+                    look()
                     if pauses.validates(step, task.steps):
                         validate()
                     if in_any_process(time.monotonic() - last_save > 60 * pauses.minutes_per_checkpoint):

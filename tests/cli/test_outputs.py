@@ -30,6 +30,11 @@ class Options:
 
 
 @dataclasses.dataclass(frozen=True)
+class OnHouses(Options):
+    dataset: str | None = None
+
+
+@dataclasses.dataclass(frozen=True)
 class Resumable(Options):
     resume: bool = False
 
@@ -46,6 +51,19 @@ def test_a_folder_says_how_it_was_made(tmp_path):
     assert only["command"].startswith("python -m experiments.")
     assert only["versions"]["jax"] == jax.__version__
     assert set(only) == {"command", "began", "commit", "versions"}
+
+
+def test_a_folder_names_the_houses_that_the_environment_gave(tmp_path, monkeypatch):
+    monkeypatch.setenv("DC2G_DATA", "procedural")
+
+    def noted(name: str, dataset: str | None) -> dict:
+        output_folder(OnHouses(out=tmp_path / name, dataset=dataset), "wander")
+        return json.loads((tmp_path / name / "run.json").read_text())["runs"][0]
+
+    assert noted("by_environment", None)["DC2G_DATA"] == "procedural"
+    assert "DC2G_DATA" not in noted("by_option", "houses")
+    monkeypatch.delenv("DC2G_DATA")
+    assert "DC2G_DATA" not in noted("by_download", None)
 
 
 def test_without_a_folder_a_new_one_is_made(tmp_path, monkeypatch):

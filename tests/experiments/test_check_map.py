@@ -9,7 +9,7 @@ import pytest
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import write_class_image
-from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS
+from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS, ROAD
 from experiments.check_map import Options, main
 from tests.support.commands import run
 from tests.support.maps import drawn
@@ -29,8 +29,11 @@ CAMPUS = drawn("""
 
 
 def test_check_map_reports_and_draws(tmp_path):
-    (tmp_path / "palette.csv").write_text(PALETTE)
-    write_class_image(tmp_path / "campus.png", CAMPUS)
+    colors = np.array(CLASS_COLORS, np.uint8)
+    colors[ROAD] = (255, 0, 200)
+    road = "road,{},{},{}"
+    (tmp_path / "palette.csv").write_text(PALETTE.replace(road.format(*CLASS_COLORS[ROAD]), road.format(255, 0, 200)))
+    cv2.imwrite(str(tmp_path / "campus.png"), colors[CAMPUS][..., ::-1])
     result = run(
         "check_map", tmp_path / "campus.png", "--palette", tmp_path / "palette.csv", "--goals", 2, 5,
         "--out", tmp_path / "out",
@@ -45,8 +48,11 @@ def test_check_map_reports_and_draws(tmp_path):
     assert "warning: traversable cells that lead to no goal: 3 around (12, 5), 1 at (15, 0)" in lines
     assert "warning: goal cells that touch no other traversable ground: 1 at (13, 1)" in lines
     # The panels of so wide a map lie below each other.
-    height, width, _ = cv2.imread(str(tmp_path / "out" / "campus.png")).shape
+    picture = cv2.imread(str(tmp_path / "out" / "campus.png"))
+    height, width, _ = picture.shape
     assert height > width
+    # Classes have the palette's colors.
+    assert np.sum(np.all(picture[..., ::-1] == (255, 0, 200), axis=-1)) > 1000
     assert (tmp_path / "out" / "campus.svg").read_text().count("<image") >= 3
 
 

@@ -78,7 +78,7 @@ def test_reproduce_fig7_on_a_folder_of_houses(few_houses, figure):
     assert facts["published"] == {}
     assert set(facts["paper"]) == {"oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go"}
     assert facts["paper"]["oracle"]["test"] == {
-        "mean_extra": 0.0, "median_extra": 0.0, "success": 1.0, "episodes": 4,
+        "mean_extra": 0.0, "mean_low": 0.0, "mean_high": 0.0, "median_extra": 0.0, "success": 1.0, "episodes": 4,
     }  # fmt: skip
     with (out / "episodes.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -90,7 +90,7 @@ def test_reproduce_fig7_on_a_folder_of_houses(few_houses, figure):
     frontier = [float(row["extra"]) for row in rows if row["planner"] == "frontier"]
     assert facts["paper"]["frontier"]["test"]["mean_extra"] == pytest.approx(np.mean(frontier), abs=1e-3)
     assert all(len(row["actions"]) == int(row["steps"]) for row in rows)
-    for name in ("fig7.png", "fig7.svg", "summary.csv", "houses.csv"):
+    for name in ("fig7.png", "fig7.svg", "fig7.pdf", "summary.csv", "houses.csv"):
         assert (out / name).stat().st_size > 0
     # An output folder in use is refused, and nothing in it is touched.
     before = (out / "results.json").read_text()
@@ -327,10 +327,13 @@ def test_training_resumes_and_its_network_plans(few_houses, tmp_path):
     options = [
         "train", "--dataset", few_houses, "--out", out, "--extra-houses", 2, "--starts-per-house", 1,
         "--masks-per-episode", 2, "--steps", 4, "--batch-size", 4, "--ranges", 6, "--validate-every", 0, "--record",
+        "--track", "tensorboard",
     ]  # fmt: skip
     first = run(*options)
     assert first.returncode == 0, first.stderr
     assert [path.name for path in out.glob("*.rrd")] == ["training-001.rrd"]
+    assert len(list((out / "tensorboard").iterdir())) == 1
+    assert (out / "curve.csv").read_text().startswith("step,loss,learning_rate\n4,")
     card = json.loads((out / "network" / "network.json").read_text())
     assert card["steps"] == 4
     finished = {path: path.stat().st_mtime_ns for path in (out / "network").rglob("*")}
@@ -377,7 +380,7 @@ def test_a_sweep_that_was_killed_ends_like_one_that_was_not(few_houses, tmp_path
     process.wait()
     assert not (tmp_path / "killed" / "results.csv").exists()
     assert run(*options(tmp_path / "killed"), "--resume").returncode == 0
-    for name in ("results.csv",):
+    for name in ("results.csv", "curve.csv"):
         assert (tmp_path / "killed" / name).read_text() == (tmp_path / "whole" / name).read_text()
     for network in (tmp_path / "whole" / "runs").glob("*/network"):
         one, other = (

@@ -17,7 +17,7 @@ YARD = drawn("""
     RRRRRRRR
     RRRRRRRR
 """)
-WRITTEN = {"map.npy", "map.png", "map.svg", "recording.rrd", "run.json"}
+WRITTEN = {"map.npy", "map.png", "map.svg", "map.pdf", "recording.rrd", "run.json"}
 
 
 @pytest.fixture(scope="module")

@@ -17,6 +17,12 @@ from tests.support.commands import complaint, run
 from tests.support.maps import drawn
 from tests.support.refusals import refusal
 
+
+def figure(name: str) -> set[str]:
+    """The files of a figure."""
+    return {f"{name}.png", f"{name}.svg", f"{name}.pdf"}
+
+
 YARD = drawn("""
     ####D#
     ..#.P.
@@ -71,7 +77,7 @@ def test_a_newcomer_sends_planners_over_a_map(compact_network, tmp_path):
         assert steps == episodes[planner]["steps"]
         assert float(extra) == pytest.approx(100 * (int(steps) - 11) / 11, abs=0.05)
         assert " ".join(outcome) == "reached the goal"
-    written = {"episode.png", "episode.svg", "episode.gif", "episode.rrd", "trajectories.png", "trajectories.svg"}
+    written = {*figure("episode"), "episode.gif", "episode.rrd", *figure("trajectories")}
     assert {path.name for path in out.iterdir()} == written | {"episodes.csv", "run.json"}
     assert all(path.stat().st_size > 0 for path in out.iterdir())
     assert f"rerun {out / 'episode.rrd'}" in result.stdout
@@ -114,7 +120,7 @@ def test_outcomes_are_told(yard, tmp_path, capsys):
     [
         ({"figures": "none", "record": "none"}, set()),
         ({"figures": "none"}, {"episode.rrd"}),
-        ({"record": "none"}, {"episode.png", "episode.svg", "trajectories.png", "trajectories.svg", "episode.gif"}),
+        ({"record": "none"}, {*figure("episode"), *figure("trajectories"), "episode.gif"}),
     ],
 )
 def test_drawing_is_left_out(yard, tmp_path, left_out, written):
@@ -133,7 +139,7 @@ def test_episodes_too_long_for_the_memory_are_not_replayed(yard, tmp_path, capsy
     explore_map.main(options)
     assert "frontier: 1" in capsys.readouterr().err
     written = {path.name for path in (tmp_path / "out").iterdir()}
-    assert written == {"episodes.csv", "run.json", "trajectories.png", "trajectories.svg"}
+    assert written == {"episodes.csv", "run.json", *figure("trajectories")}
 
 
 def test_figure_8_is_of_the_start_of_median_length(streets, tmp_path, capsys):
@@ -160,7 +166,7 @@ def test_figure_8_of_a_house_that_is_named(streets, tmp_path):
 def test_a_dataset_is_drawn(streets, tmp_path, capsys):
     draw_dataset.main(draw_dataset.Options(dataset=str(streets), out=tmp_path / "out"))
     assert "streets: 3 houses, pages: 1" in capsys.readouterr().out
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"page-1.png", "page-1.svg", "run.json"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {*figure("page-1"), "run.json"}
     nothing = draw_dataset.Options(dataset=str(streets), splits=("val",), out=tmp_path / "none")
     refusal(lambda: draw_dataset.main(nothing), "streets", "no houses in val")
 

@@ -133,7 +133,7 @@ def test_figure_4_shows_as_many_houses_as_asked_for(dataset, compact_network, tm
         reproduce_fig4, "open_dataset", lambda location, *, cells: HouseDataset("drawn", "folder", houses)
     )
     reproduce_fig4.main(reproduce_fig4.Options(network=compact_network, rows=1, out=tmp_path / "fig4"))
-    assert {path.name for path in (tmp_path / "fig4").iterdir()} == {"fig4.png", "fig4.svg", "run.json"}
+    assert {path.name for path in (tmp_path / "fig4").iterdir()} == {"fig4.png", "fig4.svg", "fig4.pdf", "run.json"}
     with pytest.raises(InputError, match="--rows 0"):
         reproduce_fig4.main(reproduce_fig4.Options(rows=0, out=tmp_path / "no"))
 

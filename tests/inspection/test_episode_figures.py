@@ -206,7 +206,7 @@ def test_large_maps_fill_the_page(shape):
 
 def test_trajectories_are_written(tmp_path):
     files = plot_trajectories(tmp_path / "ways.v2", toy.HOUSE, toy.RESULTS)
-    assert [path.name for path in files] == ["ways.v2.png", "ways.v2.svg"]
+    assert [path.name for path in files] == ["ways.v2.png", "ways.v2.svg", "ways.v2.pdf"]
     assert cv2.imread(str(files[0])).shape[1] > 1000
     drawing = files[1].read_text()
     assert drawing.count("<image") >= 2

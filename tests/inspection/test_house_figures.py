@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from matplotlib.collections import LineCollection
 from matplotlib.text import Text
 
 from dc2g_jax.datasets.houses import House
@@ -36,12 +37,12 @@ def test_strips_hold_every_episode_but_the_oracles(monkeypatch, tmp_path):
 
 
 def test_planners_of_ones_own_come_last_and_do_not_look_alike():
-    styles = figures._compared_styles(["mine", "dc2g", "oracle", "yours", "frontier", "mine"])
+    styles = figures.planner_styles(["mine", "dc2g", "yours", "frontier", "mine"])
     assert list(styles) == ["frontier", "dc2g", "mine", "yours"]
     looks = [style[1:] for style in styles.values()]
     assert len(set(looks)) == 4
     assert styles["dc2g"] == PLANNER_STYLES["dc2g"]
-    many = figures._compared_styles([*PLANNER_STYLES, *(f"planner {n}" for n in range(20))]).values()
+    many = figures.planner_styles([*PLANNER_STYLES, *(f"planner {n}" for n in range(20))]).values()
     assert len({(style.color, style.hatch) for style in many}) == len(many)
     assert len({(style.color, style.marker) for style in many}) == len(many)
 
@@ -65,7 +66,7 @@ def test_groups_are_cut_where_a_column_is_full():
 def test_strips_are_written(tmp_path):
     houses = [f"n{number:03}" for number in range(25)]
     files = plot_house_strips(tmp_path / "strips", _results(houses, ("frontier",)), dict.fromkeys(houses, "test"))
-    assert [path.suffix for path in files] == [".png", ".svg"]
+    assert [path.suffix for path in files] == [".png", ".svg", ".pdf"]
     assert all(path.stat().st_size > 10_000 for path in files)
 
 
@@ -105,7 +106,7 @@ def test_a_page_says_in_which_houses_no_episode_can_be_run(monkeypatch, tmp_path
 @pytest.mark.parametrize("shape", [(1, 1), (9, 6), (50, 50), (200, 300), (10, 400)])
 def test_houses_of_any_size_are_drawn_in_their_colors(shape, tmp_path):
     (page,) = contact_pages(_houses(2, shape=shape))
-    png, svg = plot_contact_page(tmp_path / "page", "title", "page 1 of 1", page)
+    png, svg, _ = plot_contact_page(tmp_path / "page", "title", "page 1 of 1", page)
     assert svg.stat().st_size > 1000
     image = cv2.imread(str(png))
     side = int(contact_sheets._SIDE * contact_sheets._DPI)
@@ -121,12 +122,15 @@ def test_figures_are_a_page_wide_and_their_text_has_7_points_or_more(monkeypatch
     monkeypatch.setattr(figures, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
     groups = ("train", "urban", "all")
     planners = (*PLANNER_STYLES, "mine")
-    table = {planner: dict.fromkeys(groups, Summary(9.5, 7.0, 1.0, 12.0, 1.0, 30)) for planner in planners}
+    table = {planner: dict.fromkeys(groups, Summary(9.5, 7.0, 1.0, 12.0, 1.0, 30, 6.5, 14.0)) for planner in planners}
     figures.plot_extra_steps(tmp_path / "fig7", {"published": table, "paper": table}, "toy")
     figures.plot_head_to_head(tmp_path / "pairs", {group: [(3.0, 1.0), (0.0, 250.0)] for group in groups})
     names = {f"n{number:03}": "test" for number in range(25)}
-    plot_house_strips(tmp_path / "strips", _results(names), names)
+    plot_house_strips(tmp_path / "strips", _results(names), names, "paper")
     assert len(drawn) == 3
+    intervals = [line for line in drawn[0].findobj(LineCollection) for line in line.get_segments()]
+    assert sum(np.array_equal(line[:, 1], [6.5, 14.0]) for line in intervals) >= 2 * len(groups) * (len(planners) - 1)
+    assert any("Sampled starts, 8-cell sensing" in text.get_text() for text in drawn[2].findobj(Text))
     for figure in drawn:
         assert figure.get_figwidth() == pytest.approx(7.16)
         written = [text for text in figure.findobj(Text) if text.get_text()]

@@ -8,7 +8,7 @@ from dc2g_jax.inspection.image_figures import METRIC_LABELS, Example, HouseMetri
 
 
 def check(files) -> None:
-    assert sorted(path.suffix for path in files) == [".png", ".svg"]
+    assert sorted(path.suffix for path in files) == [".pdf", ".png", ".svg"]
     assert all(path.stat().st_size > 1000 for path in files)
 
 

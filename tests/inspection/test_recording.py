@@ -16,6 +16,7 @@ from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, GRASS, ROAD, TRAVERSA
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.inspection import legend
 from dc2g_jax.inspection import replay as replaying
+from dc2g_jax.inspection.figures import PLANNER_STYLES
 from dc2g_jax.inspection.recording import record_episode
 from dc2g_jax.inspection.replay import actions_from_letters, replay, replay_result, running_extra_steps
 from dc2g_jax.planning.named import make_planner
@@ -112,6 +113,13 @@ def _cells(logged, entity, shape):
         for x, y in centers:
             cells[step, int(y - 0.5), int(x - 0.5)] = True
     return cells
+
+
+def test_planners_have_the_colors_of_figures(logged, results):
+    for name in results:
+        red, green, blue = (int(PLANNER_STYLES[name].color[place : place + 2], 16) for place in (1, 3, 5))
+        (color,) = logged[f"/{name}/extra_steps", "SeriesLines:colors"][None]
+        assert color == red << 24 | green << 16 | blue << 8 | 255
 
 
 def test_replay_decides_what_was_done(results, frames):

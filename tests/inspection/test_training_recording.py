@@ -1,5 +1,6 @@
 """A training recording holds what the network said, survives being killed, and leaves training alone."""
 
+import dataclasses
 import math
 import shutil
 import time
@@ -21,8 +22,8 @@ from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.terrain import TRAVERSABLE
 from dc2g_jax.inspection import legend
 from dc2g_jax.inspection.legend import CostScale
-from dc2g_jax.inspection.training_recording import TrainingRecording, learning_rates, maps_to_watch, next_file
-from dc2g_jax.training.cost_to_go import TrainingConfig, first_state, train_step
+from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_watch, next_file, prediction_picture
+from dc2g_jax.training.cost_to_go import TrainingConfig, first_state, learning_rates, train_step
 from dc2g_jax.training.cost_to_go_data import DataConfig
 from dc2g_jax.training.loop import Pauses, Task, train
 from experiments.train import Options, open_recording
@@ -109,6 +110,22 @@ def test_predictions_are_those_of_the_network(logged):
         assert logged["/error", "Scalars:scalars"][step] == [pytest.approx(error, rel=1e-5)]
     # Looks soon after a prediction make none; a validation always does.
     assert sorted(logged["/maps/predicted", "SegmentationImage:buffer"]) == [0, 4]
+
+
+def test_a_picture_shows_the_maps_and_their_costs_in_the_colors_of_the_viewer():
+    maps, network = _maps(), _network(1)
+    picture = prediction_picture(network, maps)
+    count, height, width = maps.terrain.shape
+    assert picture.shape == (3 * 3 * height, 3 * (count * (width + 2) - 2), 3)
+    known, _, exact = picture[::3, ::3][:, :width].reshape(3, height, width, 3)
+    np.testing.assert_array_equal(known, legend.terrain_colors()[maps.terrain[0]])
+    counts, scale = maps.weight[0] > 0, CostScale.of(maps.target)
+    np.testing.assert_array_equal(exact, scale.colors()[scale.classes(maps.target[0], counts)])
+    assert len(np.unique(exact[counts], axis=0)) > 10
+    other = prediction_picture(network, dataclasses.replace(maps, target=maps.target + 5))
+    rows = slice(3 * height, 6 * height)
+    assert np.any(prediction_picture(_network(2), maps)[rows] != picture[rows])
+    assert np.any(other[6 * height :] != picture[6 * height :])
 
 
 def test_differences_are_named_and_signed():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dc2g_jax.rollouts.statistics import extra_steps, house_bootstrap, summarize
+from dc2g_jax.rollouts.statistics import ExtraSteps, extra_steps, house_bootstrap, summarize, tabulate
 
 
 @pytest.mark.parametrize(("steps", "shortest", "wanted"), [(10, 10, 0), (25, 10, 150), (11, 8, 37.5)])
@@ -23,6 +23,17 @@ def test_summary():
     assert (summary.quartile_25, summary.quartile_75) == (7.5, 57.5)
     assert (summary.success, summary.episodes) == (0.75, 4)
     assert all(type(value) is float for value in summary[:5])
+    assert np.isnan([summary.mean_low, summary.mean_high]).all()
+
+
+def test_intervals_in_a_table_are_over_the_houses_of_each_group():
+    rows = [("a", "x", 0.0), ("a", "x", 40.0), ("a", "y", 10.0), ("b", "z", 5.0), ("b", "z", 7.0)]
+    episodes = [ExtraSteps("dc2g", group, house, extra, True) for group, house, extra in rows]
+    table = tabulate(episodes, ("a", "b", "all"))["dc2g"]
+    assert (table["a"].mean_low, table["a"].mean_high) == (10, 20)  # house y or house x alone
+    assert (table["b"].mean_low, table["b"].mean_high) == (6, 6)
+    whole = house_bootstrap([row[2] for row in rows], [row[1] for row in rows], resamples=10_000, seed=0)
+    assert (table["all"].mean_low, table["all"].mean_high) == whole
 
 
 def test_a_summary_of_nothing_is_refused():

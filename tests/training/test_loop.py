@@ -65,7 +65,7 @@ class Training:
 
     def run(self, first_step=0, validate_every=10, minutes=np.inf, **changes):
         task = Task(
-            25, lambda: State(jnp.int32(first_step)), **{"step": self.step, **changes}, validate=self.validate,
+            25, lambda: State(jnp.int32(first_step)), **{"step": self.step, "validate": self.validate, **changes},
             validated=self.validations, name="test", steps_per_look=4,
         )  # fmt: skip
         return train(task, self.out, self, Pauses(validate_every, minutes))
@@ -124,7 +124,12 @@ def test_runs_trained_together_go_on_when_one_diverges(training):
         return new, jnp.stack([loss, jnp.nan])
 
     looked = []
-    training.run(step=step, watch=lambda state, step, losses: looked.append((step, losses)))
+    training.run(
+        step=step,
+        watch=lambda state, step, losses: looked.append((step, losses)),
+        validate=lambda state, step, losses: [{"run": run, "step": step} for run in ("a", "b")],
+        runs=("a", "b"),
+    )
     assert training.saved == [25]
     assert looked[0] == (0, None)  # before the first step
     assert looked[1][0] == 4
