@@ -22,7 +22,7 @@ from dc2g_jax.cli.training_sets import kept_arrays
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
-from dc2g_jax.files.atomic import write_json
+from dc2g_jax.files.atomic import replacing, write_json
 from dc2g_jax.files.digests import arrays_sha256
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect, random_views
 from dc2g_jax.objectnav.data import JourneySet
@@ -123,7 +123,8 @@ def open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
     """The given encoder, or the one of this run, which is trained if it does not exist."""
     own = options.out / ENCODER_FILE
     if options.encoder is not None and not own.exists():
-        shutil.copyfile(options.encoder, own)
+        with replacing(own) as unfinished:
+            shutil.copyfile(options.encoder, unfinished)
     if own.exists():
         return load_encoder(own)
     views = random_views(

@@ -1,0 +1,294 @@
+"""The commands that can be resumed, small enough to be run thousands of times.
+
+What takes long and writes nothing, such as episodes, steps of training and figures, is replaced by a stand-in. What is
+written, when and where is the command's own doing.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax.cli import episodes, searches, training_sets, translation
+from dc2g_jax.cli.driving import DriveResult
+from dc2g_jax.datasets.houses import House
+from dc2g_jax.datasets.starts import PublishedEpisode, Start
+from dc2g_jax.estimation.checkpoints import load_network
+from dc2g_jax.grid.terrain import GRASS
+from dc2g_jax.objectnav.collecting import CollectionConfig
+from dc2g_jax.objectnav.evaluation import SearchResult
+from dc2g_jax.objectnav.midlevel import EncoderArchitecture, EncoderState, TrainedEncoder, init_encoder, save_encoder
+from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax.rollouts.published import PUBLISHED_GROUPS
+from dc2g_jax.training.cost_to_go_data import DataConfig
+from dc2g_jax.training.loop import Task
+from dc2g_jax.training.mask_collection import Masks
+from experiments import (
+    head_to_head,
+    noisy_mapping,
+    objectnav_table1,
+    objectnav_table2,
+    objectnav_train,
+    reproduce_fig5,
+    reproduce_fig7,
+    run_episodes,
+    sweep_losses,
+    train,
+    train_translator,
+    unknown_dimensions,
+)
+from tests.support import trainings
+from tests.support.houses import STREET, YARD
+from tests.support.two_rooms import two_rooms
+
+#: Runs a command, resumed or not, that writes to this folder.
+Command = Callable[[Path, bool], None]
+
+#: Starts in the house of the split `test`.
+STARTS = [Start("test", column, 4, 0) for column in (1, 2, 3)]
+
+SMALL_ENCODER = EncoderArchitecture((2, 2, 2), features=2)
+
+
+def write_houses(folder: Path) -> None:
+    """A map of ten by ten cells of every split."""
+    for split, terrain in (("train", STREET), ("val", YARD), ("test", STREET[:, ::-1])):
+        (folder / split).mkdir(parents=True)
+        np.save(folder / split / f"{split}.npy", np.pad(terrain, ((0, 2), (0, 0)), constant_values=GRASS))
+
+
+def fake_episodes(self, starts, planners, estimator=None, *, own=None) -> list[EpisodeResult]:
+    """Stands in for `Runner.run`: the farther right the start, the longer the episode."""
+    return [
+        EpisodeResult(
+            *start[:4], self.rules(start).sensing.radius, self.rules(start).expanding_range, planner, True, start.x + 2,
+            2, 50.0 * start.x, "to_goal", "F" * (start.x + 2),
+        )
+        for planner in planners
+        for start in starts
+    ]  # fmt: skip
+
+
+def fake_step(state, *args, **options) -> tuple[Any, jax.Array]:
+    """Stands in for a step of training: other weights after each step."""
+    names = {"weights", "average", "generator"} & {field.name for field in dataclasses.fields(state)}
+    step = np.max(state.step)
+    changed = {name: jax.tree.map(lambda leaf: 0.5 * leaf + 0.1 * step, getattr(state, name)) for name in names}
+    return dataclasses.replace(state, step=state.step + 1, **changed), jnp.full(state.step.shape, 0.5)
+
+
+def fake_masks(config, houses, n_own, on_progress) -> Masks:
+    """Stands in for `observation_masks`."""
+    return Masks(boards=np.ones((2, 1, 10), np.uint32), world=np.zeros(2, np.int32))
+
+
+class FakeValidation:
+    """Stands in for `Validation`, whose figures depend on the weights."""
+
+    def __init__(self, dataset, drawn=0):
+        pass
+
+    def figures(self, estimator) -> dict[str, float]:
+        return {"mean_extra": float(np.sum(jax.tree.leaves(estimator.weights)[0]))}
+
+
+def fake_figure(path, *args, **options) -> list[Path]:
+    """Stands in for a function that draws."""
+    written = [Path(f"{path}{ending}") for ending in (".png", ".svg")]
+    for target in written:
+        target.write_text("a figure")
+    return written
+
+
+def fake_encoder_task(architecture, views, *, steps, save, seed) -> Task[EncoderState]:
+    """Stands in for `encoder_task`."""
+
+    def validate(state, step, losses):
+        save(TrainedEncoder(state.weights, SMALL_ENCODER), {"loss": 0.5})
+        return [{"step": step}]
+
+    def init() -> EncoderState:
+        return EncoderState(step=jnp.int32(0), weights=init_encoder(SMALL_ENCODER, jax.random.key(seed)), optimizer=())
+
+    return Task(steps, init, fake_step, validate)
+
+
+def fake_results(name, houses, some_searches, searches) -> list[SearchResult]:
+    """Stands in for `results_of`."""
+    return [SearchResult(*search, name, True, True, 0.5, 1.0, 2.0, 0.0, 20, 0, 0.1, 0.1, 0.1, 0.1) for search in
+            some_searches]  # fmt: skip
+
+
+def _command(module: Any, options: Any) -> Command:
+    return lambda out, resume: module.main(dataclasses.replace(options, out=out, resume=resume))
+
+
+def _episodes(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(Runner, "run", fake_episodes)
+    patch.setattr(episodes, "EPISODES_A_SHARD", 2)
+
+
+def _published(patch: pytest.MonkeyPatch, module: Any) -> None:
+    """Call the houses the published ones, and some episodes in them the paper's."""
+    _episodes(patch)
+    groups = PUBLISHED_GROUPS[:-1]
+    ran = [PublishedEpisode(group, start, 5, 9, 7) for group in groups for start in STARTS[:2]]
+    open_dataset = module.open_dataset
+    patch.setattr(module, "open_dataset", lambda where: dataclasses.replace(open_dataset(where), source="published"))
+    for each in (module, episodes):
+        patch.setattr(each, "published_episodes", lambda: ran)
+
+
+def run_episodes_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
+    _episodes(patch)
+    starts = folder / "starts.csv"
+    starts.write_text("\n".join(["house,x,y,heading", *(",".join(map(str, start[:4])) for start in STARTS)]))
+    return _command(run_episodes, run_episodes.Options(starts=starts, dataset=dataset, planner=("oracle", "frontier")))
+
+
+def reproduce_fig7_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
+    _published(patch, reproduce_fig7)
+    patch.setattr(reproduce_fig7, "plot_extra_steps", fake_figure)
+    patch.setattr(reproduce_fig7, "plot_house_strips", fake_figure)
+    planners = ("oracle", "frontier", "true_cost_to_go")
+    return _command(reproduce_fig7, reproduce_fig7.Options(dataset=dataset, planner=planners, starts_per_house=3))
+
+
+def head_to_head_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
+    _published(patch, head_to_head)
+    patch.setattr(head_to_head, "plot_head_to_head", fake_figure)
+    return _command(head_to_head, head_to_head.Options(dataset=dataset, planner="true_cost_to_go", resamples=20))
+
+
+def unknown_dimensions_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
+    _episodes(patch)
+    worlds = unknown_dimensions.Worlds([House("test", "val", STREET)], STARTS)
+    patch.setattr(unknown_dimensions, "all_worlds", lambda options, dataset: {"one": worlds, "other": worlds})
+    network = load_network()
+    patch.setattr(unknown_dimensions, "load_network", lambda folder: network)
+    patch.setattr(unknown_dimensions, "milliseconds", lambda estimators, house: {})
+    return _command(unknown_dimensions, unknown_dimensions.Options(dataset=dataset))
+
+
+def noisy_mapping_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
+    def drive(name, houses, starts, *args, **options) -> list[DriveResult]:
+        return [DriveResult(*start[:4], 5.0 + len(name), "arrived", 0.0, 0.0) for start in starts]
+
+    _episodes(patch)
+    network = load_network()
+    patch.setattr(noisy_mapping, "load_network", lambda folder: network)
+    patch.setattr(noisy_mapping, "equipment", lambda *args: None)
+    patch.setattr(noisy_mapping, "drive", drive)
+    patch.setattr(noisy_mapping, "plot_noise", fake_figure)
+    return _command(noisy_mapping, noisy_mapping.Options(dataset=dataset, starts_per_house=2, levels=(0.0, 1.0)))
+
+
+def _tables(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(searches, "indoor_houses", lambda *args, **options: [two_rooms()])
+    patch.setattr(searches, "search_all", lambda *args, **options: None)
+    patch.setattr(searches, "results_of", fake_results)
+
+
+def objectnav_table1_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
+    _tables(patch)
+    agents = ("random", "frontier")
+    return _command(objectnav_table1, objectnav_table1.Options(count=1, episodes=2, agents=agents, resamples=20))
+
+
+def objectnav_table2_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
+    _tables(patch)
+    patch.setattr(objectnav_table2, "open_networks", lambda folders: {"semantic": None, "both": None})
+    patch.setattr(objectnav_table2, "agent_with", lambda *args: None)
+    patch.setattr(
+        objectnav_table2, "prediction_metrics", lambda *args: dict.fromkeys(objectnav_table2.METRICS, 50.0)
+    )  # fmt: skip
+    return _command(objectnav_table2, objectnav_table2.Options(count=1, episodes=2, resamples=20))
+
+
+def train_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
+    patch.setattr(train, "train_step", fake_step)
+    patch.setattr(train, "Validation", FakeValidation)
+    patch.setattr(training_sets, "observation_masks", fake_masks)
+    options = train.Options(
+        dataset=dataset, out=folder, data=DataConfig(extra_houses=0), widths=(2, 2, 2, 2), steps=3, batch_size=1,
+        validate_every=1, minutes_per_checkpoint=0.0,
+    )  # fmt: skip
+    return _command(train, options)
+
+
+def sweep_losses_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
+    patch.setattr(sweep_losses, "train_step", fake_step)
+    patch.setattr(sweep_losses, "Validation", FakeValidation)
+    patch.setattr(sweep_losses, "validation_pairs", lambda *args, **options: None)
+    patch.setattr(sweep_losses, "validation_errors", lambda architecture, weights, pairs: np.arange(2.0))
+    patch.setattr(sweep_losses, "plot_sweep", fake_figure)
+    patch.setattr(training_sets, "observation_masks", fake_masks)
+    options = sweep_losses.Options(
+        dataset=dataset, out=folder, data=DataConfig(extra_houses=0), widths=("2,2,2,2",), losses=("l1",), seeds=(0, 1),
+        steps=2, batch_size=1, validate_every=1, minutes_per_checkpoint=0.0,
+    )  # fmt: skip
+    return _command(sweep_losses, options)
+
+
+def _translator(patch: pytest.MonkeyPatch) -> translation.TranslationOptions:
+    patch.setattr(translation, "translator_step", fake_step)
+    patch.setattr(translation, "metrics_over_pairs", lambda network, data: {"l1": 0.25, "low_recall": 0.5})
+    data = translation.TranslationData(trainings.image_set(), trainings.image_set())
+    for module in (train_translator, reproduce_fig5):
+        patch.setattr(module, "translation_data", lambda dataset, options: data)
+    return translation.TranslationOptions(
+        size=32, base_filters=2, steps=2, batch_size=1, validate_every=1, minutes_per_checkpoint=0.0
+    )
+
+
+def train_translator_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
+    options = train_translator.Options(dataset=dataset, out=folder, training=_translator(patch))
+    return _command(train_translator, options)
+
+
+def reproduce_fig5_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
+    patch.setattr(reproduce_fig5, "plot_training", fake_figure)
+    options = reproduce_fig5.Options(
+        dataset=dataset, out=folder, losses=("l1",), seeds=(0, 1), training=_translator(patch)
+    )
+    return _command(reproduce_fig5, options)
+
+
+def objectnav_train_(
+    dataset: str, folder: Path, patch: pytest.MonkeyPatch, encoder: Path | None = None
+) -> Command:  # fmt: skip
+    patch.setattr(objectnav_train, "indoor_houses", lambda *args, **options: [two_rooms()])
+    patch.setattr(objectnav_train, "random_views", lambda *args: None)
+    patch.setattr(objectnav_train, "encoder_task", fake_encoder_task)
+    patch.setattr(objectnav_train, "collect", lambda *args: trainings.journeys())
+    patch.setattr(objectnav_train, "train_step", fake_step)
+    patch.setattr(objectnav_train, "validation_samples", lambda *args: None)
+    patch.setattr(objectnav_train, "figures", lambda *args: {"error": 0.5})
+    options = objectnav_train.Options(
+        out=folder, count=1, validation_houses=1, encoder=encoder, encoder_steps=2, widths=(2, 2), steps=2,
+        batch_size=1, collection=CollectionConfig(journeys=1, views=4, places=1), validate_every=1,
+        minutes_per_checkpoint=0.0,
+    )  # fmt: skip
+    return _command(objectnav_train, options)
+
+
+def objectnav_train_with_encoder_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
+    weights = init_encoder(SMALL_ENCODER, jax.random.key(0))
+    save_encoder(folder / "given.safetensors", TrainedEncoder(weights, SMALL_ENCODER), {})
+    return objectnav_train_(dataset, folder, patch, folder / "given.safetensors")
+
+
+#: `(houses, folder for inputs, patch) -> command`, by the name of its module.
+COMMANDS: dict[str, Callable[[str, Path, pytest.MonkeyPatch], Command]] = {
+    each.__name__.rstrip("_"): each
+    for each in (
+        run_episodes_, reproduce_fig7_, head_to_head_, unknown_dimensions_, noisy_mapping_, objectnav_table1_,
+        objectnav_table2_, train_, sweep_losses_, train_translator_, reproduce_fig5_, objectnav_train_,
+        objectnav_train_with_encoder_,
+    )
+}  # fmt: skip
