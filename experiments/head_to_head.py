@@ -6,8 +6,6 @@ Both run the 400 published episodes with the same houses, starts and sensing. Th
 import dataclasses
 from typing import Any
 
-import numpy as np
-
 from dc2g_jax.cli.common import PlannerOption, check_planners, command_line, digests, network_for
 from dc2g_jax.cli.episodes import EpisodeTable
 from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, require_positive
@@ -18,7 +16,13 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.inspection.figures import plot_head_to_head
-from dc2g_jax.rollouts.published import PUBLISHED_GROUPS, EpisodePair, compare, pair_up
+from dc2g_jax.rollouts.published import (
+    PUBLISHED_GROUPS,
+    EpisodePair,
+    compare,
+    houses_where_frontier_is_shorter,
+    pair_up,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,11 +82,10 @@ def main(options: Options) -> None:
     groups = {group: [pair for pair in pairs if group in (pair.group, "all")] for group in PUBLISHED_GROUPS}
     tables = {group: compare(own, resamples=options.resamples, seed=options.seed) for group, own in groups.items()}
     print_comparison(tables)
-    by_house = {house: [pair for pair in pairs if pair.house == house] for house in sorted({p.house for p in pairs})}
-    beaten = [
-        house for house, own in by_house.items() if np.mean([p.frontier for p in own]) < np.mean([p.dc2g for p in own])
-    ]
-    print(f"\nHouses in which frontier exploration is shorter on average: {len(beaten)} of {len(by_house)}")
+    shorter, count = houses_where_frontier_is_shorter(pairs), len({pair.house for pair in pairs})
+    print(f"\nHouses of {count} in which frontier exploration is shorter on average:")
+    for whose, houses in shorter.items():
+        print(f"  {whose}: {len(houses)} {' '.join(houses)}")
     rows = [pair._replace(extra=round(pair.extra, 4), authors_extra=round(pair.authors_extra, 4)) for pair in pairs]
     write_table(out / "head_to_head.csv", EpisodePair._fields, rows)
     facts = {
@@ -91,7 +94,7 @@ def main(options: Options) -> None:
         "resamples": options.resamples,
         "seed": options.seed,
         "groups": tables,
-        "houses_where_frontier_is_shorter": beaten,
+        "houses_where_frontier_is_shorter": shorter,
     }
     write_json(out / "results.json", facts)
     plot_head_to_head(

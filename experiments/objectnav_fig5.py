@@ -1,6 +1,8 @@
-"""Draw a search for an object, as in Fig. 5 of the paper on dense cost maps: `python -m experiments.objectnav_fig5`.
+"""Draw a search for an object, as in Figs. 4 and 5 of the paper on dense cost maps.
 
-For several moments, the figure shows the house, the robot's map, and the costs and sampled plans of its controller.
+`python -m experiments.objectnav_fig5`. For several moments, Fig. 5 shows the house, the robot's map, and the costs and
+sampled plans of its controller. For an agent with a network, Fig. 4 shows its last prediction before an object of the
+wanted class is in the map, beside the truth.
 """
 
 import dataclasses
@@ -19,8 +21,8 @@ from dc2g_jax.cli.searches import AGENT_TITLES, AgentName, SearchOptions, agent_
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
-from dc2g_jax.inspection.search_figures import plot_search
-from dc2g_jax.inspection.search_moments import choose_legs, moment_of, run_search
+from dc2g_jax.inspection.search_figures import plot_prediction, plot_search
+from dc2g_jax.inspection.search_moments import choose_legs, moment_of, prediction_at, run_search
 from dc2g_jax.objectnav.agent import DECLARED, reset, site_of
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax.objectnav.evaluation import results_of
@@ -99,7 +101,8 @@ def main(options: Options) -> None:
     require_positive(options, "samples", "limit")
     house = house_of(options)
     episode = episode_in(house, options)
-    agent = agent_with(options.agent, costs_for([options.agent], options.network), options.samples)
+    costs = costs_for([options.agent], options.network)
+    agent = agent_with(options.agent, costs, options.samples)
     out = output_folder(options, "objectnav_fig5")
     site = site_of(house.world, house.name, agent.controller.limits.radius)
     target = OBJECT_CLASSES.index(episode.target)
@@ -114,6 +117,12 @@ def main(options: Options) -> None:
     to_goal = np.array([bool(one.guidance.to_goal) for one in begun])
     moments = [moment_of(begun[number], agent, options.agent) for number in choose_legs(to_goal, _COLUMNS)]
     plot_search(out / "fig5", house.world, target, track, moments)
+    search_name = f"{house.name}, {episode.target}, {AGENT_TITLES[options.agent]}"
+    if costs is not None:
+        last = begun[max(np.flatnonzero(~to_goal), default=0)]
+        plot_prediction(
+            out / "fig4", prediction_at(last, site, agent, costs), f"{search_name}, step {int(last.periods)}"
+        )
     facts = {
         **result._asdict(),
         "goal_reacher_leads": [int(one.periods) for one in begun if one.guidance.to_goal],
@@ -121,7 +130,6 @@ def main(options: Options) -> None:
     }
     write_json(out / "search.json", facts)
     outcome = "success" if result.success else "declared too early" if result.declared else "not found in time"
-    search_name = f"{house.name}, {episode.target}, {AGENT_TITLES[options.agent]}"
     print(f"{search_name}: {outcome} after {steps} steps ({steps / 10:g} s)")
     print(f"driven {result.driven:.1f} m, shortest path {result.shortest:.1f} m, bumps {result.bumps}")
     print_files(out)

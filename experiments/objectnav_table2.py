@@ -6,6 +6,7 @@ guides the same searches.
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -18,6 +19,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect
 from dc2g_jax.objectnav.evaluation import SearchResult, SearchSummary, summarize
 from dc2g_jax.objectnav.houses import IndoorHouse
+from dc2g_jax.objectnav.metrics import OF_CLASSES
 from dc2g_jax.objectnav.networks import ABLATIONS, CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 from dc2g_jax.objectnav.training import CostMapConfig, figures, validation_samples
@@ -28,6 +30,9 @@ ABLATION_TITLES = {"both": "both", "semantic": "only semantic map", "midlevel": 
 
 #: Metrics of the prediction, in percent.
 METRICS = ("MPA", "mF1", "mIoU", "aAP5", "aAP9")
+
+#: Of these, the paper gives F1 and IoU of each class for its own network alone, in percent (section IV-A).
+PAPER_OF_CLASSES = (71.08, 80.68, 56.79, 69.06)
 
 #: Partial maps per prediction.
 MAPS_A_BATCH = CostMapConfig.batch_size
@@ -92,22 +97,31 @@ def open_networks(folders: tuple[Path, ...]) -> dict[str, PredictedCosts[CostMap
 def prediction_metrics(
     costs: PredictedCosts[CostMapEstimator], houses: list[IndoorHouse], options: Options
 ) -> dict[str, float]:
-    """`METRICS` on partial maps collected by robots in the houses."""
+    """`METRICS` and `OF_CLASSES`, in percent, on partial maps collected by robots in the houses."""
     largest = max(max(house.world.free.shape) for house in houses)
     samples = collect(houses, costs.encoder, CollectionConfig(largest=largest, data_seed=options.seed))
     config = CostMapConfig(costs.estimator.architecture)
     found = figures(costs.estimator, validation_samples(samples, config, options.maps), config)
-    return {name: found[name] for name in METRICS}
+    return {name: found[name] for name in (*METRICS, *OF_CLASSES)}
 
 
 def table(metrics: dict[str, dict[str, float]], summaries: dict[str, SearchSummary]) -> str:
     """Table II as text, with the paper's row below each of ours."""
     lines = [_line("", ("MPA %", "mF1 %", "mIoU %", "aAP5 %", "aAP9 %", "success", "SPL", "DTS m"))]
     for name, one in summaries.items():
-        values = (*metrics[name].values(), one.success, one.spl, one.distance)
+        values = (*(metrics[name][metric] for metric in METRICS), one.success, one.spl, one.distance)
         paper = PAPER_TABLE2[name]
         lines.append(_line(ABLATION_TITLES[name], _figures(*values)))
         lines.append(_line("the paper's", _figures(*paper.metrics, paper.success, paper.spl, paper.distance)))
+    return "\n".join(lines)
+
+
+def table_of_classes(metrics: dict[str, dict[str, float]]) -> str:
+    """F1 and IoU of free and of occupied cells as text."""
+    rows = {ABLATION_TITLES[name]: [found[score] for score in OF_CLASSES] for name, found in metrics.items()}
+    rows["the paper's (both)"] = list(PAPER_OF_CLASSES)
+    lines = [_line("", [f"{score} %" for score in OF_CLASSES], width=14)]
+    lines += [_line(title, [f"{value:.2f}" for value in values], width=14) for title, values in rows.items()]
     return "\n".join(lines)
 
 
@@ -115,8 +129,8 @@ def _figures(*values: float) -> tuple[str, ...]:
     return (*(f"{value:.2f}" for value in values[:5]), *(f"{value:.3f}" for value in values[5:7]), f"{values[7]:.2f}")
 
 
-def _line(title: str, cells: tuple[str, ...]) -> str:
-    return "  ".join([f"{title:>18}", *(f"{cell:>7}" for cell in cells)])
+def _line(title: str, cells: Sequence[str], width: int = 7) -> str:
+    return "  ".join([f"{title:>18}", *(f"{cell:>{width}}" for cell in cells)])
 
 
 def main(options: Options) -> None:
@@ -142,6 +156,7 @@ def main(options: Options) -> None:
         "paper": {name: one._asdict() for name, one in PAPER_TABLE2.items()},
     }
     text = f"{options.maps} maps, {len(episodes)} searches in {options.described}\n{table(metrics, summaries)}"
+    text += f"\n\n{table_of_classes(metrics)}"
     conclude(out, options, houses, results, ABLATION_TITLES, text, facts)
 
 

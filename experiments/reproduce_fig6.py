@@ -4,6 +4,7 @@
 """
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -63,22 +64,28 @@ def points_of(distance: Sequence[float], rows: Sequence[dict[str, float]]) -> Ho
     return HouseMetrics(distance, metrics, fits)
 
 
-def mean_of(values: Sequence[float]) -> float:
-    """Mean over the houses with a value; NaN if there are none."""
-    known = [value for value in values if np.isfinite(value)]
-    return float(np.mean(known)) if known else float("nan")
+def summary_of(points: HouseMetrics, name: str) -> dict[str, float]:
+    """Mean, lowest and highest value of a metric over the houses with a value; slope and intercept of its line.
+
+    NaN where there is none.
+    """
+    known = [value for value in points.metrics[name] if np.isfinite(value)] or [math.nan]
+    slope, intercept = points.fits.get(name, (math.nan, math.nan))
+    return {
+        "mean": float(np.mean(known)),
+        "lowest": min(known),
+        "highest": max(known),
+        "slope": slope,
+        "intercept": intercept,
+    }
 
 
-def print_table(networks: dict[str, HouseMetrics]) -> None:
-    """Print the mean of every metric and the slope of its line."""
-    print("mean over the test houses (slope of the line)")
-    print(f"{'':24}" + "".join(f"{name:>24}" for name in METRIC_LABELS))
-    for network, points in networks.items():
-        cells = [
-            f"{mean_of(values):.3f} ({points.fits[name][0] if name in points.fits else float('nan'):+.3f})"
-            for name, values in points.metrics.items()
-        ]
-        print(f"{network:24}" + "".join(f"{cell:>24}" for cell in cells))
+def print_table(networks: dict[str, dict[str, dict[str, float]]]) -> None:
+    """Print the summaries of all metrics, a block for each network."""
+    for network, summaries in networks.items():
+        print(f"\n{network}\n{'':24}" + "".join(f"{column:>11}" for column in next(iter(summaries.values()))))
+        for name, summary in summaries.items():
+            print(f"{name:24}" + "".join(f"{value:>11.3f}" for value in summary.values()))
 
 
 def write_houses(path: Path, houses: Sequence[House], networks: dict[str, HouseMetrics]) -> None:
@@ -101,7 +108,10 @@ def main(options: Options) -> None:
     distance = distances(dataset, houses)
     images = [house.terrain for house in houses]
     networks = {name: points_of(distance, full_map_metrics(network, images)) for name, network in chosen.items()}
-    print_table(networks)
+    summaries = {
+        network: {name: summary_of(points, name) for name in METRIC_LABELS} for network, points in networks.items()
+    }
+    print_table(summaries)
     write_houses(out / "houses.csv", houses, networks)
     caption = (
         f"{len(houses)} test houses of {dataset.name}, fully observed. A network that gives a cost for every cell\n"
@@ -113,14 +123,11 @@ def main(options: Options) -> None:
         "dataset": dataset.name,
         "houses": len(houses),
         "networks": {
-            name: {
-                metric: {
-                    "mean": number_or_null(mean_of(values)),
-                    "slope_and_intercept": points.fits.get(metric),
-                }
-                for metric, values in points.metrics.items()
+            network: {
+                name: {column: number_or_null(value) for column, value in summary.items()}
+                for name, summary in found.items()
             }
-            for name, points in networks.items()
+            for network, found in summaries.items()
         },
     }
     write_json(out / "results.json", facts)

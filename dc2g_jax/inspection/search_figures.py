@@ -22,7 +22,7 @@ from dc2g_jax.inspection.figures import PAGE_WIDTH, save_figure
 from dc2g_jax.inspection.sheets import DPI, FONT, cell_rim
 from dc2g_jax.objectnav.classes import NO_OBJECT, OBJECT_CLASSES, OBJECT_COLORS, SEMANTIC_CLASSES
 from dc2g_jax.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL
-from dc2g_jax.objectnav.worlds import IndoorWorld
+from dc2g_jax.objectnav.worlds import IndoorWorld, Leaf
 
 #: Low costs are green and high costs red, as in the paper. Brightness decreases too, so they also differ in grayscale.
 _COSTS = LinearSegmentedColormap.from_list("costs", ["#a8e6a1", "#f5e663", "#f4a13a", "#d3411e", "#7d0d12"])
@@ -55,6 +55,24 @@ class SearchMoment(NamedTuple):
     costs: Float[np.ndarray, "n n"]
     corner: Int[np.ndarray, "2"]
     plans: Float[np.ndarray, "k t 2"]
+
+
+class PredictedMap(NamedTuple):
+    """A network's prediction for the local map of a robot, beside the truth.
+
+    Attributes:
+      cells: the robot's map, see `dc2g_jax.objectnav.mapping.IndoorMap`.
+      occupied: cells predicted to be occupied.
+      truly_occupied: cells that are no free floor.
+      cost: predicted cost, meters beyond that of the best cell; infinite where predicted to be occupied.
+      true_cost: the same in truth; infinite where the robot does not fit and where no path leads to the goal.
+    """
+
+    cells: UInt32[Leaf, "n n"]
+    occupied: Bool[Leaf, "n n"]
+    truly_occupied: Bool[Leaf, "n n"]
+    cost: Float[Leaf, "n n"]
+    true_cost: Float[Leaf, "n n"]
 
 
 def plot_search(
@@ -96,7 +114,7 @@ def plot_search(
         true.add_collection(LineCollection(list(rim), colors=_TARGET, linewidths=0.9, capstyle="projecting"))
         true.plot(*track[: moment.step + 1, :2].T, color=_PATH, linewidth=1.3)
         _show(own, _robots_map(moment.cells), moment.origin, size)
-        _show(costs, _COSTS(moment.costs / high) * np.isfinite(moment.costs)[..., None], moment.corner, size)
+        _show(costs, _cost_image(moment.costs, high), moment.corner, size)
         costs.add_collection(LineCollection(list(moment.plans), colors=_PLANS, linewidths=0.3, alpha=0.35))
         arrow = MarkerStyle(ROBOT_ARROW).rotated(rad=yaw)
         for axes in (true, own, costs):
@@ -106,18 +124,60 @@ def plot_search(
     for axes in panels.flat:
         axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[])
         axes.spines[:].set(color="#888888", linewidth=0.5)
-    bar = figure.colorbar(
-        ScalarMappable(Normalize(0, high), _COSTS), ax=panels[2], location="bottom", fraction=0.05, pad=0.03, aspect=45,
-        shrink=0.5, extend="max",
-    )  # fmt: skip
-    bar.set_label("cost (m)", fontsize=FONT, labelpad=1)
-    bar.ax.tick_params(labelsize=FONT, length=2, pad=1.5)
-    bar.outline.set_linewidth(0.5)  # type: ignore[operator]
+    _cost_bar(figure, high, panels[2], aspect=45, shrink=0.5)
     figure.legend(
         handles=_legend(classes, target), loc="outside lower center", ncols=7, fontsize=FONT, frameon=False,
         handlelength=1.3, columnspacing=1.3,
     )  # fmt: skip
     return save_figure(figure, path, DPI)
+
+
+def plot_prediction(path: str | Path, found: PredictedMap, title: str) -> list[Path]:
+    """Draw a prediction (Fig. 4 of the paper on dense cost maps): map, occupancy and costs, beside the truth.
+
+    Args:
+      path: output path without ending.
+      found: prediction and truth.
+      title: of the figure.
+
+    Returns:
+      The files written: PNG and SVG.
+    """
+    cells, occupied, truly_occupied, cost, true_cost = (np.asarray(leaf) for leaf in found)
+    figure = Figure(figsize=(PAGE_WIDTH, 4.0), layout="constrained")
+    panels = figure.subplot_mosaic("mop;mct", width_ratios=(2, 1, 1))
+    high = float(np.max(true_cost, initial=1.0, where=np.isfinite(true_cost)))
+    no_class = np.zeros(cells.shape, np.uint8)
+    images = {
+        "robot's map": _robots_map(cells),
+        "predicted occupancy": _map_image(no_class, ~occupied, occupied),
+        "true occupancy": _map_image(no_class, ~truly_occupied, truly_occupied),
+        "predicted cost": _cost_image(cost, high),
+        "true cost": _cost_image(true_cost, high),
+    }
+    for axes, (name, image) in zip(panels.values(), images.items(), strict=True):
+        axes.imshow(image, interpolation="nearest")
+        axes.set_title(name, fontsize=FONT, pad=3)
+        axes.set(xticks=[], yticks=[])
+        axes.spines[:].set(color="#888888", linewidth=0.5)
+    panels["m"].plot(*(len(no_class) // 2,) * 2, "o", color=_ROBOT, markersize=4)
+    _cost_bar(figure, high, [panels["c"], panels["t"]])
+    figure.suptitle(title, fontsize=FONT)
+    return save_figure(figure, path, DPI)
+
+
+def _cost_image(costs: Float[np.ndarray, "h w"], high: float) -> Float[np.ndarray, "h w 4"]:
+    """Colors of costs up to `high`; transparent where infinite."""
+    return _COSTS(costs / high) * np.isfinite(costs)[..., None]
+
+
+def _cost_bar(figure: Figure, high: float, panels: Any, **options: Any) -> None:
+    """The scale of costs, below panels."""
+    scale = ScalarMappable(Normalize(0, high), _COSTS)
+    bar = figure.colorbar(scale, ax=panels, location="bottom", fraction=0.05, pad=0.03, extend="max", **options)
+    bar.set_label("cost (m)", fontsize=FONT, labelpad=1)
+    bar.ax.tick_params(labelsize=FONT, length=2, pad=1.5)
+    bar.outline.set_linewidth(0.5)  # type: ignore[operator]
 
 
 def _extent(house: Bool[np.ndarray, "h w"], size: float) -> tuple[float, float, float, float]:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from tqdm import tqdm
 
-from dc2g_jax.inspection.search_figures import SearchMoment
+from dc2g_jax.inspection.search_figures import PredictedMap, SearchMoment
 from dc2g_jax.objectnav.agent import (
     MPC,
     Agent,
@@ -19,6 +19,9 @@ from dc2g_jax.objectnav.agent import (
     is_active,
     look_and_decide,
 )
+from dc2g_jax.objectnav.guides import TrueCost
+from dc2g_jax.objectnav.mapping import square, window
+from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 from dc2g_jax.programs import jit
 
 
@@ -78,4 +81,20 @@ def moment_of(robot: IndoorRobot, agent: Agent, name: str) -> SearchMoment:
         costs=np.asarray(robot.guidance.distance),
         corner=np.asarray(robot.local_middle) - agent.mapping.local // 2,
         plans=plans,
+    )
+
+
+@jit
+def prediction_at(robot: IndoorRobot, site: IndoorSite, agent: Agent, costs: PredictedCosts) -> PredictedMap:
+    """What a network predicts for a robot's local map, and the truth there."""
+    side = agent.mapping.local
+    free = square(site.free, robot.local_middle - side // 2, side, False)
+    true = TrueCost().guide(robot.key, robot, site, agent).distance
+    predicted = costs.of(robot, site, agent)
+    return PredictedMap(
+        cells=window(robot.map, robot.local_middle, side),
+        occupied=jnp.isinf(predicted),
+        truly_occupied=~free,
+        cost=predicted,
+        true_cost=true - jnp.min(true),
     )

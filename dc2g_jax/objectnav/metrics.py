@@ -7,6 +7,9 @@ from jaxtyping import Array, Bool, Float, Int
 FIVE_ACTIONS: tuple[tuple[int, int], ...] = ((0, 0), (0, 1), (-1, 0), (0, -1), (1, 0))
 NINE_ACTIONS: tuple[tuple[int, int], ...] = (*FIVE_ACTIONS, (-1, 1), (-1, -1), (1, -1), (1, 1))
 
+#: Scores of one class: `F1` and `IoU`, whose means are `mF1` and `mIoU`.
+OF_CLASSES = ("F1 free", "F1 occupied", "IoU free", "IoU occupied")
+
 
 def confusion(predicted: Bool[Array, "h w"], true: Bool[Array, "h w"]) -> Int[Array, "2 2"]:
     """Confusion matrix of a map: cells by truth (row) and prediction (column), free before occupied. It is additive."""
@@ -14,7 +17,7 @@ def confusion(predicted: Bool[Array, "h w"], true: Bool[Array, "h w"]) -> Int[Ar
 
 
 def occupancy_scores(counts: Float[Array, "2 2"] | Int[Array, "2 2"]) -> dict[str, Float[Array, ""]]:
-    """Scores of predicted occupancy from 0 to 1, as means over the classes free and occupied.
+    """Scores of predicted occupancy from 0 to 1.
 
     A class that is neither present nor predicted has score 1.
 
@@ -22,20 +25,18 @@ def occupancy_scores(counts: Float[Array, "2 2"] | Int[Array, "2 2"]) -> dict[st
       counts: confusion matrix of one or more maps, see `confusion`.
 
     Returns:
-      By the paper's names: `MPA`, the recall; `mF1`, the harmonic mean of recall and precision; and `mIoU`, the
-      intersection over union of predicted and true cells.
+      Means over the classes free and occupied, by the paper's names: `MPA`, the recall; `mF1`, the harmonic mean of
+      recall and precision; and `mIoU`, the intersection over union of predicted and true cells. Then `OF_CLASSES`.
     """
     right = jnp.diagonal(counts)
     there, predicted = jnp.sum(counts, axis=1), jnp.sum(counts, axis=0)
 
-    def mean_share(part: Array, whole: Array) -> Float[Array, ""]:
-        return jnp.mean(jnp.where(whole > 0, part / jnp.maximum(whole, 1), 1.0))
+    def share(part: Array, whole: Array) -> Float[Array, "2"]:
+        return jnp.where(whole > 0, part / jnp.maximum(whole, 1), 1.0)
 
-    return {
-        "MPA": mean_share(right, there),
-        "mF1": mean_share(2 * right, there + predicted),
-        "mIoU": mean_share(right, there + predicted - right),
-    }
+    f1, iou = share(2 * right, there + predicted), share(right, there + predicted - right)
+    means = {"MPA": share(right, there), "mF1": f1, "mIoU": iou}
+    return {name: jnp.mean(scores) for name, scores in means.items()} | dict(zip(OF_CLASSES, (*f1, *iou), strict=True))
 
 
 def best_actions(costs: Float[Array, "h w"], actions: tuple[tuple[int, int], ...]) -> Int[Array, "h w"]:

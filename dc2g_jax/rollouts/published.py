@@ -1,5 +1,6 @@
 """The 400 published episodes: our runs compared with the authors' (paper, section IV-B)."""
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -112,6 +113,15 @@ def compare(pairs: Sequence[EpisodePair], *, resamples: int, seed: int) -> dict[
         "frontier_over_dc2g_interval": interval(faster),
         "authors_frontier_over_dc2g": round(float(authors_faster.mean()), 4),
     }
+
+
+def houses_where_frontier_is_shorter(pairs: Sequence[EpisodePair]) -> dict[str, list[str]]:
+    """Houses in which frontier exploration takes fewer actions than DC2G on average: `ours`, and the `authors`'."""
+    more: dict[str, Counter[str]] = {"ours": Counter(), "authors": Counter()}
+    for pair in pairs:
+        more["ours"][pair.house] += pair.dc2g - pair.frontier
+        more["authors"][pair.house] += pair.authors_dc2g - pair.authors_frontier
+    return {whose: sorted(house for house, steps in own.items() if steps > 0) for whose, own in more.items()}
 
 
 def frontier_over_dc2g(results: list[EpisodeResult]) -> dict[str, dict[str, float]]:

@@ -1,4 +1,4 @@
-"""The figure of a search, in a house of two rooms."""
+"""The figures of a search, in a house of two rooms."""
 
 import dataclasses
 import json
@@ -36,6 +36,13 @@ def test_it_searches_and_draws(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "two_rooms, plant, privileged random" in printed
     assert "shortest path" in printed
+
+
+@pytest.mark.slow
+def test_an_agent_with_a_network_also_shows_a_prediction(tmp_path):
+    out = tmp_path / "out"
+    main(dataclasses.replace(OPTIONS, agent="promising", limit=10, out=out))
+    assert {path.name for path in out.iterdir()} >= {"fig4.png", "fig4.svg", "fig5.png"}
 
 
 @pytest.mark.parametrize(

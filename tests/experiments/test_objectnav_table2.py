@@ -8,6 +8,7 @@ import pytest
 
 from dc2g_jax.cli import searches
 from dc2g_jax.estimation.weights import fresh_weights
+from dc2g_jax.objectnav.metrics import OF_CLASSES
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, TrainedEncoder, init_encoder, save_encoder
 from dc2g_jax.objectnav.networks import ABLATIONS, CostMapArchitecture, CostMapEstimator, CostMapNetwork, save_estimator
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE
@@ -53,12 +54,12 @@ def options(folders, tmp_path, monkeypatch):
 def test_it_compares_what_networks_are_shown(options, capsys):
     main(options)
     printed = capsys.readouterr().out
-    for words in ("only semantic map", "both against only semantic map", "78.76", "The paper's houses differ"):
+    for words in ("only semantic map", "both against only semantic map", "78.76", "80.68", "The paper's houses differ"):
         assert words in printed
     facts = json.loads((options.out / "results.json").read_text())
     assert list(facts["prediction"]) == list(facts["navigation"]) == ["semantic", "both"]
     for name in ("semantic", "both"):
-        assert list(facts["prediction"][name]) == list(METRICS)
+        assert list(facts["prediction"][name]) == [*METRICS, *OF_CLASSES]
         assert all(0 <= value <= 100 for value in facts["prediction"][name].values())
         assert facts["navigation"][name]["episodes"] == 2
     assert set(facts["differences"]) == {"semantic"}

@@ -142,10 +142,11 @@ def test_a_house_without_a_value_has_no_part_in_means_and_lines():
     rows = [dict.fromkeys(METRIC_LABELS, value) for value in (0.2, np.nan, 0.6)]
     points = reproduce_fig6.points_of([0.0, 0.1, 0.4], rows)
     assert points.fits["l1"] == pytest.approx((1.0, 0.2))
-    assert reproduce_fig6.mean_of(points.metrics["l1"]) == pytest.approx(0.4)
+    expected = {"mean": 0.4, "lowest": 0.2, "highest": 0.6, "slope": 1.0, "intercept": 0.2}
+    assert reproduce_fig6.summary_of(points, "l1") == pytest.approx(expected)
     nothing = reproduce_fig6.points_of([0.0, 0.1, 0.4], [dict.fromkeys(METRIC_LABELS, np.nan)] * 3)
     assert nothing.fits == {}
-    assert np.isnan(reproduce_fig6.mean_of(nothing.metrics["l1"]))
+    assert np.isnan(list(reproduce_fig6.summary_of(nothing, "l1").values())).all()
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.5])

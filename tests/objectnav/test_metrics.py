@@ -7,6 +7,7 @@ import pytest
 from dc2g_jax.objectnav.metrics import (
     FIVE_ACTIONS,
     NINE_ACTIONS,
+    OF_CLASSES,
     action_accuracy,
     best_actions,
     confusion,
@@ -27,13 +28,15 @@ def test_scores_of_the_occupancy():
         iou.append(right / np.sum((true == kind) | (predicted == kind)))
     assert int(counts[0, 1]) == np.sum(~true & predicted)
     expected = dict(zip(("MPA", "mF1", "mIoU"), np.mean([accuracy, f1, iou], axis=1), strict=True))
+    expected |= {"F1 free": f1[0], "F1 occupied": f1[1], "IoU free": iou[0], "IoU occupied": iou[1]}
     assert occupancy_scores(counts) == pytest.approx(expected, rel=1e-6)
 
 
 def test_a_class_that_is_nowhere_counts_as_found():
     free = jnp.zeros((3, 3), bool)
-    assert occupancy_scores(confusion(free, free)) == {"MPA": 1, "mF1": 1, "mIoU": 1}
-    assert occupancy_scores(confusion(~free, free)) == {"MPA": 0.5, "mF1": 0, "mIoU": 0}
+    means = ("MPA", "mF1", "mIoU")
+    assert occupancy_scores(confusion(free, free)) == dict.fromkeys((*means, *OF_CLASSES), 1)
+    assert occupancy_scores(confusion(~free, free)) == {**dict.fromkeys((*means, *OF_CLASSES), 0), "MPA": 0.5}
 
 
 def best_by_hand(costs, row, column, diagonal):

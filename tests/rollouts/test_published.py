@@ -4,7 +4,7 @@ import pytest
 
 from dc2g_jax.datasets.starts import published_episodes
 from dc2g_jax.rollouts.evaluation import EpisodeResult
-from dc2g_jax.rollouts.published import EpisodePair, compare, pair_up
+from dc2g_jax.rollouts.published import EpisodePair, compare, houses_where_frontier_is_shorter, pair_up
 
 
 def pair(
@@ -60,3 +60,23 @@ def test_an_episode_that_gave_up_counts_as_many_actions_as_the_step_limit():
     )  # fmt: skip
     (found,) = pair_up([theirs], [ours._replace(planner="frontier", success=True, steps=120)], [ours])
     assert (found.reached, found.dc2g, found.frontier, found.extra) == (False, 500, 120, 900)
+
+
+def test_houses_in_which_frontier_exploration_is_shorter():
+    pairs = [
+        pair("a", dc2g=50, authors=75, frontier=100),
+        pair("b", dc2g=90, authors=301, frontier=100),
+        pair("b", dc2g=120, authors=300, frontier=100),
+        pair("c", dc2g=100, authors=75, frontier=100),
+    ]
+    assert houses_where_frontier_is_shorter(pairs) == {"ours": ["b"], "authors": ["b"]}
+
+
+def test_it_is_shorter_in_two_of_the_houses_of_the_authors_episodes():
+    pairs = [
+        pair(one.start.house, dc2g=1, authors=one.dc2g, frontier=2, authors_frontier=one.frontier, oracle=one.oracle)
+        for one in published_episodes()
+    ]
+    assert len({one.house for one in pairs}) == 73
+    expected = {"ours": [], "authors": ["n001m000h001", "n002m001h007"]}
+    assert houses_where_frontier_is_shorter(pairs) == expected
