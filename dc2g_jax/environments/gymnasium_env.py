@@ -26,7 +26,6 @@ from PIL import Image, ImageColor, ImageDraw
 
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.environments.functional import (
-    ACTIONS,
     SENSING_RANGE,
     FrontDoor,
     Observation,
@@ -69,6 +68,8 @@ RENDERED_ROBOT_RADIUS = 9
 
 #: The process that imported this module, and with it JAX.
 _IMPORTED_BY = os.getpid()
+
+_ACTIONS = "give 0 (forward), 1 (turn left) or 2 (turn right)"
 
 
 class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
@@ -141,7 +142,7 @@ class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         if self._state is None:
             raise gymnasium.error.ResetNeeded("the episode has ended or none has begun; call reset() first")
         if not self.action_space.contains(action):
-            raise InputError(f"action is {action!r}; give {ACTIONS}")
+            raise InputError(f"action is {action!r}; {_ACTIONS}")
         task = self._task
         self._observation, self._state, reward, terminated, truncated = _advance(
             self._state, np.int32(action), task.params, task.environment
@@ -267,7 +268,7 @@ class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.nd
                 f"actions have shape {chosen.shape} and type {chosen.dtype}; give {self.num_envs} whole numbers"
             )
         if len(wrong := chosen[(chosen < 0) | (chosen >= FrontDoor.num_actions)]):
-            raise InputError(f"an action is {wrong[0]}; give {ACTIONS}")
+            raise InputError(f"an action is {wrong[0]}; {_ACTIONS}")
         return chosen.astype(np.int32)
 
     def _infos(self) -> dict[str, Any]:

@@ -224,16 +224,15 @@ def test_the_interface_of_gymnax():
 def test_checkify_refuses_unknown_actions():
     """For one of many robots, too; without `checkify` such an action does nothing."""
     robots = jax.vmap(ENVIRONMENT.step, in_axes=(0, 0, 0, None))
-    checked = jax.jit(checkify.checkify(robots))
+    checked = jax.jit(checkify.checkify(robots, errors=checkify.index_checks))
     keys = jax.random.split(jax.random.key(0), 3)
     _, states = jax.vmap(ENVIRONMENT.reset, in_axes=(0, None))(keys, PARAMS)
     checked(keys, states, jnp.array([0, 1, 2]), PARAMS)[0].throw()
-    error, after = checked(keys, states, jnp.array([0, 3, 2]), PARAMS)
-    with pytest.raises(checkify.JaxRuntimeError, match=r"action is 3; give 0 \(forward\), 1 \(turn left\)"):
-        error.throw()
-    assert jax.tree.map(lambda leaf: leaf[1].tolist(), after[0].pose) == jax.tree.map(
-        lambda leaf: leaf[1].tolist(), states.belief.pose
-    )
+    for unknown in (3, -1):
+        error, after = checked(keys, states, jnp.array([0, unknown, 2]), PARAMS)
+        with pytest.raises(checkify.JaxRuntimeError, match=f"index {unknown} is out of bounds for axis 0 with size 3"):
+            error.throw()
+        jax.tree.map(lambda new, old: np.testing.assert_equal(new[1], old[1]), after[0].pose, states.belief.pose)
 
 
 def test_a_training_loop_for_five_values_and_flat_observations():
