@@ -27,9 +27,11 @@ from dc2g_jax.datasets.procedural import STYLES, draw_house, training_house_seed
 from dc2g_jax.datasets.starts import sample_starts, why_no_episode
 from dc2g_jax.environments.functional import FrontDoor, Observation, Params, State, egocentric, front_door, observe
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.weights import flattened, write_safetensors
 from dc2g_jax.grid.poses import FORWARD_ACTION
 from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.grid.terrain import CLASS_NAMES, TRAVERSABLE
+from dc2g_jax.inspection.training_figures import save_learning_curve
 from dc2g_jax.planning.planners import Frontier, Oracle
 from dc2g_jax.planning.rules import complete_rules
 from dc2g_jax.rollouts.evaluation import episodes_from
@@ -66,7 +68,7 @@ class Options:
       learning_rate: of Adam at first; falls to zero.
       starts_per_map: episodes in each map to compare in.
       seed: of everything random, the maps included.
-      out: new CSV file for the table; nothing is written where not given.
+      out: new folder for the policy, the learning curve and the table; nothing is written where not given.
     """
 
     steps: int = 3_000_000
@@ -215,17 +217,23 @@ def advantages(lived: Lived, last_value: Float[Array, "robots"]) -> Float[Array,
     return jax.lax.scan(backward, (jnp.zeros_like(last_value), last_value), lived, reverse=True)[1]
 
 
-def learned_policy(options: Options, ppo: PPO) -> Act:
-    """Learn, with a look at the progress after each chunk of updates."""
+def learned_weights(options: Options, ppo: PPO) -> tuple[Any, Float[np.ndarray, "chunks"]]:
+    """Learn, with a look at the progress after each chunk of updates.
+
+    Returns:
+      Weights of the network, and mean steps of the episodes that ended in each chunk; NaN where none did.
+    """
     key, *keys = jax.random.split(jax.random.key(options.seed), 1 + options.robots)
     observations, states = jax.vmap(ppo.environment.reset, in_axes=(0, None))(jnp.stack(keys), ppo.params)
     learner = Learner(ppo.first_weights, ppo.optimizer.init(ppo.first_weights), states, observations, key)
+    curve = []
     with tqdm(total=ppo.updates * ppo.decisions, desc="learning", unit="step", unit_scale=True, file=sys.stderr) as bar:
         for _ in range(ppo.updates // ppo.chunk):
             learner, (ended, lengths) = ppo.learn(learner)
-            bar.set_postfix(steps_an_episode=f"{float(jnp.sum(lengths) / jnp.maximum(jnp.sum(ended), 1)):.1f}")
+            curve.append(float(jnp.sum(lengths)) / count if (count := int(jnp.sum(ended))) else np.nan)
+            bar.set_postfix(steps_an_episode=f"{curve[-1]:.1f}")
             bar.update(ppo.chunk * ppo.decisions)
-    return functools.partial(ppo.act, learner.weights)
+    return learner.weights, np.array(curve)
 
 
 def play(
@@ -276,20 +284,26 @@ def main(options: Options) -> None:
     for name, value in vars(options).items():
         if isinstance(value, int) and value < 1 and (name, value) != ("seed", 0):
             raise InputError(f"--{name.replace('_', '-')} is {value}; give a whole number of at least 1")
-    if options.out is not None and (options.out.exists() or not options.out.parent.is_dir()):
-        raise InputError(f"{options.out}: exists, or its folder does not; give --out a new file")
+    if options.out is not None:
+        if options.out.exists() or not options.out.parent.is_dir():
+            raise InputError(f"{options.out}: exists, or its parent folder does not; give --out a new folder")
+        options.out.mkdir()
     houses = small_houses(options.maps, options.cells, 2 * options.seed, "training")
     held_out = small_houses(options.held_out_maps, options.cells, 2 * options.seed + 1, "held-out")
     houses += [House(f"{house.name}m", house.split, house.terrain[:, ::-1].copy()) for house in houses]
     ppo = PPO(options, *front_door(houses, sensing_range=options.sensing_range, step_limit=options.step_limit))
-    rows = compare(options, held_out, learned_policy(options, ppo))
+    weights, curve = learned_weights(options, ppo)
+    rows = compare(options, held_out, functools.partial(ppo.act, weights))
     print(f"{len(held_out)} held-out maps, {options.starts_per_map} starts in each, at most {options.step_limit} steps")
     print(f"{'':10}{'mean steps':>12}{'success':>10}")
     for name, steps, success in rows:
         print(f"{name:10}{steps:12.1f}{success:10.1%}")
     if options.out is not None:
         lines = ("planner,mean_steps,success", *(f"{name},{steps},{success}" for name, steps, success in rows), "")
-        options.out.write_text("\n".join(lines))
+        (options.out / "table.csv").write_text("\n".join(lines))
+        steps = ppo.chunk * ppo.decisions * np.arange(1, len(curve) + 1)
+        save_learning_curve(options.out / "curve", steps, curve)
+        write_safetensors(options.out / "policy.safetensors", flattened(jax.device_get(nnx.to_pure_dict(weights))), {})
 
 
 if __name__ == "__main__":

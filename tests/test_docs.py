@@ -20,7 +20,7 @@ from tests.support.places import ROOT
 PAGES = [ROOT / "README.md", ROOT / "BENCHMARKS.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 #: Packages of extras: examples that need them are run where they are installed.
-OPTIONAL = ("gymnasium",)
+OPTIONAL = ("gymnasium", "stable_baselines3", "torch")
 
 #: A Python example and, where a block of text follows it, what it prints.
 _EXAMPLE = re.compile(r"^```python\n(.*?)^```\n(?:\s*^```text\n(.*?)^```\n)?", flags=re.S | re.M)
@@ -111,7 +111,12 @@ def options_of(program: str) -> Any:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    try:
+        spec.loader.exec_module(module)
+    except ModuleNotFoundError as error:
+        if error.name not in OPTIONAL:
+            raise
+        pytest.skip(f"{program} needs {error.name}")
     return module.Options
 
 

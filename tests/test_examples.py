@@ -9,25 +9,33 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import nnx
 
 from dc2g_jax.environments.functional import front_door
+from dc2g_jax.estimation.weights import read_safetensors, read_weights
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.rollouts.rollout import Episodes
 from tests.support.houses import YARD, house
 from tests.support.refusals import refusal
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+CURVE = ["curve.csv", "curve.png", "curve.svg"]
 PLANNERS = ["random", "PPO", "frontier", "oracle"]
 
 
-@pytest.fixture(scope="module")
-def ppo():
-    specification = importlib.util.spec_from_file_location("ppo_example", EXAMPLES / "ppo.py")
+def example(name: str):
+    """An example as a module."""
+    specification = importlib.util.spec_from_file_location(f"{name}_example", EXAMPLES / f"{name}.py")
     module = importlib.util.module_from_spec(specification)
     # A dataclass looks its module up by name.
     sys.modules[module.__name__] = module
     specification.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def ppo():
+    return example("ppo")
 
 
 def table(path: Path) -> dict[str, tuple[float, float]]:
@@ -37,13 +45,13 @@ def table(path: Path) -> dict[str, tuple[float, float]]:
 
 @pytest.mark.slow
 def test_ppo_sets_what_it_learned_beside_the_others(ppo, tmp_path, capsys):
-    out = tmp_path / "table.csv"
+    out = tmp_path / "run"
     options = ppo.Options(
-        steps=600, maps=12, held_out_maps=8, robots=16, steps_per_update=16, batch=100, passes=2, width=16, view=3,
+        steps=800, maps=12, held_out_maps=8, robots=16, steps_per_update=16, batch=100, passes=2, width=16, view=3,
         starts_per_map=2, step_limit=40, out=out,
     )  # fmt: skip
     ppo.main(options)
-    rows = table(out)
+    rows = table(out / "table.csv")
     assert list(rows) == PLANNERS
     printed = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in printed[-4:]] == PLANNERS
@@ -53,7 +61,16 @@ def test_ppo_sets_what_it_learned_beside_the_others(ppo, tmp_path, capsys):
         assert 0 <= success <= 1
     # Nobody beats the oracle.
     assert all(rows["oracle"][0] <= steps and rows["oracle"][1] >= success for steps, success in rows.values())
-    refusal(lambda: ppo.main(options), out, "give --out a new file")
+    refusal(lambda: ppo.main(options), out, "give --out a new folder")
+    assert {path.name for path in out.iterdir()} == {"table.csv", "policy.safetensors", *CURVE}
+    curve = np.loadtxt(out / "curve.csv", delimiter=",", skiprows=1)
+    assert curve[:, 0].tolist() == [256, 512, 768]
+    assert 0 < curve[-1, 1] <= 40  # by then every robot has ended an episode
+    # The policy that was saved fits the network.
+    _, weights = nnx.split(ppo.ActorCritic(options, nnx.Rngs(0)))
+    shapes = nnx.to_pure_dict(weights)
+    read = read_weights(out, shapes, read_safetensors(out / "policy.safetensors")[0])
+    assert jax.tree.map(jnp.shape, read) == jax.tree.map(jnp.shape, shapes)
 
 
 def test_ppo_counts_the_steps_to_the_door(ppo):
@@ -88,18 +105,32 @@ def test_ppo_s_advantages_against_their_definition(ppo):
 def test_ppo_refuses_bad_options_before_it_learns(ppo, tmp_path):
     refusal(lambda: ppo.main(ppo.Options(robots=0)), "--robots is 0", "at least 1")
     refusal(lambda: ppo.main(ppo.Options(seed=-1)), "--seed is -1")
-    refusal(lambda: ppo.main(ppo.Options(out=tmp_path / "no" / "table.csv")), "table.csv", "folder")
-    (tmp_path / "table.csv").write_text("mine")
-    refusal(lambda: ppo.main(ppo.Options(out=tmp_path / "table.csv")), "table.csv")
-    assert (tmp_path / "table.csv").read_text() == "mine"
+    refusal(lambda: ppo.main(ppo.Options(out=tmp_path / "no" / "run")), "no/run", "folder")
+    refusal(lambda: ppo.main(ppo.Options(out=tmp_path)), tmp_path, "new folder")
 
 
 @pytest.mark.slow
 def test_ppo_learns(ppo, tmp_path):
     """In maps never seen it reaches the door far sooner than by chance, after two or three minutes on two cores."""
-    out = tmp_path / "table.csv"
+    out = tmp_path / "run"
     ppo.main(ppo.Options(steps=1_000_000, maps=300, held_out_maps=60, out=out))
-    rows = table(out)
+    rows = table(out / "table.csv")
     assert rows["PPO"][0] < 0.5 * rows["random"][0]
     assert rows["PPO"][1] > 0.75 > 0.4 > rows["random"][1]
     assert rows["frontier"][1] == rows["oracle"][1] == 1.0
+
+
+@pytest.mark.slow
+def test_stable_baselines_learns(tmp_path, capsys):
+    """The policy is saved and acts, and episodes get shorter, after some two minutes on one core."""
+    stable_baselines3 = pytest.importorskip("stable_baselines3", reason="the extra sb3 is absent")
+    sb3_ppo = example("sb3_ppo")
+    out = tmp_path / "run"
+    sb3_ppo.main(sb3_ppo.Options(out=out, steps=61_440))
+    assert {path.name for path in out.iterdir()} == {"policy.zip", *CURVE}
+    curve = np.loadtxt(out / "curve.csv", delimiter=",", skiprows=1)
+    assert capsys.readouterr().out.startswith(f"{curve[-1, 1]:.1f} steps per episode after 61440 steps")
+    assert curve[-1, 1] < 0.75 * curve[:, 1].max()
+    envs = sb3_ppo.environments(2)
+    actions, _ = stable_baselines3.PPO.load(out / "policy.zip").predict(envs.reset())
+    assert all(envs.action_space.contains(action) for action in actions)

@@ -1,4 +1,4 @@
-"""Figures of training: validation curves for each kind of run."""
+"""Figures of training: validation curves for each kind of run, and learning curves of agents."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -73,3 +73,30 @@ def plot_sweep(
     figure.legend(loc="outside upper left", ncols=2, frameon=False, fontsize=8)
     figure.supxlabel(caption, fontsize=8, color="#555555")
     return save_figure(figure, path)
+
+
+def save_learning_curve(
+    path: str | Path, steps: Int[np.ndarray, "n"], episode_steps: Float[np.ndarray, "n"]
+) -> list[Path]:
+    """Write how an agent learns to reach the goal sooner, as a table and as a figure.
+
+    Args:
+      path: output path without ending.
+      steps: steps that the agent has learned from.
+      episode_steps: mean steps of the episodes that ended around then; NaN where none did.
+
+    Returns:
+      The files written: CSV, PNG and SVG.
+    """
+    table = Path(f"{path}.csv")
+    rows = np.column_stack([steps, episode_steps])
+    np.savetxt(table, rows, ("%d", "%.3f"), ",", header="steps,steps_per_episode", comments="")
+    figure = Figure(figsize=(PAGE_WIDTH / 2, 2.4), layout="constrained")
+    axes = figure.subplots()
+    axes.plot(steps, episode_steps, color=_COLORS[0], linewidth=1.7)
+    axes.set_xlim(0, None)
+    axes.set_ylim(0, None)
+    axes.set_xlabel("steps learned from", fontsize=9)
+    axes.set_ylabel("steps per episode", fontsize=9)
+    plain_axes(axes)
+    return [table, *save_figure(figure, path)]
