@@ -19,7 +19,7 @@ from tests.support.houses import YARD, house
 from tests.support.refusals import refusal
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
-CURVE = ["curve.csv", "curve.png", "curve.svg"]
+CURVE = ["curve.csv", "curve.png", "curve.svg", "curve.pdf"]
 PLANNERS = ["random", "PPO", "frontier", "oracle"]
 
 

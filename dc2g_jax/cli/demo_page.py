@@ -15,10 +15,11 @@ from nicegui import events, run, ui
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
+from dc2g_jax.grid.terrain import FIGURE_COLORS
 from dc2g_jax.inspection.animation import MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR
 from dc2g_jax.inspection.costs import COST_COLORS
 from dc2g_jax.inspection.demo import Demo, cost_picture, highest, map_picture, open_maps, start_marks, walk_marks
-from dc2g_jax.inspection.figures import FIGURE_COLORS, planner_style
+from dc2g_jax.inspection.figures import planner_style
 from dc2g_jax.planning.named import PLANNERS
 
 _STYLE = """

@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt8
-from PIL import Image, ImageColor, ImageDraw
+from PIL import Image, ImageDraw
 
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.environments.functional import (
@@ -37,7 +37,7 @@ from dc2g_jax.environments.functional import (
 from dc2g_jax.environments.task import FrontDoorTask
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.poses import FORWARD, HEADINGS, Pose
-from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_COLORS
+from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_RGB
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.rollout import STEP_LIMIT
 
@@ -56,9 +56,6 @@ except ModuleNotFoundError as error:
 
 #: Approximate length of the longer side of a rendered frame, pixels.
 FRAME_SIDE = 400
-
-#: Class index -> RGB color in a frame, that of figures, uint8 [class 3].
-RENDERED_COLORS = np.array([ImageColor.getrgb(color) for color in FIGURE_COLORS.values()], np.uint8)
 
 #: Color of the robot in a frame, RGB; no class has it.
 RENDERED_ROBOT_COLOR = (240, 228, 66)
@@ -395,7 +392,7 @@ def frame(terrain: UInt8[np.ndarray, "h w"], pose: Int[np.ndarray, "3"]) -> UInt
       pose: column, row and heading.
     """
     scale = max(FRAME_SIDE // max(terrain.shape), 4)
-    picture = Image.fromarray(np.repeat(np.repeat(RENDERED_COLORS[terrain], scale, axis=0), scale, axis=1))
+    picture = Image.fromarray(np.repeat(np.repeat(FIGURE_RGB[terrain], scale, axis=0), scale, axis=1))
     x, y, heading = pose
     ahead = np.array(FORWARD[heading])
     aside = np.array([-ahead[1], ahead[0]])

@@ -48,6 +48,9 @@ FIGURE_COLORS = {
     "traversable": "#fffdf5",
 }
 
+#: Class index -> RGB color in figures, uint8 [class 3].
+FIGURE_RGB = np.array([list(bytes.fromhex(color[1:])) for color in FIGURE_COLORS.values()], np.uint8)
+
 #: Largest number of classes: indices are bytes, the two highest values mark unknown colors while reading images.
 MOST_CLASSES = 254
 if len(CLASS_NAMES) > MOST_CLASSES:

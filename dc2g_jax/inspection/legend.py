@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, UInt8
 from matplotlib import colormaps
 from matplotlib.colors import to_rgb
 
-from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_COLORS
+from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_RGB
 
 #: Layers over the observed map: name and color, RGBA. The legend names them.
 REACHABLE_LAYER = ("reachable", (0, 190, 230, 60))
@@ -74,15 +74,10 @@ def rgb(color: str) -> tuple[int, ...]:
     return tuple(round(255 * part) for part in to_rgb(color))
 
 
-def terrain_colors() -> UInt8[np.ndarray, "classes 3"]:
-    """The RGB color of each terrain class."""
-    return np.array([rgb(color) for color in FIGURE_COLORS.values()], np.uint8)
-
-
 def terrain_context() -> rr.AnnotationContext:
     """Names and colors of the terrain classes."""
     names = ("not observed", *CLASS_NAMES[1:])
-    return rr.AnnotationContext(list(zip(range(len(names)), names, map(tuple, terrain_colors().tolist()), strict=True)))
+    return rr.AnnotationContext(list(zip(range(len(names)), names, map(tuple, FIGURE_RGB.tolist()), strict=True)))
 
 
 def layer_context(name: str, color: tuple[int, ...]) -> rr.AnnotationContext:

@@ -86,7 +86,7 @@ def save_learning_curve(
       episode_steps: mean steps of the episodes that ended around then; NaN where none did.
 
     Returns:
-      The files written: CSV, PNG and SVG.
+      The files written: the table as CSV, and the figure.
     """
     table = Path(f"{path}.csv")
     rows = np.column_stack([steps, episode_steps])

@@ -19,6 +19,7 @@ from dc2g_jax.datasets.starts import sample_starts
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import compact_unet
 from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.grid.terrain import FIGURE_RGB
 from dc2g_jax.inspection import legend
 from dc2g_jax.inspection.columns import TIMELINE, curve_style, image_style, open_recording
 from dc2g_jax.inspection.legend import CostScale
@@ -140,7 +141,7 @@ def prediction_picture(network: NetworkCostToGo, maps: Pair) -> UInt8[np.ndarray
     exact, counts = np.asarray(maps.target), np.asarray(maps.weight) > 0
     scale = CostScale.of(exact)
     costs = [scale.classes(np.asarray(cost), counts) for cost in (_expected_cost(network, maps.terrain), exact)]
-    rows = [(np.asarray(maps.terrain), legend.terrain_colors()), *((classes, scale.colors()) for classes in costs)]
+    rows = [(np.asarray(maps.terrain), FIGURE_RGB), *((classes, scale.colors()) for classes in costs)]
     picture = np.concatenate([colors[_side_by_side(classes)] for classes, colors in rows])
     return picture.repeat(_PIXELS_A_CELL, axis=0).repeat(_PIXELS_A_CELL, axis=1)
 

@@ -10,10 +10,9 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 
 from dc2g_jax.estimation.compact_unet import Architecture
-from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
+from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_COLORS, FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax.inspection.costs import COST_COLORS
 from dc2g_jax.inspection.demo import Demo, Walk, cost_picture, map_picture, open_maps, walk_marks
-from dc2g_jax.inspection.figures import FIGURE_COLORS
 from dc2g_jax.planning.decisions import RobotPose
 from dc2g_jax.planning.named import make
 from dc2g_jax.planning.online import OnlinePlanner

@@ -19,7 +19,7 @@ from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.grid import bitboard
-from dc2g_jax.grid.terrain import TRAVERSABLE
+from dc2g_jax.grid.terrain import FIGURE_RGB, TRAVERSABLE
 from dc2g_jax.inspection import legend
 from dc2g_jax.inspection.legend import CostScale
 from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_watch, next_file, prediction_picture
@@ -118,7 +118,7 @@ def test_a_picture_shows_the_maps_and_their_costs_in_the_colors_of_the_viewer():
     count, height, width = maps.terrain.shape
     assert picture.shape == (3 * 3 * height, 3 * (count * (width + 2) - 2), 3)
     known, _, exact = picture[::3, ::3][:, :width].reshape(3, height, width, 3)
-    np.testing.assert_array_equal(known, legend.terrain_colors()[maps.terrain[0]])
+    np.testing.assert_array_equal(known, FIGURE_RGB[maps.terrain[0]])
     counts, scale = maps.weight[0] > 0, CostScale.of(maps.target)
     np.testing.assert_array_equal(exact, scale.colors()[scale.classes(maps.target[0], counts)])
     assert len(np.unique(exact[counts], axis=0)) > 10
