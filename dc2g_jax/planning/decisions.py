@@ -1,6 +1,7 @@
 """Decisions of one robot from distances, candidates and scores, in plain NumPy and Python."""
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -42,6 +43,8 @@ class Candidate(NamedTuple):
       distance: actions from the robot to this pose.
       score: the planner's score; the lowest wins. For `dc2g`, the cost-to-go plus weighted distance, minus weighted
         information gain; for frontier exploration, the distance.
+      penalty: part of the score that is due neither to cost-to-go nor to distance: that of patience, minus the weighted
+        information gain.
     """
 
     x: int
@@ -50,6 +53,7 @@ class Candidate(NamedTuple):
     cost_to_go: float | None
     distance: int
     score: float
+    penalty: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,6 +92,7 @@ class View(NamedTuple):
       cost_to_go: predicted cost-to-go of every cell, `None` without predictions. Like `score`, it is only valid while
         exploring.
       score: score of every cell with a candidate.
+      penalty: part of the score that is due neither to cost-to-go nor to distance, `None` for planners without one.
     """
 
     distance: Int[np.ndarray, "heading h w"]
@@ -96,6 +101,7 @@ class View(NamedTuple):
     candidates: Bool[np.ndarray, "heading h w"]
     cost_to_go: Float[np.ndarray, "h w"] | None
     score: Float[np.ndarray, "h w"]
+    penalty: Float[np.ndarray, "h w"] | None
 
 
 def decide(view: View, left: int, top: int) -> Decision:
@@ -173,16 +179,25 @@ def _ranked(view: View, subgoal: tuple[int, int, int], left: int, top: int) -> t
     heading = np.where(is_subgoal, subgoal[2], distances.argmin(axis=0))
     distance, score = distances.min(axis=0), view.score[y, x]
     order = np.lexsort((x, y, distance, score, ~is_subgoal))
-    columns = (column[order].tolist() for column in (x + left, y + top, heading, distance, score))
-    costs = [None] * len(order) if view.cost_to_go is None else view.cost_to_go[y, x][order].tolist()
-    return tuple(
-        Candidate(x, y, heading, cost_to_go, distance, score)
-        for (x, y, heading, distance, score), cost_to_go in zip(zip(*columns, strict=True), costs, strict=True)
-    )
+    costs = np.full(len(order), None) if view.cost_to_go is None else view.cost_to_go[y, x]
+    penalty = np.zeros(len(order)) if view.penalty is None else view.penalty[y, x]
+    fields = (x + left, y + top, heading, costs, distance, score, penalty)
+    return tuple(itertools.starmap(Candidate, zip(*(field[order].tolist() for field in fields), strict=True)))
 
 
 def _in_cells(x: int, y: int, heading: int) -> tuple[str, str]:
     return f"({x}, {y})", HEADING_NAMES[heading]
+
+
+def _sum(best: Candidate, away: str) -> str:
+    """How the score of a candidate comes about."""
+    if best.cost_to_go is None:
+        return f": {away} away"
+    for_distance = best.score - best.cost_to_go - best.penalty
+    others = (for_distance, away), (best.penalty, "what it reveals" if best.penalty < 0 else "decisions near it")
+    shown = [f"{best.cost_to_go:.1f} predicted cost-to-go"]
+    shown += [f"{'-' if value < 0 else '+'} {abs(value):.1f} for {what}" for value, what in others if abs(value) > 0.05]
+    return f" = {' '.join(shown)}" + ("" if abs(for_distance) > 0.05 else f", {away} away")
 
 
 def explain(
@@ -213,10 +228,8 @@ def explain(
         return f"{subgoal} is the planner's choice, {details}"
     best, *others = candidates
     what, digits = "is the nearest", 0
-    if best.cost_to_go is not None:
-        details = f"predicted cost-to-go {best.cost_to_go:.1f}, {details}"
     if best.cost_to_go is not None or best.score != best.distance:
-        what, digits, details = "has the lowest score", 1, f"{best.score:.1f}: {details}"
+        what, digits, details = "has the lowest score", 1, f"{best.score:.1f}{_sum(best, away)}"
     if not others:
         return f"{subgoal} is the only candidate, {details}"
     second = others[0]

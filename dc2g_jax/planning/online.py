@@ -49,7 +49,7 @@ def view_fields(belief: Belief, assessment: Assessment) -> tuple[Any, ...]:
     subgoals, candidates = (
         poses.unpack(these, belief.width) for these in (assessment.plan.subgoals, assessment.candidates)
     )
-    return distance, assessment.plan.mode, subgoals, candidates, assessment.cost_to_go, score
+    return distance, assessment.plan.mode, subgoals, candidates, assessment.cost_to_go, score, assessment.penalty
 
 
 @functools.partial(jit, static_argnames=("rules",))
@@ -77,9 +77,8 @@ class OnlinePlanner:
     Creating the planner compiles a program for each of a few grid sizes. This takes some seconds each, and longer for
     longer sensing ranges. The programs are kept on disk as those of commands are, see
     `dc2g_jax.files.cache.keep_compiled_programs`, and the next start finds them. No call compiles anything after the
-    start, and decisions do not depend on the grid size. Other
-    estimators than `NetworkCostToGo` and planners of your own get grids of exactly the map's size; each new size is
-    compiled.
+    start, and decisions do not depend on the grid size. Other estimators than `NetworkCostToGo` and planners of your
+    own get grids of exactly the map's size; each new size is compiled.
 
     Args:
       planner: one of `ONLINE_PLANNERS`, or any planner. If it has `rules`, they are used.

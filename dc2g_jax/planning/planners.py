@@ -65,6 +65,7 @@ class Assessment:
         while the planner does not explore.
       cost_to_go: the planner's cost-to-go of every cell; the last one while it does not explore. `None` for planners
         without one.
+      penalty: part of the score that is due neither to cost-to-go nor to distance; `None` for planners without one.
     """
 
     plan: Plan
@@ -72,6 +73,7 @@ class Assessment:
     candidates: PoseSet
     score: Float[Array, "h w *batch"] | None = None
     cost_to_go: Float[Array, "h w *batch"] | None = None
+    penalty: Float[Array, "h w *batch"] | None = None
 
 
 class Planner(Protocol):
@@ -384,15 +386,16 @@ class DC2G(AssessingPlanner):
         revealing: PoseSet,
         estimates: Float[Array, "views kept h w *batch"],
         decided_near: Int[Array, "h w *batch"],
-    ) -> tuple[PoseSet, Float[Array, "h w *batch"]]:
-        """The candidates, and the score of each cell with one (Algorithm 2, lines 6 to 10)."""
+    ) -> tuple[PoseSet, Float[Array, "h w *batch"], Float[Array, "h w *batch"]]:
+        """The candidates, the score of each cell with one, and the penalty in it (Algorithm 2, lines 6 to 10)."""
         candidates = nearest = self._candidates(belief, reachable, revealing)
         lengths = jnp.int32(0)
         if self.selection.distance_weight:
             nearest, lengths = search.nearest_headings(belief.pose, candidates, reachable, belief.width)
             nearest = self.headings(belief, nearest)
         cost = self.selection(jnp.mean(estimates, axis=0), lengths)
-        return nearest, cost + self._penalty(belief, candidates, decided_near)
+        penalty = self._penalty(belief, candidates, decided_near)
+        return nearest, cost + penalty, penalty
 
     def _choose(
         self, inputs: tuple[Belief, Board, PoseSet, Int[Array, "h w *batch"], Any], before: "Choice"
@@ -408,7 +411,7 @@ class DC2G(AssessingPlanner):
         first = bitboard.is_empty(before.estimated_from)
         # The first estimate stands for all views.
         estimates = jnp.where(first, latest, jnp.concatenate([latest, before.estimates[:-1]]))
-        candidates, score = self._scored(belief, reachable, revealing, estimates, decided_near)
+        candidates, score, _ = self._scored(belief, reachable, revealing, estimates, decided_near)
         return Choice(
             estimates=estimates,
             estimated_from=belief.seen,
@@ -434,9 +437,9 @@ class DC2G(AssessingPlanner):
         inputs = belief, reachable, revealing, decided_near, state.estimator
         choice = for_some(self._choose, outdated, inputs, state.choice, fewest=self.fewest_maps)
         plan = _explore_or_finish(belief, reachable, choice.subgoals & revealing, self.rules)
-        candidates, score = self._scored(belief, reachable, revealing, choice.estimates, decided_near)
+        candidates, score, penalty = self._scored(belief, reachable, revealing, choice.estimates, decided_near)
         state = ExplorationState(reachable, choice, decided_near, state.estimator)
-        return Assessment(plan, reachable, candidates, score, state.cost_to_go), state
+        return Assessment(plan, reachable, candidates, score, state.cost_to_go, penalty), state
 
     def revised(self, state: "ExplorationState", changed: Board) -> "ExplorationState":
         """The state without the ground, which can be lost. If observed cells changed, it is time for another choice."""

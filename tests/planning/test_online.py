@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import re
 
 import jax
 import numpy as np
@@ -17,7 +18,7 @@ from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning import online
-from dc2g_jax.planning.decisions import Candidate, Decision
+from dc2g_jax.planning.decisions import Candidate, Decision, RobotPose, explain
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.online import OnlinePlanner
 from dc2g_jax.planning.planners import MODE_NAMES, Frontier
@@ -170,8 +171,9 @@ def test_decisions_hold_what_the_plain_implementation_finds(make, estimate, weig
             distance = np.where(found, oracle.distances_from(free, pose), 10**6)
             costs = np.asarray(estimate(grid)).mean(axis=0)
             share = oracle.newly_seen(found, seen, SENSING) / len(oracle.sensing_offsets(SENSING, 0))
-            score = costs + weight * distance.min(axis=0) - gain_weight * share
-            check_ranking(decision, found.any(axis=0), distance, costs, score)
+            gain = gain_weight * share
+            score = costs + weight * distance.min(axis=0) - gain
+            check_ranking(decision, found.any(axis=0), distance, costs, score, gain)
             nearest = found & (distance == distance.min(axis=0))
             preferred = oracle.facing_most_unseen(nearest, seen) if gain_weight else nearest
             targets = preferred & (score < score[found.any(axis=0)].min() + 1e-4)
@@ -181,7 +183,7 @@ def test_decisions_hold_what_the_plain_implementation_finds(make, estimate, weig
     assert min(modes.values()) > 1, modes
 
 
-def check_ranking(decision: Decision, cells, distance, costs, score) -> None:
+def check_ranking(decision: Decision, cells, distance, costs, score, gain) -> None:
     ranked = decision.candidates
     assert {(each.y, each.x) for each in ranked} == set(zip(*map(np.ndarray.tolist, np.nonzero(cells)), strict=True))
     assert len(ranked) == cells.sum()
@@ -192,6 +194,17 @@ def check_ranking(decision: Decision, cells, distance, costs, score) -> None:
         assert each.score == pytest.approx(score[each.y, each.x], abs=1e-3)
         if each.cost_to_go is not None:
             assert each.cost_to_go == pytest.approx(costs[each.y, each.x], abs=1e-3)
+            assert each.penalty == pytest.approx(-gain[each.y, each.x], abs=1e-3)
+            assert shown_sum(decision.why) == pytest.approx(ranked[0].score, abs=0.16), decision.why
+
+
+def shown_sum(why: str) -> float:
+    """The sum of the terms that a reason shows, each rounded to a tenth."""
+    terms = re.search(
+        r" = ([\d.]+) predicted cost-to-go(?: \+ ([\d.]+) for \d+ actions?)?(?: - ([\d.]+) for what)?", why
+    )
+    cost, distance, gain = (float(term or 0) for term in terms.groups())
+    return cost + distance - gain
 
 
 def check_path(decision: Decision, pose, shape) -> None:
@@ -217,6 +230,24 @@ def test_reasons(street):
     assert why == "explore: (0, 0) facing east is the nearest of 4 candidates, 1 action away; next best 2 at (1, 0)"
     why = planner.plan(corridor[:, 3:], (0, 0, 1)).why
     assert why == "explore: (0, 0) facing east is the only candidate, 1 action away"
+
+
+@pytest.mark.parametrize(
+    ("terms", "wanted"),
+    [
+        ((17.2, 28, 30.4, -0.8), "30.4 = 17.2 predicted cost-to-go + 14.0 for 28 actions - 0.8 for what it reveals"),
+        ((17.2, 1, 19.7, 2.0), "19.7 = 17.2 predicted cost-to-go + 0.5 for 1 action + 2.0 for decisions near it"),
+        ((17.2, 28, 17.2, 0.0), "17.2 = 17.2 predicted cost-to-go, 28 actions away"),
+        ((None, 28, 7.0, 0.0), "7.0: 28 actions away"),
+    ],
+)
+def test_a_reason_shows_how_the_score_comes_about(terms, wanted):
+    cost_to_go, distance, score, penalty = terms
+    best = Candidate(4, 5, 0, cost_to_go, distance, score, penalty)
+    path = [RobotPose(0, 5, 0)] * distance + [RobotPose(4, 5, 0)]
+    others = [best, best._replace(x=9, score=40.0)]
+    place = "explore: (4, 5) facing east has the lowest score of 2 candidates"
+    assert explain("explore", path, others) == f"{place}, {wanted}; next best 40.0 at (9, 5)"
 
 
 def test_a_planner_of_ones_own_shows_its_own_candidates_and_scores():
