@@ -55,6 +55,7 @@ from tests.support import house_lines, occupancy
 from tests.support.damage import damaged
 from tests.support.frames import CAMERA, random_frame
 from tests.support.houses import DATASET, STREET, YARD
+from tests.support.memory import forget_most_memory, memory
 from tests.support.toy import RESULTS
 
 #: Inputs of each file; a tenth of them where reading takes long.
@@ -230,20 +231,6 @@ READERS = (
 )  # fmt: skip
 
 
-def _memory(field: str) -> int:
-    """Bytes of memory of this process, `VmRSS` now or `VmHWM` at most since the last reset; 0 where unknown."""
-    try:
-        status = Path("/proc/self/status").read_text()
-    except OSError:
-        return 0
-    return 1024 * int(status.split(f"{field}:")[1].split()[0])
-
-
-def _forget_most_memory() -> None:
-    if Path("/proc/self/clear_refs").exists():
-        Path("/proc/self/clear_refs").write_text("5")
-
-
 @pytest.mark.parametrize(
     ("reader", "name"),
     [pytest.param(reader, name, id=name) for reader in READERS for name in reader.files],
@@ -263,8 +250,8 @@ def test_damaged_files_are_read_or_refused_soon_and_in_one_line(reader, name, tm
     def survive(content: bytes) -> None:
         nonlocal longest, most
         path.write_bytes(content)
-        _forget_most_memory()
-        before, began = _memory("VmRSS"), time.process_time()
+        forget_most_memory()
+        before, began = memory(), time.process_time()
         try:
             reader.read(folder)
         except InputError as error:
@@ -272,7 +259,7 @@ def test_damaged_files_are_read_or_refused_soon_and_in_one_line(reader, name, tm
             told["refused"] += 1
         else:
             message = "read"
-        seconds, taken = time.process_time() - began, _memory("VmHWM") - before
+        seconds, taken = time.process_time() - began, memory("VmHWM") - before
         told["inputs"] += 1
         longest, most = max(longest, seconds), max(most, taken)
         assert message.isprintable()

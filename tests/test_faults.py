@@ -74,8 +74,7 @@ def interrupted(command: Command, out: Path, fault: Fault, at: int) -> bool:
             one_line = fault == "fails" or isinstance(error, InputError) or _full_disk(error)
             assert fault != "dies" and one_line, "no line for the user"  # noqa: PT018
         else:
-            assert len(disk.operations) > at
-            return fault == "dies"
+            return fault == "dies" and len(disk.operations) > at  # Orbax writes a file more or less
     return True
 
 

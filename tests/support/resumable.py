@@ -5,6 +5,7 @@ written, when and where is the command's own doing.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,12 +18,14 @@ import pytest
 from dc2g_jax.cli import episodes, searches, training_sets, translation
 from dc2g_jax.cli.driving import DriveResult
 from dc2g_jax.datasets.houses import House
+from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.datasets.starts import PublishedEpisode, Start
 from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.grid.terrain import GRASS
 from dc2g_jax.objectnav.collecting import CollectionConfig
 from dc2g_jax.objectnav.evaluation import SearchResult
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, EncoderState, TrainedEncoder, init_encoder, save_encoder
+from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax.rollouts.published import PUBLISHED_GROUPS
 from dc2g_jax.training.cost_to_go_data import DataConfig
@@ -85,6 +88,12 @@ def fake_step(state, *args, **options) -> tuple[Any, jax.Array]:
 def fake_masks(config, houses, n_own, on_progress) -> Masks:
     """Stands in for `observation_masks`."""
     return Masks(boards=np.ones((2, 1, 10), np.uint32), world=np.zeros(2, np.int32))
+
+
+def fake_training_set(houses, n_own, masks) -> TrainingSet:
+    """Stands in for `training_set`, without labels."""
+    terrain, world = np.stack([house.terrain for house in houses]), masks.world
+    return TrainingSet(terrain, np.zeros(terrain.shape, np.float32), masks.boards, world, np.int32(len(world)))
 
 
 class FakeValidation:
@@ -210,10 +219,16 @@ def objectnav_table2_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> 
     return _command(objectnav_table2, objectnav_table2.Options(count=1, episodes=2, resamples=20))
 
 
-def train_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
-    patch.setattr(train, "train_step", fake_step)
-    patch.setattr(train, "Validation", FakeValidation)
+def _training(patch: pytest.MonkeyPatch, module: Any) -> None:
+    patch.setattr(module, "train_step", fake_step)
+    patch.setattr(module, "first_state", functools.cache(module.first_state))
+    patch.setattr(module, "Validation", FakeValidation)
     patch.setattr(training_sets, "observation_masks", fake_masks)
+    patch.setattr(training_sets, "training_set", fake_training_set)
+
+
+def train_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
+    _training(patch, train)
     options = train.Options(
         dataset=dataset, out=folder, data=DataConfig(extra_houses=0), widths=(2, 2, 2, 2), steps=3, batch_size=1,
         validate_every=1, minutes_per_checkpoint=0.0,
@@ -222,12 +237,11 @@ def train_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
 
 
 def sweep_losses_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
-    patch.setattr(sweep_losses, "train_step", fake_step)
-    patch.setattr(sweep_losses, "Validation", FakeValidation)
+    _training(patch, sweep_losses)
+    patch.setattr(sweep_losses, "jit", functools.cache(jit))
     patch.setattr(sweep_losses, "validation_pairs", lambda *args, **options: None)
     patch.setattr(sweep_losses, "validation_errors", lambda architecture, weights, pairs: np.arange(2.0))
     patch.setattr(sweep_losses, "plot_sweep", fake_figure)
-    patch.setattr(training_sets, "observation_masks", fake_masks)
     options = sweep_losses.Options(
         dataset=dataset, out=folder, data=DataConfig(extra_houses=0), widths=("2,2,2,2",), losses=("l1",), seeds=(0, 1),
         steps=2, batch_size=1, validate_every=1, minutes_per_checkpoint=0.0,
@@ -235,26 +249,27 @@ def sweep_losses_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Comm
     return _command(sweep_losses, options)
 
 
-def _translator(patch: pytest.MonkeyPatch) -> translation.TranslationOptions:
+def _translator(patch: pytest.MonkeyPatch, steps: int) -> translation.TranslationOptions:
     patch.setattr(translation, "translator_step", fake_step)
+    patch.setattr(translation, "init_translator", functools.cache(translation.init_translator))
     patch.setattr(translation, "metrics_over_pairs", lambda network, data: {"l1": 0.25, "low_recall": 0.5})
     data = translation.TranslationData(trainings.image_set(), trainings.image_set())
     for module in (train_translator, reproduce_fig5):
         patch.setattr(module, "translation_data", lambda dataset, options: data)
     return translation.TranslationOptions(
-        size=32, base_filters=2, steps=2, batch_size=1, validate_every=1, minutes_per_checkpoint=0.0
+        size=32, base_filters=2, steps=steps, batch_size=1, validate_every=1, minutes_per_checkpoint=0.0
     )
 
 
 def train_translator_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
-    options = train_translator.Options(dataset=dataset, out=folder, training=_translator(patch))
+    options = train_translator.Options(dataset=dataset, out=folder, training=_translator(patch, 2))
     return _command(train_translator, options)
 
 
 def reproduce_fig5_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
     patch.setattr(reproduce_fig5, "plot_training", fake_figure)
     options = reproduce_fig5.Options(
-        dataset=dataset, out=folder, losses=("l1",), seeds=(0, 1), training=_translator(patch)
+        dataset=dataset, out=folder, losses=("l1",), seeds=(0, 1), training=_translator(patch, 1)
     )
     return _command(reproduce_fig5, options)
 
@@ -267,10 +282,11 @@ def objectnav_train_(
     patch.setattr(objectnav_train, "encoder_task", fake_encoder_task)
     patch.setattr(objectnav_train, "collect", lambda *args: trainings.journeys())
     patch.setattr(objectnav_train, "train_step", fake_step)
+    patch.setattr(objectnav_train, "first_state", functools.cache(objectnav_train.first_state))
     patch.setattr(objectnav_train, "validation_samples", lambda *args: None)
     patch.setattr(objectnav_train, "figures", lambda *args: {"error": 0.5})
     options = objectnav_train.Options(
-        out=folder, count=1, validation_houses=1, encoder=encoder, encoder_steps=2, widths=(2, 2), steps=2,
+        out=folder, count=1, validation_houses=1, encoder=encoder, encoder_steps=2, widths=(2, 2), steps=1,
         batch_size=1, collection=CollectionConfig(journeys=1, views=4, places=1), validate_every=1,
         minutes_per_checkpoint=0.0,
     )  # fmt: skip

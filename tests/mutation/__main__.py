@@ -1,0 +1,284 @@
+"""Mutation testing: small changes to the code, each of which a test should notice.
+
+    python -m tests.mutation --count 50 --seed 0 grid planning environments rollouts
+
+draws 50 mutants of these rooms, and runs the tests that import the changed module until one of them fails. It prints
+the mutants that no test noticed, and the share that one did. Results are kept in `--out`, and continued: tests that
+have found mutants of a module come first, then the quick ones. `equivalent.csv` lists mutants that change nothing that
+a caller could notice, with the reason; they are not drawn.
+
+Each mutant is a fork of a process that has imported the package, with the code of a function exchanged, or with the
+package imported anew where the change is in no function. No file is changed.
+"""
+
+import argparse
+import ast
+import collections
+import csv
+import gc
+import importlib.machinery
+import json
+import os
+import random
+import re
+import resource
+import sys
+import time
+import types
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+import tests.conftest  # noqa: F401  checks of types, and how programs are compiled
+from tests.support.places import ROOT
+
+ROOMS = ("grid", "planning", "rollouts", "environments")
+EQUIVALENT = Path(__file__).with_name("equivalent.csv")
+
+#: Seconds of CPU time after which no more tests of a mutant are begun, and after which one is in an endless loop; bytes
+#: of memory of its own.
+_BUDGET, _ENDLESS, _BYTES = 40, 150, 10 * 2**30
+
+_OPERATORS: dict[type[ast.AST], tuple[type[ast.AST], ...]] = {
+    ast.Lt: (ast.LtE, ast.GtE), ast.LtE: (ast.Lt, ast.Gt), ast.Gt: (ast.GtE, ast.LtE), ast.GtE: (ast.Gt, ast.Lt),
+    ast.Eq: (ast.NotEq,), ast.NotEq: (ast.Eq,), ast.Is: (ast.IsNot,), ast.IsNot: (ast.Is,),
+    ast.In: (ast.NotIn,), ast.NotIn: (ast.In,), ast.And: (ast.Or,), ast.Or: (ast.And,),
+    ast.Add: (ast.Sub,), ast.Sub: (ast.Add,), ast.Mult: (ast.Add,), ast.Div: (ast.Mult,), ast.FloorDiv: (ast.Mult,),
+    ast.Mod: (ast.FloorDiv,), ast.BitAnd: (ast.BitOr,), ast.BitOr: (ast.BitAnd,), ast.BitXor: (ast.BitOr,),
+    ast.LShift: (ast.RShift,), ast.RShift: (ast.LShift,), ast.Pow: (ast.Mult,),
+}  # fmt: skip
+
+_NAMES = dict(
+    pair
+    for one, other in (("min", "max"), ("any", "all"), ("argmin", "argmax"), ("minimum", "maximum"), ("floor", "ceil"),
+                       ("logical_and", "logical_or"), ("zeros", "ones"), ("zeros_like", "ones_like"))
+    for pair in ((one, other), (other, one))
+)  # fmt: skip
+
+
+class Mutant(NamedTuple):
+    """A module with one change: its path, the line before and after, and its whole text."""
+
+    path: str
+    before: str
+    after: str
+    text: str
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        return self.path, self.before, self.after
+
+
+def changes(node: ast.AST) -> Iterator[ast.AST]:
+    """What may replace an expression."""
+    fields = dict(ast.iter_fields(node))
+
+    def other(**changed: object) -> ast.AST:
+        return type(node)(**{**fields, **changed})
+
+    if isinstance(node, ast.Compare) and len(node.ops) == 1:
+        yield from (other(ops=[operator()]) for operator in _OPERATORS[type(node.ops[0])])
+    elif isinstance(node, ast.BinOp | ast.BoolOp):
+        yield from (other(op=operator()) for operator in _OPERATORS.get(type(node.op), ()))
+    elif isinstance(node, ast.UnaryOp):
+        yield node.operand
+    elif isinstance(node, ast.Constant) and isinstance(node.value, bool):
+        yield other(value=not node.value)
+    elif isinstance(node, ast.Constant) and isinstance(node.value, int | float):
+        yield other(value=node.value + 1)
+    elif isinstance(node, ast.Attribute) and node.attr in _NAMES:
+        yield other(attr=_NAMES[node.attr])
+    elif isinstance(node, ast.Call) and len(node.args) > 1:
+        args = [*node.args[:-2], node.args[-1], node.args[-2]]
+        yield other(args=args)
+
+
+def expressions(node: ast.AST, inside: bool = False) -> Iterator[ast.expr]:
+    """Expressions that run: no annotations, decorators, texts or messages, and outside of functions no unions."""
+    if isinstance(node, ast.Raise | ast.JoinedStr | ast.Import | ast.ImportFrom):
+        return
+    if isinstance(node, ast.expr) and (inside or not isinstance(node, ast.BinOp)):
+        yield node
+    inside = inside or isinstance(node, ast.FunctionDef | ast.Lambda)
+    for name, value in ast.iter_fields(node):
+        if name not in ("annotation", "returns", "decorator_list", "bases"):
+            for child in value if isinstance(value, list) else [value]:
+                if isinstance(child, ast.AST):
+                    yield from expressions(child, inside)
+
+
+def mutants(path: Path) -> Iterator[Mutant]:
+    """All mutants of a module."""
+    text = path.read_text()
+    starts = [0]
+    for line in text.encode().splitlines(keepends=True):
+        starts.append(starts[-1] + len(line))
+    for node in expressions(ast.parse(text)):
+        first, last = starts[node.lineno - 1] + node.col_offset, starts[(node.end_lineno or 0) - 1] + (
+            node.end_col_offset or 0
+        )  # fmt: skip
+        for changed in changes(node):
+            data = text.encode()
+            new = (data[:first] + b"(" + ast.unparse(changed).encode() + b")" + data[last:]).decode()
+            before, after = (one.splitlines()[node.lineno - 1].strip() for one in (text, new))
+            if new.replace(" ", "") != text.replace(" ", ""):
+                yield Mutant(str(path.relative_to(ROOT)), before, after, new)
+
+
+def tests_of(path: str) -> list[str]:
+    """The test files that import a module, its own first: those of these rooms, or of any if there are none."""
+    _, room, name = path.removesuffix(".py").split("/", 2)
+    own, imports = ROOT / "tests" / room / f"test_{name}.py", rf"dc2g_jax\.{room}(\.{name}| import .*\b{name})\b"
+    files = [file for file in sorted((ROOT / "tests").rglob("test_*.py")) if re.search(imports, file.read_text())]
+    near = [file for file in files if file.parent.name in ROOMS]
+    return [str(file) for file in dict.fromkeys([*[own] * own.exists(), *(near or files)])]
+
+
+class Order:
+    """A plugin of pytest: tests that found mutants come first, then quick ones; none is begun beyond the budget.
+
+    Attributes:
+      seen: (test, seconds, whether it failed), for each test that ran.
+    """
+
+    def __init__(self, seconds: dict[str, float], kills: collections.Counter[str]):
+        self.seen: list[tuple[str, float, bool]] = []
+        self._seconds, self._kills = seconds, kills
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        items.sort(key=lambda item: (-self._kills[item.nodeid], self._seconds.get(item.nodeid, 0.0)))
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.when == "call" or report.failed:
+            self.seen.append((report.nodeid, report.duration, report.failed))
+
+    def pytest_runtest_setup(self) -> None:
+        if time.process_time() > _BUDGET:
+            pytest.exit("no test has failed so far", returncode=0)
+
+
+def swap_functions(mutant: Mutant) -> bool:
+    """Give functions of the loaded module the mutant's code. Returns whether that was the change, or it was outside."""
+    target = str(ROOT / mutant.path)
+
+    def codes(code: types.CodeType) -> Iterator[types.CodeType]:
+        yield code
+        for constant in code.co_consts:
+            if isinstance(constant, types.CodeType):
+                yield from codes(constant)
+
+    before, after = (compile(text, target, "exec") for text in ((ROOT / mutant.path).read_text(), mutant.text))
+    old, new = ({code.co_qualname: code for code in codes(whole)} for whole in (before, after))
+    changed = {name for name, code in new.items() if code != old[name]} - {"<module>"}
+    swapped = set()
+    for function in gc.get_objects():
+        if isinstance(function, types.FunctionType) and function.__code__.co_filename == target:
+            name = function.__code__.co_qualname
+            if name in changed and function.__code__.co_freevars == new[name].co_freevars:
+                function.__code__ = new[name]
+                swapped.add(name)
+    outermost = {name.split(".<locals>")[0] for name in changed}
+    return bool(outermost) and outermost <= swapped
+
+
+def load_mutant(mutant: Mutant) -> None:
+    """Let the module be imported as the mutant, and everything anew."""
+    loader = importlib.machinery.SourceFileLoader
+    get_data, target = loader.get_data, str(ROOT / mutant.path)
+    compiled = f"{Path(target).parent / '__pycache__' / Path(target).stem}."
+
+    def mutated(self: object, path: str) -> bytes:
+        if str(path).startswith(compiled):
+            raise FileNotFoundError(path)
+        return mutant.text.encode() if str(path) == target else get_data(self, path)  # type: ignore[arg-type]
+
+    loader.get_data = mutated  # type: ignore[method-assign]
+    for name in [name for name in sys.modules if name.split(".")[0] == "dc2g_jax"]:
+        del sys.modules[name]
+
+
+def run_tests(mutant: Mutant, order: Order) -> int:
+    """Run the tests of a mutant in this process. Returns pytest's exit status."""
+    files = tests_of(mutant.path)
+    sys.dont_write_bytecode = True
+    if not swap_functions(mutant):
+        load_mutant(mutant)
+    options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
+    return int(pytest.main([*options, *files], plugins=[order]))
+
+
+def outcome(mutant: Mutant, order: Order) -> tuple[str, list[tuple[str, float, bool]]]:
+    """`killed` (by a test, a module that cannot be imported, or a limit) or `survived`; and `Order.seen`."""
+    told, tell = os.pipe()
+    child = os.fork()
+    if child == 0:
+        status = 99
+        try:
+            silent = os.open(os.environ.get("MUTATION_LOG", os.devnull), os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+            os.dup2(silent, 1)
+            os.dup2(silent, 2)
+            resource.setrlimit(resource.RLIMIT_CPU, (_ENDLESS, _ENDLESS))
+            resource.setrlimit(resource.RLIMIT_DATA, (_BYTES, _BYTES))
+            status = run_tests(mutant, order)
+            os.write(tell, json.dumps(order.seen).encode())
+        finally:
+            os._exit(status)
+    os.close(tell)
+    with open(told, "rb") as file:
+        seen = json.loads(file.read() or "[]")
+    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if status > pytest.ExitCode.INTERRUPTED:
+        raise RuntimeError(f"{mutant.path}: {mutant.after}: the tests could not be run ({status}); see MUTATION_LOG")
+    return "killed" if status else "survived", seen
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("rooms", nargs="+", help="rooms, or modules such as grid/search.py")
+    parser.add_argument("--count", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("outputs/mutants.jsonl"))
+    options = parser.parse_args()
+    with EQUIVALENT.open(newline="") as file:
+        left_out = {tuple(row[:3]) for row in csv.reader(file)}
+    modules = [
+        path
+        for room in options.rooms
+        for path in sorted((ROOT / "dc2g_jax").glob(room if room.endswith(".py") else f"{room}/*.py"))
+    ]
+    every = [mutant for path in modules for mutant in mutants(path) if mutant.key not in left_out]
+    chosen = random.Random(options.seed).sample(every, min(options.count, len(every)))
+    for file in sorted((ROOT / "dc2g_jax").rglob("*.py")):  # once for all mutants
+        importlib.import_module(".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"))
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.touch()
+    found: dict[tuple[str, ...], str] = {}
+    seconds: dict[str, float] = {}
+    kills: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
+
+    def note(line: str) -> None:
+        path, before, after, end, seen = json.loads(line)
+        found[path, before, after] = end
+        for test, taken, failed in seen:
+            seconds[test] = taken
+            kills[path][test] += failed
+
+    for line in options.out.read_text().splitlines():
+        note(line)
+    for number, mutant in enumerate(chosen, start=1):
+        if mutant.key not in found:
+            line = json.dumps([*mutant.key, *outcome(mutant, Order(seconds, kills[mutant.path]))])
+            note(line)
+            with options.out.open("a") as file:
+                file.write(line + "\n")
+            print(f"{number:4} {found[mutant.key]:8} {mutant.path}: {mutant.after}", flush=True)
+    survivors = [mutant for mutant in chosen if found[mutant.key] == "survived"]
+    print(f"\n{len(chosen)} of {len(every)} mutants: {len(chosen) - len(survivors)} killed, {len(survivors)} survived")
+    for mutant in survivors:
+        print(f"{mutant.path}\n  - {mutant.before}\n  + {mutant.after}")
+
+
+if __name__ == "__main__":
+    main()
