@@ -76,15 +76,17 @@ def answers_in_cells(estimator: Estimator | None) -> bool:
     return getattr(estimator, "in_cells", True)
 
 
-def _call_sizes(n_robots: int, fewest: int) -> list[int]:
+#: Smallest batch of an estimator; for tiny ones, the last bits of a convolution may depend on the size.
+_FEWEST_MAPS = 4
+
+
+def _call_sizes(n_robots: int) -> list[int]:
     """Batch sizes for an estimator: the four largest powers of two up to half the number of robots."""
-    largest = max(fewest, 1 << n_robots.bit_length() >> 2)
-    return [largest >> halvings for halvings in range(4) if largest >> halvings >= fewest]
+    largest = max(_FEWEST_MAPS, 1 << n_robots.bit_length() >> 2)
+    return [largest >> halvings for halvings in range(4) if largest >> halvings >= _FEWEST_MAPS]
 
 
-def for_some(
-    function: Callable[[Any, Any], Any], wanted: Bool[Array, "*batch"], inputs: Any, before: Any, *, fewest: int = 4
-) -> Any:
+def for_some(function: Callable[[Any, Any], Any], wanted: Bool[Array, "*batch"], inputs: Any, before: Any) -> Any:
     """Apply a function to some of the robots, a few at a time, and keep the old values of the others.
 
     Args:
@@ -92,7 +94,6 @@ def for_some(
       wanted: whether each robot needs new values.
       inputs: pytree of arrays whose last axes are those of `wanted`.
       before: old values, likewise.
-      fewest: smallest batch size; for tiny batches, the last bits of a convolution may depend on it.
     """
     batch_axes = wanted.ndim
 
@@ -101,7 +102,7 @@ def for_some(
 
     flat_wanted, inputs, old = jax.tree.map(flat, (wanted, inputs, before))
     n_robots = flat_wanted.shape[0]
-    sizes = _call_sizes(n_robots, fewest)
+    sizes = _call_sizes(n_robots)
     # Indices of the wanted robots come first; the rest are out of bounds, where nothing is written.
     queue = jnp.nonzero(flat_wanted, size=n_robots + sizes[-1], fill_value=n_robots)[0]
     n_wanted = jnp.sum(flat_wanted, dtype=jnp.int32)

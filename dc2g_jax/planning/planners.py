@@ -9,6 +9,7 @@ static. So one compiled program serves every checkpoint of the same architecture
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol, get_args
 
@@ -257,9 +258,8 @@ def in_turn(ask: Ask, terrain: UInt8[Array, "h w *batch"], views: Views, view: I
     return in_view(ask(in_view(terrain, 0)), 1)
 
 
-def at_once(ask: Ask, terrain: UInt8[Array, "h w *batch"], views: Views, view: Int[Array, "*batch"]) -> Estimates:
+def at_once(ask: Ask, terrain: UInt8[Array, "h w *batch"], views: Views) -> Estimates:
     """The mean of the estimates for all views of the map. The grid may be larger than the map."""
-    del view
     inside = terrain != OUTSIDE
     answers = [mirrored(ask(mirrored(terrain, axes, inside, 0)), axes, inside, 1) for axes in views]
     return jnp.mean(jnp.stack(answers).astype(jnp.float32), axis=0)
@@ -289,10 +289,9 @@ class DC2G(AssessingPlanner):
       headings: selects among the nearest headings of a cell, if the score depends on distance: all of them, or
         `dc2g_jax.planning.frontiers.facing_most`.
       patience: penalty for staying near promising cells that reveal no goal.
-      asking: `in_turn` to alternate between views, or `at_once` to use all views in each estimate.
-      fewest_maps: smallest batch size for the estimator; the last bits of an estimate may depend on it.
       enough_news: share of the cells in the field of view that has to be newly seen before the planner decides anew; it
         also does when its subgoal reveals nothing more. 0 to decide anew as soon as any cell is.
+      memory: whether the state is kept between steps. If not, for a single robot, all views count in each estimate.
     """
 
     estimator: Estimator
@@ -303,9 +302,8 @@ class DC2G(AssessingPlanner):
     gain_weight: float = struct.field(pytree_node=False, default=0.0)
     headings: Callable[[Belief, PoseSet], PoseSet] = struct.field(pytree_node=False, default=any_heading)
     patience: Patience = struct.field(pytree_node=False, default=ENDLESS)
-    asking: Callable[[Ask, Array, Views, Array], Estimates] = struct.field(pytree_node=False, default=in_turn)
-    fewest_maps: int = struct.field(pytree_node=False, default=4)
     enough_news: float = struct.field(pytree_node=False, default=0.0)
+    memory: bool = struct.field(pytree_node=False, default=True)
     #: A network needs less time per map in larger batches.
     robots_a_core: ClassVar[int] = 64
     robots_on_large_maps: ClassVar[int] = 16
@@ -314,7 +312,7 @@ class DC2G(AssessingPlanner):
         """This planner for a single robot with a new state at every step, on maps of any size."""
         network = self.estimator
         estimator = PaddedNetwork(network) if isinstance(network, NetworkCostToGo) else network
-        return dataclasses.replace(self, estimator=estimator, asking=at_once, fewest_maps=1, patience=ENDLESS)
+        return dataclasses.replace(self, estimator=estimator, patience=ENDLESS, memory=False)
 
     def init(self, world: World) -> "ExplorationState":
         """Nothing is reachable before the first observation. The estimator initializes its own state."""
@@ -354,7 +352,8 @@ class DC2G(AssessingPlanner):
         """New estimates, given the number of the next view and the estimator's state."""
         (view, estimator_state), extent = state, extent_of(self.estimator)
         part = extent.part(terrain, pose)
-        answer = self.asking(lambda seen_as: self._told(seen_as, estimator_state), part, self.views, view)
+        ask = functools.partial(self._told, state=estimator_state)
+        answer = in_turn(ask, part, self.views, view) if self.memory else at_once(ask, part, self.views)
         return extent.merged(answer, pose, before)
 
     def _candidates(self, belief: Belief, reachable: Board, revealing: PoseSet) -> PoseSet:
@@ -402,6 +401,12 @@ class DC2G(AssessingPlanner):
     ) -> "Choice":
         """A new estimate, and the subgoals of lowest score with it (Algorithm 2, lines 6 to 11)."""
         belief, reachable, revealing, decided_near, estimator_state = inputs
+        choice = self._estimated(belief, estimator_state, before)
+        candidates, score, _ = self._scored(belief, reachable, revealing, choice.estimates, decided_near)
+        return choice._replace(subgoals=candidates & _lowest(score, poses.occupied(candidates), belief.width))
+
+    def _estimated(self, belief: Belief, estimator_state: Any, before: "Choice") -> "Choice":
+        """A new estimate, with the subgoals of before."""
         terrain = belief.terrain
         if belief.outside is not None:
             terrain = jnp.where(bitboard.unpack(belief.outside, belief.width), jnp.uint8(OUTSIDE), terrain)
@@ -411,12 +416,8 @@ class DC2G(AssessingPlanner):
         first = bitboard.is_empty(before.estimated_from)
         # The first estimate stands for all views.
         estimates = jnp.where(first, latest, jnp.concatenate([latest, before.estimates[:-1]]))
-        candidates, score, _ = self._scored(belief, reachable, revealing, estimates, decided_near)
-        return Choice(
-            estimates=estimates,
-            estimated_from=belief.seen,
-            view=(before.view + 1) % len(self.views),
-            subgoals=candidates & _lowest(score, poses.occupied(candidates), belief.width),
+        return before._replace(
+            estimates=estimates, estimated_from=belief.seen, view=(before.view + 1) % len(self.views)
         )
 
     def assess(self, belief: Belief, state: "ExplorationState") -> "tuple[Assessment, ExplorationState]":
@@ -435,9 +436,16 @@ class DC2G(AssessingPlanner):
         # Robots that do not explore need no subgoal.
         outdated = undecided & ((news >= enough) | poses.is_empty(state.choice.subgoals & revealing))
         inputs = belief, reachable, revealing, decided_near, state.estimator
-        choice = for_some(self._choose, outdated, inputs, state.choice, fewest=self.fewest_maps)
-        plan = _explore_or_finish(belief, reachable, choice.subgoals & revealing, self.rules)
+        if self.memory:
+            choice = for_some(self._choose, outdated, inputs, state.choice)
+        else:
+            choice = jax.lax.cond(
+                outdated, lambda: self._estimated(belief, state.estimator, state.choice), lambda: state.choice
+            )
         candidates, score, penalty = self._scored(belief, reachable, revealing, choice.estimates, decided_near)
+        if not self.memory:  # the choice is always new, so these are the scores that it is made by
+            choice = choice._replace(subgoals=candidates & _lowest(score, poses.occupied(candidates), belief.width))
+        plan = _explore_or_finish(belief, reachable, choice.subgoals & revealing, self.rules)
         state = ExplorationState(reachable, choice, decided_near, state.estimator)
         return Assessment(plan, reachable, candidates, score, state.cost_to_go, penalty), state
 
