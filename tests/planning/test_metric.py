@@ -7,11 +7,13 @@ import math
 import numpy as np
 import pytest
 
+from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.grid.map_frame import MapFrame
 from dc2g_jax.planning.metric import MetricPlanner
 from dc2g_jax.planning.metric_map import MetricMap, MetricPose
 from dc2g_jax.planning.planners import Frontier
 from dc2g_jax.planning.rules import complete_rules
+from tests.support.networks import random_network
 from tests.support.refusals import refusal
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
@@ -296,10 +298,14 @@ def test_thresholds_are_those_of_map_saver():
         assert planner_of().plan(grid_of(world), place(1, 1)).mode == mode, value
 
 
-def test_the_planner_is_frontier_unless_there_are_classes():
-    assert planner_of()._make.args == ("frontier",)
-    with pytest.raises(Exception, match="no_such_network"):
-        planner_of(labels={1: "road"}, network="no_such_network")
+def test_the_planner_goes_by_a_network_where_there_are_classes():
+    cells, robot = random_moment(4, free=0.95)
+    network = random_network(Architecture(widths=(4, 4, 4, 4)))
+    for labels in (None, {FREE: "road", OCCUPIED: "house"}):
+        decision = planner_of(labels=labels, network=network).plan(grid_of(cells), place(*robot))
+        assert decision.mode == "explore"
+        assert all((each.cost_to_go is None) == (labels is None) for each in decision.candidates)
+        assert ("predicted cost-to-go" in decision.why) == (labels is not None)
 
 
 # --- bad input --------------------------------------------------------------------------------------------------------
