@@ -124,7 +124,7 @@ class Page:
         """The drawer: map, planners, sensing range and weights."""
         state = self.state
         self.choice = ui.select(list(state.maps), label="Map", value=next(iter(state.maps)))
-        self.choice.classes("w-full").on_value_change(lambda event: self._changed(lambda: state.choose(event.value)))
+        self.choice.classes("w-full").on_value_change(lambda event: self._choose(event.value))
         with ui.input("Open a folder or map file").classes("w-full").props("dense") as place:
             place.on("keydown.enter", lambda: self._open(place.value))
             ui.button(icon="folder_open", on_click=lambda: self._open(place.value)).props("flat dense")
@@ -216,8 +216,10 @@ class Page:
             self.state.step()
 
         self.busy.set_visibility(True)
-        await self._work(begin)
-        self.busy.set_visibility(False)
+        try:
+            await self._work(begin)
+        finally:
+            self.busy.set_visibility(False)
         self._make_panels()
         self.show(0)
 
@@ -301,6 +303,11 @@ class Page:
     async def _set(self, name: str, value: Any) -> None:
         await self._changed(lambda: setattr(self.state, name, value))
 
+    async def _choose(self, name: str | None) -> None:
+        """Take a map by name; `None` for the one that is drawn."""
+        if name is not None:
+            await self._changed(lambda: self.state.choose(name))
+
     async def _new_start(self) -> None:
         await self._changed(lambda: self.state.sample_start(int(np.random.default_rng().integers(2**31))))
 
@@ -312,6 +319,7 @@ class Page:
             self.choice.set_options(list(maps), value=next(iter(maps)))
 
     def _blank(self) -> None:
+        self.choice.value = None
         self.state.blank()
         self._redraw_canvas()
 
@@ -332,6 +340,7 @@ class Page:
             if event.type == "pointerdown":
                 self.state.place(*cell)
         elif cell != self.last:
+            self.choice.value = None
             self.state.paint(self.last or cell, cell, self.brush, self.width.value)
             self.last = cell
         self._redraw_canvas()

@@ -28,6 +28,11 @@ from nicegui.testing import user_simulation
 from dc2g_jax.cli.demo_page import Page, check_port
 
 
+def broken(rules):
+    """A planner of the user's own that cannot be made."""
+    raise RuntimeError("no planner yet")
+
+
 def visited(visit) -> None:
     """Run `visit(user, pages)` on pages with a toy map and frontier exploration; `pages` grows with each visit."""
     network, pages = random_network(Architecture(widths=(4, 4, 4, 4))), []
@@ -91,11 +96,18 @@ def test_a_visitor_draws_a_map_and_is_told_what_is_wrong():
         for kind, x in (("pointerdown", 3.2), ("pointermove", 6.7), ("pointerup", 6.7), ("pointermove", 9.5)):
             point(kind, x, 12.5)
         assert np.argwhere(page.state.terrain == FRONT_DOOR).tolist() == [[12, x] for x in (3, 4, 5, 6)]
+        assert page.choice.value is None  # so that the map can be chosen again
         page.tool.value = "robot"
         point("pointerdown", 0.5, 0.5)
         assert page.state.start[:2] == (0, 0)
         await page.restart()
         assert "the robot's cell (0, 0) is 'grass'" in user.notify.messages[-1]
+        page.state.planners = ["tests.cli.test_demo_page:broken"]
+        page.state.choose("toy")
+        with pytest.raises(RuntimeError):
+            await page.restart()
+        assert user.notify.messages[-1] == "RuntimeError: no planner yet"
+        assert not page.busy.visible
 
     visited(visit)
 
