@@ -11,7 +11,8 @@ from .planning.online import OnlinePlanner as OnlinePlanner
 from .planning.decisions import Decision as Decision
 from .environments.task import make_env as make_env
 from .rollouts.devices import use_cores as use_cores
-from .estimation.checkpoints import load_network as load_network
+from .estimation.hub import load as load
+from .estimation.hub import push as push
 
 # Write a planner or an estimator.
 from .planning.planners import Planner as Planner

@@ -13,8 +13,8 @@ from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, req
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation.hub import load
 
 from .benchmarks import figures, machine, report
 from .benchmarks.accelerator import accelerator_rows
@@ -112,7 +112,7 @@ def main(options: Options) -> None:
         per_house=1 if options.quick else options.starts_per_house,
         most_houses=4 if options.quick else None,
     )
-    network = load_network(options.network)
+    network = load(options.network)
     if not isinstance(network, NetworkCostToGo):
         raise InputError(f"{options.network}: is no compact network; the benchmark measures that kind alone")
     out = output_folder(options, "benchmark")

@@ -16,8 +16,9 @@ from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import sample_starts
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import SHIPPED_NOISY_NETWORK, load_network
+from dc2g_jax.estimation.checkpoints import SHIPPED_NOISY_NETWORK
 from dc2g_jax.estimation.estimators import Estimator
+from dc2g_jax.estimation.hub import load
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.resources import resource
 from dc2g_jax.inspection.driving_figures import plot_noise
@@ -66,7 +67,7 @@ def main(options: Options) -> None:
     if not options.levels or not all(0 <= level < math.inf for level in options.levels):
         raise InputError(f"--levels {' '.join(map(str, options.levels))}: give one at least, all of them from 0 on")
     dataset = open_dataset(options.dataset)
-    clean, noisy = load_network(options.network), load_network(options.noisy_network or resource(SHIPPED_NOISY_NETWORK))
+    clean, noisy = load(options.network), load(options.noisy_network or resource(SHIPPED_NOISY_NETWORK))
     networks: dict[str, Estimator] = {"clean": clean, "noisy": noisy}
     houses = dataset.split(options.split)
     starts = sample_starts(houses, options.starts_per_house, seed=options.seed)

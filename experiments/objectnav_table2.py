@@ -66,7 +66,7 @@ class Options(ComparisonOptions):
       maps: number of partial maps to predict costs for.
     """
 
-    networks: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FOLDER ...")] = ()
+    networks: Annotated[tuple[str | Path, ...], tyro.conf.arg(metavar="FOLDER ...")] = ()
     agent: Annotated[str, tyro.conf.arg(metavar="NAME")] = "promising"
     maps: int = 2048
 
@@ -76,19 +76,19 @@ def ablation(estimator: CostMapEstimator) -> str:
     return next(name for name, inputs in ABLATIONS.items() if inputs == estimator.architecture.inputs)
 
 
-def open_networks(folders: tuple[Path, ...]) -> dict[str, PredictedCosts[CostMapEstimator]]:
+def open_networks(places: tuple[str | Path, ...]) -> dict[str, PredictedCosts[CostMapEstimator]]:
     """The networks by name of their inputs.
 
     Raises:
       InputError: two networks have the same inputs.
     """
     found: dict[str, PredictedCosts[CostMapEstimator]] = {}
-    for folder in folders or (None,):
-        costs = open_costs(folder)
+    for place in places or (None,):
+        costs = open_costs(place)
         name = ablation(costs.estimator)
         if name in found:
             raise InputError(
-                f"--networks {folder}: another one has these inputs ({ABLATION_TITLES[name]}); give one of each"
+                f"--networks {place}: another one has these inputs ({ABLATION_TITLES[name]}); give one of each"
             )
         found[name] = costs
     return found

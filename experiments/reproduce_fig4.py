@@ -13,8 +13,8 @@ from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, req
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.drawn_masks import VARIANTS, drawn_masks
 from dc2g_jax.datasets.houses import House, open_dataset
-from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.estimation.estimators import Estimator
+from dc2g_jax.estimation.hub import load
 from dc2g_jax.inspection.image_figures import Example, plot_translations
 from dc2g_jax.training.image_data import MASK_SEEDS
 from dc2g_jax.training.image_evaluation import compare, map_for
@@ -48,7 +48,7 @@ def main(options: Options) -> None:
     require_positive(options, "rows")
     dataset = open_dataset(options.dataset, cells=None)
     houses = houses_with_door(dataset, "test")
-    network = load_network(options.network)
+    network = load(options.network)
     out = output_folder(options, "reproduce_fig4")
     chosen = [houses[place] for place in np.linspace(0, len(houses) - 1, 2 * options.rows).round().astype(int)]
     everything = np.ones((256, 256), bool)

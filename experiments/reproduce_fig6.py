@@ -15,7 +15,7 @@ from dc2g_jax.cli.options import DatasetOptions, OutOptions
 from dc2g_jax.cli.outputs import number_or_null, output_folder, print_files
 from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset
 from dc2g_jax.datasets.similarity import distance_to_training, similarity_scale
-from dc2g_jax.estimation.checkpoints import load_network
+from dc2g_jax.estimation.hub import load
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.grid.sampling import resize_nearest
@@ -32,10 +32,10 @@ class Options(DatasetOptions, OutOptions):
     """Reproduce Fig. 6: five metrics of each network on every test house, against its distance from training houses.
 
     Attributes:
-      network: folders of trained networks, of either kind; the shipped one by default.
+      network: folders of trained networks, of either kind, or hf://owner/name; the shipped one by default.
     """
 
-    network: tuple[Path, ...] = ()
+    network: tuple[str | Path, ...] = ()
 
 
 def distances(dataset: HouseDataset, houses: Sequence[House]) -> list[float]:
@@ -103,7 +103,7 @@ def main(options: Options) -> None:
     """Compute the metrics; print, write and plot them."""
     dataset = open_dataset(options.dataset, cells=None)
     houses = houses_with_door(dataset, "test")
-    chosen = {str(folder): load_network(folder) for folder in options.network} or {"shipped": load_network()}
+    chosen = {str(place): load(place) for place in options.network} or {"shipped": load()}
     out = output_folder(options, "reproduce_fig6")
     distance = distances(dataset, houses)
     images = [house.terrain for house in houses]

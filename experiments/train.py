@@ -19,9 +19,10 @@ from dc2g_jax.cli.outputs import WHERE, command_written, commit, output_folder
 from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import CARD, TrainingCheckpoints, load_network, newest_step, save_network
+from dc2g_jax.estimation.checkpoints import CARD, TrainingCheckpoints, newest_step, save_network
 from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation.hub import load, local_folder
 from dc2g_jax.files.reading import read_object
 from dc2g_jax.inspection.columns import viewer_sink
 from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_watch, next_file, prediction_picture
@@ -48,8 +49,8 @@ class Options(DatasetOptions, TrainingOptions, PauseOptions):
 
     Attributes:
       data: houses and masks.
-      after: folder of a trained network to start from: training begins with its weights, and masks of robots that it
-        leads are added to the others (DAgger).
+      after: folder of a trained network, or hf://owner/name, to start from: training begins with its weights, and masks
+        of robots that it leads are added to the others (DAgger).
       loss: quantile, l1, l2, huber or log, or a weighted sum of them such as quantile=1,log=0.5.
       widths: channels of the network at 1/2, 1/4, 1/8 and 1/16 of the map's resolution, such as 16 32 64 128.
       quantiles: levels of the predicted quantiles: the middles of equal parts of the distribution, since planners treat
@@ -100,16 +101,16 @@ class Options(DatasetOptions, TrainingOptions, PauseOptions):
         )
 
 
-def compact_network(folder: Path, architecture: Architecture) -> NetworkCostToGo:
+def compact_network(place: str | Path, architecture: Architecture) -> NetworkCostToGo:
     """A trained network of this architecture.
 
     Raises:
       InputError: the network has another architecture.
     """
-    network = load_network(folder)
+    network = load(place)
     if not isinstance(network, NetworkCostToGo) or network.architecture != architecture:
         raise InputError(
-            f"{folder}: is a network of another architecture; give --widths and --quantiles as it was trained with"
+            f"{place}: is a network of another architecture; give --widths and --quantiles as it was trained with"
         )
     return network
 
@@ -159,7 +160,7 @@ def training_task(
     recording: TrainingRecording | None,
 ) -> Task[TrainingState]:
     """The training task. It starts from `network` if given. Each validation saves the network."""
-    after = None if options.after is None else read_object(options.after / CARD, "give another network")
+    after = None if options.after is None else read_object(local_folder(options.after) / CARD, "give another network")
     recipe, hyperparameters, draw = config.recipe, config.hyperparameters, options.data.draw_batch
     validation = Validation(dataset) if options.validate_every else None  # raises before minutes of data collection
     data = replicate(open_training_set(options.out, dataset, options.data, network), mesh_of())

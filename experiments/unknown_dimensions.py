@@ -20,9 +20,9 @@ from dc2g_jax.datasets.procedural import draw_neighborhood
 from dc2g_jax.datasets.procedural.suburbs import SUBURBS
 from dc2g_jax.datasets.starts import Start, sample_starts
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.estimation.extents import CroppedEstimator, Window, WindowedEstimator
+from dc2g_jax.estimation.hub import load
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.grid.terrain import UNKNOWN
 from dc2g_jax.planning.named import make_planner
@@ -120,7 +120,7 @@ def main(options: Options) -> None:
         raise InputError("give --starts-per-house, --doors and --windows of at least 1, and --cells of at least 50")
     if min(options.drawn, options.rows) < 0:
         raise InputError(f"--drawn {options.drawn}, --rows {options.rows}: give 0 or more maps")
-    network = load_network(options.network)
+    network = load(options.network)
     estimators = estimators_by_planner(network, options.windows)
     dataset = open_dataset(options.dataset)
     worlds = all_worlds(options, dataset)

@@ -21,7 +21,8 @@ from dc2g_jax.cli.commands import drop_output, reader_may_leave
 from dc2g_jax.cli.outputs import RUN_FILE, CommandOptions, folder_in_use, program
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network
+from dc2g_jax.estimation.checkpoints import TrainedNetwork
+from dc2g_jax.estimation.hub import load
 from dc2g_jax.files.cache import keep_compiled_programs
 from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.planning.named import NETWORK_PLANNERS, check_names
@@ -30,9 +31,9 @@ from dc2g_jax.training.tracking import check_tracker
 
 _Options = TypeVar("_Options", bound=CommandOptions)
 
-#: Common options: a folder of houses (or a name), the folder of a trained network, and the output folder.
+#: Common options: a folder of houses (or a name), a trained network (see `estimation.hub`), and the output folder.
 DatasetOption = Annotated[str | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
-NetworkOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
+NetworkOption = Annotated[str | Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 OutOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 
 #: One planner and several: names in `dc2g_jax.planning.named.PLANNERS`, or `package.module:Class`.
@@ -156,9 +157,9 @@ def check_planners(planners: Sequence[str]) -> None:
     check_names(planners)
 
 
-def network_for(planners: Iterable[str], folder: Path | None) -> TrainedNetwork | None:
-    """The network in a folder, or the shipped one; `None` if no planner uses a network."""
-    return load_network(folder) if NETWORK_PLANNERS.keys() & set(planners) else None
+def network_for(planners: Iterable[str], place: str | Path | None) -> TrainedNetwork | None:
+    """The network in a place, or the shipped one; `None` if no planner uses a network."""
+    return load(place) if NETWORK_PLANNERS.keys() & set(planners) else None
 
 
 def digests(dataset: HouseDataset, **networks: TrainedNetwork | None) -> dict[str, str]:

@@ -29,7 +29,7 @@ class NetworkOptions(CommandOptions):
     """A network for the planners that use one.
 
     Attributes:
-      network: folder of a trained network; the shipped one by default.
+      network: folder of a trained network, or hf://owner/name; the shipped one by default.
     """
 
     network: NetworkOption = None

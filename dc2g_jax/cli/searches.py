@@ -13,6 +13,7 @@ from dc2g_jax.cli.options import OutOptions, ResumeOptions, require_positive
 from dc2g_jax.cli.outputs import print_files
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
+from dc2g_jax.estimation.hub import local_folder
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.files.resources import resource
@@ -119,14 +120,14 @@ class ComparisonOptions(SearchOptions, ResumeOptions):
         return f"{self.count} {kind}, {self.split}"
 
 
-def open_costs(folder: NetworkOption) -> PredictedCosts[CostMapEstimator]:
-    """The network in a folder, or the shipped one."""
-    return load_costs(resource(SHIPPED_INDOOR_NETWORK) if folder is None else folder)
+def open_costs(place: NetworkOption) -> PredictedCosts[CostMapEstimator]:
+    """The network in a place, or the shipped one."""
+    return load_costs(resource(SHIPPED_INDOOR_NETWORK) if place is None else local_folder(place))
 
 
-def costs_for(agents: Iterable[str], folder: NetworkOption) -> PredictedCosts[CostMapEstimator] | None:
+def costs_for(agents: Iterable[str], place: NetworkOption) -> PredictedCosts[CostMapEstimator] | None:
     """`open_costs` if one of these agents uses a network, else `None`."""
-    return open_costs(folder) if set(ON_NETWORK) & set(agents) else None
+    return open_costs(place) if set(ON_NETWORK) & set(agents) else None
 
 
 def digests(houses: Sequence[IndoorHouse], **networks: Any) -> dict[str, str]:

@@ -82,8 +82,8 @@ def make(
 
     Args:
       name: one of `PLANNERS`, or `package.module:Class` for a class of your own, which is called with the rules.
-      network: network of a planner in `NETWORK_PLANNERS`: an estimator or the folder of a trained network; `None` for
-        the shipped network.
+      network: network of a planner in `NETWORK_PLANNERS`: an estimator, or the place of a trained network, see
+        `dc2g_jax.estimation.hub.load`; `None` for the shipped network.
       settings: the rules, one of `dc2g_jax.planning.rules.SETTINGS` or its name.
       sensing_range: range of the field of view in cells; `None` for the default of the settings.
 
@@ -130,7 +130,7 @@ def check_names(names: Iterable[str]) -> None:
 
 
 def open_estimator(network: Estimator | str | os.PathLike[str] | None) -> Estimator:
-    """Load the network in a folder, or the shipped one for `None`. Estimators are returned as they are.
+    """Load the network in a place, or the shipped one for `None`. Estimators are returned as they are.
 
     Raises:
       InputError: the network cannot be read.
@@ -138,9 +138,9 @@ def open_estimator(network: Estimator | str | os.PathLike[str] | None) -> Estima
     if network is not None and not isinstance(network, str | os.PathLike):
         return network
     # Orbax takes a second to import and is only needed for files.
-    from dc2g_jax.estimation.checkpoints import load_network
+    from dc2g_jax.estimation.hub import load
 
-    return load_network(network)
+    return load(network)
 
 
 def _imported(name: str) -> Any:

@@ -83,7 +83,8 @@ class OnlinePlanner:
 
     Args:
       planner: one of `ONLINE_PLANNERS`, or any planner. If it has `rules`, they are used.
-      network: estimator of a planner by name, or the folder of a trained network; `None` for the shipped one.
+      network: estimator of a planner by name, or the place of a trained network, see `dc2g_jax.estimation.hub.load`;
+        `None` for the shipped one.
       sensing_range: range of the robot's 90-degree field of view, in cells, 1 to 64.
       largest: rows and columns of the largest map.
       open_ended: whether the world continues beyond the map's edges. If so, the robot explores across them too.

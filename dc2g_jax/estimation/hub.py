@@ -1,0 +1,94 @@
+"""Trained networks by place: a folder, or `hf://owner/name` on the Hugging Face Hub."""
+
+import os
+import tempfile
+from pathlib import Path
+
+from dc2g_jax.errors import InputError, require_extra
+from dc2g_jax.estimation.checkpoints import CARD, TrainedNetwork, load_network, save_network
+
+#: Begins the place of a network on the Hub.
+_HUB = "hf://"
+
+#: The files of a network, whatever its kind.
+_FILES = [CARD, "*.safetensors"]
+
+
+def _on_hub(place: str) -> tuple[str, str | None]:
+    """The repository and the revision of `hf://owner/name@revision`, after checking that the Hub can be asked."""
+    require_extra("huggingface_hub", extra="hub")
+    repository, _, revision = place.removeprefix(_HUB).partition("@")
+    if not place.startswith(_HUB) or len(repository.split("/")) != 2:
+        raise InputError(f"{place}: names no network on the Hub; give {_HUB}owner/name")
+    return repository, revision or None
+
+
+def local_folder(place: str | os.PathLike[str]) -> Path:
+    """The folder of a network. Networks on the Hub are downloaded to the cache of `huggingface_hub`.
+
+    Args:
+      place: a folder, `hf://owner/name`, or `hf://owner/name@revision` with a branch, tag or commit.
+
+    Raises:
+      InputError: it cannot be downloaded and is not in the cache either, or the extra `hub` is not installed.
+    """
+    if not str(place).startswith(_HUB):
+        return Path(place)
+    repository, revision = _on_hub(str(place))
+    import huggingface_hub
+
+    try:
+        return Path(huggingface_hub.snapshot_download(repository, revision=revision, allow_patterns=_FILES))
+    except Exception as error:  # of many libraries
+        raise InputError(
+            f"{place}: cannot be downloaded ({_reason(error)}); check the name, and the connection to the Hub"
+        ) from None
+
+
+def load(place: str | os.PathLike[str] | None = None) -> TrainedNetwork:
+    """Load the network of a planner, of any kind.
+
+    Args:
+      place: see `local_folder`; `None` for the shipped network.
+
+    Raises:
+      InputError: see `local_folder` and `dc2g_jax.estimation.checkpoints.load_network`, which checks the SHA-256 of the
+        weights.
+    """
+    return load_network(None if place is None else local_folder(place))
+
+
+def push(network: TrainedNetwork | str | os.PathLike[str], place: str) -> str:
+    """Save a network on the Hub, in a new repository or as a new version. `hf auth login` comes first.
+
+    Args:
+      network: the network, or its folder, whose card is then kept. Also the folder of an indoor network.
+      place: `hf://owner/name`.
+
+    Returns:
+      The address of the new version.
+
+    Raises:
+      InputError: the folder holds no network, or the Hub does not take it.
+    """
+    repository, revision = _on_hub(place)
+    import huggingface_hub
+
+    with tempfile.TemporaryDirectory() as saved:
+        folder = Path(network) if isinstance(network, str | os.PathLike) else save_network(saved, network)
+        if not (folder / CARD).is_file() or not list(folder.glob(_FILES[1])):
+            raise InputError(f"{folder}: holds no {' and '.join(_FILES)}; give the folder of a trained network")
+        try:
+            hub = huggingface_hub.HfApi()
+            hub.create_repo(repository, exist_ok=True)
+            done = hub.upload_folder(repo_id=repository, folder_path=folder, revision=revision, allow_patterns=_FILES)
+            return str(done.commit_url)
+        except Exception as error:  # of many libraries
+            raise InputError(
+                f"{place}: cannot be saved ({_reason(error)}); log in with `hf auth login`, and check the name"
+            ) from None
+
+
+def _reason(error: Exception) -> str:
+    """The first line of an error's message that says something."""
+    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)[:160]
