@@ -37,6 +37,7 @@ COMMANDS = {
     "train": ("train", "train the cost-to-go network"),
     "train-translator": ("train_translator", "train the paper's image-to-image translator"),
     "sweep": ("sweep_losses", "train networks with many losses, learning rates, widths and seeds"),
+    "export": ("export_network", "write a trained network as an ONNX file"),
     "objectnav fig5": ("objectnav_fig5", "dense cost maps, Figs. 4 and 5: a search for an object"),
     "objectnav table1": ("objectnav_table1", "dense cost maps, Table I: searching houses for objects"),
     "objectnav table2": ("objectnav_table2", "dense cost maps, Table II: inputs of the network"),

@@ -1,0 +1,129 @@
+"""Export of a compact network to ONNX, for robots whose programs are not in Python. It needs the extra `onnx`."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from dc2g_jax.errors import InputError, require_extra
+from dc2g_jax.estimation.checkpoints import TrainedNetwork
+from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.files.atomic import replacing
+from dc2g_jax.files.digests import arrays_sha256
+from dc2g_jax.grid.terrain import CLASS_NAMES
+
+require_extra("onnx", extra="onnx")
+import onnx  # noqa: E402
+
+#: Versions of the operators and of the format: those that runtimes from 2023 on read.
+_OPERATORS, _FORMAT = 18, 9
+
+
+class _Graph:
+    """Nodes and constants of a graph. Features have the axes n, channels, rows, columns."""
+
+    def __init__(self) -> None:
+        self.nodes: list[Any] = []
+        self.constants: list[Any] = []
+
+    def add(self, operator: str, *inputs: Any, **attributes: Any) -> str:
+        """Add a node. Inputs are outputs of others, by name, or constants. Returns the name of its output."""
+        names = []
+        for value in inputs:
+            if not isinstance(value, str):
+                value, constant = f"constant_{len(self.constants)}", onnx.numpy_helper.from_array(np.asarray(value))
+                constant.name = value
+                self.constants.append(constant)
+            names.append(value)
+        name = f"{operator}_{len(self.nodes)}"
+        self.nodes.append(onnx.helper.make_node(operator, names, [name], name=name, **attributes))
+        return name
+
+    def conv(self, features: str, kernel: Any, bias: Any, stride: int = 1) -> str:
+        """A convolution with a kernel [rows, columns, in, out], padded as Flax pads."""
+        kernel = np.transpose(kernel, (3, 2, 0, 1))
+        return self.add("Conv", features, kernel, bias, strides=[stride, stride], auto_pad="SAME_UPPER")
+
+    def linear(self, features: str, weights: Mapping[str, Any]) -> str:
+        return self.conv(self.add("Relu", features), weights["kernel"][None, None], weights["bias"])
+
+    def residual(self, features: str, weights: Mapping[str, Any]) -> str:
+        refined = features
+        for layer in ("first", "second"):
+            refined = self.conv(self.add("Relu", refined), **weights[layer])
+        return self.add("Add", features, refined)
+
+    def down(self, features: str, weights: Mapping[str, Any]) -> str:
+        halved = self.conv(self.add("Relu", features), **weights["halve"], stride=2)
+        return self.residual(halved, weights["residual"])
+
+    def up(self, features: str, skipped: str, weights: Mapping[str, Any]) -> str:
+        repeated = {"mode": "nearest", "coordinate_transformation_mode": "asymmetric", "nearest_mode": "floor"}
+        narrow = self.linear(features, weights["narrow"])
+        doubled = self.add("Resize", narrow, "", np.array([1, 1, 2, 2], np.float32), **repeated)
+        cropped = self.cropped(doubled, self.add("Shape", skipped, start=2))
+        return self.residual(self.add("Add", skipped, cropped), weights["residual"])
+
+    def cropped(self, features: str, shape: str) -> str:
+        return self.add("Slice", features, np.array([0, 0]), shape, np.array([2, 3]))
+
+
+def _add_network(graph: _Graph, network: NetworkCostToGo) -> str:
+    """Add the nodes of `dc2g_jax.estimation.compact_unet.CompactUNet`, from `classes` to the quantiles in cells."""
+    weights, count = jax.tree.map(np.asarray, network.weights), len(CLASS_NAMES)
+    indices = graph.add("Cast", "classes", to=onnx.TensorProto.INT64)
+    classes = graph.add("OneHot", indices, np.int64(count), np.array([0, 1], np.float32), axis=1)
+    # A linear map of 2x2 patches is a convolution with stride 2.
+    embed = weights["embed"]["kernel"].reshape(2, 2, count, -1)
+    at2 = graph.residual(graph.conv(classes, embed, weights["embed"]["bias"], stride=2), weights["local"])
+    at4 = graph.down(at2, weights["down1"])
+    at8 = graph.down(at4, weights["down2"])
+    features = graph.residual(graph.down(at8, weights["down3"]), weights["context"])
+    for skipped, name in ((at8, "up3"), (at4, "up2"), (at2, "up1")):
+        features = graph.up(features, skipped, weights[name])
+    cells = graph.add("DepthToSpace", graph.linear(features, weights["head"]), blocksize=2, mode="DCR")
+    scaled = graph.add("Mul", graph.add("Add", cells, np.float32(1)), np.float32(network.architecture.cost_scale))
+    return graph.cropped(scaled, graph.add("Shape", "classes", start=1))
+
+
+def export_onnx(network: TrainedNetwork, path: str | Path) -> None:
+    """Write a compact network as an ONNX file.
+
+    Its input `classes` is uint8 [n, h, w], observed class indices (0 = not observed) of any number and size of maps.
+    Its output `quantiles` is float32 [n, quantiles, h, w], the cost-to-go in cells. The metadata of the file are JSON:
+    `classes`, `quantiles`, `cost_scale`, `side` (maps beyond it are resampled by planners) and `sha256` of the weights.
+
+    Args:
+      network: the network.
+      path: the file; replaced if it exists.
+
+    Raises:
+      InputError: the network is a translator, or the file cannot be written.
+    """
+    if not isinstance(network, NetworkCostToGo):
+        raise InputError("the network is a translator of pictures; give a compact network, from `dc2g train`")
+    graph, architecture = _Graph(), network.architecture
+    found = _add_network(graph, network)
+    graph.nodes.append(onnx.helper.make_node("Identity", [found], ["quantiles"]))
+    classes = onnx.helper.make_tensor_value_info("classes", onnx.TensorProto.UINT8, ["n", "h", "w"])
+    sizes: list[str | int | None] = ["n", len(architecture.quantiles), "h", "w"]
+    quantiles = onnx.helper.make_tensor_value_info("quantiles", onnx.TensorProto.FLOAT, sizes)
+    whole = onnx.helper.make_graph(graph.nodes, "compact_unet", [classes], [quantiles], graph.constants)
+    model = onnx.helper.make_model(whole, opset_imports=[onnx.helper.make_opsetid("", _OPERATORS)], ir_version=_FORMAT)
+    facts = {
+        "classes": CLASS_NAMES,
+        "quantiles": architecture.quantiles,
+        "cost_scale": architecture.cost_scale,
+        "side": architecture.side,
+        "sha256": arrays_sha256(network.weights),
+    }
+    onnx.helper.set_model_props(model, {name: json.dumps(value) for name, value in facts.items()})
+    onnx.checker.check_model(model, full_check=True)
+    try:
+        with replacing(path) as unfinished:
+            unfinished.write_bytes(model.SerializeToString())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); give another file") from None

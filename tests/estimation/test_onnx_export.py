@@ -1,0 +1,86 @@
+"""A network in ONNX answers as it does here."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import dc2g_jax as dc2g
+from dc2g_jax.estimation import pix2pix
+from dc2g_jax.estimation.compact_unet import Architecture, apply, init_weights
+from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
+from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
+from dc2g_jax.files.digests import arrays_sha256
+from dc2g_jax.grid.terrain import CLASS_NAMES
+from tests.support.refusals import refusal
+
+onnx = pytest.importorskip("onnx")
+onnxruntime = pytest.importorskip("onnxruntime")
+
+from dc2g_jax.estimation.onnx_export import export_onnx  # noqa: E402
+from experiments.export_network import Options, main  # noqa: E402
+
+
+def random_network(widths: tuple[int, ...], quantiles: tuple[float, ...]) -> NetworkCostToGo:
+    """A network whose weights are all random: fresh ones are zero in many layers."""
+    architecture = Architecture(widths=widths, quantiles=quantiles, cost_scale=7.0)
+    leaves, structure = jax.tree.flatten(init_weights(architecture, jax.random.key(0)))
+    rng = np.random.default_rng(1)
+    weights = [jnp.asarray(rng.normal(0, 0.3, leaf.shape), jnp.float32) for leaf in leaves]
+    return NetworkCostToGo(weights=jax.tree.unflatten(structure, weights), architecture=architecture)
+
+
+def wanted_of(network: NetworkCostToGo, classes: np.ndarray) -> np.ndarray:
+    quantiles = apply(network.architecture, network.weights, jnp.asarray(classes))
+    return np.moveaxis(np.asarray(quantiles), -1, 1)
+
+
+def answers(path, classes: np.ndarray) -> np.ndarray:
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    (quantiles,) = session.run(None, {"classes": classes})
+    return quantiles
+
+
+@pytest.mark.parametrize("shape", [(1, 50, 50), (3, 50, 50), (2, 27, 41), (1, 1, 2)])
+def test_the_shipped_network_answers_alike(tmp_path, shape):
+    main(Options(out=tmp_path / "network.onnx"))
+    network = dc2g.load()
+    classes = np.random.default_rng(0).integers(0, len(CLASS_NAMES), shape).astype(np.uint8)
+    wanted = wanted_of(network, classes)
+    np.testing.assert_allclose(answers(tmp_path / "network.onnx", classes), wanted, rtol=1e-4, atol=1e-3)
+    assert wanted.std() > 1
+
+
+def test_every_layer_counts(tmp_path):
+    network = random_network((3, 5, 4, 6), (0.25, 0.75))
+    export_onnx(network, tmp_path / "network.onnx")
+    classes = np.random.default_rng(2).integers(0, len(CLASS_NAMES), (2, 19, 22)).astype(np.uint8)
+    wanted = wanted_of(network, classes)
+    scale = np.abs(wanted).max()
+    np.testing.assert_allclose(answers(tmp_path / "network.onnx", classes), wanted, atol=1e-5 * scale)
+
+
+def test_the_file_says_what_it_is(tmp_path):
+    network = random_network((4, 4, 4, 4), (0.5,))
+    export_onnx(network, tmp_path / "network.onnx")
+    model = onnx.load(tmp_path / "network.onnx")
+    assert {entry.key: json.loads(entry.value) for entry in model.metadata_props} == {
+        "classes": list(CLASS_NAMES), "quantiles": [0.5], "cost_scale": 7.0, "side": 50,
+        "sha256": arrays_sha256(network.weights),
+    }  # fmt: skip
+
+
+def test_what_cannot_be_exported_is_refused(tmp_path):
+    architecture = TranslatorArchitecture(size=32, base_filters=2)
+    weights = pix2pix.init_weights(pix2pix.Generator, architecture, jax.random.key(0))
+    translator = TranslatorCostToGo(weights=weights, architecture=architecture)
+    refusal(lambda: export_onnx(translator, tmp_path / "network.onnx"), "translator", "dc2g train")
+    refusal(
+        lambda: export_onnx(dc2g.load(), tmp_path / "none" / "network.onnx"), "none/network.onnx", "cannot be written"
+    )
+    (tmp_path / "mine.onnx").write_text("mine")
+    refusal(lambda: main(Options(out=tmp_path / "mine.onnx")), "mine.onnx", "exists already")
+    refusal(lambda: main(Options(tmp_path, out=tmp_path / "new.onnx")), "network.json")
+    assert {path.name for path in tmp_path.iterdir()} == {"mine.onnx"}
