@@ -8,7 +8,7 @@ import dataclasses
 from dc2g_jax.cli.common import DatasetOption, PlannersOption, check_planners, command_line
 from dc2g_jax.cli.options import DatasetOptions, NetworkOptions
 from dc2g_jax.errors import require_extra
-from dc2g_jax.estimation.checkpoints import load_network
+from dc2g_jax.estimation.hub import load
 from dc2g_jax.inspection.demo import open_maps
 
 
@@ -36,7 +36,7 @@ def main(options: Options) -> None:
 
     check_port(options.port)
     check_planners(options.planner)
-    maps, network = open_maps(options.dataset), load_network(options.network)
+    maps, network = open_maps(options.dataset), load(options.network)
     serve(maps, options.planner, network, port=options.port, open_browser=not options.no_browser)
 
 

@@ -140,9 +140,12 @@ def prediction_picture(network: NetworkCostToGo, maps: Pair) -> UInt8[np.ndarray
     """Observed maps, and below them the predicted and the exact cost-to-go, in the colors of the recording."""
     exact, counts = np.asarray(maps.target), np.asarray(maps.weight) > 0
     scale = CostScale.of(exact)
-    costs = [scale.classes(np.asarray(cost), counts) for cost in (_expected_cost(network, maps.terrain), exact)]
-    rows = [(np.asarray(maps.terrain), FIGURE_RGB), *((classes, scale.colors()) for classes in costs)]
-    picture = np.concatenate([colors[_side_by_side(classes)] for classes, colors in rows])
+    costs = np.stack(
+        [scale.classes(np.asarray(cost), counts) for cost in (_expected_cost(network, maps.terrain), exact)]
+    )
+    tiles = np.concatenate([FIGURE_RGB[np.asarray(maps.terrain)][None], scale.colors()[costs]])
+    apart = np.pad(tiles, [(0, 0), (0, 0), (0, _GAP), (0, _GAP), (0, 0)], constant_values=255)
+    picture = np.concatenate([np.concatenate(list(row), axis=1) for row in apart])[:-_GAP, :-_GAP]
     return picture.repeat(_PIXELS_A_CELL, axis=0).repeat(_PIXELS_A_CELL, axis=1)
 
 

@@ -46,12 +46,12 @@ class _TensorBoard:
     def __init__(self, folder: Path, run: str, config: Mapping[str, Any]):
         from tensorboardX import SummaryWriter
 
-        self._writer = SummaryWriter(str(folder / run), filename_suffix=f".{secrets.token_hex(4)}")
+        # Its thread writes: a process that is killed loses the events of a second, of two minutes by default.
+        self._writer = SummaryWriter(str(folder / run), filename_suffix=f".{secrets.token_hex(4)}", flush_secs=1)
 
     def log(self, step: int, figures: Mapping[str, float]) -> None:
         for name, value in figures.items():
             self._writer.add_scalar(name, value, step)
-        self._writer.flush()
 
     def image(self, step: int, name: str, array: Image) -> None:
         self._writer.add_image(name, array, step, dataformats="HWC")

@@ -179,7 +179,7 @@ def unknown_dimensions_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -
     worlds = unknown_dimensions.Worlds([House("test", "val", STREET)], STARTS)
     patch.setattr(unknown_dimensions, "all_worlds", lambda options, dataset: {"one": worlds, "other": worlds})
     network = load_network()
-    patch.setattr(unknown_dimensions, "load_network", lambda folder: network)
+    patch.setattr(unknown_dimensions, "load", lambda place: network)
     patch.setattr(unknown_dimensions, "milliseconds", lambda estimators, house: {})
     return _command(unknown_dimensions, unknown_dimensions.Options(dataset=dataset))
 
@@ -190,7 +190,7 @@ def noisy_mapping_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Com
 
     _episodes(patch)
     network = load_network()
-    patch.setattr(noisy_mapping, "load_network", lambda folder: network)
+    patch.setattr(noisy_mapping, "load", lambda place: network)
     patch.setattr(noisy_mapping, "equipment", lambda *args: None)
     patch.setattr(noisy_mapping, "drive", drive)
     patch.setattr(noisy_mapping, "plot_noise", fake_figure)

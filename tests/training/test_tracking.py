@@ -2,6 +2,7 @@
 
 import csv
 import struct
+import time
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -27,8 +28,10 @@ def events(folder: Path) -> dict[tuple[str, int], object]:
     found: dict[tuple[str, int], object] = {}
     for path in sorted(folder.glob("events.*")):
         data = path.read_bytes()
-        while data:
+        while len(data) > 12:
             (length,) = struct.unpack("<Q", data[:8])
+            if len(data) < 16 + length:
+                break  # it is being written
             event = event_pb2.Event.FromString(data[12 : 12 + length])
             data = data[16 + length :]
             for value in event.summary.value:
@@ -106,6 +109,17 @@ def test_a_training_that_was_killed_goes_on_in_the_table_and_in_tensorboard(tmp_
     assert (shown["validation/error", 5], shown["validation/error", 10]) == (1.25, 2.5)
     assert shown["learning_rate", 8] == pytest.approx(0.8)
     assert shown["cost-to-go", 10] == PICTURE.shape[:2]
+
+
+def test_tensorboard_has_a_point_soon_whatever_becomes_of_the_process(tmp_path):
+    curve = Curve(tmp_path, track="tensorboard")
+    for step in (2, 4):
+        curve.add(step, [{"loss": 0.5}])
+        deadline = time.monotonic() + 20
+        while ("loss", step) not in events(tmp_path / "tensorboard") and time.monotonic() < deadline:
+            time.sleep(0.1)
+        assert events(tmp_path / "tensorboard")["loss", step] == 0.5
+    curve.close()
 
 
 def test_runs_trained_together_have_rows_and_a_tracker_each(tmp_path):
