@@ -121,16 +121,15 @@ def test_ppo_learns(ppo, tmp_path):
 
 
 @pytest.mark.slow
-def test_stable_baselines_learns(tmp_path, capsys):
-    """The policy is saved and acts, and episodes get shorter, after some two minutes on one core."""
+def test_stable_baselines_saves_a_policy_that_acts_and_its_curve(tmp_path, capsys):
     stable_baselines3 = pytest.importorskip("stable_baselines3", reason="the extra sb3 is absent")
     sb3_ppo = example("sb3_ppo")
     out = tmp_path / "run"
-    sb3_ppo.main(sb3_ppo.Options(out=out, steps=61_440))
+    sb3_ppo.main(sb3_ppo.Options(out=out, steps=2048, robots=4))
     assert {path.name for path in out.iterdir()} == {"policy.zip", *CURVE}
     curve = np.loadtxt(out / "curve.csv", delimiter=",", skiprows=1)
-    assert capsys.readouterr().out.startswith(f"{curve[-1, 1]:.1f} steps per episode after 61440 steps")
-    assert curve[-1, 1] < 0.75 * curve[:, 1].max()
+    assert curve[:, 0].tolist() == [512, 1024, 1536, 2048]
+    assert capsys.readouterr().out.startswith(f"{curve[-1, 1]:.1f} steps per episode after 2048 steps")
     envs = sb3_ppo.environments(2)
     actions, _ = stable_baselines3.PPO.load(out / "policy.zip").predict(envs.reset())
     assert all(envs.action_space.contains(action) for action in actions)
