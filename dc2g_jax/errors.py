@@ -1,7 +1,11 @@
-"""The exception type for invalid input, which a missing extra counts as, and values in its messages."""
+"""The exception for invalid input, which a missing extra counts as; values in messages; readers of output who leave."""
 
+import contextlib
 import importlib.util
+import os
 import reprlib
+import sys
+from collections.abc import Iterator
 from typing import Any
 
 #: Longest message of an `InputError`, in characters. Of longer ones the middle is left out.
@@ -59,3 +63,21 @@ def require_extra(*modules: str, extra: str = "all") -> None:
     missing = [module for module in modules if importlib.util.find_spec(module) is None]
     if missing:
         raise InputError(f'{", ".join(missing)}: not installed; run: pip install "dc2g_jax[{extra}]"')
+
+
+@contextlib.contextmanager
+def reader_may_leave() -> Iterator[None]:
+    """End the program without a word when nobody reads its output any more, as after `| head`."""
+    try:
+        try:
+            yield
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        drop_output()
+        sys.exit(141)
+
+
+def drop_output() -> None:
+    """Drop what is printed from now on, and what is left: Python would print it when it ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -3,17 +3,15 @@
 The module imports nothing heavy, so that `dc2g --help` is fast.
 """
 
-import contextlib
 import difflib
 import importlib
 import importlib.util
 import os
 import sys
-from collections.abc import Iterator
 from types import TracebackType
 from typing import NoReturn
 
-from dc2g_jax.errors import InputError, require_extra
+from dc2g_jax.errors import InputError, reader_may_leave, require_extra
 
 #: Command name -> its module in `experiments`, and its description.
 COMMANDS = {
@@ -90,24 +88,6 @@ def _run(module: str) -> None:
     from dc2g_jax.cli.common import command_line
 
     command_line(command.Options, command.main)
-
-
-@contextlib.contextmanager
-def reader_may_leave() -> Iterator[None]:
-    """End the program without a word when nobody reads its output any more, as after `| head`."""
-    try:
-        try:
-            yield
-        finally:
-            sys.stdout.flush()
-    except BrokenPipeError:
-        drop_output()
-        sys.exit(141)
-
-
-def drop_output() -> None:
-    """Drop what is printed from now on, and what is left: Python would print it when it ends."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def prepare() -> None:

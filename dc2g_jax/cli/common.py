@@ -17,10 +17,9 @@ import tyro
 from jax.experimental import multihost_utils
 from tqdm import tqdm
 
-from dc2g_jax.cli.commands import drop_output, reader_may_leave
 from dc2g_jax.cli.outputs import RUN_FILE, CommandOptions, folder_in_use, program
 from dc2g_jax.datasets.houses import HouseDataset
-from dc2g_jax.errors import InputError
+from dc2g_jax.errors import InputError, drop_output, reader_may_leave
 from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.estimation.hub import load
 from dc2g_jax.files.cache import keep_compiled_programs
