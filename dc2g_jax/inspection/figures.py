@@ -349,13 +349,16 @@ def plot_house_strips(
         axes.xaxis.grid(True, color="#cccccc", linewidth=0.5)
         axes.set_axisbelow(True)
         axes.spines[["top", "right", "left"]].set_visible(False)
-    lines = [f"extra steps beyond the oracle (%), {_SCALE_NOTE}", "bars: means", _TITLES.get(settings, settings)]
-    figure.supxlabel(("\n" if len(pages) == 1 else "; ").join(filter(None, lines)), fontsize=8.5)
+    lines = [f"extra steps beyond the oracle (%), {_SCALE_NOTE}", "bars: means"]
+    figure.supxlabel(("\n" if len(pages) == 1 else "; ").join(lines), fontsize=8.5)
     handles = [
         Line2D([], [], linestyle="none", marker=style.marker, color=style.color, markersize=5, label=style.label)
         for style in styles.values()
     ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=entries_a_row, frameon=False, fontsize=8.5)
+    figure.legend(
+        handles=handles, title=_TITLES.get(settings, settings), title_fontsize=8.5, loc="outside upper center",
+        ncols=entries_a_row, frameon=False, fontsize=8.5,
+    )  # fmt: skip
     return save_figure(figure, path, dpi=300)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.estimation.compact_unet import Architecture
+from dc2g_jax.files.tables import read_table
 from dc2g_jax.training.cost_to_go import TrainingConfig
 from dc2g_jax.training.loop import Log
 from dc2g_jax.training.sweeps import group_by_shape, in_turns
@@ -47,15 +48,28 @@ def test_runs_that_wait_their_turn_end_like_runs_trained_together(tmp_path):
     data = training_set()
     pairs = DRAW_PAIRS(jax.random.key(0), data, batch_size=64)
 
-    def weights(out, at_once, turns=slice(None)):
-        options = Options(out=out, losses=("l1",), widths=("4,4,4,4",), steps=3, batch_size=4, seeds=(0, 1, 2))
+    def weights(out, at_once, turns=slice(None), track=None):
+        options = Options(
+            out=out, track=track, losses=("l1",), widths=("4,4,4,4",), steps=3, batch_size=4, seeds=(0, 1, 2)
+        )
         (group,) = group_by_shape(options.runs(50))
         for turn in in_turns(group, at_once)[turns]:
             train_group(options, turn, data, pairs, {})
         return [load_network(network_folder(out, run)).weights for run in group] if turns == slice(None) else None
 
-    together = weights(tmp_path / "together", 64)
+    together = weights(tmp_path / "together", 64, track="tensorboard")
     in_turn = weights(tmp_path / "in_turn", 2)
+    curves = [
+        read_table(tmp_path / name / "curve.csv", ("run", "step", "loss"), remedy="")
+        for name in ("together", "in_turn")
+    ]
+    runs = {path.name for path in (tmp_path / "together" / "runs").iterdir()}
+    for curve in curves:
+        assert [(row["run"], row["step"]) for _, row in curve] == [(run, "3") for run in sorted(runs)]
+    losses = np.array([[float(row["loss"]) for _, row in curve] for curve in curves])
+    np.testing.assert_allclose(losses[0], losses[1], rtol=1e-3)
+    assert len(set(losses[0])) == 3
+    assert {path.name for path in (tmp_path / "together" / "tensorboard").iterdir()} == runs
     jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-5), together, in_turn)
     out = tmp_path / "resumed"
     weights(out, 2, slice(1))
