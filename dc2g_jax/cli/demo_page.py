@@ -18,7 +18,7 @@ from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.grid.terrain import FIGURE_COLORS
 from dc2g_jax.inspection.animation import MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR
 from dc2g_jax.inspection.costs import COST_COLORS
-from dc2g_jax.inspection.demo import Demo, cost_picture, highest, map_picture, open_maps, start_marks, walk_marks
+from dc2g_jax.inspection.demo import Demo, cost_picture, map_picture, open_maps, start_marks, walk_marks
 from dc2g_jax.inspection.figures import planner_style
 from dc2g_jax.planning.named import PLANNERS
 
@@ -267,9 +267,10 @@ class Page:
         keys.append(("candidates: white is best", "background:#fff;border-radius:50%"))
         if self.heat.value:
             stops = ",".join(to_hex(colormaps[COST_COLORS](share)) for share in np.linspace(0, 1, 9))
-            far = max((highest(walk, self.state.terrain) for walk in self.state.walks.values()), default=1)
+            in_cells = all(walk.in_cells for walk in self.state.walks.values())
+            span = f"0 to {max(self.state.terrain.shape)} cells" if in_cells else "from the lowest to the highest"
             bar = f"width:5em;background:linear-gradient(90deg,{stops})"
-            keys.append((f"predicted cost-to-go, 0 to {far:g} cells", bar))
+            keys.append((f"predicted cost-to-go, {span}", bar))
         return "".join(f'<span class="key"><i style="{style}"></i>{name}</span> ' for name, style in keys)
 
     async def forward(self) -> None:

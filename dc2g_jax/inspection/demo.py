@@ -252,17 +252,15 @@ def map_picture(terrain: UInt8[np.ndarray, "h w"], seen: Bool[np.ndarray, "h w"]
 
 
 def cost_picture(walk: Walk, terrain: UInt8[np.ndarray, "h w"], moment: Moment) -> str:
-    """The cost-to-go of observed ground as a data URL; the map if the planner predicts none. See `highest`."""
+    """The cost-to-go of observed ground as a data URL; the map if the planner predicts none.
+
+    The colors end at the longer side of the map, or at the highest cost if costs are not in cells.
+    """
     if moment.cost_to_go is None:
         return map_picture(terrain, moment.seen)
     ground = TRAVERSABLE[terrain]
-    share = moment.cost_to_go / highest(walk, terrain)
+    share = moment.cost_to_go / (max(terrain.shape) if walk.in_cells else 1.0)
     return _data_url(cost_image(share, moment.seen & ground, moment.seen & ~ground))
-
-
-def highest(walk: Walk, terrain: UInt8[np.ndarray, "h w"]) -> float:
-    """The cost at the end of the colors: the longer side of the map, if costs are in cells."""
-    return float(max(terrain.shape)) if walk.in_cells else 1.0
 
 
 def _data_url(pixels: Float[np.ndarray, "h w 3"]) -> str:

@@ -10,6 +10,7 @@ import sys
 import numpy as np
 import pytest
 
+from dc2g_jax.errors import require_extra
 from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.inspection.demo import Demo
@@ -110,6 +111,10 @@ def test_a_visitor_draws_a_map_and_is_told_what_is_wrong():
         assert not page.busy.visible
 
     visited(visit)
+
+
+def test_an_extra_that_is_missing_is_named():
+    refusal(lambda: require_extra("no_such_module", extra="demo"), "no_such_module", 'pip install "dc2g_jax[demo]"')
 
 
 def test_a_port_that_is_taken():
