@@ -51,6 +51,17 @@ def test_figures_of_a_few_pairs():
     assert lost["time_outs"] == 1
 
 
+def test_figures_have_four_decimals():
+    one = pair("a", dc2g=70, authors=80, frontier=100, authors_frontier=290, oracle=30)
+    other = one._replace(dc2g=90, authors_dc2g=70)
+    found = compare([one, other, other], resamples=10, seed=0)
+    assert (found["mean_extra"], found["median_extra"]) == (133.3333, 133.3333)
+    assert (found["authors_mean_extra"], found["authors_median_extra"]) == (166.6667, 166.6667)
+    assert (found["difference"], found["difference_interval"]) == (-33.3333, [-33.3333, -33.3333])
+    assert found["shorter_of_differing"] == 0.3333
+    assert (found["frontier_over_dc2g"], found["authors_frontier_over_dc2g"]) == (21.6931, 297.0238)
+
+
 def test_an_episode_that_gave_up_counts_as_many_actions_as_the_step_limit():
     theirs = published_episodes()[0]
     start = theirs.start
