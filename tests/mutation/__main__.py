@@ -42,12 +42,12 @@ _BUDGET, _ENDLESS, _BYTES = 20, 60, 10 * 2**30
 
 
 def tests_of(path: str) -> list[str]:
-    """The test files that import a module, its own first: those of these rooms, or of any if there are none."""
+    """The test files of these rooms that import a module, its own first; of all rooms where it has none of its own."""
     _, room, name = path.removesuffix(".py").split("/", 2)
     own, imports = ROOT / "tests" / room / f"test_{name}.py", rf"dc2g_jax\.{room}(\.{name}| import .*\b{name})\b"
     files = [file for file in sorted((ROOT / "tests").rglob("test_*.py")) if re.search(imports, file.read_text())]
     near = [file for file in files if file.parent.name in ROOMS]
-    return [str(file) for file in dict.fromkeys([*[own] * own.exists(), *(near or files)])]
+    return [str(file) for file in (dict.fromkeys([own, *near]) if own.exists() else files)]
 
 
 class Order:
