@@ -85,3 +85,5 @@ def test_an_episode_that_gave_up_counts_as_many_actions_as_the_step_limit():
     )  # fmt: skip
     (found,) = pair_up([theirs], [ours._replace(planner="frontier", success=True, steps=120)], [ours])
     assert (found.reached, found.dc2g, found.frontier, found.extra) == (False, 500, 120, 900)
+    with pytest.raises(ValueError, match="zip"):
+        pair_up([theirs], [ours], [])
