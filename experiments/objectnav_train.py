@@ -121,11 +121,11 @@ class Options(TrainingOptions, PauseOptions):
 
 def open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
     """The given encoder, or the one of this run, which is trained if it does not exist."""
-    own = options.out / ENCODER_FILE
+    own, folder = options.out / ENCODER_FILE, options.out / "encoder"
     if options.encoder is not None and not own.exists():
         with replacing(own) as unfinished:
             shutil.copyfile(options.encoder, unfinished)
-    if own.exists():
+    if own.exists() and (not folder.exists() or Log(folder).by_step()):  # was given, or its training came to its end
         return load_encoder(own)
     views = random_views(
         houses[:_ENCODER_HOUSES], _PICTURES_A_HOUSE, options.collection.data_seed, options.collection.largest
@@ -138,7 +138,6 @@ def open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
         save=lambda encoder, losses: save_encoder(own, encoder, {"losses": losses, **made}),
         seed=options.seed,
     )
-    folder = options.out / "encoder"
     facts = {"steps": options.encoder_steps, "seed": options.seed}
     checkpoints = TrainingCheckpoints(folder, EncoderArchitecture(), facts, first_state=lambda _: task.init())
     train(task, folder, checkpoints, Pauses(0, options.minutes_per_checkpoint), options.track)

@@ -88,6 +88,14 @@ def test_names_exist(page):
     assert [name for name in sorted(set(_NAME.findall(page.read_text()))) if not exists(name)] == []
 
 
+@pytest.mark.parametrize("page", PAGES, ids=page_id)
+def test_tests_exist(page):
+    named = set(re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", page.read_text()))
+    missing = [f"{file}::{name}" for file, name in sorted(named) if f"\ndef {name}(" not in (ROOT / file).read_text()]
+    assert missing == []
+    assert named or page.stem != "what_it_promises"
+
+
 def test_every_module_is_in_the_reference():
     text = "".join(page.read_text() for page in (ROOT / "docs" / "reference").glob("*.md"))
     shown = tuple(name + suffix for name in re.findall(r"^::: ([\w.]+)$", text, flags=re.M) for suffix in ("", ".*"))

@@ -57,7 +57,7 @@ def with_weights(network: Callable[..., _Network], architecture: Any, weights: d
 
 
 def write_safetensors(path: str | Path, tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> None:
-    """Write arrays to a file. An existing file is replaced atomically.
+    """Write arrays to a file: the same bytes each time. An existing file is replaced atomically.
 
     Args:
       path: the file.
@@ -65,8 +65,14 @@ def write_safetensors(path: str | Path, tensors: Mapping[str, np.ndarray], metad
       metadata: further facts, as strings by name.
     """
     dense = {name: np.asarray(tensor, order="C") for name, tensor in tensors.items()}
+    data = save(dense, dict(metadata))
+    # The library writes the metadata in an order of chance.
+    length = int.from_bytes(data[:8], "little")
+    facts = json.loads(data[8 : 8 + length])
+    header = json.dumps(facts | {"__metadata__": dict(metadata)}, separators=(",", ":")).encode()
+    header += b" " * (-len(header) % 8)
     with replacing(path) as unfinished:
-        unfinished.write_bytes(save(dense, dict(metadata)))
+        unfinished.write_bytes(len(header).to_bytes(8, "little") + header + data[8 + length :])
 
 
 def read_safetensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:

@@ -40,6 +40,16 @@ def test_what_is_written_is_read(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
 
 
+def test_what_is_written_twice_has_the_same_bytes(tmp_path):
+    facts = dict.fromkeys("zxy", "\N{GREEK SMALL LETTER ALPHA}")
+    for number in range(10):
+        write_safetensors(tmp_path / str(number), {"a": np.arange(3.0)}, facts)
+    assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
+    tensors, found = read_safetensors(tmp_path / "0")
+    assert tensors["a"].tolist() == [0, 1, 2]
+    assert found == facts
+
+
 @pytest.mark.parametrize(
     ("entry", "mention"),
     [

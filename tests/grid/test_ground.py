@@ -35,6 +35,8 @@ def test_pieces_touch_by_their_sides_and_come_in_order_of_size():
     assert pieces(cells) == [Piece(1, 1, 3), Piece(0, 0, 1), Piece(3, 0, 1), Piece(3, 3, 1)]
     assert pieces(np.zeros((3, 2), bool)) == []
     assert pieces(np.ones((3, 2), bool)) == [Piece(0, 1, 6)]
+    assert pieces(np.ones((1, 5), bool)) == [Piece(2, 0, 5)]
+    assert pieces(np.ones((5, 1), bool)) == [Piece(0, 2, 5)]
 
 
 def test_goals_without_ground():

@@ -3,6 +3,7 @@
 import itertools
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import pytest
 from flax import struct
@@ -11,7 +12,7 @@ import dc2g_jax as dc2g
 from dc2g_jax.estimation.estimators import ExactCostToGo
 from dc2g_jax.planning.planners import DC2G, EXPLORE, TO_GOAL, Frontier
 from dc2g_jax.planning.rules import Rules, complete_rules
-from dc2g_jax.rollouts.checks import check_estimator, check_planner
+from dc2g_jax.rollouts.checks import _differing, check_estimator, check_planner
 from tests.support.exploration import Scattered
 from tests.support.refusals import refusal
 
@@ -310,3 +311,10 @@ def test_an_estimator_that_breaks_a_rule(estimator, line):
 
 def test_the_estimator_of_a_planner_is_checked_too():
     refusal(lambda: check_planner(DC2G(Flat(), RULES)), "estimator Flat: the estimate of one map")
+
+
+def test_states_are_compared_with_the_random_keys_in_them():
+    state = {"count": jnp.int32(1), "key": jax.random.key(0)}
+    assert _differing(state, dict(state)) is None
+    assert "key" in str(_differing(state, state | {"key": jax.random.key(1)}))
+    assert "count" in str(_differing(state, state | {"count": jnp.int32(2)}))

@@ -4,7 +4,14 @@ import pytest
 
 from dc2g_jax.datasets.starts import published_episodes
 from dc2g_jax.rollouts.evaluation import EpisodeResult
-from dc2g_jax.rollouts.published import EpisodePair, compare, houses_where_frontier_is_shorter, pair_up
+from dc2g_jax.rollouts.published import (
+    PUBLISHED_GROUPS,
+    EpisodePair,
+    compare,
+    frontier_over_dc2g,
+    houses_where_frontier_is_shorter,
+    pair_up,
+)
 
 
 def pair(
@@ -51,6 +58,31 @@ def test_figures_of_a_few_pairs():
     assert lost["time_outs"] == 1
 
 
+def test_figures_have_four_decimals():
+    one = pair("a", dc2g=70, authors=80, frontier=100, authors_frontier=290, oracle=30)
+    other = one._replace(dc2g=90, authors_dc2g=70)
+    found = compare([one, other, other], resamples=10, seed=0)
+    assert (found["mean_extra"], found["median_extra"]) == (133.3333, 133.3333)
+    assert (found["authors_mean_extra"], found["authors_median_extra"]) == (166.6667, 166.6667)
+    assert (found["difference"], found["difference_interval"]) == (-33.3333, [-33.3333, -33.3333])
+    assert found["shorter_of_differing"] == 0.3333
+    assert compare([one], resamples=10, seed=0)["shorter_of_differing"] == 1
+    assert (found["frontier_over_dc2g"], found["authors_frontier_over_dc2g"]) == (21.6931, 297.0238)
+
+
+def test_frontier_over_dc2g_of_the_authors_is_the_papers():
+    def results(planner: str) -> list[EpisodeResult]:
+        steps = [getattr(episode, planner) for episode in published_episodes()]
+        return [EpisodeResult("a", 0, 0, 0, 5, 4, planner, True, one, 1, 100.0 * (one - 1), "to_goal") for one in steps]
+
+    found = frontier_over_dc2g([*results("frontier"), *results("dc2g")])
+    assert found["ours"] == found["authors"]
+    assert found["authors"]["all"] == pytest.approx(189.8, abs=0.05)
+    assert list(found["ours"]) == list(PUBLISHED_GROUPS)
+    assert frontier_over_dc2g([*results("frontier"), *results("oracle")]) == {}
+    assert frontier_over_dc2g([*results("frontier"), *results("dc2g"), *results("oracle")]) == found
+
+
 def test_an_episode_that_gave_up_counts_as_many_actions_as_the_step_limit():
     theirs = published_episodes()[0]
     start = theirs.start
@@ -60,6 +92,8 @@ def test_an_episode_that_gave_up_counts_as_many_actions_as_the_step_limit():
     )  # fmt: skip
     (found,) = pair_up([theirs], [ours._replace(planner="frontier", success=True, steps=120)], [ours])
     assert (found.reached, found.dc2g, found.frontier, found.extra) == (False, 500, 120, 900)
+    with pytest.raises(ValueError, match="zip"):
+        pair_up([theirs], [ours], [])
 
 
 def test_houses_in_which_frontier_exploration_is_shorter():

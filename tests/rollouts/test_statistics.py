@@ -6,7 +6,7 @@ import pytest
 from dc2g_jax.rollouts.statistics import ExtraSteps, extra_steps, house_bootstrap, summarize, tabulate
 
 
-@pytest.mark.parametrize(("steps", "shortest", "wanted"), [(10, 10, 0), (25, 10, 150), (11, 8, 37.5)])
+@pytest.mark.parametrize(("steps", "shortest", "wanted"), [(10, 10, 0), (25, 10, 150), (11, 8, 37.5), (3, 1, 200)])
 def test_extra_steps(steps, shortest, wanted):
     assert extra_steps(steps, shortest) == wanted
 
@@ -39,6 +39,19 @@ def test_intervals_in_a_table_are_over_the_houses_of_each_group():
 def test_a_summary_of_nothing_is_refused():
     with pytest.raises(ValueError, match="no episode"):
         summarize([], [])
+
+
+def test_a_table_has_a_column_for_each_group_and_one_for_all():
+    ran = [("mine", "new", 10.0, True), ("mine", "old", 30.0, False), ("other", "new", 50.0, True)]
+    episodes = [ExtraSteps(planner, group, "house", extra, success) for planner, group, extra, success in ran]
+    table = tabulate(episodes, ("old", "urban", "new", "all"))
+    assert {planner: list(row) for planner, row in table.items()} == {
+        "mine": ["old", "new", "all"],
+        "other": ["new", "all"],
+    }
+    assert table["mine"]["all"] == summarize([10.0, 30.0], [True, False])
+    assert table["mine"]["old"] == summarize([30.0], [False])
+    assert table["other"]["new"] == table["other"]["all"] == summarize([50.0], [True])
 
 
 def test_an_interval_is_that_of_houses_drawn_one_by_one():
