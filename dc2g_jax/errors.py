@@ -1,4 +1,4 @@
-"""The exception for invalid input, which a missing extra counts as; values in messages; readers of output who leave."""
+"""The exception for invalid input (or a missing extra), values in its messages, and closed output pipes."""
 
 import contextlib
 import importlib.util
@@ -67,7 +67,7 @@ def require_extra(*modules: str, extra: str = "all") -> None:
 
 @contextlib.contextmanager
 def reader_may_leave() -> Iterator[None]:
-    """End the program without a word when nobody reads its output any more, as after `| head`."""
+    """End the program silently when its output is no longer read, as after `| head`."""
     try:
         try:
             yield
@@ -79,5 +79,5 @@ def reader_may_leave() -> Iterator[None]:
 
 
 def drop_output() -> None:
-    """Drop what is printed from now on, and what is left: Python would print it when it ends."""
+    """Discard further and unflushed output, which Python would print at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

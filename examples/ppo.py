@@ -68,7 +68,7 @@ class Options:
       learning_rate: of Adam at first; falls to zero.
       starts_per_map: episodes in each map to compare in.
       seed: of everything random, the maps included.
-      out: new folder for the policy, the learning curve and the table; nothing is written where not given.
+      out: new folder for the policy, the learning curve and the table; without it, nothing is written.
     """
 
     steps: int = 3_000_000

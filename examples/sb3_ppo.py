@@ -1,7 +1,7 @@
 """Learn to find the front door with Stable-Baselines3's PPO and a small convolutional network.
 
 `python examples/sb3_ppo.py --out OUT` takes some minutes on two cores and needs the extra `sb3`. The robots learn in
-the procedural houses of the split `train`, drawn small. `ppo.py` also compares in maps that no robot has learned in.
+the procedural houses of the split `train`, drawn small. `ppo.py` also evaluates the policy on unseen maps.
 """
 
 import dataclasses
@@ -24,7 +24,7 @@ import dc2g_jax as dc2g
 from dc2g_jax.environments.gymnasium_wrappers import EgocentricObservation
 from dc2g_jax.inspection.training_figures import save_learning_curve
 
-REWARD_SCALE = 0.05  # What a step's reward of -1 counts, which keeps values around one.
+REWARD_SCALE = 0.05  # Scales a step's reward of -1, so that values stay around one.
 CELLS, TASK = 16, {"sensing_range": 4, "step_limit": 200}
 RADIUS = 6  # Cells that the network sees in each direction.
 
@@ -37,7 +37,7 @@ class Options:
       out: new folder for the policy and the learning curve.
       steps: steps to learn from, of all robots together.
       robots: robots that learn side by side.
-      seed: of everything random.
+      seed: random seed.
     """
 
     out: Path
@@ -52,7 +52,7 @@ class Convolutions(BaseFeaturesExtractor):
     def __init__(self, observation_space: gymnasium.spaces.Box, features: int = 128):
         super().__init__(observation_space, features)
         planes, side, _ = observation_space.shape
-        reduced = (side - 3) // 2  # a convolution of 3 cells, then one of 3 cells at every second
+        reduced = (side - 3) // 2  # a convolution of 3 cells, then one with stride 2
         self.layers = nn.Sequential(
             nn.Conv2d(planes, 32, 3), nn.ReLU(), nn.Conv2d(32, 32, 3, stride=2), nn.ReLU(),
             nn.Flatten(), nn.Linear(32 * reduced**2, features), nn.ReLU(),

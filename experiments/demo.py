@@ -1,6 +1,6 @@
-"""A page to play on: `python -m experiments.demo` shows planners on a map, step by step, in the browser.
+"""Watch planners step by step in the browser: `python -m experiments.demo`.
 
-Choose a map or draw one, place the robot, and watch what each planner sees and why it decides as it does.
+Choose or draw a map, place the robot, and see what each planner sees and why it decides as it does.
 """
 
 import dataclasses
@@ -14,7 +14,7 @@ from dc2g_jax.inspection.demo import open_maps
 
 @dataclasses.dataclass(frozen=True)
 class Options(DatasetOptions, NetworkOptions):
-    """Serve a page on this machine, on which planners run step by step on a map that you choose or draw.
+    """Serve a page on this machine where planners run step by step, on a map that you choose or draw.
 
     Attributes:
       dataset: maps to begin with: a folder of houses, a map file, or `procedural`.

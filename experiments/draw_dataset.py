@@ -16,7 +16,7 @@ from dc2g_jax.inspection.contact_sheets import contact_pages, plot_contact_page
 
 @dataclasses.dataclass(frozen=True)
 class Options(DatasetOptions, OutOptions):
-    """Draw contact sheets of a dataset: every house as a small map with its name, by group. Pages are PNG and SVG.
+    """Draw contact sheets of a dataset: every house as a small map with its name, by group. Pages are PNG, SVG, PDF.
 
     Attributes:
       splits: splits to draw.

@@ -14,7 +14,7 @@ from dc2g_jax.estimation.hub import load
 
 @dataclasses.dataclass(frozen=True)
 class Options(CommandOptions):
-    """Write a compact network as an ONNX file, for programs that are not in Python.
+    """Write a compact network as an ONNX file, for programs in other languages.
 
     Attributes:
       network: folder of a trained network, or hf://owner/name; the shipped one by default.

@@ -2,7 +2,7 @@
 
 `python -m experiments.objectnav_fig5`. For several moments, Fig. 5 shows the house, the robot's map, and the costs and
 sampled plans of its controller. For an agent with a network, Fig. 4 shows its last prediction before an object of the
-wanted class is in the map, beside the truth.
+wanted class is in the map, next to the truth.
 """
 
 import dataclasses

@@ -125,7 +125,7 @@ def open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
     if options.encoder is not None and not own.exists():
         with replacing(own) as unfinished:
             shutil.copyfile(options.encoder, unfinished)
-    if own.exists() and (not folder.exists() or Log(folder).by_step()):  # was given, or its training came to its end
+    if own.exists() and (not folder.exists() or Log(folder).by_step()):  # it was given, or its training has ended
         return load_encoder(own)
     views = random_views(
         houses[:_ENCODER_HOUSES], _PICTURES_A_HOUSE, options.collection.data_seed, options.collection.largest

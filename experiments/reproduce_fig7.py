@@ -59,7 +59,7 @@ class Options(DatasetOptions, NetworkOptions, StepLimitOptions, OutOptions, Resu
 #: Groups of the sampled episodes in tables, in order; `test` holds all episodes.
 PAPER_GROUPS = ("same_neighborhood", "new_neighborhood", "urban", "test")
 
-#: Columns of a summary that a single house has: none of them an interval over houses.
+#: Number of summary columns for a single house, which has no interval over houses.
 _OF_A_HOUSE = Summary._fields.index("mean_low")
 
 

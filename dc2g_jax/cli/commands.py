@@ -29,7 +29,7 @@ COMMANDS = {
     "map explore": ("explore_map", "run planners on a map of your own"),
     "map osm": ("import_osm", "make maps of the buildings of an OpenStreetMap extract"),
     "map recording": ("map_recording", "map a recorded sequence of depth images"),
-    "demo": ("demo", "a page to play on: planners step by step on a map that you choose or draw"),
+    "demo": ("demo", "watch planners step by step in the browser, on a map that you choose or draw"),
     "draw dataset": ("draw_dataset", "every house of a dataset as a small map"),
     "draw episodes": ("draw_episodes", "figures of earlier episodes"),
     "train": ("train", "train the cost-to-go network"),

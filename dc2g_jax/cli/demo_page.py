@@ -35,11 +35,11 @@ _STYLE = """
 """
 
 #: Marks on the maps, in the legend.
-_KEYS = {"robot": ROBOT_COLOR, "door": MARK_COLOR, "plan and subgoal": SUBGOAL_COLOR, "way so far": "#000000"}
+_KEYS = {"robot": ROBOT_COLOR, "door": MARK_COLOR, "plan and subgoal": SUBGOAL_COLOR, "path so far": "#000000"}
 
 _TASK = (
-    "A robot must find the door of a house that it has no map of. It sees the quarter of a disk ahead, and remembers. "
-    "Pale or white ground has not been seen."
+    "Without a map, a robot must find the door of a house. It sees a quarter disk ahead and remembers "
+    "what it has seen. Pale or white ground has not been seen."
 )
 
 #: Seconds between steps while playing.
@@ -54,11 +54,11 @@ def serve(
     port: int,
     open_browser: bool,
 ) -> None:
-    """Serve the page on 127.0.0.1 until Ctrl-C. Every visitor has a state of its own.
+    """Serve the page on 127.0.0.1 until Ctrl-C. Each visitor has separate state.
 
     Args:
       maps: class indices of the maps to choose from, by name.
-      planners: names of the planners that run at first, those of the user's own among them.
+      planners: names of the planners that run at first, including the user's own.
       estimator: network of planners that use one.
       port: port to listen on.
       open_browser: whether to open the page in a browser.
@@ -67,7 +67,7 @@ def serve(
       InputError: the port cannot be used.
     """
     check_port(port)
-    print(f"http://127.0.0.1:{port} shows the page; Ctrl-C ends it", flush=True)
+    print(f"Serving the page at http://127.0.0.1:{port}; press Ctrl-C to stop", flush=True)
     ui.run(
         lambda: Page(Demo(maps, planners, estimator)), host="127.0.0.1", port=port, show=open_browser, reload=False,
         title="dc2g demo", favicon="🚪", show_welcome_message=False,
@@ -92,7 +92,7 @@ def check_port(port: int) -> None:
 
 
 class Page:
-    """What one visitor sees, for a state."""
+    """The page of one visitor, for a state."""
 
     def __init__(self, state: Demo):
         self.state = state
@@ -132,13 +132,13 @@ class Page:
         planners = ui.select(offered, label="Planners", value=state.planners, multiple=True).props("use-chips")
         planners.classes("w-full").on_value_change(lambda event: self._set("planners", list(event.value)))
         self._slider("sensing_range", "Sensing range in cells", 1, 20, 1)
-        ui.label("DC2G: score = predicted cost-to-go + distance - news").classes("text-xs text-grey-8 mt-2")
+        ui.label("DC2G: score = predicted cost-to-go + distance - information gain").classes("text-xs text-grey-8 mt-2")
         self._slider("distance_weight", "Weight of distance", 0, 2, 0.1)
-        self._slider("gain_weight", "Weight of news (information gain)", 0, 10, 0.5)
-        ui.label("A new value compiles the planner anew: some seconds.").classes("text-xs text-grey-8")
+        self._slider("gain_weight", "Weight of information gain", 0, 10, 0.5)
+        ui.label("After a change, the planners compile for some seconds.").classes("text-xs text-grey-8")
 
     def _slider(self, name: str, label: str, low: float, high: float, step: float) -> None:
-        """A slider for an attribute of the state. It takes effect when it is let go."""
+        """A slider for an attribute of the state. It takes effect on release."""
         words = ui.label().classes("mt-2")
         slider = ui.slider(min=low, max=high, step=step, value=getattr(self.state, name))
         words.bind_text_from(slider, "value", lambda value: f"{label}: {value:g}")
@@ -178,7 +178,7 @@ class Page:
                             swatch.props("flat dense no-caps align=left").style(f"border-left: 1.5rem solid {color}")
                             self.swatches[name] = swatch
                 self._take("front_door")
-                ui.label("Width of the brush, cells").classes("text-sm")
+                ui.label("Brush width in cells").classes("text-sm")
                 self.width = ui.toggle([1, 2, 3, 5], value=1).props("dense")
                 with ui.row().classes("gap-2"):
                     ui.button("Empty map", icon="crop_square", on_click=self._blank).props("flat dense")
@@ -194,7 +194,7 @@ class Page:
             swatch.classes(**{"add" if other == name else "remove": "bg-blue-grey-2"})
 
     async def _work(self, act: Callable[[], Any]) -> Any:
-        """Compute something beside the server, one thing at a time. Shows errors, and then returns `False`."""
+        """Compute in a thread, one task at a time. Shows errors, and then returns `False`."""
         async with self.turn:
             try:
                 return await run.io_bound(act)
@@ -206,7 +206,7 @@ class Page:
         return False
 
     async def restart(self) -> None:
-        """Begin anew with map, start and settings as they are."""
+        """Restart with the current map, start and settings."""
         self._pause()
         self.state.walks = {}
         self._redraw_canvas()
@@ -239,7 +239,7 @@ class Page:
 
     @property
     def _last(self) -> int:
-        """The last step that some planner has decided."""
+        """The last step that any planner has decided."""
         return max((len(walk.moments) for walk in self.state.walks.values()), default=1) - 1
 
     def show(self, step: int) -> None:
@@ -274,7 +274,7 @@ class Page:
         return "".join(f'<span class="key"><i style="{style}"></i>{name}</span> ' for name, style in keys)
 
     async def forward(self) -> None:
-        """Show the next step, decided now if need be."""
+        """Show the next step, deciding it first if necessary."""
         if self.shown == self._last and not await self._work(self.state.step):
             self._pause()
         self.show(self.shown + 1)
@@ -297,7 +297,7 @@ class Page:
             await self.restart()
 
     async def _changed(self, change: Callable[[], None]) -> None:
-        """Change the state, then begin anew."""
+        """Change the state, then restart."""
         change()
         await self.restart()
 
@@ -305,7 +305,7 @@ class Page:
         await self._changed(lambda: setattr(self.state, name, value))
 
     async def _choose(self, name: str | None) -> None:
-        """Take a map by name; `None` for the one that is drawn."""
+        """Choose a map by name; `None` for the drawn map."""
         if name is not None:
             await self._changed(lambda: self.state.choose(name))
 
@@ -313,7 +313,7 @@ class Page:
         await self._changed(lambda: self.state.sample_start(int(np.random.default_rng().integers(2**31))))
 
     async def _open(self, location: str) -> None:
-        """Offer the maps of a folder or file, and take the first."""
+        """Offer the maps of a folder or file, and choose the first."""
         maps = await self._work(lambda: open_maps(location))
         if maps:
             self.state.maps = maps

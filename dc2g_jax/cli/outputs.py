@@ -136,7 +136,7 @@ def output_folder(
 
 
 def _environment(options: OutputOptions) -> dict[str, Any]:
-    """Where houses are read from, if not an option but `DC2G_DATA` says it."""
+    """Where houses are read from, if `DC2G_DATA` and not an option sets it."""
     location = os.environ.get("DC2G_DATA")
     return {"DC2G_DATA": location} if location and getattr(options, "dataset", location) is None else {}
 

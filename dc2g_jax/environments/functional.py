@@ -9,8 +9,8 @@ Functions take one robot; use `jax.vmap` for batches. A whole training loop fits
 An episode starts on the road of a random house (`dc2g_jax.datasets.starts.start_cells`), in a random heading. Every
 action costs 1, so the return is minus the number of steps. The episode terminates when the robot stands on a front
 door after an action, and is truncated at the step limit. Actions are those of `dc2g_jax.grid.poses`: 0 forward, 1 turn
-left, 2 turn right. A robot that drives against an obstacle stays in place. Any other action does nothing; to
-`jax.experimental.checkify.checkify(..., errors=checkify.index_checks)` it is an error.
+left, 2 turn right. A robot that drives against an obstacle stays in place. Any other action does nothing;
+`jax.experimental.checkify.checkify(..., errors=checkify.index_checks)` reports it as an error.
 """
 
 import dataclasses
@@ -104,7 +104,7 @@ class FrontDoor:
 
     Attributes:
       sensing: the robot's field of view.
-      default_params: the parameters that `reset` and `step` use where none are given.
+      default_params: the parameters that `reset` and `step` use if none are given.
     """
 
     sensing: Kernel
@@ -202,7 +202,7 @@ class FrontDoor:
     def _or_default(self, params: Params | None) -> Params:
         params = self.default_params if params is None else params
         if params is None:
-            raise InputError("params: none given, and the environment has no default_params; give those of front_door")
+            raise InputError("no params are given, and the environment has no default_params; give those of front_door")
         return params
 
 
@@ -274,7 +274,7 @@ def egocentric(observation: Observation, radius: int) -> UInt8[Array, "side side
 
 
 def one_hot_view(observation: Observation, radius: int) -> Float[Array, "class side side"]:
-    """The egocentric view as one plane per class, ones and zeros: see `egocentric`. The last class is `OUTSIDE`."""
+    """The egocentric view (see `egocentric`) as one plane of ones and zeros per class, the last for `OUTSIDE`."""
     return jax.nn.one_hot(egocentric(observation, radius), OUTSIDE + 1, axis=0)
 
 

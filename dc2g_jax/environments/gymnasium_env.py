@@ -385,7 +385,7 @@ def _step_all(
 
 
 def frame(terrain: UInt8[np.ndarray, "h w"], pose: Int[np.ndarray, "3"]) -> UInt8[np.ndarray, "height width 3"]:
-    """An image of a belief: observed cells, and others as unknown, in the colors of figures; the robot as a triangle.
+    """An image of a belief in the colors of figures, with unobserved cells as unknown and the robot as a triangle.
 
     Args:
       terrain: observed class indices.

@@ -1,11 +1,11 @@
-"""Egocentric observations for Gymnasium: what a convolutional policy learns from.
+"""Egocentric observations for Gymnasium, for convolutional policies.
 
     gymnasium.make("dc2g_jax/FrontDoor-v0") -> EgocentricObservation
     gymnasium.make_vec("dc2g_jax/FrontDoor-v0", ...) -> EgocentricVectorObservation
 
-An observation is then float32 [class side side], ones and zeros: one plane for each class of
-`dc2g_jax.grid.terrain.CLASS_NAMES`, the first for unobserved cells, and one for cells beyond the map. The robot is in
-the middle and looks up. The side is 2 `radius` + 1 cells.
+An observation is then float32 [class side side], ones and zeros. There is one plane for each class of
+`dc2g_jax.grid.terrain.CLASS_NAMES`, of which the first is for unobserved cells, and one plane for cells beyond the map.
+The robot is in the middle and faces up. The side is 2 `radius` + 1 cells.
 """
 
 import functools
@@ -25,10 +25,10 @@ from dc2g_jax.programs import jit
 
 
 class EgocentricObservation(gymnasium.ObservationWrapper[np.ndarray, np.int64, dict[str, np.ndarray]]):
-    """`FrontDoorEnv` with egocentric observations, see the module's documentation.
+    """`FrontDoorEnv` with egocentric observations, described in this module.
 
     Args:
-      env: the environment, of Gymnasium's `make`.
+      env: the environment, from Gymnasium's `make`.
       radius: cells seen in each direction.
 
     Raises:
@@ -46,10 +46,10 @@ class EgocentricObservation(gymnasium.ObservationWrapper[np.ndarray, np.int64, d
 
 
 class EgocentricVectorObservation(gymnasium.vector.VectorWrapper):
-    """`FrontDoorVectorEnv` with egocentric observations, the final ones in the infos too.
+    """`FrontDoorVectorEnv` with egocentric observations, including final ones in the infos.
 
     Args:
-      env: the environment, of Gymnasium's `make_vec`.
+      env: the environment, from Gymnasium's `make_vec`.
       radius: cells seen in each direction.
 
     Raises:

@@ -1,7 +1,7 @@
-"""Registration of the environment with Gymnasium, which neither imports Gymnasium nor minds which is imported first.
+"""Registration of the environment with Gymnasium, without importing it, in either order of the imports.
 
-Since version 1.0 Gymnasium does not discover plug-ins. `import dc2g_jax` therefore registers the environment at once if
-Gymnasium is loaded, and otherwise as soon as it is.
+Since version 1.0, Gymnasium does not discover plug-ins. So `import dc2g_jax` registers the environment at once if
+Gymnasium is already imported, and otherwise as soon as it is.
 """
 
 import importlib.machinery
@@ -32,11 +32,11 @@ def _register() -> None:
 
 
 class _AfterGymnasium:
-    """A finder of modules that finds Gymnasium where Python does, and registers the environment once it is loaded."""
+    """A module finder that loads Gymnasium as Python does, then registers the environment."""
 
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> importlib.machinery.ModuleSpec | None:
-        """How to load Gymnasium; `None` for all other modules, which leaves them to the finders after this one."""
+        """How to load Gymnasium; `None` for other modules, which are left to later finders."""
         spec = importlib.machinery.PathFinder.find_spec(name) if name == "gymnasium" else None
         if spec is not None and spec.loader is not None:
             load = spec.loader.exec_module

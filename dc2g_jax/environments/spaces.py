@@ -1,4 +1,4 @@
-"""Spaces of observations and actions, used as those of gymnax, which need not be installed."""
+"""Spaces of observations and actions with the interface of gymnax, which need not be installed."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -15,7 +15,7 @@ class Discrete:
     """The whole numbers from 0 to `n` - 1, int32.
 
     Attributes:
-      n: how many numbers.
+      n: number of values.
     """
 
     n: int
@@ -23,11 +23,11 @@ class Discrete:
     dtype: ClassVar[Any] = jnp.int32
 
     def sample(self, key: PRNGKeyArray) -> Int[Array, ""]:
-        """A random number; all are equally likely."""
+        """A uniformly random number."""
         return jax.random.randint(key, (), 0, self.n, self.dtype)
 
     def contains(self, value: ArrayLike) -> Bool[Array, "..."]:
-        """Whether a number is in the space, for each of an array."""
+        """Whether each number of an array is in the space."""
         return (jnp.asarray(value) >= 0) & (jnp.asarray(value) < self.n)
 
 
@@ -36,7 +36,7 @@ class Box:
     """Arrays of numbers within bounds.
 
     Attributes:
-      low: least number.
+      low: smallest number.
       high: largest number.
       shape: shape of the arrays.
       dtype: type of the numbers.
@@ -48,7 +48,7 @@ class Box:
     dtype: Any = jnp.float32
 
     def sample(self, key: PRNGKeyArray) -> Shaped[Array, "..."]:
-        """An array of random numbers; all are equally likely."""
+        """An array of uniformly random numbers."""
         if jnp.issubdtype(self.dtype, jnp.integer):
             return jax.random.randint(key, self.shape, self.low, self.high + 1, self.dtype)
         return jax.random.uniform(key, self.shape, self.dtype, self.low, self.high)
@@ -60,11 +60,11 @@ class Box:
 
 @dataclasses.dataclass(frozen=True)
 class Dict:
-    """Objects with an attribute in each of several spaces.
+    """Objects whose attributes lie in given spaces.
 
     Attributes:
-      spaces: the spaces by the attributes' names.
-      make: makes an object from its attributes, given by name.
+      spaces: attribute name -> space.
+      make: makes an object from its attributes as keyword arguments.
     """
 
     spaces: Mapping[str, Any]

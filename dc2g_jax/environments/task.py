@@ -32,7 +32,7 @@ class FrontDoorTask:
       cells: side length of the square maps, if `dataset` is not open yet.
 
     Attributes:
-      environment: the functional environment, without default parameters: those of equal sensing share programs.
+      environment: the functional environment, without default parameters, so that equal sensing shares programs.
       params: its parameters.
       names: names of the houses, by their index in the stack of worlds: object [houses].
 

@@ -1,4 +1,4 @@
-"""The environment as training loops written for gymnax before version 1.0 expect it, such as those of PureJaxRL."""
+"""The environment for training loops written for gymnax before version 1.0, such as those of PureJaxRL."""
 
 import dataclasses
 from typing import Any
@@ -16,7 +16,7 @@ class FlattenObservation:
     """`FrontDoor` with flat observations, and with the five values of gymnax's former `step`.
 
     An observation is the egocentric view (`dc2g_jax.environments.functional.one_hot_view`) as one row of ones and
-    zeros, float32. It stands in place of PureJaxRL's `FlattenObservationWrapper`.
+    zeros, float32. This replaces PureJaxRL's `FlattenObservationWrapper`.
 
     Attributes:
       environment: the environment.
@@ -28,7 +28,7 @@ class FlattenObservation:
 
     @property
     def default_params(self) -> Params | None:
-        """The parameters that `reset` and `step` use where none are given."""
+        """The parameters that `reset` and `step` use if none are given."""
         return self.environment.default_params
 
     def action_space(self, params: Params | None = None) -> spaces.Discrete:
@@ -51,8 +51,8 @@ class FlattenObservation:
         """Take one action, see `FrontDoor.step`.
 
         Returns:
-          Observation; state; reward; whether the episode has ended; and information about it, without the final
-          observation: PureJaxRL keeps the information of all steps of a training.
+          Observation; state; reward; whether the episode has ended; and information about it. The final observation is
+          left out, because PureJaxRL keeps the information of all steps.
         """
         observation, state, reward, terminated, truncated, info = self.environment.step(key, state, action, params)
         del info["final_observation"]

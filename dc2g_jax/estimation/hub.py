@@ -1,4 +1,4 @@
-"""Trained networks by place: a folder, or `hf://owner/name` on the Hugging Face Hub."""
+"""Load and save trained networks: in a folder, or at `hf://owner/name` on the Hugging Face Hub."""
 
 import os
 import tempfile
@@ -7,7 +7,7 @@ from pathlib import Path
 from dc2g_jax.errors import InputError, require_extra
 from dc2g_jax.estimation.checkpoints import CARD, TrainedNetwork, load_network, save_network
 
-#: Begins the place of a network on the Hub.
+#: Prefix of places on the Hub.
 _HUB = "hf://"
 
 #: The files of a network, whatever its kind.
@@ -15,11 +15,11 @@ _FILES = [CARD, "*.safetensors"]
 
 
 def _on_hub(place: str) -> tuple[str, str | None]:
-    """The repository and the revision of `hf://owner/name@revision`, after checking that the Hub can be asked."""
+    """The repository and the revision of `hf://owner/name@revision`, after checking for the extra `hub`."""
     require_extra("huggingface_hub", extra="hub")
     repository, _, revision = place.removeprefix(_HUB).partition("@")
     if not place.startswith(_HUB) or len(repository.split("/")) != 2:
-        raise InputError(f"{place}: names no network on the Hub; give {_HUB}owner/name")
+        raise InputError(f"{place}: not a network on the Hub; give {_HUB}owner/name")
     return repository, revision or None
 
 
@@ -30,7 +30,7 @@ def local_folder(place: str | os.PathLike[str]) -> Path:
       place: a folder, `hf://owner/name`, or `hf://owner/name@revision` with a branch, tag or commit.
 
     Raises:
-      InputError: it cannot be downloaded and is not in the cache either, or the extra `hub` is not installed.
+      InputError: it is not in the cache and cannot be downloaded, or the extra `hub` is not installed.
     """
     if not str(place).startswith(_HUB):
         return Path(place)
@@ -39,14 +39,14 @@ def local_folder(place: str | os.PathLike[str]) -> Path:
 
     try:
         return Path(huggingface_hub.snapshot_download(repository, revision=revision, allow_patterns=_FILES))
-    except Exception as error:  # of many libraries
+    except Exception as error:  # from several libraries
         raise InputError(
             f"{place}: cannot be downloaded ({_reason(error)}); check the name, and the connection to the Hub"
         ) from None
 
 
 def load(place: str | os.PathLike[str] | None = None) -> TrainedNetwork:
-    """Load the network of a planner, of any kind.
+    """Load a planner's network of any kind.
 
     Args:
       place: see `local_folder`; `None` for the shipped network.
@@ -59,17 +59,17 @@ def load(place: str | os.PathLike[str] | None = None) -> TrainedNetwork:
 
 
 def push(network: TrainedNetwork | str | os.PathLike[str], place: str) -> str:
-    """Save a network on the Hub, in a new repository or as a new version. `hf auth login` comes first.
+    """Save a network on the Hub, in a new repository or as a new version. First log in with `hf auth login`.
 
     Args:
-      network: the network, or its folder, whose card is then kept. Also the folder of an indoor network.
+      network: the network, or its folder, whose card is then kept. For an indoor network, its folder.
       place: `hf://owner/name`.
 
     Returns:
       The address of the new version.
 
     Raises:
-      InputError: the folder holds no network, or the Hub does not take it.
+      InputError: the folder holds no network, or the Hub rejects it.
     """
     repository, revision = _on_hub(place)
     import huggingface_hub
@@ -90,5 +90,5 @@ def push(network: TrainedNetwork | str | os.PathLike[str], place: str) -> str:
 
 
 def _reason(error: Exception) -> str:
-    """The first line of an error's message that says something."""
+    """The first nonblank line of an error's message."""
     return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)[:160]

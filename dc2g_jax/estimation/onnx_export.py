@@ -1,4 +1,4 @@
-"""Export of a compact network to ONNX, for robots whose programs are not in Python. It needs the extra `onnx`."""
+"""Export of a compact network to ONNX, for programs in other languages. It needs the extra `onnx`."""
 
 import json
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from dc2g_jax.grid.terrain import CLASS_NAMES
 require_extra("onnx", extra="onnx")
 import onnx  # noqa: E402
 
-#: Versions of the operators and of the format: those that runtimes from 2023 on read.
+#: Versions of the operators and of the format, which runtimes from 2023 on can read.
 _OPERATORS, _FORMAT = 18, 9
 
 
@@ -30,7 +30,7 @@ class _Graph:
         self.constants: list[Any] = []
 
     def add(self, operator: str, *inputs: Any, **attributes: Any) -> str:
-        """Add a node. Inputs are outputs of others, by name, or constants. Returns the name of its output."""
+        """Add a node. Inputs are names of other nodes' outputs, or constants. Returns the name of its output."""
         names = []
         for value in inputs:
             if not isinstance(value, str):
@@ -92,9 +92,9 @@ def _add_network(graph: _Graph, network: NetworkCostToGo) -> str:
 def export_onnx(network: TrainedNetwork, path: str | Path) -> None:
     """Write a compact network as an ONNX file.
 
-    Its input `classes` is uint8 [n, h, w], observed class indices (0 = not observed) of any number and size of maps.
-    Its output `quantiles` is float32 [n, quantiles, h, w], the cost-to-go in cells. The metadata of the file are JSON:
-    `classes`, `quantiles`, `cost_scale`, `side` (maps beyond it are resampled by planners) and `sha256` of the weights.
+    Its input `classes` is uint8 [n, h, w], observed class indices (0 = not observed) of maps of any number and size.
+    Its output `quantiles` is float32 [n, quantiles, h, w], the cost-to-go in cells. The file's metadata are JSON:
+    `classes`, `quantiles`, `cost_scale`, `side` (planners resample larger maps) and `sha256` of the weights.
 
     Args:
       network: the network.

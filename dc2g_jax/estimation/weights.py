@@ -57,7 +57,7 @@ def with_weights(network: Callable[..., _Network], architecture: Any, weights: d
 
 
 def write_safetensors(path: str | Path, tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> None:
-    """Write arrays to a file: the same bytes each time. An existing file is replaced atomically.
+    """Write arrays to a file, always as the same bytes. An existing file is replaced atomically.
 
     Args:
       path: the file.
@@ -66,7 +66,7 @@ def write_safetensors(path: str | Path, tensors: Mapping[str, np.ndarray], metad
     """
     dense = {name: np.asarray(tensor, order="C") for name, tensor in tensors.items()}
     data = save(dense, dict(metadata))
-    # The library writes the metadata in an order of chance.
+    # The library writes the metadata in random order.
     length = int.from_bytes(data[:8], "little")
     facts = json.loads(data[8 : 8 + length])
     header = json.dumps(facts | {"__metadata__": dict(metadata)}, separators=(",", ":")).encode()

@@ -1,4 +1,4 @@
-"""The folder of what is kept between runs: downloads and compiled programs."""
+"""The cache folder for downloads and compiled programs."""
 
 import os
 from pathlib import Path

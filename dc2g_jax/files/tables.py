@@ -35,7 +35,7 @@ def table_lines(
     Args:
         path: the CSV file, UTF-8.
         columns: required columns; values are stripped of surrounding blanks.
-        optional: optional columns, which may be absent or empty; their values are then empty. `None` for all others.
+        optional: optional columns, which may be absent or empty; their values are then empty. `None` for all the rest.
         remedy: end of the message about a missing file: what to do about it.
 
     Yields:

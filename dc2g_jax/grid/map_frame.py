@@ -1,4 +1,4 @@
-"""Grids that lie in a map frame, as those of ROS do: in meters, with y upward."""
+"""Grids in a map frame like that of ROS, in meters, with y upward."""
 
 import math
 from typing import NamedTuple

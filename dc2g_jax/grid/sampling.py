@@ -69,7 +69,7 @@ def sample_conservatively(classes: ClassImage, columns: int, rows: int) -> Class
     """Resample a class image to a coarser grid on which no obstacle and no door is lost.
 
     A cell covers every pixel that it touches. It is a front door if any of its pixels is. Otherwise it is an obstacle
-    if any is, unknown if any is, and traversable if all are. Of several such classes, it has the most frequent one.
+    if any is, else unknown if any is, else traversable. Of several such classes, it gets the most frequent one.
 
     Args:
         classes: class indices, uint8 [H W].
@@ -84,7 +84,7 @@ def sample_conservatively(classes: ClassImage, columns: int, rows: int) -> Class
     present = np.array([index for index in range(len(CLASS_NAMES)) if np.any(classes == index)], np.uint8)
     doors, unknown, traversable = present == FRONT_DOOR, present == UNKNOWN, TRAVERSABLE[present]
     sampled = np.zeros((rows, columns), np.uint8)
-    # Later ones take precedence.
+    # Later kinds take precedence.
     for kind in (traversable, unknown, ~(traversable | unknown), doors):
         if np.any(kind):
             pixels = np.stack([_pixels_per_cell(classes == index, columns, rows) for index in present[kind]])
@@ -93,7 +93,7 @@ def sample_conservatively(classes: ClassImage, columns: int, rows: int) -> Class
 
 
 def _pixels_per_cell(pixels: npt.NDArray[np.bool_], columns: int, rows: int) -> npt.NDArray[np.int32]:
-    """How many of these pixels each cell of a grid over an image touches, int32 [rows columns]."""
+    """Number of these pixels that each cell of a grid over an image touches, int32 [rows columns]."""
     counts: np.ndarray = pixels
     for axis, cells in enumerate((rows, columns)):
         size, cell = pixels.shape[axis], np.arange(cells + 1)

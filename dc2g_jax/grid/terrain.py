@@ -28,7 +28,7 @@ CLASS_NAMES: tuple[str, ...] = tuple(_PALETTE)
 #: Class index -> RGB color, uint8 [class 3].
 CLASS_COLORS = np.array(list(_PALETTE.values()), np.uint8)
 
-#: Class -> color in figures. Ground is pale and the rest is dark, so that they differ in grayscale; unknown is between.
+#: Class -> color in figures. Ground is pale and the rest dark, so that they differ in grayscale; unknown is in between.
 FIGURE_COLORS = {
     "__ignore__": "#a79bb5",
     "front_door": "#d55e00",

@@ -136,7 +136,7 @@ def plot_contact_page(path: str | Path, title: str, number: str, rows: Sequence[
       rows: one page of `contact_pages`.
 
     Returns:
-      The files written: PNG and SVG.
+      The files written: PNG, SVG and PDF.
     """
     page = _Page(title, number, sum(row.height for row in rows))
     y = _HEAD

@@ -1,4 +1,4 @@
-"""Planners on a map, decided one step at a time, and their pictures: what the page of `dc2g demo` shows.
+"""Planners that run on a map one step at a time, and their pictures, for the page of `dc2g demo`.
 
 Pictures have one pixel per cell. Marks are SVG in the same coordinates, drawn over the picture.
 """
@@ -46,7 +46,7 @@ BLANK_SIDE, _USUAL_SIDE = 40, 50
 
 
 class Moment(NamedTuple):
-    """A robot before one of its actions, or at the end.
+    """The state of a robot before one of its actions, or at the end.
 
     Attributes:
       pose: its pose.
@@ -65,7 +65,7 @@ class Moment(NamedTuple):
 
 @functools.partial(jit, static_argnames=("rules",))
 def _advance(carry: tuple[Belief, Any], world: World, planner: Planner, *, rules: Rules) -> tuple[Any, dict[str, Any]]:
-    """Decide, then act. Returns what the next call takes, and what the planner saw."""
+    """Decide, then act. Returns the input of the next call, and what the planner saw."""
     belief, state = carry
     assessment, state = assess(planner, belief, state, rules)
     oracle = search.first_action(belief.pose, every_heading(world.goals), world.traversable)
@@ -101,7 +101,7 @@ class Walk:
         return bool(self.moments) and self.moments[-1].decision.action is None
 
     def step(self) -> None:
-        """Act on the last decision, and decide anew. Does nothing if the episode is over.
+        """Act on the last decision, and decide again. Does nothing if the episode is over.
 
         Raises:
           InputError: a score is NaN.
@@ -142,10 +142,10 @@ class Demo:
     Attributes:
       maps: see above.
       planners: see above.
-      terrain: the map, which may be changed.
+      terrain: the map; it may be changed.
       start: first pose of the robots.
       sensing_range: range of the field of view in cells.
-      distance_weight: cost of an action on the way to a subgoal, for `dc2g` and its variants on the network.
+      distance_weight: cost of an action on the path to a subgoal, for `dc2g` and its variants that use the network.
       gain_weight: weight of the information gain, for the same planners.
       walks: the episodes by planner.
     """
@@ -163,25 +163,25 @@ class Demo:
         return SETTINGS["paper"].rules(self.sensing_range)
 
     def choose(self, name: str) -> None:
-        """Take a map by its name, and a start on it."""
+        """Choose a map by name, and a start on it."""
         self.terrain = self.maps[name].copy()
         self.sample_start(0)
 
     def blank(self) -> None:
-        """Take an empty map to draw on: grass with a road."""
+        """Begin an empty map to draw on: grass with a road."""
         self.terrain = np.full((BLANK_SIDE, BLANK_SIDE), GRASS, np.uint8)
         self.terrain[-8:-5] = ROAD
         self.sample_start(0)
 
     def sample_start(self, seed: int) -> None:
-        """Place the robot at random where a door can be reached; without such ground, on any that it can drive on."""
+        """Place the robot at random where a door can be reached; if there is no such place, on traversable ground."""
         starts = sample_starts([House("map", "val", self.terrain)], 1, seed=seed)
         y, x = np.argwhere(TRAVERSABLE[self.terrain])[:1].tolist()[0] if TRAVERSABLE[self.terrain].any() else (0, 0)
         self.start = RobotPose(*starts[0][1:4]) if starts else RobotPose(x, y, 0)
         self.walks = {}
 
     def place(self, x: int, y: int) -> None:
-        """Place the robot on a cell; turn it right if it is there already."""
+        """Place the robot on a cell, or turn it right if it is already there."""
         heading = self.start.heading + ((x, y) == self.start[:2])
         self.start = RobotPose(x, y, heading % 4)
         self.walks = {}
@@ -200,19 +200,19 @@ class Demo:
         """Put all planners at the start, without a decision.
 
         Raises:
-          InputError: the robot cannot stand there, no planner is chosen, or a class of the user's own cannot be made.
+          InputError: the start is not traversable, no planner is chosen, or a user's planner cannot be made.
         """
         x, y, _ = self.start
         if not TRAVERSABLE[self.terrain[y, x]]:
             what = CLASS_NAMES[self.terrain[y, x]] if self.terrain[y, x] else "unknown"
             raise InputError(f"the robot's cell ({x}, {y}) is {what!r}, not traversable; place the robot elsewhere")
         if not self.planners:
-            raise InputError("no planner is chosen; choose one at least")
+            raise InputError("no planner is chosen; choose at least one")
         terrain = self.terrain.copy()
         self.walks = {name: Walk(self._planner(name), terrain, self.start, self._rules) for name in self.planners}
 
     def _planner(self, name: str) -> Planner:
-        """A planner with the chosen weights, where it has them and costs are in cells."""
+        """A planner, with the chosen weights if it has them and costs are in cells."""
         planner: Any = make_planner(name, self._rules, self._estimator)
         if name not in NETWORK_PLANNERS or not hasattr(planner, "gain_weight") or not answers_in_cells(self._estimator):
             return planner
@@ -220,7 +220,7 @@ class Demo:
         return dataclasses.replace(planner, selection=selection, gain_weight=self.gain_weight)
 
     def step(self) -> bool:
-        """One step of every planner. Returns whether any goes on."""
+        """Step every planner. Returns whether any episode goes on."""
         for walk in self.walks.values():
             walk.step()
         return not all(walk.over for walk in self.walks.values())
@@ -230,8 +230,8 @@ def open_maps(location: str | None) -> dict[str, UInt8[np.ndarray, "h w"]]:
     """Maps by name: one map file, or the validation houses of a dataset. Never test houses if there are others.
 
     Args:
-      location: a map file, a folder, or `procedural`; `None` as for `open_dataset`. The palette of an image is
-        expected beside it, in a file of the name that a dataset's has.
+      location: a map file, a folder, or `procedural`; `None` as for `open_dataset`. An image needs its palette in
+        the same folder, with the file name that datasets use.
 
     Raises:
       InputError: the map or the dataset cannot be read.
@@ -247,7 +247,7 @@ def open_maps(location: str | None) -> dict[str, UInt8[np.ndarray, "h w"]]:
 
 
 def map_picture(terrain: UInt8[np.ndarray, "h w"], seen: Bool[np.ndarray, "h w"] | None = None) -> str:
-    """The map as a data URL, pale where it has not been observed; `None` for all observed."""
+    """The map as a data URL, pale where it has not been observed. `seen`: `None` if all is observed."""
     return _data_url(map_image(terrain, np.ones(terrain.shape, bool) if seen is None else seen))
 
 
@@ -281,8 +281,8 @@ def walk_marks(walk: Walk, terrain: UInt8[np.ndarray, "h w"], steps: int, sensin
     moment = walk.moments[steps]
     decision, pose = moment.decision, moment.pose
     parts = [_field_of_view(pose, sensing_range), _doors(terrain, pose, size)]
-    way = [past.pose for past in walk.moments[: steps + 1]]
-    parts += [_line(way, MARK_COLOR, 0.9 * size), _line(way, "black", 0.45 * size)]
+    so_far = [past.pose for past in walk.moments[: steps + 1]]
+    parts += [_line(so_far, MARK_COLOR, 0.9 * size), _line(so_far, "black", 0.45 * size)]
     parts += [_line(decision.path, "black", 0.7 * size), _line(decision.path, SUBGOAL_COLOR, 0.45 * size)]
     ranks = np.linspace(0, 1, max(len(decision.candidates), 2))
     by_score = sorted(decision.candidates, key=lambda candidate: candidate.score)
@@ -321,7 +321,7 @@ def _line(poses: Sequence[RobotPose], color: str, width: float) -> str:
 
 
 def _field_of_view(pose: RobotPose, sensing_range: int) -> str:
-    """The quarter of a disk that the robot sees."""
+    """The quarter disk that the robot sees."""
     reach = sensing_range + 0.5
     edge = reach * np.sqrt(0.5)
     outline = f"M0 0L{edge:.2f} {-edge:.2f}A{reach} {reach} 0 0 1 {edge:.2f} {edge:.2f}Z"

@@ -40,7 +40,7 @@ def plot_noise(
       caption: description of drives and houses.
 
     Returns:
-      The files written: PNG and SVG.
+      The files written: PNG, SVG and PDF.
     """
     figure = Figure(figsize=(7.5, 3.4), layout="constrained")
     extra_axes, success_axes = figure.subplots(1, 2)
@@ -80,7 +80,7 @@ def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_
       cell_size: side of a cell, meters.
 
     Returns:
-      The files written: PNG and SVG.
+      The files written: PNG, SVG and PDF.
     """
     numbers = np.unique(np.linspace(0, len(drive) - 1, rows).round().astype(int)).tolist()
     chosen = [drive[number] for number in numbers]

@@ -210,7 +210,7 @@ def plot_episode(
       columns: number of moments of each episode, see `moments`; `None` to choose it by the shape of the map.
 
     Returns:
-      The files written: PNG and SVG.
+      The files written: PNG, SVG and PDF.
     """
     height, width = house.terrain.shape
     count = columns or (4 if width <= 1.6 * height else 3 if width <= 2.6 * height else 2)
@@ -281,7 +281,7 @@ def plot_trajectories(
       columns: number of panels in a row.
 
     Returns:
-      The files written: PNG and SVG.
+      The files written: PNG, SVG and PDF.
     """
     columns = min(columns, len(result_by_planner))
     rows = -(-len(result_by_planner) // columns)

@@ -126,7 +126,7 @@ def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, 
 def save_figure(figure: Figure, path: str | Path, dpi: int = 160) -> list[Path]:
     """Write a figure as PNG with `dpi` pixels per inch, as SVG and as PDF; `path` is the file name without ending.
 
-    Text stays text: it can be searched and edited. The PDF has its font in it (TrueType, as journals ask for). Viewers
+    Text stays text: it can be searched and edited. The PDF embeds its font (TrueType, as journals require). Viewers
     show the SVG in DejaVu Sans if they have it.
     """
     FigureCanvasAgg(figure)
@@ -146,7 +146,7 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], caption: str
       caption: description of the runs, such as houses and network.
 
     Returns:
-      The files written: PNG and SVG.
+      The files written: PNG, SVG and PDF.
 
     Raises:
       ValueError: no planner but the oracle.
@@ -201,7 +201,7 @@ def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float
       extra: group -> (authors', ours) of each episode, in percent.
 
     Returns:
-      The files written: PNG and SVG.
+      The files written: PNG, SVG and PDF.
     """
     rows = -(-len(extra) // 2)
     figure = Figure(figsize=(PAGE_WIDTH, 3.5 * rows + 0.3), layout="constrained")
@@ -270,7 +270,7 @@ def legend_patch(label: str, color: ColorType) -> Patch:
 
 
 def class_patch(index: int, color: ColorType | None = None) -> Patch:
-    """The legend entry of a class, in its color of `FIGURE_COLORS` or another one."""
+    """The legend entry of a class, in its color from `FIGURE_COLORS` or the given one."""
     label = CLASS_NAMES[index].replace("_", " ") if index else "unknown"
     return legend_patch(label, FIGURE_COLORS[CLASS_NAMES[index]] if color is None else color)
 
@@ -319,7 +319,7 @@ def plot_house_strips(
       settings: name or description of the episodes' settings.
 
     Returns:
-      The files written: PNG and SVG.
+      The files written: PNG, SVG and PDF.
 
     Raises:
       ValueError: no planner but the oracle.
@@ -370,7 +370,7 @@ def plot_results(results: Iterable[EpisodeResult], path: str | Path) -> list[Pat
       path: output path without ending.
 
     Returns:
-      The files written: PNG and SVG.
+      The files written: PNG, SVG and PDF.
 
     Raises:
       ValueError: no planner but the oracle.

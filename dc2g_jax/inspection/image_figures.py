@@ -81,7 +81,7 @@ def plot_translations(
       caption: description of network and houses.
 
     Returns:
-      The files written: PNG and SVG.
+      The files written: PNG, SVG and PDF.
     """
     rows = len(full)
     figure = Figure(figsize=(PAGE_WIDTH, 1.15 * rows + 0.9), layout="constrained")
@@ -132,7 +132,7 @@ def plot_training(
       window: number of validations in the moving average.
 
     Returns:
-      The files written: PNG and SVG.
+      The files written: PNG, SVG and PDF.
     """
     metrics = ("l1", "low_precision", "low_recall")
     figure = Figure(figsize=(PAGE_WIDTH, 2.7), layout="constrained")
@@ -160,7 +160,7 @@ def plot_by_similarity(path: str | Path, networks: Mapping[str, HouseMetrics], c
       caption: description of the houses.
 
     Returns:
-      The files written: PNG and SVG.
+      The files written: PNG, SVG and PDF.
     """
     figure = Figure(figsize=(PAGE_WIDTH, 9.2), layout="constrained")
     panels = figure.subplots(len(METRIC_LABELS), 1, sharex=True)

@@ -51,13 +51,13 @@ _EPISODE_LEGEND = """\
 - yellow: frontier, at the edge of the unknown
 - orange dots: frontier-expanding cells
 - magenta: plan and its subgoal
-- black line: the way so far
+- black line: the path so far
 - red arrow: robot
 
 **Costs-to-go**
 
 - yellow at the goal to blue, {farthest} cells away
-- gray: no way; dark: not observed
+- gray: no path; dark: not observed
 - dots: candidates, white for the lowest score, which wins, over red to black
 - red dots: goal
 
@@ -114,7 +114,7 @@ class CostScale(NamedTuple):
 
     def context(self) -> rr.AnnotationContext:
         """Names and colors of the classes."""
-        names = ["not observed", "no way", *map(self.words.format, self._costs().tolist())]
+        names = ["not observed", "no path", *map(self.words.format, self._costs().tolist())]
         colors = map(tuple, self.colors().tolist())
         return rr.AnnotationContext(list(zip(range(len(names)), names, colors, strict=True)))
 

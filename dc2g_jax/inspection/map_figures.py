@@ -53,10 +53,10 @@ def plot_map(
       title: description of the map.
       terrain: class indices.
       cost_to_go: exact cost-to-go; shown on ground that is connected to a goal.
-      palette: colors of classes; those of figures where it has none.
+      palette: colors of classes; the figures' colors for classes without one.
 
     Returns:
-      The files written: PNG and SVG.
+      The files written: PNG, SVG and PDF.
     """
     classes, ground, distance = _panels(title, terrain)
     _draw_classes(classes, terrain, palette)

@@ -58,12 +58,12 @@ class SearchMoment(NamedTuple):
 
 
 class PredictedMap(NamedTuple):
-    """A network's prediction for the local map of a robot, beside the truth.
+    """A network's prediction for a robot's local map, and the truth.
 
     Attributes:
       cells: the robot's map, see `dc2g_jax.objectnav.mapping.IndoorMap`.
       occupied: cells predicted to be occupied.
-      truly_occupied: cells that are no free floor.
+      truly_occupied: cells that are not free floor.
       cost: predicted cost, meters beyond that of the best cell; infinite where predicted to be occupied.
       true_cost: the same in truth; infinite where the robot does not fit and where no path leads to the goal.
     """
@@ -95,7 +95,7 @@ def plot_search(
       moments: moments of the search, at least one.
 
     Returns:
-      The files written: PNG and SVG.
+      The files written: PNG, SVG and PDF.
     """
     size, classes = float(world.cell_size), np.asarray(world.classes)
     left, right, bottom, top = _extent(np.asarray(world.free | world.obstacle), size)
@@ -133,7 +133,7 @@ def plot_search(
 
 
 def plot_prediction(path: str | Path, found: PredictedMap, title: str) -> list[Path]:
-    """Draw a prediction (Fig. 4 of the paper on dense cost maps): map, occupancy and costs, beside the truth.
+    """Draw a prediction (Fig. 4 of the paper on dense cost maps): map, occupancy and costs, next to the truth.
 
     Args:
       path: output path without ending.
@@ -141,7 +141,7 @@ def plot_prediction(path: str | Path, found: PredictedMap, title: str) -> list[P
       title: of the figure.
 
     Returns:
-      The files written: PNG and SVG.
+      The files written: PNG, SVG and PDF.
     """
     cells, occupied, truly_occupied, cost, true_cost = (np.asarray(leaf) for leaf in found)
     figure = Figure(figsize=(PAGE_WIDTH, 4.0), layout="constrained")

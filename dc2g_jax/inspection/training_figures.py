@@ -48,7 +48,7 @@ def plot_sweep(
       caption: description of networks and validation data.
 
     Returns:
-      The files written: PNG and SVG.
+      The files written: PNG, SVG and PDF.
     """
     figure = Figure(figsize=(PAGE_WIDTH, 3.4 + 0.17 * len(runs)), layout="constrained")
     errors, *planner = figure.subplots(1, 1 + bool(extra), squeeze=False, width_ratios=(1.5, 1)[: 1 + bool(extra)])[0]

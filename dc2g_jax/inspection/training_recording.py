@@ -34,7 +34,7 @@ from dc2g_jax.training.mask_collection import Masks, collect_masks
 #: Gap between two maps side by side, columns.
 _GAP = 2
 
-#: Pixels along a side of a cell in pictures.
+#: Side of a cell in pictures, pixels.
 _PIXELS_A_CELL = 3
 
 #: Range of the field of view of the robots whose maps are shown, cells.

@@ -43,8 +43,8 @@ class Candidate(NamedTuple):
       distance: actions from the robot to this pose.
       score: the planner's score; the lowest wins. For `dc2g`, the cost-to-go plus weighted distance, minus weighted
         information gain; for frontier exploration, the distance.
-      penalty: part of the score that is due neither to cost-to-go nor to distance: that of patience, minus the weighted
-        information gain.
+      penalty: part of the score beyond cost-to-go and distance: the patience penalty minus the weighted information
+        gain.
     """
 
     x: int
@@ -92,7 +92,7 @@ class View(NamedTuple):
       cost_to_go: predicted cost-to-go of every cell, `None` without predictions. Like `score`, it is only valid while
         exploring.
       score: score of every cell with a candidate.
-      penalty: part of the score that is due neither to cost-to-go nor to distance, `None` for planners without one.
+      penalty: part of the score beyond cost-to-go and distance; `None` for planners without one.
     """
 
     distance: Int[np.ndarray, "heading h w"]
@@ -190,7 +190,7 @@ def _in_cells(x: int, y: int, heading: int) -> tuple[str, str]:
 
 
 def _sum(best: Candidate, away: str) -> str:
-    """How the score of a candidate comes about."""
+    """The terms of a candidate's score, as text."""
     if best.cost_to_go is None:
         return f": {away} away"
     for_distance = best.score - best.cost_to_go - best.penalty
@@ -212,7 +212,7 @@ def explain(
       mode: mode of the decision.
       path: its path.
       candidates: its candidates; the subgoal is usually the first.
-      words: column, row and heading -> how to name the place and the direction.
+      words: column, row and heading -> names of the place and the direction.
     """
     if not path:
         return "gave up: no door is reachable, and nothing unobserved can be seen from anywhere reachable"

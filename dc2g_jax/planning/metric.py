@@ -1,4 +1,4 @@
-"""The planner on a robot's own map: grids as ROS has them, with poses in meters of the map frame."""
+"""The planner on a robot's own map: grids like those of ROS, with poses in meters in the map frame."""
 
 import collections
 import functools
@@ -26,7 +26,7 @@ from dc2g_jax.planning.online import OnlinePlanner
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, Planner
 from dc2g_jax.programs import jit
 
-#: A robot this close to its subgoal has reached it, in meters, or within a cell of it. Navigation2 stops within 0.25 m.
+#: A robot within this distance of its subgoal, in meters, or within a cell, has reached it. Nav2 stops within 0.25 m.
 _ARRIVAL = 0.3
 
 
@@ -53,10 +53,10 @@ class MetricDecision:
     Attributes:
       mode: "explore", "to_goal" (a door is reachable) or "gave_up".
       subgoal: last pose of the path; `None` if the planner gave up.
-      path: the robot's own pose, then the centers of the cells along a shortest plan, one pose an action.
+      path: the robot's own pose, then the centers of the cells along a shortest plan, one pose per action.
       candidates: candidates for exploration, the subgoal first, then in ascending order of score.
       why: the reason, in one sentence.
-      cell_size: side of a cell that this was planned with, in meters.
+      cell_size: side of the cells used for planning, in meters.
     """
 
     mode: str
@@ -69,7 +69,7 @@ class MetricDecision:
 
 @functools.partial(jit, static_argnames=("sensing",))
 def _in_view(terrain: UInt8[Array, "h w"], heading: Int[Array, ""], *, sensing: Kernel) -> Bool[Array, "h w"]:
-    """What is seen from the middle of a map."""
+    """The cells seen from the middle of a map."""
     height, width = terrain.shape
     belief = belief_from_map(terrain, make_pose(width // 2, height // 2, heading))
     return bitboard.unpack(sensing.visible(belief.pose, belief.opaque, width), width)
@@ -83,26 +83,26 @@ class MetricPlanner:
     decision = planner.plan(MetricMap(cells, 0.05, MapFrame(-10.0, -10.0, 0.0)), (0.0, 0.0, 1.57))
     ```
 
-    The map may be finer than the planner's cells: a cell has the smallest whole number of pixels along a side that
-    makes it at least `cell_size`, and stays in its place when the map grows. What becomes of the pixels:
-    `dc2g_jax.grid.sampling.sample_conservatively`. The robot's own cell counts as traversable. The world goes on beyond
-    the map's edges.
+    The map may be finer than the planner's cells. A cell has the smallest whole number of pixels along a side that
+    makes it at least `cell_size`, and stays in place when the map grows. Pixels are merged by
+    `dc2g_jax.grid.sampling.sample_conservatively`. The robot's own cell counts as traversable. The world continues
+    beyond the map's edges.
 
-    If there is nothing to explore and no path to a door, the planner halves its cells and looks again, down to the
-    pixels of the map. So it only gives up if nothing unknown can be seen from any ground that free pixels connect to
-    the robot, apart from what was set aside: a cell that is still unknown at the next call after the robot has reached
-    its subgoal and looked at it is set aside until it becomes known.
+    If there is nothing to explore and no path to a door, the planner halves its cells and tries again, down to the
+    pixels of the map. So it gives up only if no unknown cell can be seen from ground that free pixels connect to the
+    robot. Cells that were set aside do not count: if the robot has reached its subgoal and a cell in view is still
+    unknown at the next call, that cell is set aside until it becomes known.
 
     Args:
-      planner: see `OnlinePlanner`; `None` for `dc2g` on semantic maps and `frontier` on occupancy maps, from whose two
-        classes the trained network predicts too little.
+      planner: see `OnlinePlanner`; `None` for `dc2g` on semantic maps and `frontier` on occupancy maps, whose two
+        classes tell the trained network too little.
       cell_size: side of the planner's cells, in meters: about the robot's diameter, and at most half as wide as the
-        narrowest passage, so that some cell fits into it.
+        narrowest passage, so that a cell fits into it.
       sensing_range: range of the robot's 90-degree field of view, in meters; walls hide what is behind them.
-      labels: value of a cell -> class name, see `dc2g_jax.grid.terrain.CLASS_NAMES`, for semantic maps; `None` for
+      labels: value of a cell -> class name (see `dc2g_jax.grid.terrain.CLASS_NAMES`), for semantic maps; `None` for
         occupancy maps, whose cells are 0 (free) to 100 (occupied).
       network: see `OnlinePlanner`.
-      largest: rows and columns of the largest map, in cells of the planner. Larger ones compile once more.
+      largest: rows and columns of the largest map, in cells of the planner. A larger map compiles again.
 
     Raises:
       InputError: a size is invalid, a label is unknown, or `OnlinePlanner` rejects the planner.
@@ -142,10 +142,10 @@ class MetricPlanner:
 
         Args:
           grid: the map so far.
-          pose: x, y and yaw of the robot in the map frame, meters and radians. The yaw is taken as the nearest quarter
-            turn of the grid.
+          pose: x, y and yaw of the robot in the map frame, meters and radians. The yaw is rounded to the nearest
+            quarter turn of the grid.
           doors: x and y of the doors that the robot has detected, in the map frame. Each makes its cell a door,
-            whatever the map says there. Those far off the map count once it comes near.
+            whatever the map says there. Doors far off the map count once the map comes near.
 
         Raises:
           InputError: the map, the pose or a door is invalid.
@@ -162,7 +162,7 @@ class MetricPlanner:
         return decision
 
     def set_aside(self, pose: MetricPose) -> None:
-        """Set aside what would be seen from a pose and is unknown: the robot has been there, or cannot get there.
+        """Set aside the unknown cells in view from a pose that the robot has visited or cannot reach.
 
         Args:
           pose: the subgoal of the last decision.
@@ -181,7 +181,7 @@ class MetricPlanner:
         self._aside[factor] |= set(zip((columns + x - reach).tolist(), (rows + y - reach).tolist(), strict=True))
 
     def _look_around(self, here: MetricPose, grid: MetricMap) -> None:
-        """Set aside what the robot looked at in vain. Forget all of that if the map's cells are others than before."""
+        """Set aside cells that stayed unknown when looked at. Forget them all if the map's cells have changed."""
         if self._drawn is None:
             return
         cells, factor = self._drawn.cells, self._drawn.factor
@@ -203,7 +203,7 @@ class MetricPlanner:
     def _decided(
         self, grid: MetricMap, factor: int, here: MetricPose, doors: Iterable[Sequence[float]]
     ) -> MetricDecision:
-        """The decision in cells of so many pixels along a side."""
+        """The decision in cells of `factor` pixels along a side."""
         aside, margin = self._aside[factor], self._online.rules.sensing.radius
         self._drawn = draw(grid, factor, self._classes, here, doors=doors, aside=aside, margin=margin)
         terrain, left, top, cells, _ = self._drawn

@@ -1,4 +1,4 @@
-"""Maps as robots have them, in meters of the map frame, and what the planner reads of them."""
+"""Robots' own maps, in meters in the map frame, and how the planner reads them."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,14 +16,14 @@ from dc2g_jax.grid.sampling import sample_conservatively
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, HOUSE, NOTHING, ROAD, TRAVERSABLE, UNKNOWN
 from dc2g_jax.planning.decisions import RobotPose
 
-#: Values of an occupancy grid that are free and occupied, in percent; between them, nothing is known. Navigation2 saves
-#: maps by these thresholds.
+#: An occupancy grid's cell is free up to the first value, occupied from the second, in percent, and unknown between.
+#: Nav2 saves maps with these thresholds.
 FREE_AT_MOST, OCCUPIED_FROM = 25, 65
 
-#: Largest value of an occupancy grid's cell, and of any map's.
+#: Largest cell value of an occupancy grid, and of any map.
 _OCCUPIED, _MOST = 100, 127
 
-#: In place of a class, for values without one.
+#: Marks values without a class.
 _NO_CLASS = 255
 
 #: Largest distance of a map from the origin of its frame, in meters.
@@ -101,7 +101,7 @@ class Cells(NamedTuple):
 
 
 class DrawnMap(NamedTuple):
-    """The part of a map that is not unknown, as the planner reads it.
+    """The known part of a map, as the planner reads it.
 
     Attributes:
       terrain: class indices.
@@ -150,9 +150,9 @@ def draw(
     aside: Iterable[tuple[int, int]],
     margin: int,
 ) -> DrawnMap:
-    """A map on coarser cells, see `dc2g_jax.grid.sampling.sample_conservatively`.
+    """Resample a map to coarser cells, see `dc2g_jax.grid.sampling.sample_conservatively`.
 
-    Columns and rows count from the origin of the map frame, to within a pixel, so cells stay in place when a map grows.
+    Columns and rows count from the origin of the map frame, to within a pixel, so cells stay in place as the map grows.
 
     Args:
       grid: the map.
@@ -201,7 +201,7 @@ def _terrain(grid: MetricMap, classes: UInt8[np.ndarray, "value"]) -> UInt8[np.n
     if terrain.max() == _NO_CLASS:
         row, column = np.argwhere(terrain == _NO_CLASS)[0]
         raise InputError(
-            f"the map holds {grid.cells[row, column]} in column {column}, row {row}, which stands for no class; give "
+            f"the map holds {grid.cells[row, column]} in column {column}, row {row}, which has no class; give "
             f"-1 (unknown) to {_OCCUPIED} (occupied), or for a semantic map, name every value in labels"
         )
     return terrain
@@ -216,14 +216,14 @@ def _covering(first: int, count: int, factor: int) -> tuple[int, int, tuple[int,
 def _indices(
     cells: Iterable[tuple[int, int]], terrain: np.ndarray, left: int, top: int
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Rows and columns in a map, whose first cell is at `left` and `top`, of those cells that lie on it."""
+    """Rows and columns of the cells that lie on a map whose first cell is at `left` and `top`."""
     columns, rows = np.array([*cells], np.intp).reshape(-1, 2).T - np.array([[left], [top]])
     inside = (rows >= 0) & (rows < terrain.shape[0]) & (columns >= 0) & (columns < terrain.shape[1])
     return rows[inside], columns[inside]
 
 
 def numbers_of(name: str, values: npt.ArrayLike, count: int) -> tuple[float, ...]:
-    """So many numbers that a place in a map frame may have."""
+    """Check that values are `count` numbers that a place in a map frame may have, and return them."""
     try:
         numbers = np.asarray(values, float).ravel().tolist()
     except (TypeError, ValueError):

@@ -75,8 +75,8 @@ class OnlinePlanner:
     cells that its sensor cannot classify as `nothing`.
 
     Creating the planner compiles a program for each of a few grid sizes. This takes some seconds each, and longer for
-    longer sensing ranges. The programs are kept on disk as those of commands are, see
-    `dc2g_jax.files.cache.keep_compiled_programs`, and the next start finds them. No call compiles anything after the
+    longer sensing ranges. The programs are kept on disk (see
+    `dc2g_jax.files.cache.keep_compiled_programs`), and later starts load them. No call compiles anything after the
     start, and decisions do not depend on the grid size. Other estimators than `NetworkCostToGo` and planners of your
     own get grids of exactly the map's size; each new size is compiled.
 
@@ -88,7 +88,7 @@ class OnlinePlanner:
       largest: rows and columns of the largest map.
       open_ended: whether the world continues beyond the map's edges. If so, the robot explores across them too.
         Otherwise the map's size is the world's, and there is nothing to observe beyond it.
-      settings: rules of a planner by name, see `dc2g_jax.planning.rules.SETTINGS`; `occluded` where walls hide what is
+      settings: rules of a planner by name, see `dc2g_jax.planning.rules.SETTINGS`; `occluded` if walls hide what is
         behind them.
 
     Raises:

@@ -66,7 +66,7 @@ class Assessment:
         while the planner does not explore.
       cost_to_go: the planner's cost-to-go of every cell; the last one while it does not explore. `None` for planners
         without one.
-      penalty: part of the score that is due neither to cost-to-go nor to distance; `None` for planners without one.
+      penalty: part of the score beyond cost-to-go and distance; `None` for planners without one.
     """
 
     plan: Plan
@@ -291,7 +291,7 @@ class DC2G(AssessingPlanner):
       patience: penalty for staying near promising cells that reveal no goal.
       enough_news: share of the cells in the field of view that has to be newly seen before the planner decides anew; it
         also does when its subgoal reveals nothing more. 0 to decide anew as soon as any cell is.
-      memory: whether the state is kept between steps. If not, for a single robot, all views count in each estimate.
+      memory: whether the state is kept between steps. If not, for a single robot, each estimate averages all views.
     """
 
     estimator: Estimator
@@ -443,7 +443,7 @@ class DC2G(AssessingPlanner):
                 outdated, lambda: self._estimated(belief, state.estimator, state.choice), lambda: state.choice
             )
         candidates, score, penalty = self._scored(belief, reachable, revealing, choice.estimates, decided_near)
-        if not self.memory:  # the choice is always new, so these are the scores that it is made by
+        if not self.memory:  # the choice is always new, so it is made from these scores
             choice = choice._replace(subgoals=candidates & _lowest(score, poses.occupied(candidates), belief.width))
         plan = _explore_or_finish(belief, reachable, choice.subgoals & revealing, self.rules)
         state = ExplorationState(reachable, choice, decided_near, state.estimator)

@@ -29,7 +29,7 @@ class Summary(NamedTuple):
       quartile_75: upper quartile.
       success: share of episodes that reached a goal, 0 to 1.
       episodes: number of episodes.
-      mean_low: lower end of the 95 % interval of the mean, see `house_bootstrap`; NaN where houses were not given.
+      mean_low: lower end of the 95 % interval of the mean, see `house_bootstrap`; NaN without houses.
       mean_high: its upper end.
     """
 
@@ -43,14 +43,14 @@ class Summary(NamedTuple):
     mean_high: float = math.nan
 
 
-#: Samples of houses for intervals in summaries, and their seed.
+#: Bootstrap samples of houses for intervals in summaries, and their seed.
 _RESAMPLES, _SEED = 10_000, 0
 
 
 def summarize(
     extra: Sequence[float] | np.ndarray, success: Sequence[bool] | np.ndarray, houses: Sequence[str] | None = None
 ) -> Summary:
-    """Summarize a set of episodes, with an interval of the mean where the house of each is given.
+    """Summarize a set of episodes, with an interval of the mean if the house of each is given.
 
     Raises:
       ValueError: there are no episodes.

@@ -28,10 +28,10 @@ _State = TypeVar("_State")
 #: Most bytes of a line of the log.
 _LONGEST_LINE = 2**20
 
-#: Steps between pictures for a tracker, which also gets one at each validation.
+#: Steps between pictures for a tracker, which also gets a picture at each validation.
 _STEPS_PER_PICTURE = 500
 
-#: What is in lines of the log, but not in the curves of validations.
+#: Fields of log lines that are not validation figures.
 _NO_VALIDATION = ("step", "run", "loss")
 
 #: Mean losses of the steps since the last fetch: a scalar for a single run, one per run for several.

@@ -18,7 +18,7 @@ from dc2g_jax.files.tables import table_lines, write_table
 #: Names of trackers, and of the extras that install their packages.
 TrackerName = Literal["tensorboard", "wandb", "trackio"]
 
-#: The project of trackers that gather the runs of several folders.
+#: The project, for trackers that collect the runs of several folders.
 _PROJECT = "dc2g_jax"
 
 Image = UInt8[np.ndarray, "h w 3"]
@@ -36,17 +36,17 @@ class Tracker(Protocol):
         ...
 
     def close(self) -> None:
-        """Send or write what is left."""
+        """Send or write the rest."""
         ...
 
 
 class _TensorBoard:
-    """Event files in `folder`. A resumed run adds another file, which TensorBoard shows with the first."""
+    """Event files in `folder`. A resumed run adds a file, which TensorBoard shows with the first."""
 
     def __init__(self, folder: Path, run: str, config: Mapping[str, Any]):
         from tensorboardX import SummaryWriter
 
-        # Its thread writes: a process that is killed loses the events of a second, of two minutes by default.
+        # A thread writes every second (two minutes by default), so a killed process loses little.
         self._writer = SummaryWriter(str(folder / run), filename_suffix=f".{secrets.token_hex(4)}", flush_secs=1)
 
     def log(self, step: int, figures: Mapping[str, float]) -> None:
@@ -61,7 +61,7 @@ class _TensorBoard:
 
 
 class _Online:
-    """A run of wandb or trackio, which are used alike. A resumed run is continued."""
+    """A run of wandb or trackio, whose interfaces are alike. A resumed run continues."""
 
     def __init__(self, module: Any, run: Any):
         self._module, self._run = module, run
@@ -77,7 +77,7 @@ class _Online:
 
 
 def _kept_id(folder: Path, run: str) -> str:
-    """The name by which a service knows a run: made once, and kept in a file."""
+    """The ID of a run at a service: made once, and kept in a file."""
     path = folder / f"{run or 'run'}.id"
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
@@ -119,7 +119,7 @@ def _trackio(folder: Path, run: str, config: Mapping[str, Any]) -> _Online:
         auto_log_cpu=False,
         auto_log_gpu=False,
     )
-    # In a context of its own: it ends the run that was begun before, if it knows of one.
+    # In a separate context: trackio ends an earlier run that it finds in its own.
     return _Online(trackio, contextvars.copy_context().run(begin))
 
 
@@ -145,7 +145,7 @@ class Curve:
     """The curves of a training, or of several runs trained together: `curve.csv`, and a tracker of each run.
 
     The table has a row for each step, and each run if there are several. It is replaced atomically. A step that is
-    taken again after an interruption takes the place of its earlier row, and is not sent to the tracker again.
+    repeated after an interruption replaces its earlier row, and is not sent to the tracker again.
 
     Args:
       out: folder of the training.
@@ -171,7 +171,7 @@ class Curve:
 
     @staticmethod
     def _config(out: Path, run: str) -> dict[str, Any]:
-        """The configuration of a run, as its checkpoints keep it."""
+        """The configuration of a run, as saved with its checkpoints."""
         path = (out / "runs" / run if run else out) / "config.json"
         return read_object(path, "give another folder") if path.exists() else {}
 
@@ -185,8 +185,8 @@ class Curve:
 
         Args:
           step: optimizer steps taken.
-          figures: name -> number for each run, in order. Other values are left out.
-          group: put before the names in trackers.
+          figures: name -> value for each run, in order. Values other than numbers are left out.
+          group: prefix of the names in trackers.
         """
         for number, (run, found) in enumerate(zip(self._runs, figures, strict=True)):
             known = {name: float(f"{value:.6g}") for name, value in found.items() if isinstance(value, int | float)}

@@ -16,7 +16,7 @@ setup(
     ],
     install_requires=["setuptools"],
     zip_safe=True,
-    description="Exploration toward a door in unmapped surroundings, with the planners of dc2g_jax.",
+    description="Exploration toward a door in unknown environments, with the planners of dc2g_jax.",
     license="MIT",
     entry_points={"console_scripts": [f"{NAME} = {NAME}.node:main"]},
 )

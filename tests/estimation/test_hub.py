@@ -128,8 +128,8 @@ def test_what_cannot_be_used_is_refused_in_a_line(hub, tmp_path):
     dc2g.push(COMPACT, "hf://someone/network")
     refusal(lambda: dc2g.load("hf://someone/else"), "hf://someone/else", "cannot be downloaded", "check the name")
     for place in ("hf://network", "hf://some one/network/weights"):
-        refusal(lambda place=place: dc2g.load(place), place, "names no network on the Hub", "hf://owner/name")
-    refusal(lambda: dc2g.push(COMPACT, str(tmp_path)), "names no network on the Hub")
+        refusal(lambda place=place: dc2g.load(place), place, "not a network on the Hub", "hf://owner/name")
+    refusal(lambda: dc2g.push(COMPACT, str(tmp_path)), "not a network on the Hub")
     refusal(lambda: dc2g.push(tmp_path, "hf://someone/empty"), str(tmp_path), "holds no network.json")
     assert "someone/empty" not in hub
     weights = hub["someone/network"]["weights.safetensors"]

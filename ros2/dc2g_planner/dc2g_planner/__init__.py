@@ -1,1 +1,1 @@
-"""The planners of dc2g_jax as a node of ROS 2."""
+"""The planners of dc2g_jax as a ROS 2 node."""

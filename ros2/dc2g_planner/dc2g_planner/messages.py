@@ -1,4 +1,4 @@
-"""Messages of ROS as inputs of the planner, and its decisions as messages. Nothing here needs ROS itself."""
+"""ROS messages as inputs of the planner, and its decisions as messages. Nothing here needs ROS itself."""
 
 import math
 from collections.abc import Iterable
@@ -24,7 +24,7 @@ def map_of(message: Any) -> MetricMap:
     info, cells = message.info, np.asarray(message.data)
     if cells.size != info.width * info.height:
         raise InputError(
-            f"the map has {cells.size} cells, but says {info.width} x {info.height}; publish one value for each"
+            f"the map has {cells.size} cells, but its info says {info.width} x {info.height}; publish a value per cell"
         )
     at = info.origin.position
     frame = MapFrame(at.x, at.y, yaw_of(info.origin.orientation))
@@ -38,26 +38,26 @@ def yaw_of(quaternion: Any) -> float:
 
 
 def pose_of(transform: Any) -> MetricPose:
-    """The pose of the robot by a `geometry_msgs/Transform` from the map to it."""
+    """The pose of the robot, from the `geometry_msgs/Transform` from the map to the robot."""
     return MetricPose(transform.translation.x, transform.translation.y, yaw_of(transform.rotation))
 
 
 def doors_of(message: Any, frame: str) -> list[tuple[float, float]]:
-    """The doors of a `geometry_msgs/PoseArray`.
+    """The x and y of the doors in a `geometry_msgs/PoseArray`.
 
     Raises:
-      InputError: they are not given in the frame of the map.
+      InputError: they are not in the map's frame.
     """
     if message.header.frame_id != frame:
-        raise InputError(f"doors are in the frame {message.header.frame_id!r}; give them in {frame!r}, that of the map")
+        raise InputError(f"doors are in the frame {message.header.frame_id!r}; give them in the map's frame, {frame!r}")
     return [(pose.position.x, pose.position.y) for pose in message.poses]
 
 
 def labels_of(lines: Iterable[str]) -> dict[int, str] | None:
-    """The classes of `["1:road", "7:house"]`; `None` if no line says anything.
+    """The class of each value in `["1:road", "7:house"]`; `None` if all lines are empty.
 
     Raises:
-      InputError: a line says something else.
+      InputError: a line has another form.
     """
     labels = {}
     for line in filter(None, lines):
@@ -69,16 +69,16 @@ def labels_of(lines: Iterable[str]) -> dict[int, str] | None:
 
 
 def place_to_drive_to(decision: MetricDecision) -> MetricPose | None:
-    """Where to send the robot: to the subgoal, or in front of the door. `None` if it is there, or has nowhere to go."""
+    """Where to send the robot: to the subgoal, or in front of the door. `None` if it is already there or gave up."""
     steps = decision.path[:-1] if decision.mode == "to_goal" else decision.path
     return steps[-1] if len(steps) > 1 else None
 
 
 class Outgoing:
-    """Messages with a decision.
+    """Messages for a decision.
 
     Args:
-      types: has the message classes by name, as attributes: `ColorRGBA`, `Header`, `Marker`, `MarkerArray`, `Path`,
+      types: has the message classes as attributes: `ColorRGBA`, `Header`, `Marker`, `MarkerArray`, `Path`,
         `Point`, `Pose`, `PoseArray`, `PoseStamped`, `Quaternion`, `String` and `Vector3`.
       frame: frame of the map.
       stamp: time of the decision.
@@ -111,7 +111,7 @@ class Outgoing:
         return self._types.String(data=decision.why)
 
     def markers(self, decision: MetricDecision) -> Any:
-        """A `visualization_msgs/MarkerArray`: candidates from the best (green) to the worst, the subgoal, and why."""
+        """A `visualization_msgs/MarkerArray`: candidates from best (green) to worst, the subgoal, and the reason."""
         new, size = self._types, decision.cell_size
         markers = [new.Marker(header=self._header, action=new.Marker.DELETEALL)]
         if decision.candidates:

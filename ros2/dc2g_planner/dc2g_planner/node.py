@@ -1,4 +1,4 @@
-"""The node: a map and the robot's pose come in; subgoal, path and ranked frontiers go out."""
+"""The node: it reads a map and the robot's pose, and publishes subgoal, path and ranked frontiers."""
 
 import functools
 import gc
@@ -33,7 +33,7 @@ _TYPES = SimpleNamespace(
 #: The last message is kept for subscribers that come later.
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
-#: Two places to drive to are the same if they differ by less, in meters and radians.
+#: Targets that differ by less than this, in meters and radians, are the same.
 _SAME = 0.01
 
 
@@ -82,7 +82,7 @@ class PlannerNode(Node):
         self._doors, self._is_news = message, True
 
     def _decide(self) -> None:
-        """Decide on the latest map, if anything is new, and publish the decision."""
+        """If anything is new, decide on the latest map and publish the decision."""
         if self._map is None or not self._is_news:
             return
         frame = self._map.header.frame_id
@@ -102,14 +102,14 @@ class PlannerNode(Node):
         self._drive(out, decision)
 
     def _drive(self, out: Outgoing, decision: MetricDecision) -> None:
-        """Send the robot to where the decision says, unless it is on its way there. Nav2 drops its last goal then."""
+        """Send the robot where the decision says, unless it is already going there. Nav2 then drops its last goal."""
         place = place_to_drive_to(decision)
         if self._nav2 is None or place is None:
             return
         if self._goal is not None and max(abs(a - b) for a, b in zip(place, self._goal, strict=True)) < _SAME:
             return
         if not self._nav2.server_is_ready():
-            self.get_logger().warning("Nav2's action navigate_to_pose is not there yet")
+            self.get_logger().warning("Nav2's action navigate_to_pose is not available yet")
             self._is_news = True
             return
         self._goal = place
@@ -126,7 +126,7 @@ class PlannerNode(Node):
             self._goal, self._is_news = None, True
 
     def _on_result(self, place: MetricPose, decision: MetricDecision, future: Any) -> None:
-        """Decide anew at the subgoal; if it cannot be reached, do without what would be seen from there."""
+        """Decide again at the subgoal. If it cannot be reached, set aside what would be seen from there."""
         if place != self._goal:
             return
         if future.result().status == GoalStatus.STATUS_ABORTED:

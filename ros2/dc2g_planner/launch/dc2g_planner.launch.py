@@ -1,4 +1,4 @@
-"""The planner beside Nav2 and slam_toolbox: `ros2 launch dc2g_planner dc2g_planner.launch.py`."""
+"""Launch the planner alongside Nav2 and slam_toolbox: `ros2 launch dc2g_planner dc2g_planner.launch.py`."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from launch_ros.actions import Node
 
 
 def generate_launch_description() -> LaunchDescription:
-    """One node, with the parameters of a file."""
+    """One node, with parameters from a file."""
     parameters = Path(get_package_share_directory("dc2g_planner")) / "config" / "dc2g_planner.yaml"
     return LaunchDescription(
         [
