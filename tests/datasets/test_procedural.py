@@ -230,13 +230,6 @@ def test_sampling_widens_paths_but_not_over_doors():
     assert sampled[4, 5] == PATH
 
 
-def test_sampling_to_columns_and_rows():
-    classes = np.full((4, 6), GRASS, np.uint8)
-    classes[2, 4] = HOUSE
-    np.testing.assert_array_equal(sample_grid(classes, (3, 2)), [[GRASS, GRASS, GRASS], [GRASS, GRASS, HOUSE]])
-    np.testing.assert_array_equal(sample_grid(classes[2:3, 4:], 1), [[HOUSE]])
-
-
 def test_sampling_refuses_what_is_no_class_image():
     with pytest.raises(ValueError, match="non-empty"):
         sample_grid(np.zeros((0, 5), np.uint8))

@@ -1,11 +1,11 @@
-"""Coarser grids, against plain loops."""
+"""Grids sampled from class images; coarser grids, against plain loops."""
 
 import math
 
 import numpy as np
 import pytest
 
-from dc2g_jax.grid.sampling import sample_conservatively
+from dc2g_jax.grid.sampling import sample_conservatively, sample_grid
 from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, HOUSE, PATH, ROAD, TRAVERSABLE, UNKNOWN
 
 
@@ -32,3 +32,22 @@ def test_no_obstacle_and_no_door_is_lost(grid):
         else:
             wanted = max(sorted(set(touched)), key=touched.count)
         assert found[row, column] == wanted
+
+
+def test_sampling_to_columns_and_rows():
+    classes = np.full((4, 6), GRASS, np.uint8)
+    classes[2, 4] = HOUSE
+    np.testing.assert_array_equal(sample_grid(classes, (3, 2)), [[GRASS, GRASS, GRASS], [GRASS, GRASS, HOUSE]])
+    np.testing.assert_array_equal(sample_grid(classes[2:3, 4:], 1), [[HOUSE]])
+
+
+def test_paths_are_widened_around_doors():
+    classes = np.full((3, 4), GRASS, np.uint8)
+    classes[1, 0], classes[0, 0] = PATH, FRONT_DOOR
+    wanted = np.array([[FRONT_DOOR, PATH, GRASS, GRASS], [PATH, PATH, GRASS, GRASS], [PATH, PATH, GRASS, GRASS]])
+    np.testing.assert_array_equal(sample_grid(classes, (4, 3)), wanted)
+
+
+def test_what_has_no_cells_is_refused():
+    with pytest.raises(ValueError, match="non-empty"):
+        sample_grid(np.zeros((0, 5), np.uint8))

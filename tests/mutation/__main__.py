@@ -5,7 +5,7 @@
 draws 50 mutants of these rooms, and runs the tests that import the changed module until one of them fails. It prints
 the mutants that no test noticed, and the share that one did. Results are kept in `--out`, and continued: tests that
 have found mutants of a module come first, then the quick ones. `equivalent.csv` lists mutants that change nothing that
-a caller could notice, with the reason; they are not drawn.
+a caller could notice, with the reason; they are not run.
 
 Each mutant is a fork of a process that has imported the package, with the code of a function exchanged, or with the
 package imported anew where the change is in no function. No file is changed.
@@ -162,8 +162,9 @@ def main() -> None:
         for room in options.rooms
         for path in sorted((ROOT / "dc2g_jax").glob(room if room.endswith(".py") else f"{room}/*.py"))
     ]
-    every = [mutant for path in modules for mutant in mutants(path) if mutant.key not in left_out]
-    chosen = random.Random(options.seed).sample(every, min(options.count, len(every)))
+    every = [mutant for path in modules for mutant in mutants(path)]
+    drawn = random.Random(options.seed).sample(every, min(options.count, len(every)))
+    chosen = [mutant for mutant in drawn if mutant.key not in left_out]
     for file in sorted((ROOT / "dc2g_jax").rglob("*.py")):  # once for all mutants
         importlib.import_module(".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"))
     options.out.parent.mkdir(parents=True, exist_ok=True)
@@ -189,7 +190,10 @@ def main() -> None:
                 file.write(line + "\n")
             print(f"{number:4} {found[mutant.key]:8} {mutant.path}: {mutant.after}", flush=True)
     survivors = [mutant for mutant in chosen if found[mutant.key] == "survived"]
-    print(f"\n{len(chosen)} of {len(every)} mutants: {len(chosen) - len(survivors)} killed, {len(survivors)} survived")
+    print(
+        f"\n{len(drawn)} of {len(every)} mutants: {len(chosen) - len(survivors)} killed, {len(survivors)} survived, "
+        f"{len(drawn) - len(chosen)} equivalent"
+    )
     for mutant in survivors:
         print(f"{mutant.path}\n  - {mutant.before}\n  + {mutant.after}")
 
