@@ -237,7 +237,7 @@ def _legend(classes: UInt8[np.ndarray, "h w"], target: int) -> list[Any]:
         ("free floor", _FLOOR, "#777777", 0.4),
         ("unexplored", "white", "#777777", 0.4),
     ]
-    lines = (("way so far", _PATH, 1.5), ("sampled plans", _PLANS, 0.5))
+    lines = (("path so far", _PATH, 1.5), ("sampled plans", _PLANS, 0.5))
     return [
         *(Patch(facecolor=face, edgecolor=edge, linewidth=width, label=name) for name, face, edge, width in patches),
         *(Line2D([], [], color=color, linewidth=width, label=name) for name, color, width in lines),
