@@ -51,3 +51,7 @@ def test_paths_are_widened_around_doors():
 def test_what_has_no_cells_is_refused():
     with pytest.raises(ValueError, match="non-empty"):
         sample_grid(np.zeros((0, 5), np.uint8))
+
+
+def test_a_map_of_one_class_stays_one():
+    np.testing.assert_array_equal(sample_conservatively(np.full((4, 6), ROAD, np.uint8), 3, 2), np.full((2, 3), ROAD))
