@@ -51,8 +51,8 @@ class MetricDecision:
     """The next subgoal of a robot, and the reason for it.
 
     Attributes:
-      mode: "explore", "to_goal" (a door is reachable) or "gave_up".
-      subgoal: last pose of the path; `None` if the planner gave up.
+      mode: "explore", "to_goal" (a door is reachable) or "gave_up": the end of exploration.
+      subgoal: last pose of the path; `None` if and only if the planner gave up.
       path: the robot's own pose, then the centers of the cells along a shortest plan, one pose per action.
       candidates: candidates for exploration, the subgoal first, then in ascending order of score.
       why: the reason, in one sentence.

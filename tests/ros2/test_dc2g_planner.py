@@ -153,6 +153,13 @@ def at(node, pose, terrain=CORRIDOR) -> None:
     node.tick()
 
 
+def answered(node, number: int, status: int) -> None:
+    """Nav2 accepts a goal and ends it."""
+    result = ros.Future()
+    node._nav2.goals[number][1].happens(accepted=True, get_result_async=lambda: result)
+    result.happens(status=status)
+
+
 def test_a_decision_is_published(start):
     node = start()
     node.tick()
@@ -161,8 +168,8 @@ def test_a_decision_is_published(start):
     assert node.published == {}
     assert node.warnings == ["no decision: base_link is not connected to map"]
     at(node, (2, 1, 0))
-    subgoal, path, frontiers, markers, why = (
-        node.published[f"~/{name}"] for name in ("subgoal", "path", "frontiers", "markers", "why")
+    subgoal, path, frontiers, markers, why, mode = (
+        node.published[f"~/{name}"] for name in ("subgoal", "path", "frontiers", "markers", "why", "mode")
     )
     x, y = in_map(6, 1, 3)
     assert (subgoal.pose.position.x, subgoal.pose.position.y) == pytest.approx((x, y))
@@ -173,6 +180,7 @@ def test_a_decision_is_published(start):
     assert [marker.type for marker in markers.markers[1:]] == [6, 0, 9]
     assert len(markers.markers[1].points) == len(markers.markers[1].colors) == len(frontiers.poses)
     assert why.data == markers.markers[3].text
+    assert mode.data == "explore"
     assert why.data.startswith(f"explore: ({x:.2f}, {y:.2f}) m facing 30 degrees is the nearest")
     node.published.clear()
     node.tick()
@@ -200,6 +208,7 @@ def test_doors_count_in_the_frame_of_the_map(start):
     node.tick()
     assert node.published["~/why"].data.startswith(f"to goal: the door at ({x:.2f}, {y:.2f}) m is reachable in 5")
     assert node.published["~/frontiers"].poses == []
+    assert node.published["~/mode"].data == "to_goal"
 
 
 def test_it_drives_only_if_asked(start):
@@ -211,11 +220,9 @@ def test_it_drives_only_if_asked(start):
     node._nav2.ready = True
     node.tick()
     at(node, (3, 1, 0))
-    ((goal, answer),) = node._nav2.goals
+    ((goal, _),) = node._nav2.goals
     assert goal.pose == node.published["~/subgoal"].pose
-    result = ros.Future()
-    answer.happens(accepted=True, get_result_async=lambda: result)
-    result.happens(status=4)
+    answered(node, 0, status=4)
     at(node, (6, 1, 0))
     assert len(node._nav2.goals) == 2
 
@@ -223,15 +230,68 @@ def test_it_drives_only_if_asked(start):
 def test_a_subgoal_out_of_reach_is_set_aside(start):
     node = start(drive=True)
     at(node, (2, 1, 0))
-    ((_, answer),) = node._nav2.goals
-    result = ros.Future()
-    answer.happens(accepted=True, get_result_async=lambda: result)
-    result.happens(status=6)
+    answered(node, 0, status=6)
     node.tick()
+    assert node.published["~/mode"].data == "gave_up"
     assert node.published["~/why"].data.startswith("gave up")
     assert node.published["~/path"].poses == []
     assert [marker.action for marker in node.published["~/markers"].markers] == [3]
     assert len(node._nav2.goals) == 1
+
+
+def test_a_subgoal_that_nav2_stops_short_of_is_set_aside(start):
+    node = start(drive=True)
+    at(node, (2, 1, 0))
+    answered(node, 0, status=4)
+    at(node, (4, 1, 0))
+    assert node.warnings[-1].startswith("Nav2 has arrived, by its tolerance, but the planner still goes to (")
+    node.tick()
+    assert node.published["~/mode"].data == "gave_up"
+    assert len(node._nav2.goals) == 1
+
+
+def test_a_canceled_subgoal_is_not_sent_again(start):
+    node = start(drive=True)
+    at(node, (2, 1, 0))
+    answered(node, 0, status=5)
+    at(node, (4, 1, 0))
+    assert (node.warnings, len(node._nav2.goals)) == ([], 1)
+
+
+@pytest.mark.parametrize(("status", "warning"), [(4, "Nav2 has arrived"), (6, "Nav2 cannot reach")])
+def test_the_way_to_a_door_is_tried_again(start, status, warning):
+    node = start(drive=True)
+    x, y = in_map(7, 1, 3)
+    door = M.Pose(position=M.Point(x=x, y=y, z=0.0))
+    node.subscribed["doors"](M.PoseArray(header=M.Header(frame_id="map"), poses=[door]))
+    at(node, (2, 1, 0))
+    answered(node, 0, status)
+    node.tick()
+    assert node.warnings[0].startswith(warning)
+    at(node, (2, 1, 0))
+    assert [goal.pose for goal, _ in node._nav2.goals] == [node._nav2.goals[0][0].pose] * 2
+
+
+def test_a_parameter_of_another_type_is_one_line(start, monkeypatch):
+    main = importlib.sys.modules["dc2g_planner.node"].main
+    monkeypatch.setattr(ros.Node, "parameters", {"sensing_range": 3})
+    with pytest.raises(SystemExit, match=r"^error: parameter 'sensing_range' is '3', expecting type 'float'$"):
+        main()
+
+
+def test_a_signal_ends_the_node_without_a_trace(start, monkeypatch):
+    start()
+    node = importlib.sys.modules["dc2g_planner.node"]
+    calls = []
+
+    def spin(_):
+        calls.append("spin")
+        raise ros.ExternalShutdownException
+
+    monkeypatch.setattr(node.rclpy, "spin", spin)
+    monkeypatch.setattr(node.rclpy, "try_shutdown", lambda: calls.append("shutdown"))
+    node.main()
+    assert calls == ["spin", "shutdown"]
 
 
 def test_a_rejected_subgoal_is_sent_again_and_an_old_one_forgotten(start):

@@ -66,7 +66,8 @@ class Node:
 
     def declare_parameter(self, name, default):
         value = self.parameters.get(name, default)
-        assert type(value) is type(default)
+        if type(value) is not type(default):
+            raise ParameterException(f"parameter '{name}' is '{value}', expecting type '{type(default).__name__}'")
         self.declared.add(name)
         return SimpleNamespace(value=value)
 
@@ -128,6 +129,14 @@ class TransformException(Exception):
     """There is no such transform."""
 
 
+class ParameterException(Exception):
+    """A parameter has another type than its default."""
+
+
+class ExternalShutdownException(Exception):
+    """The context was shut down by a signal."""
+
+
 class NavigateToPose:
     """The action of Nav2."""
 
@@ -138,8 +147,10 @@ class NavigateToPose:
 def install(patch) -> None:
     """Let `import rclpy` and the like find what is here."""
     found = {
-        "rclpy": {},
+        "rclpy": {"init": lambda: None, "spin": lambda node: None, "try_shutdown": lambda: None},
         "rclpy.action": {"ActionClient": ActionClient},
+        "rclpy.exceptions": {"ParameterException": ParameterException},
+        "rclpy.executors": {"ExternalShutdownException": ExternalShutdownException},
         "rclpy.node": {"Node": Node},
         "rclpy.qos": {
             "QoSProfile": SimpleNamespace,

@@ -110,6 +110,10 @@ class Outgoing:
         """A `std_msgs/String` with the reason."""
         return self._types.String(data=decision.why)
 
+    def mode(self, decision: MetricDecision) -> Any:
+        """A `std_msgs/String` with the mode: `explore`, `to_goal`, or `gave_up` at the end."""
+        return self._types.String(data=decision.mode)
+
     def markers(self, decision: MetricDecision) -> Any:
         """A `visualization_msgs/MarkerArray`: candidates from best (green) to worst, the subgoal, and the reason."""
         new, size = self._types, decision.cell_size

@@ -12,6 +12,8 @@ from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion, V
 from nav2_msgs.action import NavigateToPose
 from nav_msgs.msg import OccupancyGrid, Path
 from rclpy.action import ActionClient
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.time import Time
@@ -22,6 +24,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from dc2g_jax.errors import InputError
 from dc2g_jax.planning.metric import MetricDecision, MetricPlanner
 from dc2g_jax.planning.metric_map import MetricPose
+from dc2g_jax.planning.planners import EXPLORE, MODE_NAMES
 
 from .messages import Outgoing, doors_of, labels_of, map_of, place_to_drive_to, pose_of
 
@@ -61,6 +64,7 @@ class PlannerNode(Node):
         self._doors = PoseArray()
         self._is_news = False
         self._goal: MetricPose | None = None
+        self._has_arrived = False
         self._tf = Buffer()
         self._listener = TransformListener(self._tf, self)
         self._nav2 = ActionClient(self, NavigateToPose, "navigate_to_pose") if given["drive"] else None
@@ -68,7 +72,7 @@ class PlannerNode(Node):
             name: self.create_publisher(kind, f"~/{name}", _LATCHED)
             for name, kind in (
                 ("frontiers", PoseArray), ("subgoal", PoseStamped), ("path", Path), ("markers", MarkerArray),
-                ("why", String),
+                ("why", String), ("mode", String),
             )
         }  # fmt: skip
         self.create_subscription(OccupancyGrid, "map", self._on_map, _LATCHED)
@@ -95,7 +99,7 @@ class PlannerNode(Node):
             return
         self._is_news = False
         out = Outgoing(_TYPES, frame, self.get_clock().now().to_msg())
-        for name in ("frontiers", "path", "markers", "why"):
+        for name in ("frontiers", "path", "markers", "why", "mode"):
             self._out[name].publish(getattr(out, name)(decision))
         if decision.subgoal is not None:
             self._out["subgoal"].publish(out.stamped(decision.subgoal))
@@ -107,12 +111,14 @@ class PlannerNode(Node):
         if self._nav2 is None or place is None:
             return
         if self._goal is not None and max(abs(a - b) for a, b in zip(place, self._goal, strict=True)) < _SAME:
+            if self._has_arrived:
+                self._drop(place, decision, "Nav2 has arrived, by its tolerance, but the planner still goes to")
             return
         if not self._nav2.server_is_ready():
             self.get_logger().warning("Nav2's action navigate_to_pose is not available yet")
             self._is_news = True
             return
-        self._goal = place
+        self._goal, self._has_arrived = place, False
         goal = NavigateToPose.Goal()
         goal.pose = out.stamped(place)
         self._nav2.send_goal_async(goal).add_done_callback(functools.partial(self._on_answer, place, decision))
@@ -126,15 +132,21 @@ class PlannerNode(Node):
             self._goal, self._is_news = None, True
 
     def _on_result(self, place: MetricPose, decision: MetricDecision, future: Any) -> None:
-        """Decide again at the subgoal. If it cannot be reached, set aside what would be seen from there."""
+        """Decide again, at the subgoal or as near as Nav2 came."""
         if place != self._goal:
             return
-        if future.result().status == GoalStatus.STATUS_ABORTED:
-            self.get_logger().warning(f"Nav2 cannot reach ({place.x:.2f}, {place.y:.2f})")
-            if decision.mode == "explore":
-                self._planner.set_aside(place)
-                self._goal = None
-        self._is_news = True
+        status = future.result().status
+        self._has_arrived, self._is_news = status == GoalStatus.STATUS_SUCCEEDED, True
+        if status == GoalStatus.STATUS_ABORTED:
+            self._drop(place, decision, "Nav2 cannot reach")
+
+    def _drop(self, place: MetricPose, decision: MetricDecision, why: str) -> None:
+        """Set aside what would be seen from a subgoal. The way to a door is tried again with the next map."""
+        self._goal = None
+        if decision.mode == MODE_NAMES[EXPLORE]:
+            self._planner.set_aside(place)
+            self._is_news = True
+        self.get_logger().warning(f"{why} ({place.x:.2f}, {place.y:.2f}) m")
 
 
 def main() -> None:
@@ -142,9 +154,9 @@ def main() -> None:
     rclpy.init()
     try:
         rclpy.spin(PlannerNode())
-    except InputError as error:
+    except (InputError, ParameterException) as error:
         sys.exit(f"error: {error}")
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
         rclpy.try_shutdown()
