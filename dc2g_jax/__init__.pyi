@@ -9,6 +9,9 @@ from .rollouts.evaluation import EpisodeResult as EpisodeResult
 from .inspection.figures import plot_results as plot_results
 from .planning.online import OnlinePlanner as OnlinePlanner
 from .planning.decisions import Decision as Decision
+from .planning.metric import MetricPlanner as MetricPlanner
+from .planning.metric_map import MetricMap as MetricMap
+from .grid.map_frame import MapFrame as MapFrame
 from .environments.task import make_env as make_env
 from .rollouts.devices import use_cores as use_cores
 from .estimation.hub import load as load

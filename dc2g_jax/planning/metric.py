@@ -88,10 +88,12 @@ class MetricPlanner:
     `dc2g_jax.grid.sampling.sample_conservatively`. The robot's own cell counts as traversable. The world continues
     beyond the map's edges.
 
-    If there is nothing to explore and no path to a door, the planner halves its cells and tries again, down to the
-    pixels of the map. So it gives up only if no unknown cell can be seen from ground that free pixels connect to the
-    robot. Cells that were set aside do not count: if the robot has reached its subgoal and a cell in view is still
-    unknown at the next call, that cell is set aside until it becomes known.
+    If there is nothing to explore and no path to a door, the planner halves its cells and tries again, down to
+    `smallest_cell`. So it gives up only if no unknown cell can be seen from ground that free cells of that size connect
+    to the robot. Cells that were set aside do not count: if the robot has reached its subgoal and a cell in view is
+    still unknown at the next call, that cell is set aside until it becomes known.
+
+    Subgoals are centers of free cells, so walls are at least half a cell away: half of `smallest_cell` at worst.
 
     Args:
       planner: see `OnlinePlanner`; `None` for `dc2g` on semantic maps and `frontier` on occupancy maps, whose two
@@ -99,6 +101,8 @@ class MetricPlanner:
       cell_size: side of the planner's cells, in meters: about the robot's diameter, and at most half as wide as the
         narrowest passage, so that a cell fits into it.
       sensing_range: range of the robot's 90-degree field of view, in meters; walls hide what is behind them.
+      smallest_cell: side of the smallest cells after halving, in meters; `None` for a quarter of `cell_size`. Passages
+        at least twice as wide are found, or three times where they run diagonally. Cells are never smaller than pixels.
       labels: value of a cell -> class name (see `dc2g_jax.grid.terrain.CLASS_NAMES`), for semantic maps; `None` for
         occupancy maps, whose cells are 0 (free) to 100 (occupied).
       network: see `OnlinePlanner`.
@@ -114,19 +118,26 @@ class MetricPlanner:
         *,
         cell_size: float,
         sensing_range: float,
+        smallest_cell: float | None = None,
         labels: Mapping[int, str] | None = None,
         network: Estimator | str | Path | None = None,
         largest: tuple[int, int] = (100, 100),
     ):
         if not (0 < cell_size < math.inf and 0 < sensing_range < math.inf):
             raise InputError(f"cell_size {cell_size}, sensing_range {sensing_range}: give meters, such as 0.25 and 3.0")
+        reach = math.floor(sensing_range / cell_size + 1e-6)
+        if reach < 1:
+            raise InputError(f"sensing_range {sensing_range} is less than cell_size {cell_size}; give at least that")
+        self._smallest_cell = cell_size / 4 if smallest_cell is None else smallest_cell
+        if not 0 < self._smallest_cell <= cell_size:
+            raise InputError(f"smallest_cell {smallest_cell}: give meters, at most cell_size {cell_size}")
         self._classes = class_of_values(labels)
         self._cell_size = cell_size
         self._make = functools.partial(
             OnlinePlanner,
             ("frontier" if labels is None else "dc2g") if planner is None else planner,
             network=network,
-            sensing_range=min(max(1, math.floor(sensing_range / cell_size + 1e-6)), MAX_SENSING_RANGE),
+            sensing_range=min(reach, MAX_SENSING_RANGE),
             open_ended=True,
             settings="occluded",
         )
@@ -155,7 +166,8 @@ class MetricPlanner:
         self._look_around(here, grid)
         factor = max(1, math.ceil(self._cell_size / grid.resolution - 1e-4))
         decision = self._decided(grid, factor, here, found)
-        while decision.mode == MODE_NAMES[GAVE_UP] and factor > 1:
+        smallest = max(1, math.ceil(self._smallest_cell / grid.resolution - 1e-4))
+        while decision.mode == MODE_NAMES[GAVE_UP] and factor // 2 >= smallest:
             factor //= 2
             decision = self._decided(grid, factor, here, found)
         self._target = decision.subgoal if decision.mode == MODE_NAMES[EXPLORE] else None

@@ -52,9 +52,13 @@ class MetricMap:
     """A map like a `nav_msgs/OccupancyGrid`.
 
     Attributes:
-      cells: integers `[h w]`, -1 where unknown, up to 127. The first row is the lowest: y grows upward.
+      cells: integers `[h w]`, -1 where unknown, up to 127. The first row is the lowest: y grows upward. Lists become
+        an array.
       resolution: side of a cell, meters.
-      origin: where the grid lies in the map frame.
+      origin: where the grid lies in the map frame: a `MapFrame`, or x, y and yaw.
+
+    Raises:
+      InputError: a value is invalid.
     """
 
     cells: npt.NDArray[np.integer]
@@ -62,14 +66,18 @@ class MetricMap:
     origin: MapFrame
 
     def __post_init__(self) -> None:
-        cells = self.cells
+        try:
+            cells = np.asarray(self.cells)
+        except ValueError:
+            raise InputError(f"the map is {short(self.cells)}; give int8 [rows columns]") from None
         if cells.ndim != 2 or cells.size == 0 or not np.issubdtype(cells.dtype, np.integer):
             raise InputError(f"the map has dtype {cells.dtype} and shape {cells.shape}; give int8 [rows columns]")
         if cells.min() < -1 or cells.max() > _MOST:
             raise InputError(f"the map holds {cells.min()} to {cells.max()}; give -1 (unknown) to {_MOST}")
         if not (math.isfinite(self.resolution) and self.resolution > 0):
             raise InputError(f"the map's resolution is {self.resolution}; give the meters of a cell, such as 0.05")
-        _require_near("the map's origin", self.origin)
+        object.__setattr__(self, "cells", cells)
+        object.__setattr__(self, "origin", MapFrame(*numbers_of("the map's origin", self.origin, 3)))
 
 
 class Cells(NamedTuple):

@@ -213,6 +213,15 @@ def test_passages_as_narrow_as_a_pixel_are_found():
     assert planner.plan(grid_of(cells), place(24, 4)).cell_size == pytest.approx(3 * PIXEL)
 
 
+@pytest.mark.parametrize(("smallest", "pixels"), [(None, 1), (1, 1), (2, 2), (3, 4)])
+def test_cells_are_halved_down_to_the_smallest(smallest, pixels):
+    sealed = np.pad(np.full((8, 8), FREE), 4, constant_values=OCCUPIED)
+    planner = planner_of(4, smallest_cell=None if smallest is None else smallest * 0.05)
+    decision = planner.plan(grid_of(sealed), place(6, 6))
+    assert (decision.mode, decision.subgoal) == ("gave_up", None)
+    assert decision.cell_size == pytest.approx(pixels * PIXEL)
+
+
 # --- a robot under way ------------------------------------------------------------------------------------------------
 
 
@@ -313,6 +322,12 @@ def test_the_planner_goes_by_a_network_where_there_are_classes():
 ROOM = np.full((4, 5), FREE)
 
 
+def test_lists_and_tuples_become_a_map():
+    grid = MetricMap(ROOM.tolist(), PIXEL, (1, 2, 0))
+    np.testing.assert_array_equal(grid.cells, ROOM)
+    assert grid.origin == MapFrame(1.0, 2.0, 0.0)
+
+
 @pytest.mark.parametrize(
     ("grid", "pose", "doors", "words"),
     [
@@ -330,6 +345,8 @@ ROOM = np.full((4, 5), FREE)
         (lambda: MetricMap(ROOM + 0.5, 1.0, FRAME), place(1, 1), (), ["float64"]),
         (lambda: MetricMap(ROOM, 0.0, FRAME), place(1, 1), (), ["resolution is 0.0"]),
         (lambda: MetricMap(ROOM, math.nan, FRAME), place(1, 1), (), ["resolution is nan"]),
+        (lambda: MetricMap([[0], [0, 0]], 1.0, FRAME), place(1, 1), (), ["[[0], [0, 0]]", "int8 [rows columns]"]),
+        (lambda: MetricMap(ROOM, 1.0, (0, 0)), place(1, 1), (), ["origin is (0, 0)", "3 numbers"]),
         (lambda: MetricMap(ROOM, 1.0, MapFrame(0, 1e9, 0)), place(1, 1), (), ["origin has 1000000000"]),
     ],
 )
@@ -342,6 +359,9 @@ def test_bad_input_is_one_line(grid, pose, doors, words):
     [
         ({"cell_size": 0}, ["cell_size 0", "meters"]),
         ({"sensing_range": math.inf}, ["sensing_range inf"]),
+        ({"sensing_range": 0.2}, ["sensing_range 0.2 is less than cell_size 0.25"]),
+        ({"smallest_cell": 0.3}, ["smallest_cell 0.3", "at most cell_size 0.25"]),
+        ({"smallest_cell": -1.0}, ["smallest_cell -1.0"]),
         ({"labels": {1: "lawn"}}, ["1 is 'lawn'", "grass"]),
         ({"labels": {-1: "road"}}, ["-1 is 'road'", "0 to 127"]),
         ({"planner": "oracle"}, ["'oracle'"]),

@@ -46,13 +46,14 @@ class PlannerNode(Node):
     def __init__(self) -> None:
         super().__init__("dc2g_planner")
         defaults: dict[str, Any] = {
-            "planner": "", "network": "", "cell_size": 0.25, "sensing_range": 3.0, "labels": [""],
-            "largest": [100, 100], "base_frame": "base_link", "period": 1.0, "drive": False,
+            "planner": "", "network": "", "cell_size": 0.25, "smallest_cell": 0.0, "sensing_range": 3.0,
+            "labels": [""], "largest": [100, 100], "base_frame": "base_link", "period": 1.0, "drive": False,
         }  # fmt: skip
         given = {name: self.declare_parameter(name, default).value for name, default in defaults.items()}
         self._planner = MetricPlanner(
             given["planner"] or None,
             cell_size=given["cell_size"],
+            smallest_cell=given["smallest_cell"] or None,
             sensing_range=given["sensing_range"],
             labels=labels_of(given["labels"]),
             network=given["network"] or None,
