@@ -2,6 +2,11 @@
 
 import importlib
 import math
+import re
+import runpy
+import sys
+from types import ModuleType, SimpleNamespace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -131,7 +136,7 @@ def test_labels():
 def start(monkeypatch):
     """Start a node with parameters."""
     ros.install(monkeypatch)
-    monkeypatch.delitem(importlib.sys.modules, "dc2g_planner.node", raising=False)
+    monkeypatch.delitem(sys.modules, "dc2g_planner.node", raising=False)
     node = importlib.import_module("dc2g_planner.node")
     monkeypatch.setattr(node.gc, "freeze", lambda: None)
 
@@ -189,12 +194,59 @@ def test_a_decision_is_published(start):
 
 def test_the_file_of_parameters_has_those_of_the_node(start):
     text = (ROOT / "ros2/dc2g_planner/config/dc2g_planner.yaml").read_text()
-    parameters = yaml.safe_load(text)["dc2g_planner"]["ros__parameters"]
+    parameters = yaml.safe_load(text)["/**"]["ros__parameters"]
     assert parameters.pop("use_sim_time") is False  # every node has it
     node = start(**parameters)
     assert node.declared == parameters.keys()
     table = (ROOT / "docs/tutorials/on_a_ros2_robot.md").read_text()
     assert [name for name in node.declared if f"| `{name}` |" not in table] == []
+
+
+def launched(monkeypatch, **given) -> tuple[dict, set]:
+    """How the launch file starts the node, and its arguments. Lists stand in for the classes of `launch`."""
+    arguments = {}
+
+    def declare(name, default_value, choices=(), description=""):
+        arguments[name] = given.get(name, default_value)
+        assert not choices or arguments[name] in choices
+
+    stand_ins = {
+        "ament_index_python.packages": {"get_package_share_directory": lambda name: f"/share/{name}"},
+        "launch": {"LaunchContext": dict, "LaunchDescription": list},
+        "launch.actions": {"DeclareLaunchArgument": declare, "OpaqueFunction": lambda function: function},
+        "launch.substitutions": {"LaunchConfiguration": lambda name: SimpleNamespace(perform=lambda at: at[name])},
+        "launch_ros.actions": {"Node": dict},
+    }
+    for name, contents in stand_ins.items():
+        module = ModuleType(name)
+        vars(module).update(contents)
+        monkeypatch.setitem(sys.modules, name, module)
+    for name in ("ament_index_python", "launch_ros"):
+        monkeypatch.setitem(sys.modules, name, ModuleType(name))
+    file = runpy.run_path(str(ROOT / "ros2/dc2g_planner/launch/dc2g_planner.launch.py"))
+    nodes = file["generate_launch_description"]()[-1]
+    (node,) = nodes(arguments)
+    return node, arguments.keys()
+
+
+def test_arguments_of_the_launch_file(monkeypatch):
+    node, arguments = launched(monkeypatch)
+    file = "/share/dc2g_planner/config/dc2g_planner.yaml"
+    assert (node["parameters"], node["remappings"], node["namespace"]) == ([file], [("map", "map")], "")
+    node, _ = launched(monkeypatch, drive="true", use_sim_time="false", map="/semantic", namespace="r", params_file="p")
+    assert node["parameters"] == ["p", {"drive": True, "use_sim_time": False}]
+    assert (node["remappings"], node["namespace"]) == ([("map", "/semantic")], "r")
+    page = (ROOT / "docs/tutorials/on_a_ros2_robot.md").read_text()
+    assert [name for name in arguments if f"`{name}:=" not in page] == []
+
+
+def test_the_package_declares_what_it_imports():
+    folder = ROOT / "ros2/dc2g_planner"
+    code = "".join(path.read_text() for path in folder.rglob("*.py") if path.name != "setup.py")
+    imported = set(re.findall(r"^(?:from|import) (\w+)", code, flags=re.M)) - sys.stdlib_module_names - {"dc2g_jax"}
+    packages = {"numpy": "python3-numpy", "tf2_ros": "tf2_ros_py"}
+    declared = {element.text for element in ElementTree.parse(folder / "package.xml").iter("exec_depend")}
+    assert {packages.get(name, name) for name in imported} == declared
 
 
 def test_doors_count_in_the_frame_of_the_map(start):
@@ -273,7 +325,7 @@ def test_the_way_to_a_door_is_tried_again(start, status, warning):
 
 
 def test_a_parameter_of_another_type_is_one_line(start, monkeypatch):
-    main = importlib.sys.modules["dc2g_planner.node"].main
+    main = sys.modules["dc2g_planner.node"].main
     monkeypatch.setattr(ros.Node, "parameters", {"sensing_range": 3})
     with pytest.raises(SystemExit, match=r"^error: parameter 'sensing_range' is '3', expecting type 'float'$"):
         main()
@@ -281,7 +333,7 @@ def test_a_parameter_of_another_type_is_one_line(start, monkeypatch):
 
 def test_a_signal_ends_the_node_without_a_trace(start, monkeypatch):
     start()
-    node = importlib.sys.modules["dc2g_planner.node"]
+    node = sys.modules["dc2g_planner.node"]
     calls = []
 
     def spin(_):

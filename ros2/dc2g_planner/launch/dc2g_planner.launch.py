@@ -3,10 +3,13 @@
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+
+#: Arguments that override the file of parameters, if they are given.
+_SWITCHES = ("drive", "use_sim_time")
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -15,12 +18,29 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             DeclareLaunchArgument("params_file", default_value=str(parameters)),
-            Node(
-                package="dc2g_planner",
-                executable="dc2g_planner",
-                name="dc2g_planner",
-                output="screen",
-                parameters=[LaunchConfiguration("params_file")],
-            ),
+            *(DeclareLaunchArgument(name, default_value="", choices=["", "true", "false"]) for name in _SWITCHES),
+            DeclareLaunchArgument("map", default_value="map", description="Topic of the map."),
+            DeclareLaunchArgument("namespace", default_value=""),
+            OpaqueFunction(function=_nodes),
         ]
     )
+
+
+def _nodes(context: LaunchContext) -> list[Node]:
+    """The node, from the values of the arguments."""
+
+    def value(name: str) -> str:
+        return LaunchConfiguration(name).perform(context)
+
+    given = {name: value(name) == "true" for name in _SWITCHES if value(name)}
+    return [
+        Node(
+            package="dc2g_planner",
+            executable="dc2g_planner",
+            name="dc2g_planner",
+            namespace=value("namespace"),
+            output="screen",
+            parameters=[value("params_file"), *([given] if given else [])],
+            remappings=[("map", value("map"))],
+        )
+    ]
