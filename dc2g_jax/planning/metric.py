@@ -106,7 +106,8 @@ class MetricPlanner:
       labels: value of a cell -> class name (see `dc2g_jax.grid.terrain.CLASS_NAMES`), for semantic maps; `None` for
         occupancy maps, whose cells are 0 (free) to 100 (occupied).
       network: see `OnlinePlanner`.
-      largest: rows and columns of the largest map, in cells of the planner. A larger map compiles again.
+      largest: rows and columns of the largest map, in cells of the planner. A larger map compiles again, for some tens
+        of seconds. So may halved cells, which are four times as many.
 
     Raises:
       InputError: a size is invalid, a label is unknown, or `OnlinePlanner` rejects the planner.
