@@ -5,6 +5,7 @@ of all robots, then a few passes over what they lived through. The maps are proc
 then set beside random actions, frontier exploration and the oracle, in maps that it has never seen.
 """
 
+import collections
 import dataclasses
 import functools
 import sys
@@ -27,7 +28,14 @@ from dc2g_jax.datasets.procedural import STYLES, draw_house, training_house_seed
 from dc2g_jax.datasets.starts import sample_starts, why_no_episode
 from dc2g_jax.environments.functional import FrontDoor, Observation, Params, State, egocentric, front_door, observe
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.weights import flattened, write_safetensors
+from dc2g_jax.estimation.weights import (
+    flattened,
+    read_safetensors,
+    read_weights,
+    shapes_of_weights,
+    with_weights,
+    write_safetensors,
+)
 from dc2g_jax.grid.poses import FORWARD_ACTION
 from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.grid.terrain import CLASS_NAMES, TRAVERSABLE
@@ -46,6 +54,7 @@ CELL_GROUPS = np.array([0, *np.where(TRAVERSABLE[1:], 4, 1), 3])
 for _group, _names in ((2, ("house", "garage door")), (5, ("driveway", "path")), (6, ("front_door",))):
     CELL_GROUPS[[CLASS_NAMES.index(name) for name in _names]] = _group
 Act = Callable[[Array, Observation], Int[Array, "robots"]]
+progress = functools.partial(tqdm, mininterval=0.1 if sys.stderr.isatty() else 15)  # seconds; few lines in a log file
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,6 +127,7 @@ class Lived(NamedTuple):
     value: Array
     reward: Array
     done: Array
+    reached: Array
     episode_length: Array
 
 
@@ -167,7 +177,7 @@ class PPO:
         future = self.network(learner.weights, self.view(info["final_observation"]))[1]
         reward = REWARD_SCALE * reward + DISCOUNT * future * truncated
         done, length = terminated | truncated, info["episode_length"]
-        lived = Lived(view, action, -cross_entropy(logits, action), value, reward, done, length)
+        lived = Lived(view, action, -cross_entropy(logits, action), value, reward, done, terminated, length)
         return learner._replace(states=states, observations=observations, key=key), lived
 
     def loss(self, weights: Any, lived: Lived, advantage: Array, target: Array) -> Float[Array, ""]:
@@ -179,8 +189,8 @@ class PPO:
         entropy = -jnp.sum(jax.nn.softmax(logits) * jax.nn.log_softmax(logits), axis=1).mean()
         return -gain + VALUE_WEIGHT * jnp.square(value - target).mean() - ENTROPY_WEIGHT * entropy
 
-    def update(self, learner: Learner, _: None) -> tuple[Learner, tuple[Array, Array]]:
-        """Live for some steps and learn from them; returns number and total length of the episodes that ended."""
+    def update(self, learner: Learner, _: None) -> tuple[Learner, Int[Array, "3"]]:
+        """Live for some steps and learn from them; returns how many episodes ended, their total length, and doors."""
         learner, lived = jax.lax.scan(self.live, learner, None, self.options.steps_per_update)
         advantage = advantages(lived, self.network(learner.weights, self.view(learner.observations))[1])
         decisions = jax.tree.map(
@@ -197,10 +207,11 @@ class PPO:
         rows = orders[:, : self.decisions // self.batches * self.batches].reshape(len(keys) * self.batches, -1)
         (weights, optimizer_state), _ = jax.lax.scan(descend, (learner.weights, learner.optimizer_state), rows)
         learner = learner._replace(weights=weights, optimizer_state=optimizer_state, key=key)
-        return learner, (jnp.sum(lived.done), jnp.sum(lived.done * lived.episode_length))
+        counts = lived.done, lived.done * lived.episode_length, lived.reached
+        return learner, jnp.stack([jnp.sum(count) for count in counts])
 
     @functools.partial(jax.jit, static_argnames="self")
-    def learn(self, learner: Learner) -> tuple[Learner, tuple[Array, Array]]:
+    def learn(self, learner: Learner) -> tuple[Learner, Int[Array, "updates 3"]]:
         """A chunk of updates in one program."""
         return jax.lax.scan(self.update, learner, None, self.chunk)
 
@@ -217,21 +228,27 @@ def advantages(lived: Lived, last_value: Float[Array, "robots"]) -> Float[Array,
     return jax.lax.scan(backward, (jnp.zeros_like(last_value), last_value), lived, reverse=True)[1]
 
 
-def learned_weights(options: Options, ppo: PPO) -> tuple[Any, Float[np.ndarray, "chunks"]]:
+def learned_weights(options: Options, ppo: PPO) -> tuple[Any, Float[np.ndarray, "chunks 2"]]:
     """Learn, with a look at the progress after each chunk of updates.
 
     Returns:
-      Weights of the network, and mean steps of the episodes that ended in each chunk; NaN where none did.
+      Weights of the network; and, at the end of each chunk, mean steps and success of the episodes that ended in the
+      last `step_limit` steps of the robots, rounded up to chunks. Fewer steps would count only the short episodes,
+      since all robots start in step: the first chunks have NaN.
     """
     key, *keys = jax.random.split(jax.random.key(options.seed), 1 + options.robots)
     observations, states = jax.vmap(ppo.environment.reset, in_axes=(0, None))(jnp.stack(keys), ppo.params)
     learner = Learner(ppo.first_weights, ppo.optimizer.init(ppo.first_weights), states, observations, key)
+    window = -(-options.step_limit // (ppo.chunk * options.steps_per_update))
+    recent: collections.deque[np.ndarray] = collections.deque(maxlen=window)
     curve = []
-    with tqdm(total=ppo.updates * ppo.decisions, desc="learning", unit="step", unit_scale=True, file=sys.stderr) as bar:
+    with progress(total=ppo.updates * ppo.decisions, desc="learning", unit="step", unit_scale=True) as bar:
         for _ in range(ppo.updates // ppo.chunk):
-            learner, (ended, lengths) = ppo.learn(learner)
-            curve.append(float(jnp.sum(lengths)) / count if (count := int(jnp.sum(ended))) else np.nan)
-            bar.set_postfix(steps_an_episode=f"{curve[-1]:.1f}")
+            learner, counts = ppo.learn(learner)
+            recent.append(np.sum(counts, axis=0))
+            ended, lengths, reached = np.sum(recent, axis=0)
+            curve.append((lengths / ended, reached / ended) if len(recent) == window else (np.nan, np.nan))
+            bar.set_postfix(steps_an_episode=f"{curve[-1][0]:.1f}", success=f"{curve[-1][1]:.0%}", refresh=False)
             bar.update(ppo.chunk * ppo.decisions)
     return learner.weights, np.array(curve)
 
@@ -254,12 +271,18 @@ def play(
 
 def small_houses(count: int, cells: int, seed: int, split: str) -> list[House]:
     """Procedural houses squeezed into few cells; those in which no episode can be run then are left out."""
-    numbers = tqdm(range(count), desc=f"{split} maps", unit="map", file=sys.stderr)
+    numbers = progress(range(count), desc=f"{split} maps", unit="map")
     pictures = (draw_house(training_house_seed(seed, number), STYLES[number % len(STYLES)]) for number in numbers)
     houses = [House(f"{split}{n}", split, sample_grid(picture, cells)) for n, picture in enumerate(pictures)]
     if not (kept := [house for house in houses if why_no_episode(house) is None]):
         raise InputError(f"no {split} map of {count} keeps a way to its door in {cells} cells; give more --cells")
     return kept
+
+
+def read_policy(path: str | Path, options: Options) -> ActorCritic:
+    """The network of a `policy.safetensors`, learned with these options (`view` and `width` count)."""
+    weights = read_weights(path, shapes_of_weights(ActorCritic, options), read_safetensors(path)[0])
+    return with_weights(ActorCritic, options, weights)
 
 
 def compare(options: Options, houses: Sequence[House], act: Act) -> list[tuple[str, float, float]]:
@@ -298,12 +321,15 @@ def main(options: Options) -> None:
     print(f"{'':10}{'mean steps':>12}{'success':>10}")
     for name, steps, success in rows:
         print(f"{name:10}{steps:12.1f}{success:10.1%}")
-    if options.out is not None:
+    if options.out is None:
+        print("Nothing was kept; --out FOLDER keeps policy, learning curve and table.")
+    else:
         lines = ("planner,mean_steps,success", *(f"{name},{steps},{success}" for name, steps, success in rows), "")
         (options.out / "table.csv").write_text("\n".join(lines))
         steps = ppo.chunk * ppo.decisions * np.arange(1, len(curve) + 1)
-        save_learning_curve(options.out / "curve", steps, curve)
+        save_learning_curve(options.out / "curve", steps, *curve.T)
         write_safetensors(options.out / "policy.safetensors", flattened(jax.device_get(nnx.to_pure_dict(weights))), {})
+        print(f"Policy, learning curve and table are in {options.out}.")
 
 
 if __name__ == "__main__":

@@ -4,24 +4,31 @@
 the procedural houses of the split `train`, drawn small. `ppo.py` also evaluates the policy on unseen maps.
 """
 
+import collections
 import dataclasses
 import sys
 from pathlib import Path
 
-import gymnasium
-import numpy as np
-import torch
-import tyro
-from gymnasium.wrappers import TransformReward
-from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.common.vec_env import DummyVecEnv
-from torch import nn
+try:
+    import gymnasium
+    import numpy as np
+    import torch
+    import tyro
+    from gymnasium.wrappers import TransformReward
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+    from stable_baselines3.common.vec_env import DummyVecEnv
+    from torch import nn
+except ModuleNotFoundError as error:
+    if __name__ != "__main__":
+        raise
+    sys.exit(f'error: {error.name} is not installed; run: pip install -e ".[sb3]"')
 
 import dc2g_jax as dc2g
 from dc2g_jax.environments.gymnasium_wrappers import EgocentricObservation
+from dc2g_jax.errors import InputError
 from dc2g_jax.inspection.training_figures import save_learning_curve
 
 REWARD_SCALE = 0.05  # Scales a step's reward of -1, so that values stay around one.
@@ -64,18 +71,25 @@ class Convolutions(BaseFeaturesExtractor):
 
 
 class LearningCurve(BaseCallback):
-    """After each rollout, the mean steps of the last hundred episodes."""
+    """After each rollout, mean steps and success of the last hundred episodes.
+
+    There is none before the step limit: all robots start in step, so that only the short episodes have ended.
+    """
 
     def __init__(self) -> None:
         super().__init__()
-        self.points: list[tuple[int, float]] = []
+        self.ended: collections.deque[tuple[int, bool]] = collections.deque(maxlen=100)
+        self.points: list[tuple[int, float, float]] = []
 
     def _on_step(self) -> bool:
+        infos = [info for info in self.locals["infos"] if "episode" in info]
+        self.ended += [(info["episode"]["l"], not info["TimeLimit.truncated"]) for info in infos]
         return True
 
     def _on_rollout_end(self) -> None:
-        lengths = [episode["l"] for episode in self.model.ep_info_buffer]
-        self.points.append((self.num_timesteps, float(np.mean(lengths)) if lengths else np.nan))
+        early = self.n_calls < TASK["step_limit"]
+        steps, success = (np.nan, np.nan) if early else np.mean(self.ended, axis=0)
+        self.points.append((self.num_timesteps, steps, success))
 
 
 def environments(robots: int) -> DummyVecEnv:
@@ -92,6 +106,8 @@ def environments(robots: int) -> DummyVecEnv:
 
 def main(options: Options) -> None:
     """Learn, and save policy and curve."""
+    if options.out.exists() or not options.out.parent.is_dir():
+        raise InputError(f"{options.out}: exists, or its parent folder does not; give --out a new folder")
     options.out.mkdir()
     torch.set_num_threads(1)  # More threads would mostly wait for each other: the network is small.
     model = PPO(
@@ -109,9 +125,12 @@ def main(options: Options) -> None:
     curve = LearningCurve()
     model.learn(options.steps, callback=curve)
     model.save(options.out / "policy.zip")
-    steps, lengths = map(np.array, zip(*curve.points, strict=True))
-    save_learning_curve(options.out / "curve", steps, lengths)
-    print(f"{lengths[-1]:.1f} steps per episode after {steps[-1]} steps; an episode ends after {TASK['step_limit']}")
+    steps, lengths, success = map(np.array, zip(*curve.points, strict=True))
+    save_learning_curve(options.out / "curve", steps, lengths, success)
+    print(
+        f"{lengths[-1]:.1f} steps per episode, {success[-1]:.0%} success after {steps[-1]} steps; an episode ends "
+        f"after {TASK['step_limit']}\nPolicy and learning curve are in {options.out}."
+    )
 
 
 if __name__ == "__main__":

@@ -51,9 +51,16 @@ class FrontDoorTask:
         if not isinstance(dataset, HouseDataset):
             dataset = open_dataset(dataset, cells=whole_number("cells", cells, 2))
         self._dataset, self._split = dataset, split
-        houses = [house for house in dataset.split(split) if why_no_episode(house) is None]
+        of_split = dataset.split(split)
+        houses = [house for house in of_split if why_no_episode(house) is None]
+        if not of_split:
+            raise InputError(f"{dataset.name}: no house is in split {split!r}; use another")
         if not houses:
-            raise InputError(f"{dataset.name}: no episode can be run in any house of split {split!r}; use another")
+            rows, columns = of_split[0].terrain.shape
+            raise InputError(
+                f"{dataset.name}: none of the {len(of_split)} houses of split {split!r} keeps a path to its door in "
+                f"{columns} x {rows} cells; raise cells, or use another split"
+            )
         environment, self.params = front_door(houses, sensing_range=sensing_range, step_limit=step_limit)
         self.environment = FrontDoor(environment.sensing)
         self.names = np.array([house.name for house in houses], object)

@@ -32,7 +32,7 @@ class Kernel:
     """
 
     radius: int
-    offsets: tuple[tuple[tuple[int, int], ...], ...]
+    offsets: tuple[tuple[tuple[int, int], ...], ...] = dataclasses.field(repr=False)
 
     def as_array(self) -> Bool[np.ndarray, "heading dy dx"]:
         """The kernel as a boolean array with the robot's cell at index `(radius, radius)`."""

@@ -76,27 +76,32 @@ def plot_sweep(
 
 
 def save_learning_curve(
-    path: str | Path, steps: Int[np.ndarray, "n"], episode_steps: Float[np.ndarray, "n"]
+    path: str | Path,
+    steps: Int[np.ndarray, "n"],
+    episode_steps: Float[np.ndarray, "n"],
+    success: Float[np.ndarray, "n"],
 ) -> list[Path]:
     """Write how an agent learns to reach the goal sooner, as a table and as a figure.
 
     Args:
       path: output path without ending.
       steps: steps that the agent has learned from.
-      episode_steps: mean steps of the episodes that ended around then; NaN where none did.
+      episode_steps: mean steps of the episodes that ended around then; NaN where too few did.
+      success: share of these episodes that reached the goal; NaN where too few ended.
 
     Returns:
       The files written: the table as CSV, and the figure.
     """
     table = Path(f"{path}.csv")
-    rows = np.column_stack([steps, episode_steps])
-    np.savetxt(table, rows, ("%d", "%.3f"), ",", header="steps,steps_per_episode", comments="")
-    figure = Figure(figsize=(PAGE_WIDTH / 2, 2.4), layout="constrained")
-    axes = figure.subplots()
-    axes.plot(steps, episode_steps, color=_COLORS[0], linewidth=1.7)
-    axes.set_xlim(0, None)
-    axes.set_ylim(0, None)
-    axes.set_xlabel("steps learned from", fontsize=9)
-    axes.set_ylabel("steps per episode", fontsize=9)
-    plain_axes(axes)
+    rows = np.column_stack([steps, episode_steps, success])
+    np.savetxt(table, rows, ("%d", "%.3f", "%.4f"), ",", header="steps,steps_per_episode,success", comments="")
+    figure = Figure(figsize=(PAGE_WIDTH, 2.4), layout="constrained")
+    curves = {"steps per episode": (episode_steps, None), "success (%)": (100 * success, 100)}
+    for axes, (name, (curve, top)) in zip(figure.subplots(1, 2), curves.items(), strict=True):
+        axes.plot(steps, curve, color=_COLORS[0], linewidth=1.7)
+        axes.set_xlim(0, None)
+        axes.set_ylim(0, top)
+        axes.set_xlabel("steps learned from", fontsize=9)
+        axes.set_ylabel(name, fontsize=9)
+        plain_axes(axes)
     return [table, *save_figure(figure, path)]

@@ -202,6 +202,7 @@ def test_a_plane_of_the_one_hot_view_is_one_where_the_view_has_its_class():
 def test_the_interface_of_gymnax():
     """Names, spaces and values as in its base class, and parameters that need not be given."""
     assert (ENVIRONMENT.name, ENVIRONMENT.num_actions, ENVIRONMENT.default_params) == ("FrontDoor-v0", 3, PARAMS)
+    assert repr(ENVIRONMENT) == f"FrontDoor(sensing=Kernel(radius={ENVIRONMENT.sensing.radius}))"
     actions, observations = ENVIRONMENT.action_space(PARAMS), ENVIRONMENT.observation_space(PARAMS)
     assert (actions.n, actions.shape, actions.dtype) == (3, (), jnp.int32)
     assert observations.spaces["terrain"].shape == STREET.shape
@@ -218,7 +219,7 @@ def test_the_interface_of_gymnax():
     assert not observations.contains(dataclasses.replace(seen, terrain=seen.terrain.at[0, 0].set(OUTSIDE)))
     assert {int(actions.sample(one)) for one in jax.random.split(key, 40)} == {0, 1, 2}
     assert actions.contains(jnp.array([-1, 0, 2, 3])).tolist() == [False, True, True, False]
-    refusal(lambda: FrontDoor(ENVIRONMENT.sensing).reset(key), "params: none given")
+    refusal(lambda: FrontDoor(ENVIRONMENT.sensing).reset(key), "no params are given")
 
 
 def test_checkify_refuses_unknown_actions():

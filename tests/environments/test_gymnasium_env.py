@@ -21,7 +21,7 @@ from dc2g_jax.environments.gymnasium_wrappers import EgocentricObservation, Egoc
 from dc2g_jax.environments.registration import GYMNASIUM_ID  # noqa: E402
 from dc2g_jax.grid.terrain import FIGURE_RGB, OUTSIDE  # noqa: E402
 from experiments.baselines import numpy_gridworld as oracle  # noqa: E402
-from tests.support.houses import DATASET, STREET, YARD, house, start_poses  # noqa: E402
+from tests.support.houses import DATASET, STREET, WALLED, YARD, house, start_poses  # noqa: E402
 from tests.support.refusals import refusal  # noqa: E402
 
 #: From the yard's road to its door in four steps.
@@ -135,7 +135,10 @@ def test_the_same_seed_gives_the_same_series_of_episodes():
 
 def test_only_houses_of_the_split_with_an_episode_in_them():
     assert {info["house"] for _, info in (make(split="val").reset(seed=seed) for seed in range(3))} == {"lane"}
-    refusal(lambda: make(split="test"), "small", "'test'", "no episode")
+    refusal(lambda: make(split="test"), "small", "no house is in split 'test'")
+    walled = HouseDataset("walls", "folder", (house("a", WALLED), house("b", WALLED)))
+    rows, columns = WALLED.shape
+    refusal(lambda: make(dataset=walled), "walls: none of the 2 houses", f"in {columns} x {rows} cells", "raise cells")
 
 
 def test_vector_equals_single_environments_with_the_same_seeds_and_actions():
