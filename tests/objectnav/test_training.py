@@ -86,7 +86,9 @@ def test_figures_of_a_network_do_not_change(data, trained):
     assert len(batches) == 2
     estimator = CostMapEstimator(weights=trained[0].average, architecture=CONFIG.architecture)
     found = figures(estimator, batches, CONFIG)
-    assert set(found) == {"loss", "occupancy", "cost", "direction", "MPA", "mF1", "mIoU", "aAP5", "aAP9"}
+    metrics = {f"{metric} {kind}" for metric in ("F1", "IoU") for kind in ("free", "occupied")}
+    metrics |= {"MPA", "mF1", "mIoU", "aAP5", "aAP9"}
+    assert set(found) == metrics | {"loss", "occupancy", "cost", "direction"}
     assert found == figures(estimator, batches, CONFIG)
     assert 0 < found["mIoU"] < found["mF1"] < 100
 

@@ -49,9 +49,9 @@ def test_a_table_has_a_column_for_each_group_and_one_for_all():
         "mine": ["old", "new", "all"],
         "other": ["new", "all"],
     }
-    assert table["mine"]["all"] == summarize([10.0, 30.0], [True, False])
-    assert table["mine"]["old"] == summarize([30.0], [False])
-    assert table["other"]["new"] == table["other"]["all"] == summarize([50.0], [True])
+    assert table["mine"]["all"] == summarize([10.0, 30.0], [True, False], ["house"] * 2)
+    assert table["mine"]["old"] == summarize([30.0], [False], ["house"])
+    assert table["other"]["new"] == table["other"]["all"] == summarize([50.0], [True], ["house"])
 
 
 def test_an_interval_is_that_of_houses_drawn_one_by_one():
