@@ -190,7 +190,7 @@ def _require_answer(session: requests.Session, url: str) -> None:
     threading.Thread(target=ask, name="dc2g-download-probe", daemon=True).start()
     try:
         answer.result(PROBE_SECONDS)
-    except TimeoutError:
+    except (TimeoutError, requests.Timeout):
         reason = f"no answer within {PROBE_SECONDS:g} s"
     except requests.RequestException as error:
         reason = _words(error)
