@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import UInt8
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
-from nicegui import events, run, ui
+from nicegui import app, events, run, ui
+from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
@@ -67,6 +68,8 @@ def serve(
       InputError: the port cannot be used.
     """
     check_port(port)
+    # A web site elsewhere must not reach the page by a name of its own for this machine.
+    app.add_middleware(TrustedHostMiddleware, allowed_hosts=["127.0.0.1", "localhost"])
     print(f"Serving the page at http://127.0.0.1:{port}; press Ctrl-C to stop", flush=True)
     ui.run(
         lambda: Page(Demo(maps, planners, estimator)), host="127.0.0.1", port=port, show=open_browser, reload=False,
@@ -317,6 +320,7 @@ class Page:
         maps = await self._work(lambda: open_maps(location))
         if maps:
             self.state.maps = maps
+            self.choice.value = None  # a map may have the name of the one before
             self.choice.set_options(list(maps), value=next(iter(maps)))
 
     def _blank(self) -> None:

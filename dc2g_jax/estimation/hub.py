@@ -27,7 +27,7 @@ def local_folder(place: str | os.PathLike[str]) -> Path:
     """The folder of a network. Networks on the Hub are downloaded to the cache of `huggingface_hub`.
 
     Args:
-      place: a folder, `hf://owner/name`, or `hf://owner/name@revision` with a branch, tag or commit.
+      place: a folder; or a string, `hf://owner/name` or `hf://owner/name@revision` with a branch, tag or commit.
 
     Raises:
       InputError: it is not in the cache and cannot be downloaded, or the extra `hub` is not installed.

@@ -271,7 +271,8 @@ def train(
         task.watch(state, step, losses)
         if losses is not None:
             curve.add(step, task.figures(step, losses))
-        if curve.tracked and task.pictures and (step % _STEPS_PER_PICTURE == 0 or pauses.validates(step, task.steps)):
+        if track and task.pictures and (step % _STEPS_PER_PICTURE == 0 or pauses.validates(step, task.steps)):
+            # All processes make them, since they fetch the state together.
             curve.show(step, "cost-to-go", task.pictures(state))
 
     def save() -> None:

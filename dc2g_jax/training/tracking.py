@@ -175,11 +175,6 @@ class Curve:
         path = (out / "runs" / run if run else out) / "config.json"
         return read_object(path, "give another folder") if path.exists() else {}
 
-    @property
-    def tracked(self) -> bool:
-        """Whether there is a tracker, which takes pictures too."""
-        return bool(self._trackers)
-
     def add(self, step: int, figures: Sequence[Mapping[str, Any]], group: str = "") -> None:
         """Add the figures of a step, and write the table.
 
@@ -199,8 +194,8 @@ class Curve:
         write_table(self._path, columns, ([row.get(name, "") for name in columns] for row in self._rows.values()))
 
     def show(self, step: int, name: str, pictures: Sequence[Image]) -> None:
-        """Send a picture of each run to its tracker."""
-        for tracker, run, picture in zip(self._trackers, self._runs, pictures, strict=True):
+        """Send a picture of each run to its tracker, if this process has trackers."""
+        for tracker, run, picture in zip(self._trackers, self._runs, pictures, strict=False):
             if (step, run) not in self._told:
                 tracker.image(step, name, picture)
 

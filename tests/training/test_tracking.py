@@ -155,6 +155,7 @@ def test_wandb_takes_a_training_without_a_network(tmp_path, monkeypatch):
     checkpoints = Checkpoints()
     with pytest.raises(RuntimeError, match="killed"):
         trained(tmp_path, checkpoints, 7, "wandb")
+    time.sleep(1)  # wandb names the folder of a run by the second
     trained(tmp_path, checkpoints, track="wandb")
     losses, ids = {}, set()
     for path in tmp_path.glob("wandb/offline-run-*/*.wandb"):
