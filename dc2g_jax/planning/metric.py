@@ -89,25 +89,28 @@ class MetricPlanner:
     beyond the map's edges.
 
     If there is nothing to explore and no path to a door, the planner halves its cells and tries again, down to
-    `smallest_cell`. So it gives up only if no unknown cell can be seen from ground that free cells of that size connect
-    to the robot. Cells that were set aside do not count: if the robot has reached its subgoal and a cell in view is
-    still unknown at the next call, that cell is set aside until it becomes known.
+    `smallest_cell`, in whole pixels. So it gives up only if no unknown cell can be seen from ground that free cells of
+    that size connect to the robot. Cells that were set aside do not count: if the robot has reached its subgoal and a
+    cell in view is still unknown at the next call, that cell is set aside until it becomes known.
 
     Subgoals are centers of free cells, so walls are at least half a cell away: half of `smallest_cell` at worst.
 
     Args:
       planner: see `OnlinePlanner`; `None` for `dc2g` on semantic maps and `frontier` on occupancy maps, whose two
-        classes tell the trained network too little.
+        classes tell the trained network too little. The rules of one of your own keep their sensing range in cells,
+        whatever the side of a cell.
       cell_size: side of the planner's cells, in meters: about the robot's diameter, and at most half as wide as the
         narrowest passage, so that a cell fits into it.
-      sensing_range: range of the robot's 90-degree field of view, in meters; walls hide what is behind them.
-      smallest_cell: side of the smallest cells after halving, in meters; `None` for a quarter of `cell_size`. Passages
-        at least twice as wide are found, or three times where they run diagonally. Cells are never smaller than pixels.
+      sensing_range: range of the robot's 90-degree field of view, in meters; walls hide what is behind them. The
+        whole cells in it count, up to 64.
+      smallest_cell: side of the smallest cells after halving, in meters, rounded up to whole pixels; `None` for a
+        quarter of `cell_size`. Passages at least twice as wide as these cells are found, or three times where they run
+        diagonally.
       labels: value of a cell -> class name (see `dc2g_jax.grid.terrain.CLASS_NAMES`), for semantic maps; `None` for
         occupancy maps, whose cells are 0 (free) to 100 (occupied).
       network: see `OnlinePlanner`.
       largest: rows and columns of the largest map, in cells of the planner. A larger map compiles again, for some tens
-        of seconds. So may halved cells, which are four times as many.
+        of seconds. So do cells of another side than `cell_size`, such as halved ones, which are four times as many.
 
     Raises:
       InputError: a size is invalid, a label is unknown, or `OnlinePlanner` rejects the planner.
@@ -126,9 +129,6 @@ class MetricPlanner:
     ):
         if not (0 < cell_size < math.inf and 0 < sensing_range < math.inf):
             raise InputError(f"cell_size {cell_size}, sensing_range {sensing_range}: give meters, such as 0.25 and 3.0")
-        reach = math.floor(sensing_range / cell_size + 1e-6)
-        if reach < 1:
-            raise InputError(f"sensing_range {sensing_range} is less than cell_size {cell_size}; give at least that")
         self._smallest_cell = cell_size / 4 if smallest_cell is None else smallest_cell
         if not 0 < self._smallest_cell <= cell_size:
             raise InputError(f"smallest_cell {smallest_cell}: give meters, at most cell_size {cell_size}")
@@ -138,12 +138,16 @@ class MetricPlanner:
             OnlinePlanner,
             ("frontier" if labels is None else "dc2g") if planner is None else planner,
             network=network,
-            sensing_range=min(reach, MAX_SENSING_RANGE),
             open_ended=True,
             settings="occluded",
         )
-        self._largest = largest
-        self._online = self._make(largest=largest)
+        self._sensing_range = sensing_range
+        self._fixed_reach: int | None = None
+        # On most maps, cells have this side. It also checks the planner before there is a map.
+        reach = self._reach(cell_size)
+        self._online: dict[int, OnlinePlanner] = {reach: self._make(sensing_range=reach, largest=largest)}
+        self._largest = self._online[reach].largest
+        self._fixed_reach = reach if hasattr(planner, "rules") else None
         self._aside: dict[int, set[tuple[int, int]]] = collections.defaultdict(set)
         self._drawn: DrawnMap | None = None
         self._target: MetricPose | None = None
@@ -160,7 +164,7 @@ class MetricPlanner:
             whatever the map says there. Doors far off the map count once the map comes near.
 
         Raises:
-          InputError: the map, the pose or a door is invalid.
+          InputError: the map, the pose or a door is invalid, or the sensing range is less than a cell.
         """
         here = MetricPose(*numbers_of("pose", pose, 3))
         found = tuple(numbers_of("door", door, 2) for door in doors)
@@ -168,8 +172,8 @@ class MetricPlanner:
         factor = max(1, math.ceil(self._cell_size / grid.resolution - 1e-4))
         decision = self._decided(grid, factor, here, found)
         smallest = max(1, math.ceil(self._smallest_cell / grid.resolution - 1e-4))
-        while decision.mode == MODE_NAMES[GAVE_UP] and factor // 2 >= smallest:
-            factor //= 2
+        while decision.mode == MODE_NAMES[GAVE_UP] and factor > smallest:
+            factor = max(factor // 2, smallest)
             decision = self._decided(grid, factor, here, found)
         self._target = decision.subgoal if decision.mode == MODE_NAMES[EXPLORE] else None
         return decision
@@ -183,8 +187,8 @@ class MetricPlanner:
         if self._drawn is None:
             return
         terrain, left, top, cells, factor = self._drawn
-        sensing = self._online.rules.sensing
-        reach = sensing.radius
+        reach = self._reach(cells.size)
+        sensing = self._online[reach].rules.sensing
         x, y, heading = cells.pose_in(pose)
         if not (0 <= x - left < terrain.shape[1] and 0 <= y - top < terrain.shape[0]):
             return
@@ -213,18 +217,35 @@ class MetricPlanner:
             if near and cells.pose_in(here).heading == cells.pose_in(self._target).heading:
                 self._reached = self._target
 
+    def _reach(self, size: float) -> int:
+        """Sensing range in cells of this side, in meters."""
+        reach = math.floor(self._sensing_range / size + 1e-4)
+        if reach < 1:
+            raise InputError(
+                f"sensing_range {self._sensing_range} is less than cell_size, {size:.3g} m; give at least that"
+            )
+        return self._fixed_reach or min(reach, MAX_SENSING_RANGE)
+
+    def _online_for(self, reach: int, shape: tuple[int, ...]) -> OnlinePlanner:
+        """The planner for a sensing range and a map's shape, both in cells. It is made, or made larger, if need be."""
+        largest = self._online[reach].largest if reach in self._online else self._largest
+        if any(side > limit for side, limit in zip(shape, largest, strict=True)):
+            rows, columns = (max(side, 2 * limit) for side, limit in zip(shape, largest, strict=True))
+            largest = rows, columns
+        if reach not in self._online or self._online[reach].largest != largest:
+            self._online[reach] = self._make(sensing_range=reach, largest=largest)
+        return self._online[reach]
+
     def _decided(
         self, grid: MetricMap, factor: int, here: MetricPose, doors: Iterable[Sequence[float]]
     ) -> MetricDecision:
         """The decision in cells of `factor` pixels along a side."""
-        aside, margin = self._aside[factor], self._online.rules.sensing.radius
-        self._drawn = draw(grid, factor, self._classes, here, doors=doors, aside=aside, margin=margin)
-        terrain, left, top, cells, _ = self._drawn
-        if any(side > largest for side, largest in zip(terrain.shape, self._largest, strict=True)):
-            rows, columns = (max(side, 2 * largest) for side, largest in zip(terrain.shape, self._largest, strict=True))
-            self._largest = rows, columns
-            self._online = self._make(largest=self._largest)
-        decision = self._online.plan(terrain, cells.pose_in(here), origin=(left, top))
+        aside, reach = self._aside[factor], self._reach(factor * grid.resolution)
+        drawn = draw(grid, factor, self._classes, here, doors=doors, aside=aside, margin=reach)
+        terrain, left, top, cells, _ = drawn
+        online = self._online_for(reach, terrain.shape)
+        self._drawn = drawn
+        decision = online.plan(terrain, cells.pose_in(here), origin=(left, top))
         path = [here, *(cells.center(*pose) for pose in decision.path[1:])] if decision.path else []
         why = explain(decision.mode, decision.path, decision.candidates, cells.words)
         if decision.mode == MODE_NAMES[GAVE_UP] and aside:

@@ -122,7 +122,7 @@ class OnlinePlanner:
         if self.rules.sensing.radius != reach:
             raise InputError(f"sensing_range {reach}: the planner's rules say {self.rules.sensing.radius}; give that")
         self._planner = getattr(planner, "memoryless", lambda: planner)()
-        self._largest = rows, columns
+        self.largest = rows, columns
         self._margin = max(_OPEN_MARGIN, reach) if open_ended else 0
         self._pads_maps = getattr(getattr(self._planner, "estimator", self._planner), "knows_outside", False)
         frame = 2 * self._margin
@@ -149,7 +149,7 @@ class OnlinePlanner:
           InputError: the grid or the pose is invalid.
         """
         left, top = _whole_numbers("origin", origin, 2)
-        checked = _checked_grid(grid, self._largest)
+        checked = _checked_grid(grid, self.largest)
         robot = _checked_pose(pose, checked, left, top)
         left, top = left - self._margin, top - self._margin
         in_view = RobotPose(robot.x - left, robot.y - top, robot.heading)

@@ -213,7 +213,44 @@ def test_passages_as_narrow_as_a_pixel_are_found():
     assert planner.plan(grid_of(cells), place(24, 4)).cell_size == pytest.approx(3 * PIXEL)
 
 
-@pytest.mark.parametrize(("smallest", "pixels"), [(None, 1), (1, 1), (2, 2), (3, 4)])
+def test_sizes_between_the_halves_are_tried_too():
+    """A passage of seven pixels always holds whole cells of three, but here none of five, nor of four."""
+    cells = np.full((20, 40), OCCUPIED)
+    cells[1:19, 1:15] = cells[6:13, 15:] = FREE
+    cells[:, 39] = UNKNOWN
+    grid = MetricMap(cells, PIXEL, MapFrame(0.0, 0.0, 0.0))
+    decision = planner_of(5, smallest_cell=0.15).plan(grid, (0.4, 0.5, 0.0))
+    assert decision.mode == "explore"
+    assert decision.cell_size == pytest.approx(3 * PIXEL)
+
+
+@pytest.mark.parametrize(
+    ("pixel", "cell_size", "sensing_range", "planned", "away"),
+    [
+        (0.05, 0.05, 0.2, 0.05, 0.2),
+        (0.2, 0.25, 1.6, 0.4, 1.6),  # as many cells of 0.25 m would be 2.4 m
+        (0.1, 0.25, 1.6, 0.3, 1.5),
+        (0.05, 0.1, 0.3, 0.05, 0.3),  # halved, where as many cells would be 0.15 m
+    ],
+)
+def test_the_sensing_range_is_in_meters_whatever_the_cells(pixel, cell_size, sensing_range, planned, away):
+    """Down a corridor, the nearest subgoal is as far from what is unknown as the robot sees."""
+    width = round(planned / pixel)
+    cells = np.pad(np.full((width, 15 * width), FREE), 3 * width, constant_values=OCCUPIED)
+    cells[3 * width : 4 * width, 15 * width :] = UNKNOWN
+    planner = MetricPlanner(cell_size=cell_size, sensing_range=sensing_range, largest=(16, 16))
+    decision = planner.plan(MetricMap(cells, pixel, MapFrame(0.0, 0.0, 0.0)), (3.5 * planned, 3.5 * planned, 0.0))
+    assert (decision.mode, decision.cell_size) == ("explore", pytest.approx(planned))
+    assert 15.5 * planned - decision.subgoal.x == pytest.approx(away)
+
+
+def test_a_planner_of_ones_own_keeps_its_range_in_cells():
+    planner = planner_of(2, without_occlusion())
+    sealed = np.pad(np.full((4, 4), FREE), 2, constant_values=OCCUPIED)
+    assert planner.plan(grid_of(sealed), place(3, 3)).cell_size == pytest.approx(PIXEL)
+
+
+@pytest.mark.parametrize(("smallest", "pixels"), [(None, 1), (1, 1), (2, 2), (3, 3)])
 def test_cells_are_halved_down_to_the_smallest(smallest, pixels):
     sealed = np.pad(np.full((8, 8), FREE), 4, constant_values=OCCUPIED)
     planner = planner_of(4, smallest_cell=None if smallest is None else smallest * 0.05)
@@ -354,12 +391,18 @@ def test_bad_input_is_one_line(grid, pose, doors, words):
     refusal(lambda: planner_of().plan(grid(), pose, doors=doors), *words)
 
 
+def test_a_range_below_the_cells_of_a_map_is_one_line():
+    planner = planner_of(5)  # of 0.25 m, seen up to 0.75 m
+    pose = (*FRAME.to_map(1.2, 1.2), 0.0)
+    refusal(lambda: planner.plan(MetricMap(ROOM, 0.8, FRAME), pose), "sensing_range 0.75", "cell_size, 0.8 m")
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         ({"cell_size": 0}, ["cell_size 0", "meters"]),
         ({"sensing_range": math.inf}, ["sensing_range inf"]),
-        ({"sensing_range": 0.2}, ["sensing_range 0.2 is less than cell_size 0.25"]),
+        ({"sensing_range": 0.2}, ["sensing_range 0.2 is less than cell_size, 0.25 m"]),
         ({"smallest_cell": 0.3}, ["smallest_cell 0.3", "at most cell_size 0.25"]),
         ({"smallest_cell": -1.0}, ["smallest_cell -1.0"]),
         ({"labels": {1: "lawn"}}, ["1 is 'lawn'", "grass"]),

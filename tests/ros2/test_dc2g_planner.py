@@ -283,12 +283,15 @@ def test_a_subgoal_out_of_reach_is_set_aside(start):
     node = start(drive=True)
     at(node, (2, 1, 0))
     answered(node, 0, status=6)
+    at(node, (2, 1, 0))
+    answered(node, 1, status=6)
+    assert node.warnings[1].startswith("Nav2 cannot reach (")
     node.tick()
     assert node.published["~/mode"].data == "gave_up"
     assert node.published["~/why"].data.startswith("gave up")
     assert node.published["~/path"].poses == []
     assert [marker.action for marker in node.published["~/markers"].markers] == [3]
-    assert len(node._nav2.goals) == 1
+    assert len(node._nav2.goals) == 2
 
 
 def test_a_subgoal_that_nav2_stops_short_of_is_set_aside(start):
@@ -302,15 +305,31 @@ def test_a_subgoal_that_nav2_stops_short_of_is_set_aside(start):
     assert len(node._nav2.goals) == 1
 
 
-def test_a_canceled_subgoal_is_not_sent_again(start):
+@pytest.mark.parametrize("status", [0, 5, 6])
+def test_a_subgoal_that_nav2_ends_is_sent_again_with_the_next_map(start, status):
+    """Nav2 aborts (6) a goal for someone else's, cancels (5) it, or does not say (0)."""
     node = start(drive=True)
     at(node, (2, 1, 0))
-    answered(node, 0, status=5)
+    answered(node, 0, status)
+    node.tick()
+    x, y = in_map(6, 1, 3)
+    assert node.warnings == [f"Nav2 ended short of ({x:.2f}, {y:.2f}) m with status {status}; the next map decides"]
+    assert len(node._nav2.goals) == 1
     at(node, (4, 1, 0))
-    assert (node.warnings, len(node._nav2.goals)) == ([], 1)
+    assert [goal.pose for goal, _ in node._nav2.goals] == [node.published["~/subgoal"].pose] * 2
 
 
-@pytest.mark.parametrize(("status", "warning"), [(4, "Nav2 has arrived"), (6, "Nav2 cannot reach")])
+def test_only_aborts_count_as_out_of_reach(start):
+    node = start(drive=True)
+    for number, status in enumerate((5, 0, 6, 5)):
+        at(node, (2, 1, 0))
+        answered(node, number, status)
+    at(node, (2, 1, 0))
+    assert node.published["~/mode"].data == "explore"
+    assert len(node._nav2.goals) == 5
+
+
+@pytest.mark.parametrize(("status", "warning"), [(4, "Nav2 has arrived"), (6, "Nav2 ended short of")])
 def test_the_way_to_a_door_is_tried_again(start, status, warning):
     node = start(drive=True)
     x, y = in_map(7, 1, 3)

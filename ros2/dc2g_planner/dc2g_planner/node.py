@@ -65,6 +65,7 @@ class PlannerNode(Node):
         self._doors = PoseArray()
         self._is_news = False
         self._goal: MetricPose | None = None
+        self._aborted: list[MetricPose] = []
         self._has_arrived = False
         self._tf = Buffer()
         self._listener = TransformListener(self._tf, self)
@@ -111,7 +112,7 @@ class PlannerNode(Node):
         place = place_to_drive_to(decision)
         if self._nav2 is None or place is None:
             return
-        if self._goal is not None and max(abs(a - b) for a, b in zip(place, self._goal, strict=True)) < _SAME:
+        if self._goal is not None and _is_same(place, self._goal):
             if self._has_arrived:
                 self._drop(place, decision, "Nav2 has arrived, by its tolerance, but the planner still goes to")
             return
@@ -133,13 +134,23 @@ class PlannerNode(Node):
             self._goal, self._is_news = None, True
 
     def _on_result(self, place: MetricPose, decision: MetricDecision, future: Any) -> None:
-        """Decide again, at the subgoal or as near as Nav2 came."""
+        """Decide again at the subgoal. Short of it, wait for the next map: Nav2 also aborts for someone else's goal."""
         if place != self._goal:
             return
         status = future.result().status
-        self._has_arrived, self._is_news = status == GoalStatus.STATUS_SUCCEEDED, True
-        if status == GoalStatus.STATUS_ABORTED:
+        if status == GoalStatus.STATUS_SUCCEEDED:
+            self._has_arrived = self._is_news = True
+            return
+        self._goal = None
+        is_aborted = status == GoalStatus.STATUS_ABORTED
+        if is_aborted and any(_is_same(place, other) for other in self._aborted):
             self._drop(place, decision, "Nav2 cannot reach")
+            return
+        if is_aborted:
+            self._aborted.append(place)
+        self.get_logger().warning(
+            f"Nav2 ended short of ({place.x:.2f}, {place.y:.2f}) m with status {status}; the next map decides"
+        )
 
     def _drop(self, place: MetricPose, decision: MetricDecision, why: str) -> None:
         """Set aside what would be seen from a subgoal. The way to a door is tried again with the next map."""
@@ -148,6 +159,10 @@ class PlannerNode(Node):
             self._planner.set_aside(place)
             self._is_news = True
         self.get_logger().warning(f"{why} ({place.x:.2f}, {place.y:.2f}) m")
+
+
+def _is_same(one: MetricPose, other: MetricPose) -> bool:
+    return max(abs(a - b) for a, b in zip(one, other, strict=True)) < _SAME
 
 
 def main() -> None:
