@@ -146,6 +146,9 @@ class OccludedKernel(Kernel):
           opaque: cells that hide what is behind them.
         """
         height = opaque.shape[1]
+        dx, dy, parents = self._tree()
+        # Slots are reused: parents are never further back. The compiler copies all slots in every step.
+        slots = 1 + int(np.max(np.arange(parents.shape[1]) - parents))
         reach = range(-self.radius, self.radius + 1)
         framed = [(0, 0), (self.radius, self.radius)] + [(0, 0)] * (opaque.ndim - 2)
         columns = jnp.stack(
@@ -157,15 +160,15 @@ class OccludedKernel(Kernel):
             number, dx, dy, parent = offset
             there = jax.lax.dynamic_slice_in_dim(columns[dx + self.radius], dy + self.radius, height, axis=2)
             result = add(result, through[parent] & there[0])
-            return (result, through.at[number].set(through[parent] & ~there[1])), None
+            return (result, through.at[number % slots].set(through[parent] & ~there[1])), None
 
         def all_offsets(tree: tuple[Array, ...]) -> Array:
             # Cells from which each offset is seen and seen through; the robot's own cell hides nothing.
-            through = jnp.broadcast_to(~jnp.zeros_like(opaque), (tree[0].size, *opaque.shape))
+            through = jnp.broadcast_to(~jnp.zeros_like(opaque), (slots, *opaque.shape))
             offsets = (jnp.arange(1, tree[0].size), *(table[1:] for table in tree))
             return jax.lax.scan(look, (own, through), offsets)[0][0]
 
-        return jax.lax.map(all_offsets, tuple(jnp.asarray(table) for table in self._tree()))
+        return jax.lax.map(all_offsets, (jnp.asarray(dx), jnp.asarray(dy), jnp.asarray(parents % slots)))
 
     def _tree(self) -> tuple[Int[np.ndarray, "heading offsets"], ...]:
         """Columns, rows and parents' indices of the offsets; the robot's own cell first, parents before children."""
