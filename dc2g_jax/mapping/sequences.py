@@ -331,6 +331,9 @@ def _read_camera(path: Path) -> Intrinsics:
     for name in ("width", "height"):
         if not (values[name].is_integer() and abs(values[name]) <= MOST_PIXELS):
             raise InputError(f"{path}: {name} is {values[name]:g}; give whole pixels")
+    for name in _CAMERA_FIELDS[:4]:
+        if abs(values[name]) > MOST_PIXELS:
+            raise InputError(f"{path}: {name} is {values[name]:g}; give pixels, at most {MOST_PIXELS}")
     lenses: dict[str, Any] = {name: jnp.float32(values[name]) for name in _CAMERA_FIELDS[:4]}
     camera = Intrinsics(**lenses, height=int(values["height"]), width=int(values["width"]))
     try:

@@ -161,6 +161,7 @@ def test_colors_are_classes_by_the_palette(recording):
         ("camera.txt", "19 23 14 9 28.5 18\n", ("width is 28.5",)),
         ("camera.txt", "0 23 14 9 28 18\n", ("focal_x is 0",)),
         ("camera.txt", "19 23 14 9 1e300 18\n", ("width is 1e+300",)),
+        ("camera.txt", "1e308 23 14 9 28 18\n", ("focal_x is 1e+308", "at most")),
         ("camera.txt", "19 23 14 9 28 " + "9" * 5000, ("line 1 has '9999", "...")),
         ("camera.txt", b"\xff\xfe", ("byte 0xff at offset 0", "UTF-8")),
     ],
