@@ -29,7 +29,7 @@ from dc2g_jax.planning.planners import GAVE_UP, MODE_NAMES, Mode, Oracle, Planne
 from dc2g_jax.planning.rules import Rules, Settings, named_settings
 from dc2g_jax.rollouts.results import write_rows
 from dc2g_jax.rollouts.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
-from dc2g_jax.rollouts.statistics import Summary, extra_steps, summarize
+from dc2g_jax.rollouts.statistics import ExtraSteps, Summary, extra_steps, tabulate
 
 #: Cells of a map per action of its step limit: the published maps, of 50 x 50 cells, have a limit of 500.
 _CELLS_A_STEP = 50 * 50 // STEP_LIMIT
@@ -109,12 +109,8 @@ class Results(tuple[EpisodeResult, ...]):
 
     def summary(self) -> dict[str, Summary]:
         """Mean and median extra steps in percent, and success, by planner. The interval of the mean is over houses."""
-        planners = dict.fromkeys(result.planner for result in self)
-        by_planner = {planner: self.of(planner) for planner in planners}
-        return {
-            planner: summarize(*zip(*((one.extra, one.success, one.house) for one in own), strict=True))
-            for planner, own in by_planner.items()
-        }
+        episodes = (ExtraSteps(one.planner, "all", one.house, one.extra, one.success) for one in self)
+        return {planner: row["all"] for planner, row in tabulate(episodes, ("all",)).items()}
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write `episodes.csv`: one row per episode and planner, with `success` as 0 or 1 and `extra` in percent."""

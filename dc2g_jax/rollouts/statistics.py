@@ -46,6 +46,9 @@ class Summary(NamedTuple):
 #: Bootstrap samples of houses for intervals in summaries, and their seed.
 _RESAMPLES, _SEED = 10_000, 0
 
+#: Houses that are drawn at a time, at most some megabytes.
+_DRAWN_AT_A_TIME = 1_000_000
+
 
 def summarize(
     extra: Sequence[float] | np.ndarray, success: Sequence[bool] | np.ndarray, houses: Sequence[str] | None = None
@@ -114,7 +117,9 @@ def house_bootstrap(
         raise ValueError("no episode to draw from")
     names, house = np.unique(np.asarray(houses), return_inverse=True)
     totals, counts = np.bincount(house, weights=values), np.bincount(house)
-    drawn = np.random.default_rng(seed).integers(len(names), size=(resamples, len(names)))
-    means = totals[drawn].sum(axis=1) / counts[drawn].sum(axis=1)
+    rng, rows, means = np.random.default_rng(seed), max(1, _DRAWN_AT_A_TIME // len(names)), np.empty(resamples)
+    for part in np.split(means, range(rows, resamples, rows)):
+        drawn = rng.integers(len(names), size=(len(part), len(names)))
+        part[:] = totals[drawn].sum(axis=1) / counts[drawn].sum(axis=1)
     low, high = np.quantile(means, ((1 - share) / 2, (1 + share) / 2))
     return float(low), float(high)
