@@ -65,11 +65,11 @@ def write_safetensors(path: str | Path, tensors: Mapping[str, np.ndarray], metad
       metadata: further facts, as strings by name.
     """
     dense = {name: np.asarray(tensor, order="C") for name, tensor in tensors.items()}
-    data = save(dense, dict(metadata))
-    # The library writes the metadata in random order.
+    data = save(dense)
     length = int.from_bytes(data[:8], "little")
-    facts = json.loads(data[8 : 8 + length])
-    header = json.dumps(facts | {"__metadata__": dict(metadata)}, separators=(",", ":")).encode()
+    # The library would write the metadata in random order.
+    facts = {"__metadata__": dict(metadata)} | json.loads(data[8 : 8 + length])
+    header = json.dumps(facts, separators=(",", ":")).encode()
     header += b" " * (-len(header) % 8)
     with replacing(path) as unfinished:
         unfinished.write_bytes(len(header).to_bytes(8, "little") + header + data[8 + length :])

@@ -25,7 +25,7 @@ from dc2g_jax.estimation.estimators import Estimator, answers_in_cells
 from dc2g_jax.files.class_images import PALETTE_FILE, read_palette
 from dc2g_jax.grid import bitboard, gridworld, search
 from dc2g_jax.grid.gridworld import Belief
-from dc2g_jax.grid.poses import every_heading, make_pose
+from dc2g_jax.grid.poses import HEADINGS, every_heading, make_pose
 from dc2g_jax.grid.terrain import CLASS_NAMES, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax.grid.world import World, world_from_terrain
 from dc2g_jax.inspection.animation import CROSS, MARK_COLOR, ROBOT_COLOR, STAR, SUBGOAL_COLOR, TRIANGLES
@@ -183,7 +183,7 @@ class Demo:
     def place(self, x: int, y: int) -> None:
         """Place the robot on a cell, or turn it right if it is already there."""
         heading = self.start.heading + ((x, y) == self.start[:2])
-        self.start = RobotPose(x, y, heading % 4)
+        self.start = RobotPose(x, y, heading % HEADINGS)
         self.walks = {}
 
     def paint(self, begin: tuple[int, int], end: tuple[int, int], name: str, width: int) -> None:

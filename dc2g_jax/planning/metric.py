@@ -141,12 +141,11 @@ class MetricPlanner:
             open_ended=True,
             settings="occluded",
         )
-        self._sensing_range = sensing_range
+        self._sensing_range, self._largest = sensing_range, largest
         self._fixed_reach: int | None = None
         # On most maps, cells have this side. It also checks the planner before there is a map.
         reach = self._reach(cell_size)
         self._online: dict[int, OnlinePlanner] = {reach: self._make(sensing_range=reach, largest=largest)}
-        self._largest = self._online[reach].largest
         self._fixed_reach = reach if hasattr(planner, "rules") else None
         self._aside: dict[int, set[tuple[int, int]]] = collections.defaultdict(set)
         self._drawn: DrawnMap | None = None
@@ -228,13 +227,14 @@ class MetricPlanner:
 
     def _online_for(self, reach: int, shape: tuple[int, ...]) -> OnlinePlanner:
         """The planner for a sensing range and a map's shape, both in cells. It is made, or made larger, if need be."""
-        largest = self._online[reach].largest if reach in self._online else self._largest
+        online = self._online.get(reach)
+        largest = self._largest if online is None else online.largest
         if any(side > limit for side, limit in zip(shape, largest, strict=True)):
             rows, columns = (max(side, 2 * limit) for side, limit in zip(shape, largest, strict=True))
             largest = rows, columns
-        if reach not in self._online or self._online[reach].largest != largest:
-            self._online[reach] = self._make(sensing_range=reach, largest=largest)
-        return self._online[reach]
+        if online is None or online.largest != largest:
+            online = self._online[reach] = self._make(sensing_range=reach, largest=largest)
+        return online
 
     def _decided(
         self, grid: MetricMap, factor: int, here: MetricPose, doors: Iterable[Sequence[float]]

@@ -238,12 +238,7 @@ def numbers_of(name: str, values: npt.ArrayLike, count: int) -> tuple[float, ...
         numbers = []
     if len(numbers) != count:
         raise InputError(f"{name} is {short(values)}; give {count} numbers, in meters and radians")
-    _require_near(name, numbers)
-    return tuple(numbers)
-
-
-def _require_near(name: str, numbers: Iterable[float]) -> None:
-    """Check that numbers are finite and not too large."""
     for number in numbers:
         if not abs(number) <= _FARTHEST:
             raise InputError(f"{name} has {number}; give meters and radians of at most {_FARTHEST:.0e}")
+    return tuple(numbers)

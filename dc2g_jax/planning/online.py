@@ -91,6 +91,10 @@ class OnlinePlanner:
       settings: rules of a planner by name, see `dc2g_jax.planning.rules.SETTINGS`; `occluded` if walls hide what is
         behind them.
 
+    Attributes:
+      rules: field of view and definition of frontiers.
+      largest: rows and columns of the largest map.
+
     Raises:
       InputError: the planner is unknown or has another sensing range, the network cannot be read, or a size is invalid.
     """
