@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+import osmium
 import pytest
 from hypothesis import HealthCheck, given, settings
 from PIL import Image
@@ -27,6 +28,8 @@ from dc2g_jax.cli.training_sets import kept_arrays
 from dc2g_jax.datasets.download import read_manifest
 from dc2g_jax.datasets.houses import load_dataset, map_dataset, save_dataset
 from dc2g_jax.datasets.maps import Goal, read_map
+from dc2g_jax.datasets.osm.extract import read_extract
+from dc2g_jax.datasets.osm.neighborhood import Neighborhood
 from dc2g_jax.datasets.starts import read_starts
 from dc2g_jax.errors import LONGEST_MESSAGE, InputError
 from dc2g_jax.estimation.checkpoints import load_network, save_network
@@ -54,6 +57,7 @@ from dc2g_jax.training.tracking import Curve
 from tests.support import house_lines, occupancy
 from tests.support.damage import damaged
 from tests.support.frames import CAMERA, random_frame
+from tests.support.hamlet import hamlet
 from tests.support.houses import DATASET, STREET, YARD
 from tests.support.memory import forget_most_memory, memory
 from tests.support.toy import RESULTS
@@ -65,6 +69,8 @@ INPUTS = int(os.environ.get("FUZZ_INPUTS", "40"))
 MOST_SECONDS, MOST_BYTES = 5, 500e6
 
 KEY = jax.random.key(0)
+
+EXTRACTS = ("plain.osm", "packed.osm.gz", "binary.osm.pbf")
 
 
 class Reader(NamedTuple):
@@ -192,6 +198,22 @@ def read_indoor_houses(folder: Path) -> None:
         read_procthor(folder / name, strict=True)
 
 
+def write_extracts(folder: Path) -> None:
+    text = hamlet().text().encode()
+    (folder / "plain.osm").write_bytes(text)
+    (folder / "packed.osm.gz").write_bytes(gzip.compress(text))
+    with osmium.SimpleWriter(folder / "binary.osm.pbf") as writer:
+        for element in osmium.FileProcessor(folder / "plain.osm"):
+            writer.add(element)
+
+
+def read_extracts(folder: Path) -> None:
+    for name in EXTRACTS:
+        neighborhood = Neighborhood(read_extract(folder / name), meters=60.0, cells=50, seed=0, only_mapped=False)
+        for building in neighborhood.buildings[:2]:
+            neighborhood.map_of(building)
+
+
 def write_manifest(folder: Path) -> None:
     (folder / "files.sha256").write_text("".join(f"{number:064x}  maps/{number}.png\n" for number in range(3)))
 
@@ -227,6 +249,7 @@ READERS = (
     Reader(("episodes.csv",), write_episodes, read_episodes),
     Reader(("masks.npz",), write_masks, read_masks),
     Reader(("train.jsonl", "train.jsonl.gz", "asset_boxes.json"), write_indoor_houses, read_indoor_houses),
+    Reader(EXTRACTS, write_extracts, read_extracts, slow=True),
     Reader(("files.sha256",), write_manifest, lambda folder: read_manifest(folder / "files.sha256")),
 )  # fmt: skip
 

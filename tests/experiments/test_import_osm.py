@@ -9,7 +9,7 @@ from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import sample_starts
 from dc2g_jax.errors import InputError
 from experiments.import_osm import Options, main
-from tests.datasets.test_osm import hamlet
+from tests.support.hamlet import hamlet
 
 
 @pytest.fixture

@@ -6,6 +6,8 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flax import struct
+from jaxtyping import Array, Int
 
 from dc2g_jax.datasets.drawn_masks import drawn_masks
 from dc2g_jax.datasets.houses import House
@@ -80,3 +82,16 @@ def journeys() -> JourneySet:
         headings=jnp.zeros((2, 3), jnp.float32),
         features=jnp.zeros((2, 3, 2, 2), jnp.float16),
     )
+
+
+@struct.dataclass
+class Count:
+    """The state of a training that only counts its steps."""
+
+    step: Int[Array, ""]
+
+
+@functools.partial(jax.jit, donate_argnames=("state",))
+def count_step(state):
+    """A step that uses its state up, as those of training do."""
+    return Count(state.step + 1), state.step * 1.0

@@ -1,31 +1,17 @@
 """The loop of training: when it validates and saves, whatever interrupts it, and its log."""
 
-import functools
 import os
 import signal
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from flax import struct
-from jaxtyping import Array, Int
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.training.loop import Log, Pauses, Task, train
 from tests.support.refusals import refusal
-
-
-@struct.dataclass
-class State:
-    step: Int[Array, ""]
-
-
-@functools.partial(jax.jit, donate_argnames=("state",))
-def take_step(state):
-    """A step that uses its state up, as those of training do."""
-    return State(state.step + 1), state.step * 1.0
+from tests.support.trainings import Count, count_step
 
 
 class Training:
@@ -40,11 +26,11 @@ class Training:
     def step(self, state):
         if int(state.step) == self.interrupt_step:
             self.interrupt_step = -1
-            done = take_step(state)
+            done = count_step(state)
             for _ in range(self.interrupts):
                 os.kill(os.getpid(), signal.SIGINT)
             return done
-        return take_step(state)
+        return count_step(state)
 
     def validate(self, state, step, losses):
         assert int(state.step) == step
@@ -65,7 +51,7 @@ class Training:
 
     def run(self, first_step=0, validate_every=10, minutes=np.inf, **changes):
         task = Task(
-            25, lambda: State(jnp.int32(first_step)), **{"step": self.step, "validate": self.validate, **changes},
+            25, lambda: Count(jnp.int32(first_step)), **{"step": self.step, "validate": self.validate, **changes},
             validated=self.validations, name="test", steps_per_look=4,
         )  # fmt: skip
         return train(task, self.out, self, Pauses(validate_every, minutes))

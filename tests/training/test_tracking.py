@@ -12,7 +12,7 @@ import pytest
 from dc2g_jax.errors import InputError
 from dc2g_jax.training.loop import Pauses, Task, train
 from dc2g_jax.training.tracking import Curve, check_tracker
-from tests.training.test_loop import State, take_step
+from tests.support.trainings import Count, count_step
 
 PICTURE = np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3)
 
@@ -52,7 +52,7 @@ class Checkpoints:
         return self.state
 
     def save(self, state):
-        self.state = State(jnp.array(state.step))
+        self.state = Count(jnp.array(state.step))
 
     def close(self):
         pass
@@ -64,14 +64,14 @@ def trained(out: Path, checkpoints: Checkpoints, fail_at: int | None = None, tra
     def step(state):
         if int(state.step) == fail_at:
             raise RuntimeError("killed")
-        state, loss = take_step(state)
+        state, loss = count_step(state)
         return state, jnp.stack([loss, -loss]) if runs else loss
 
     def validate(state, step, losses):
         return [{"step": step, "loss": None, "error": sign * step / 4} for sign in ((1, -1) if runs else (1,))]
 
     task = Task(
-        10, lambda: State(jnp.int32(0)), step, validate, steps_per_look=2, runs=runs,
+        10, lambda: Count(jnp.int32(0)), step, validate, steps_per_look=2, runs=runs,
         learning_rate=lambda step: 0.1 * step, pictures=lambda state: [PICTURE] * (len(runs) or 1),
     )  # fmt: skip
     train(task, out, checkpoints, Pauses(5, 0.0), track)
@@ -99,7 +99,7 @@ def test_a_training_that_was_killed_goes_on_in_the_table_and_in_tensorboard(tmp_
     with pytest.raises(RuntimeError, match="killed"):
         trained(tmp_path, checkpoints, fail_at, "tensorboard")
     if lost:  # the last state was not saved, and steps are taken again
-        checkpoints.state = State(jnp.int32(2))
+        checkpoints.state = Count(jnp.int32(2))
     trained(tmp_path, checkpoints, track="tensorboard")
     assert rows(tmp_path) == WHOLE
     shown = events(tmp_path / "tensorboard")

@@ -161,7 +161,9 @@ def read_extract(path: Path, around: tuple[float, float] | None = None, reach: f
             reader.add(element)
     except osmium.InvalidLocationError as error:
         raise InputError(f"{path}: is not in degrees ({error}); {_EXPORT}") from None
-    except (RuntimeError, UnicodeDecodeError) as error:
+    except InputError:
+        raise
+    except (RuntimeError, ValueError) as error:
         problem = " ".join(str(error).split())
         raise InputError(f"{path}: is damaged or cut off ({problem}); download the extract again") from None
     extract = _projected(reader, around)
