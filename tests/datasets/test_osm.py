@@ -25,7 +25,7 @@ from dc2g_jax.grid.terrain import (
     TREE,
     UNKNOWN,
 )  # fmt: skip
-from tests.support.hamlet import LATITUDE, LONGITUDE, METERS_A_DEGREE, hamlet
+from tests.support.hamlet import LATITUDE, LONGITUDE, METERS_A_DEGREE, hamlet, with_tags
 from tests.support.refusals import refusal
 
 
@@ -129,7 +129,7 @@ def test_courtyards_are_open(tmp_path):
     drawing.box(8, 38, -28, 52, -18, "")
     drawing.elements.append(
         '<relation id="9" version="1"><member type="way" ref="7" role="outer"/><member type="way" ref="8" '
-        f'role="inner"/>{_tags("type=multipolygon building=apartments")}</relation>'
+        f'role="inner"/>{with_tags("type=multipolygon building=apartments")}</relation>'
     )
     extract = read(tmp_path, drawing.text())
     drawn = maps_of(extract)["relation9"]

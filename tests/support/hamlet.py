@@ -17,7 +17,7 @@ class Drawing:
         latitude = LATITUDE - y / METERS_A_DEGREE
         longitude = LONGITUDE + x / (METERS_A_DEGREE * math.cos(math.radians(LATITUDE)))
         self.elements.append(
-            f'<node id="{self._count}" version="1" lat="{latitude:.7f}" lon="{longitude:.7f}">{_tags(tags)}</node>'
+            f'<node id="{self._count}" version="1" lat="{latitude:.7f}" lon="{longitude:.7f}">{with_tags(tags)}</node>'
         )
         return self._count
 
@@ -25,7 +25,7 @@ class Drawing:
         """A way through points, or nodes that exist already."""
         nodes = [point if isinstance(point, int) else self.node(*point) for point in points]
         references = "".join(f'<nd ref="{node}"/>' for node in nodes)
-        self.elements.append(f'<way id="{number}" version="1">{references}{_tags(tags)}</way>')
+        self.elements.append(f'<way id="{number}" version="1">{references}{with_tags(tags)}</way>')
 
     def box(self, number: int, left: float, top: float, right: float, bottom: float, tags: str, *more: int) -> None:
         """A rectangle; further nodes lie on its lower side, from the right to the left."""
@@ -38,7 +38,8 @@ class Drawing:
         return f'<osm version="0.6">{"".join(ordered)}</osm>'
 
 
-def _tags(tags: str) -> str:
+def with_tags(tags: str) -> str:
+    """The XML of tags, given as `key=value` separated by spaces."""
     pairs = (tag.split("=") for tag in tags.split())
     return "".join(f'<tag k="{key}" v="{value}"/>' for key, value in pairs)
 
