@@ -14,7 +14,7 @@ from jaxtyping import UInt8
 from dc2g_jax.datasets.occupancy import YAML_ENDINGS, OccupancyMap, read_occupancy_map
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.files.class_images import PALETTE_FILE, Palette, check_classes, read_class_image, read_palette
-from dc2g_jax.files.reading import read_array
+from dc2g_jax.files.reading import finite_number, read_array
 from dc2g_jax.files.tables import read_table
 from dc2g_jax.grid.ground import why_no_path
 from dc2g_jax.grid.sampling import ClassImage, sample_grid
@@ -280,19 +280,9 @@ def _read_goals(path: Path, names: Sequence[str]) -> Mapping[str, list[Goal]]:
             raise InputError(f"{path}: line {line}: {short(name)} is not a map; use {' or '.join(close)}")
         if unit not in ("cells", "metres"):
             raise InputError(f"{path}: line {line} has the unit {short(unit)}; write cells or metres")
-        x, y = (_number(path, line, column, row[column]) for column in "xy")
+        x, y = (finite_number(f"{path}: line {line}: {column!r}", row[column], "write a number") for column in "xy")
         goals.setdefault(name, []).append(Goal(x, y, "cells" if unit == "cells" else "metres"))
     return goals
-
-
-def _number(path: Path, line: int, column: str, text: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise InputError(f"{path}: line {line} has {short(text)} in column {column!r}; write a number")
-    return number
 
 
 def _read_cells(path: Path) -> tuple[int, int] | None:

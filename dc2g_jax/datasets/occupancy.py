@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, UInt, UInt8
 
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.files.png import MOST_PIXELS, bands, read_png
-from dc2g_jax.files.reading import read_bytes, read_yaml
+from dc2g_jax.files.reading import finite_number, read_bytes, read_yaml
 from dc2g_jax.grid.map_frame import MapFrame
 from dc2g_jax.grid.sampling import sample_conservatively
 from dc2g_jax.grid.terrain import HOUSE, ROAD, UNKNOWN
@@ -190,14 +190,8 @@ def _read_facts(path: Path) -> dict[str, Any]:
 
 
 def _number(path: Path, key: str, value: object) -> float:
-    """A finite number. YAML reads `5e-2` as text, which is accepted too."""
-    try:
-        number = float(value) if isinstance(value, int | float | str) and not isinstance(value, bool) else math.nan
-    except (ValueError, OverflowError):
-        number = math.nan
-    if not math.isfinite(number):
-        raise InputError(f"{path}: {key} has {short(value)}, which is not a number; write one such as 0.05")
-    return number
+    """A number of the YAML file. YAML reads `5e-2` as text."""
+    return finite_number(f"{path}: {key}", value, "write one such as 0.05")
 
 
 def _read_image(

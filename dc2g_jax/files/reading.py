@@ -132,6 +132,26 @@ def whole_number(value: Any) -> int:
     return int(value)
 
 
+def finite_number(where: str, value: Any, remedy: str) -> float:
+    """A finite number of a document or table, or the one that a text writes.
+
+    Args:
+      where: begins the message: the file, and the place in it.
+      value: the number or text.
+      remedy: end of the message: what to do.
+
+    Raises:
+      InputError: it is something else.
+    """
+    try:
+        found = float(value) if isinstance(value, int | float | str) and not isinstance(value, bool) else math.nan
+    except (ValueError, OverflowError):
+        found = math.nan
+    if not math.isfinite(found):
+        raise InputError(f"{where} has {short(value)}, which is not a number; {remedy}")
+    return found
+
+
 def read_object(path: Path, remedy: str, *, at_most: int = FACTS) -> dict[str, Any]:
     """The JSON object in a file.
 

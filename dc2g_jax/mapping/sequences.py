@@ -20,20 +20,22 @@ Additions:
 - The world has z up and its ground at z = 0, as in `dc2g_jax.mapping.camera`; `moved` shifts another world there.
 """
 
+import bisect
 import dataclasses
 import math
+import operator
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int, UInt8, UInt16
+from jaxtyping import Float, UInt8, UInt16
 
-from dc2g_jax.errors import InputError, short
+from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import PALETTE_FILE, Palette, read_class_image, read_palette
 from dc2g_jax.files.png import MOST_PIXELS, read_png, write_png
-from dc2g_jax.files.reading import TEXT, read_bytes, read_text
+from dc2g_jax.files.reading import TEXT, finite_number, read_bytes, read_text
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, check_shapes
 from dc2g_jax.mapping.checks import check_intrinsics
 from dc2g_jax.mapping.quaternions import quaternion_from_rotation, rotation_from_quaternion
@@ -61,6 +63,9 @@ _HIGHEST_RATE = 100_000
 _LIST_FIELDS = ("time", "file")
 _POSE_FIELDS = ("time", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 _CAMERA_FIELDS = ("focal_x", "focal_y", "center_x", "center_y", "width", "height")
+
+#: The time of a line that has been read.
+_TIME = operator.itemgetter(0)
 
 
 class FrameFiles(NamedTuple):
@@ -105,13 +110,6 @@ class Shot(NamedTuple):
     picture: UInt8[np.ndarray, "h w 3"] | None = None
 
 
-class _Timed(NamedTuple):
-    """Things with times, in temporal order."""
-
-    times: Float[np.ndarray, "n"]
-    things: list[Any]
-
-
 def read_sequence(folder: str | Path, tolerance: float = TOLERANCE) -> ImageSequence:
     """Read the lists of a recording and match their entries by time.
 
@@ -128,21 +126,20 @@ def read_sequence(folder: str | Path, tolerance: float = TOLERANCE) -> ImageSequ
         raise InputError(f"{folder}: no such folder; give a recording that has {DEPTH_LIST} in it")
     intrinsics = _read_camera(folder / CAMERA_FILE)
     depth, classes = (_read_list(folder / name) for name in (DEPTH_LIST, CLASS_LIST))
-    pictures = _read_list(folder / PICTURE_LIST) if (folder / PICTURE_LIST).exists() else _Timed(np.zeros(0), [])
+    pictures = _read_list(folder / PICTURE_LIST) if (folder / PICTURE_LIST).exists() else []
     poses = _read_poses(folder / POSE_LIST)
     moments = []
-    nearest = [_nearest(timed.times, depth.times, tolerance) for timed in (classes, pictures, poses)]
-    for time, file, class_at, picture_at, pose_at in zip(*depth, *nearest, strict=True):
-        if class_at >= 0 and pose_at >= 0:
-            picture = pictures.things[picture_at] if picture_at >= 0 else None
-            moments.append(FrameFiles(float(time), file, classes.things[class_at], picture, poses.things[pose_at]))
+    for time, file in depth:
+        class_file, picture, pose = (_nearest(listed, time, tolerance) for listed in (classes, pictures, poses))
+        if class_file is not None and pose is not None:
+            moments.append(FrameFiles(time, file, class_file, picture, pose))
     if not moments:
         raise InputError(
-            f"{folder}: none of its {len(depth.things)} depth images has a class image and a pose within {tolerance:g} "
+            f"{folder}: none of its {len(depth)} depth images has a class image and a pose within {tolerance:g} "
             f"s; compare the times in {DEPTH_LIST}, {CLASS_LIST} and {POSE_LIST}"
         )
     palette = read_palette(folder / PALETTE_FILE) if (folder / PALETTE_FILE).exists() else None
-    return ImageSequence(intrinsics, tuple(moments), len(depth.things) - len(moments), palette)
+    return ImageSequence(intrinsics, tuple(moments), len(depth) - len(moments), palette)
 
 
 def frames(sequence: ImageSequence) -> Iterator[Frame]:
@@ -290,24 +287,23 @@ def _write_shot(folder: Path, time: str, shot: Shot) -> dict[tuple[str, tuple[st
     return lines
 
 
-def _nearest(times: Float[np.ndarray, "n"], wanted: Float[np.ndarray, "m"], tolerance: float) -> Int[np.ndarray, "m"]:
-    """For each wanted time the index of the nearest of the sorted times; -1 where that is too far away."""
-    if not times.size:
-        return np.full(wanted.shape, -1)
-    after = np.searchsorted(times, wanted).clip(0, times.size - 1)
-    before = (after - 1).clip(0)
-    nearest = np.where(np.abs(times[before] - wanted) <= np.abs(times[after] - wanted), before, after)
+def _nearest(listed: list[tuple[float, Any]], time: float, tolerance: float) -> Any:
+    """What a list in temporal order has nearest to a time; `None` if that is too far away."""
+    after = bisect.bisect_left(listed, time, key=_TIME)
+    near = listed[max(after - 1, 0) : after + 1]
+    when, thing = min(near, key=lambda entry: abs(entry[0] - time), default=(math.inf, None))
     # Times are decimal fractions, and their differences are not exact.
-    return np.where(np.abs(times[nearest] - wanted) <= tolerance + 1e-9, nearest, -1)
+    return thing if abs(when - time) <= tolerance + 1e-9 else None
 
 
-def _read_list(path: Path) -> _Timed:
-    """Times and files of a list of images."""
-    return _sorted((_numbers(path, line, [time])[0], path.parent / file) for line, (time, file) in _lines(path))
+def _read_list(path: Path) -> list[tuple[float, Path]]:
+    """Times and files of a list of images, in temporal order."""
+    files = ((_numbers(path, line, [time])[0], path.parent / file) for line, (time, file) in _lines(path))
+    return sorted(files, key=_TIME)
 
 
-def _read_poses(path: Path) -> _Timed:
-    """Times and poses."""
+def _read_poses(path: Path) -> list[tuple[float, CameraPose]]:
+    """Times and poses, in temporal order."""
     poses = []
     for line, words in _lines(path, _POSE_FIELDS):
         time, *numbers = _numbers(path, line, words)
@@ -320,7 +316,7 @@ def _read_poses(path: Path) -> _Timed:
         position: Any = np.array(numbers[:3], np.float32)
         turn: Any = rotation.astype(np.float32)
         poses.append((time, CameraPose(position=position, rotation=turn)))
-    return _sorted(poses)
+    return sorted(poses, key=_TIME)
 
 
 def _read_camera(path: Path) -> Intrinsics:
@@ -361,18 +357,4 @@ def _lines(path: Path, fields: tuple[str, ...] = _LIST_FIELDS) -> Iterator[tuple
 
 def _numbers(path: Path, line: int, words: list[str]) -> list[float]:
     """The numbers of a line."""
-    numbers = []
-    for word in words:
-        try:
-            number = float(word)
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
-            raise InputError(f"{path}: line {line} has {short(word)} where a number belongs; repair the line")
-        numbers.append(number)
-    return numbers
-
-
-def _sorted(things: Iterable[tuple[float, Any]]) -> _Timed:
-    ordered = sorted(things, key=lambda thing: thing[0])
-    return _Timed(np.array([time for time, _ in ordered]), [thing for _, thing in ordered])
+    return [finite_number(f"{path}: line {line}", word, "repair the line") for word in words]
