@@ -12,6 +12,7 @@ from dc2g_jax.datasets.procedural.drawing import (
     choose,
     jitter,
     left_normals,
+    random_turn,
     rectangle,
     resample,
     smooth,
@@ -68,7 +69,7 @@ def _look(rng: np.random.Generator, streets: Streets, margin: float) -> PictureF
     """A view of a stretch of the first street, with a random part of the block beside and behind it."""
     road = 2 * float(streets.roads[0][1].mean())
     window = streets.curbs[0].at(0.0).place(rectangle(-8, -road * uniform(rng, (0.4, 1.0)), 8, margin + 12))
-    return view_around(rng, [window], _turn(rng), (4, uniform(rng, (16, 38))), (7, 12))
+    return view_around(rng, [window], random_turn(rng, 0.45, 0.06), (4, uniform(rng, (16, 38))), (7, 12))
 
 
 def _curb_crossings(rng: np.random.Generator, streets: Streets, verge: float) -> Polygons:
@@ -80,12 +81,6 @@ def _curb_crossings(rng: np.random.Generator, streets: Streets, verge: float) ->
             frame = curb.at(float(along) + rng.normal(0, 1.5))
             shape += stroke(frame.place([(0.0, -1.0), (0.0, verge + 1.0)]), width)
     return shape
-
-
-def _turn(rng: np.random.Generator) -> float:
-    if rng.random() < 0.45:
-        return float(rng.integers(4)) * np.pi / 2 + rng.normal(0, 0.06)
-    return uniform(rng, (0, 2 * np.pi))
 
 
 def _add_alleys(rng: np.random.Generator, sketch: Sketch, streets: Streets, depth: float) -> list[Curb]:

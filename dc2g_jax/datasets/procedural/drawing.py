@@ -87,6 +87,13 @@ class Placement:
         return np.split(self.place(np.concatenate(polygons)), np.cumsum([len(one) for one in polygons])[:-1])
 
 
+def random_turn(rng: np.random.Generator, aligned: float, spread: float) -> float:
+    """Rotation of an image, radians: within about `spread` of a quarter turn for a share `aligned`, else any angle."""
+    if rng.random() < aligned:
+        return float(rng.integers(4)) * np.pi / 2 + rng.normal(0, spread)
+    return uniform(rng, (0, 2 * np.pi))
+
+
 def rectangle(left: float, bottom: float, right: float, top: float) -> Points:
     """Corners of an upright rectangle, [4 2]."""
     return np.array([(left, bottom), (right, bottom), (right, top), (left, top)], dtype=float)

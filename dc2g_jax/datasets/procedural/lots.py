@@ -26,10 +26,13 @@ from dc2g_jax.datasets.procedural.streets import Curb
 
 
 @dataclass(frozen=True)
-class LotStyle:
-    """Style of a neighborhood's lots: ranges in meters, `turn` in radians, weights and shares."""
+class Suburb:
+    """Style of a suburb: its lots, its streets, and how much of it an image shows.
 
-    width: Range
+    Ranges are in meters, `turn` is in radians, the others are weights and shares.
+    """
+
+    lot_width: Range
     setback: Range
     house_width: Range
     house_depth: Range
@@ -38,6 +41,16 @@ class LotStyle:
     driveway_width: Range
     cars: float
     second_door: float
+    streets: dict[str, float]
+    road_width: Range
+    sidewalks: float
+    verge: Range
+    street_cars: float
+    neighbors: float
+    margins: Range
+    beyond_road: Range
+    extra_width: Range
+    pixels_per_meter: Range
 
 
 @dataclass(frozen=True)
@@ -64,9 +77,9 @@ def front_at(blocks: list[Points], x: float) -> float:
     return min(float(b[:, 1].min()) for b in blocks if b[:, 0].min() <= x <= b[:, 0].max())
 
 
-def build_house(rng: np.random.Generator, style: LotStyle) -> HouseOutline:
+def build_house(rng: np.random.Generator, suburb: Suburb) -> HouseOutline:
     """A house as a union of rectangles: body, garage, bays, wings, some with corners cut off."""
-    width, depth = uniform(rng, style.house_width), uniform(rng, style.house_depth)
+    width, depth = uniform(rng, suburb.house_width), uniform(rng, suburb.house_depth)
     garage_width = min(uniform(rng, (4.5, 7.5)), 0.55 * width)
     left, right = -width / 2, width / 2
     garage_front = float(rng.choice((uniform(rng, (-4.5, -0.5)), 0.0, uniform(rng, (0.3, 2.5))), p=(0.5, 0.2, 0.3)))
@@ -104,25 +117,25 @@ def _cut_corner(rng: np.random.Generator, block: Points) -> Points:
     return np.concatenate([block[:corner], cut, block[corner + 1 :]])
 
 
-def build_lot(rng: np.random.Generator, style: LotStyle, curb: Curb, has_sidewalk: bool) -> Lot:
+def build_lot(rng: np.random.Generator, suburb: Suburb, curb: Curb, has_sidewalk: bool) -> Lot:
     """House, driveway, walkways, doors and cars of the lot along a curb."""
-    house = build_house(rng, style)
+    house = build_house(rng, suburb)
     at_curb = curb.at(0.0)
-    setback = uniform(rng, style.setback) + max(-house.garage[1], 0.0)
-    turn = rng.normal(0, style.turn)
-    sideways = uniform(rng, (-0.12, 0.12)) * style.width[0]
+    setback = uniform(rng, suburb.setback) + max(-house.garage[1], 0.0)
+    turn = rng.normal(0, suburb.turn)
+    sideways = uniform(rng, (-0.12, 0.12)) * suburb.lot_width[0]
     stand = Placement(at_curb.place((sideways, setback)), at_curb.angle + turn, bool(rng.random() < 0.5))
     lot = Lot({"house": stand.place_all(house.blocks)}, stand.place_all(house.blocks))
-    drive = _DRIVEWAYS[choose(rng, style.driveways)](rng, style, house, stand, curb)
+    drive = _DRIVEWAYS[choose(rng, suburb.driveways)](rng, suburb, house, stand, curb)
     lot.shapes["driveway"] = drive.shape
     lot.essentials += [drive.line]
     starts = _walkway_starts(rng, house, stand, at_curb, drive, has_sidewalk)
-    width = uniform(rng, (1.2, 2.0)) if style.setback[1] > 20 else uniform(rng, (0.9, 1.6))
+    width = uniform(rng, (1.2, 2.0)) if suburb.setback[1] > 20 else uniform(rng, (0.9, 1.6))
     lot.shapes["path"] = [piece for start in starts for piece in walkway(rng, house.door, stand, start, width)]
-    lot.shapes["door"] = [stand.place(door_outline(rng, house.door, 1.15 if style.setback[1] > 20 else 1.0))]
-    if rng.random() < style.second_door:
+    lot.shapes["door"] = [stand.place(door_outline(rng, house.door, 1.15 if suburb.setback[1] > 20 else 1.0))]
+    if rng.random() < suburb.second_door:
         _add_side_door(rng, lot, house, stand, width)
-    if rng.random() < style.cars:
+    if rng.random() < suburb.cars:
         lot.shapes["car"] = _park(rng, drive)
     return lot
 
@@ -146,7 +159,7 @@ def tapered(rng: np.random.Generator, line: Points, at_road: float, at_house: fl
 
 
 def _front_driveway(
-    rng: np.random.Generator, style: LotStyle, house: HouseOutline, stand: Placement, curb: Curb
+    rng: np.random.Generator, suburb: Suburb, house: HouseOutline, stand: Placement, curb: Curb
 ) -> Driveway:
     """A short driveway from the road straight, bent or skewed to a garage door that faces the street."""
     x, y, garage_width = house.garage
@@ -180,10 +193,10 @@ def _court(rng: np.random.Generator, house: HouseOutline, width: float) -> tuple
 
 
 def _winding_driveway(
-    rng: np.random.Generator, style: LotStyle, house: HouseOutline, stand: Placement, curb: Curb
+    rng: np.random.Generator, suburb: Suburb, house: HouseOutline, stand: Placement, curb: Curb
 ) -> Driveway:
     """A long driveway, straight or winding, to a paved court beside the house."""
-    width = uniform(rng, style.driveway_width)
+    width = uniform(rng, suburb.driveway_width)
     court, entry, middle = _court(rng, house, width)
     setback = float(np.hypot(*(stand.origin - curb.at(0.0).origin)))
     sign = -1.0 if stand.mirrored else 1.0
@@ -203,10 +216,10 @@ def _winding_driveway(
 
 
 def _horseshoe_driveway(
-    rng: np.random.Generator, style: LotStyle, house: HouseOutline, stand: Placement, curb: Curb
+    rng: np.random.Generator, suburb: Suburb, house: HouseOutline, stand: Placement, curb: Curb
 ) -> Driveway:
     """A driveway with two entries that passes in front of the front door, with a spur to the garage."""
-    width = uniform(rng, style.driveway_width) * 0.9
+    width = uniform(rng, suburb.driveway_width) * 0.9
     court, entry, middle = _court(rng, house, width)
     door_x, door_y = house.door
     near = door_y - uniform(rng, (3.5, 9.0))
@@ -242,10 +255,10 @@ def _horseshoe_driveway(
 
 
 def _side_driveway(
-    rng: np.random.Generator, style: LotStyle, house: HouseOutline, stand: Placement, curb: Curb
+    rng: np.random.Generator, suburb: Suburb, house: HouseOutline, stand: Placement, curb: Curb
 ) -> Driveway:
     """A narrow driveway along the side of the house to its back, sometimes to a separate garage."""
-    width = uniform(rng, style.driveway_width) * 0.85
+    width = uniform(rng, suburb.driveway_width) * 0.85
     x = house.left - width * uniform(rng, (0.5, 0.9))
     back = uniform(rng, (4.0, 12.0))
     end, before = stand.place((x, back)), stand.place((x, min(house.garage[1], 0) - 1.5))

@@ -1,22 +1,20 @@
 """The three suburban neighborhoods: lots along streets, seen from above around one of them."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dc2g_jax.datasets.procedural.drawing import (
     PictureFrame,
     Placement,
     Polygons,
-    Range,
     Sketch,
     choose,
+    random_turn,
     rectangle,
     traveled,
     uniform,
     view_around,
 )
-from dc2g_jax.datasets.procedural.lots import Lot, LotStyle, build_lot, car
+from dc2g_jax.datasets.procedural.lots import Lot, Suburb, build_lot, car
 from dc2g_jax.datasets.procedural.streets import Curb, Sidewalks, Streets, lay_streets, wander
 from dc2g_jax.grid.sampling import ClassImage
 
@@ -27,36 +25,17 @@ _HOUSE_CELLS, _PIXELS_A_CELL = 50, 4
 _THROUGH = {"straight": 0.5, "fork": 0.5}
 
 
-@dataclass(frozen=True)
-class Suburb:
-    """Style of a suburb: its lots, its streets, and how much of it an image shows (ranges in meters)."""
-
-    lots: LotStyle
-    streets: dict[str, float]
-    road_width: Range
-    sidewalks: float
-    verge: Range
-    street_cars: float
-    neighbors: float
-    margins: Range
-    beyond_road: Range
-    extra_width: Range
-    pixels_per_meter: Range
-
-
 SUBURBS = {
     "suburb_sidewalks": Suburb(
-        lots=LotStyle(
-            width=(15, 22),
-            setback=(6, 13),
-            house_width=(12, 19),
-            house_depth=(8, 14),
-            turn=0.06,
-            driveways={"front": 0.86, "winding": 0.06, "side": 0.08},
-            driveway_width=(3.5, 5.0),
-            cars=0.3,
-            second_door=0.04,
-        ),
+        lot_width=(15, 22),
+        setback=(6, 13),
+        house_width=(12, 19),
+        house_depth=(8, 14),
+        turn=0.06,
+        driveways={"front": 0.86, "winding": 0.06, "side": 0.08},
+        driveway_width=(3.5, 5.0),
+        cars=0.3,
+        second_door=0.04,
         streets={"straight": 0.42, "curved": 0.16, "circle": 0.34, "knuckle": 0.04, "tee": 0.04},
         road_width=(7.5, 11),
         sidewalks=0.6,
@@ -69,25 +48,16 @@ SUBURBS = {
         pixels_per_meter=(7.5, 11),
     ),
     "large_lots": Suburb(
-        lots=LotStyle(
-            width=(38, 60),
-            setback=(16, 42),
-            house_width=(15, 24),
-            house_depth=(9, 15),
-            turn=0.45,
-            driveways={"winding": 0.72, "horseshoe": 0.18, "front": 0.1},
-            driveway_width=(3.2, 5.0),
-            cars=0.22,
-            second_door=0.16,
-        ),
-        streets={
-            "straight": 0.25,
-            "curved": 0.33,
-            "circle": 0.22,
-            "fork": 0.08,
-            "tee": 0.08,
-            "knuckle": 0.04,
-        },
+        lot_width=(38, 60),
+        setback=(16, 42),
+        house_width=(15, 24),
+        house_depth=(9, 15),
+        turn=0.45,
+        driveways={"winding": 0.72, "horseshoe": 0.18, "front": 0.1},
+        driveway_width=(3.2, 5.0),
+        cars=0.22,
+        second_door=0.16,
+        streets={"straight": 0.25, "curved": 0.33, "circle": 0.22, "fork": 0.08, "tee": 0.08, "knuckle": 0.04},
         road_width=(6, 9.5),
         sidewalks=0.0,
         verge=(0, 1),
@@ -99,17 +69,15 @@ SUBURBS = {
         pixels_per_meter=(8, 13),
     ),
     "compact_suburb": Suburb(
-        lots=LotStyle(
-            width=(13, 20),
-            setback=(4, 12),
-            house_width=(10, 16),
-            house_depth=(8, 14),
-            turn=0.05,
-            driveways={"front": 0.72, "side": 0.24, "winding": 0.04},
-            driveway_width=(3.0, 4.5),
-            cars=0.45,
-            second_door=0.08,
-        ),
+        lot_width=(13, 20),
+        setback=(4, 12),
+        house_width=(10, 16),
+        house_depth=(8, 14),
+        turn=0.05,
+        driveways={"front": 0.72, "side": 0.24, "winding": 0.04},
+        driveway_width=(3.0, 4.5),
+        cars=0.45,
+        second_door=0.08,
         streets={
             "straight": 0.16,
             "curved": 0.16,
@@ -134,17 +102,17 @@ SUBURBS = {
 
 def draw_suburb(rng: np.random.Generator, suburb: Suburb) -> ClassImage | None:
     """Draw the surroundings of one house: class indices, uint8 [H W]; None if the house does not fit."""
-    lot_width = uniform(rng, suburb.lots.width)
+    lot_width = uniform(rng, suburb.lot_width)
     streets = lay_streets(rng, suburb.streets, suburb.road_width, lot_width)
     sidewalks = _choose_sidewalks(rng, suburb)
-    lot = build_lot(rng, suburb.lots, streets.curbs[0], sidewalks is not None)
+    lot = build_lot(rng, suburb, streets.curbs[0], sidewalks is not None)
     sketch = Sketch(_view(rng, suburb, streets, lot))
     streets.draw(sketch, sidewalks, rng)
     if not _fits(sketch, lot.shapes):
         return None
     sketch.add_all(lot.shapes)
     for curb in _lots_along(rng, streets, lot_width):
-        neighbor = build_lot(rng, suburb.lots, curb, sidewalks is not None)
+        neighbor = build_lot(rng, suburb, curb, sidewalks is not None)
         clear = sketch.overlap(sketch.mask(neighbor.shapes["driveway"]), "driveway") < 0.05
         if clear and rng.random() < suburb.neighbors and _fits(sketch, neighbor.shapes):
             sketch.add_all(neighbor.shapes)
@@ -162,17 +130,17 @@ def draw_row(rng: np.random.Generator, suburb: Suburb, cells: int, doors: int) -
         cells: side of the grid of the image, whose cells are as large as those of a single house's 50 x 50 grid.
         doors: largest number of houses that have a front door; the walkways of the others end at a wall.
     """
-    lot_width = uniform(rng, suburb.lots.width)
+    lot_width = uniform(rng, suburb.lot_width)
     streets = lay_streets(rng, _THROUGH, suburb.road_width, lot_width)
     sidewalks = _choose_sidewalks(rng, suburb)
-    lot = build_lot(rng, suburb.lots, streets.curbs[0], sidewalks is not None)
+    lot = build_lot(rng, suburb, streets.curbs[0], sidewalks is not None)
     view = _widened(_view(rng, suburb, streets, lot), cells)
     _add_side_streets(rng, streets, 2 * lot_width, view.width / view.scale)
     sketch = Sketch(view)
     streets.draw(sketch, sidewalks, rng)
     lots = []
     for curb in _all_along(rng, streets, lot_width):
-        lot = build_lot(rng, suburb.lots, curb, sidewalks is not None)
+        lot = build_lot(rng, suburb, curb, sidewalks is not None)
         driveway, house = (sketch.mask(lot.shapes[layer]) for layer in ("driveway", "house"))
         clear = house.any() and sketch.overlap(driveway, "driveway") < 0.05
         if clear and rng.random() < suburb.neighbors and _fits(sketch, lot.shapes):
@@ -220,13 +188,6 @@ def _all_along(rng: np.random.Generator, streets: Streets, lot_width: float) -> 
     return places
 
 
-def _turn(rng: np.random.Generator) -> float:
-    """Rotation of the image, radians: often nearly aligned with the street, otherwise any angle."""
-    if rng.random() < 0.5:
-        return float(rng.integers(4)) * np.pi / 2 + rng.normal(0, 0.07)
-    return uniform(rng, (0, 2 * np.pi))
-
-
 def _choose_sidewalks(rng: np.random.Generator, suburb: Suburb) -> Sidewalks | None:
     if rng.random() >= suburb.sidewalks:
         return None
@@ -241,17 +202,12 @@ def _choose_sidewalks(rng: np.random.Generator, suburb: Suburb) -> Sidewalks | N
 
 
 def _view(rng: np.random.Generator, suburb: Suburb, streets: Streets, lot: Lot) -> PictureFrame:
-    """The frame of a picture around one lot."""
-    framing = _framing(rng, suburb, streets, lot.essentials)
-    return view_around(rng, framing, _turn(rng), suburb.margins, suburb.pixels_per_meter)
-
-
-def _framing(rng: np.random.Generator, suburb: Suburb, streets: Streets, essentials: Polygons) -> Polygons:
-    """The shape that the image must contain: the lot, some or all of the road in front, sometimes more beside it."""
+    """The frame of a picture around one lot, some or all of the road in front, sometimes more beside it."""
     curb = streets.curbs[0].at(0.0)
     depth = 2 * float(streets.roads[0][1].mean()) + uniform(rng, suburb.beyond_road)
     left, right = rng.uniform(*suburb.extra_width, 2)
-    return [*essentials, curb.place(rectangle(-left, -max(depth, 3.0), right, 0.0))]
+    shown = [*lot.essentials, curb.place(rectangle(-left, -max(depth, 3.0), right, 0.0))]
+    return view_around(rng, shown, random_turn(rng, 0.5, 0.07), suburb.margins, suburb.pixels_per_meter)
 
 
 def _fits(sketch: Sketch, shapes: dict[str, Polygons]) -> bool:
