@@ -326,6 +326,7 @@ def _check_folder(folder: Path) -> None:
 def _read_house_lists(folder: Path) -> dict[str, dict[str, int]]:
     """Return split -> house -> line number in its list."""
     lists: dict[str, dict[str, int]] = {}
+    listed: dict[str, str] = {}
     for split, file_name in SPLIT_FILES.items():
         path = folder / file_name
         if not path.exists() and not any((folder / IMAGE_FOLDER / split).glob("world*.png")):
@@ -335,18 +336,12 @@ def _read_house_lists(folder: Path) -> dict[str, dict[str, int]]:
         for line, row in read_table(path, ["house_id"], remedy=remedy):
             name = row["house_id"]
             _check_name(f"{path}: line {line}", name)
-            if name in entries:
+            if name in listed:
                 raise InputError(
-                    f"{path}: line {line} lists house {name!r} again, first on line {entries[name]}; "
-                    "delete one of the two"
+                    f"{path}: line {line} lists house {name!r}, which {listed[name]} lists already; a house belongs to "
+                    "one split, delete one of the two"
                 )
-            for other, others in lists.items():
-                if name in others:
-                    raise InputError(
-                        f"{path}: line {line} lists house {name!r}, which {SPLIT_FILES[other]} has on line "
-                        f"{others[name]}; a house belongs to one split, delete one of the two"
-                    )
-            entries[name] = line
+            entries[name], listed[name] = line, f"line {line} of {file_name}"
         lists[split] = entries
     return lists
 

@@ -2,7 +2,6 @@
 
 import difflib
 import math
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -15,7 +14,7 @@ from dc2g_jax.datasets.occupancy import YAML_ENDINGS, OccupancyMap, read_occupan
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.files.class_images import PALETTE_FILE, Palette, check_classes, read_class_image, read_palette
 from dc2g_jax.files.reading import finite_number, read_array
-from dc2g_jax.files.tables import read_table
+from dc2g_jax.files.tables import read_table, whole_cell
 from dc2g_jax.grid.ground import why_no_path
 from dc2g_jax.grid.sampling import ClassImage, sample_grid
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
@@ -289,9 +288,9 @@ def _read_cells(path: Path) -> tuple[int, int] | None:
     """Columns and rows of the grid; `None` if the file does not exist."""
     if not path.exists():
         return None
-    rows = read_table(path, ("columns", "rows"), remedy="give the size of the grid there")
-    (line, row) = rows[-1]
-    texts = (row["columns"], row["rows"])
-    if len(rows) > 1 or not all(re.fullmatch("0*[1-9][0-9]{0,8}", text) for text in texts):
-        raise InputError(f"{path}: line {line} has {short(','.join(texts))}; write two whole numbers of cells")
-    return int(texts[0]), int(texts[1])
+    table = read_table(path, ("columns", "rows"), remedy="give the size of the grid there")
+    line, row = table[-1]
+    if len(table) > 1:
+        raise InputError(f"{path}: line {line} gives another size of the grid; leave one of them")
+    columns, rows = (whole_cell(f"{path}: line {line}: {name}", row[name], 1, 10**9) for name in ("columns", "rows"))
+    return columns, rows

@@ -2,9 +2,8 @@
 
 import csv
 import functools
-import re
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +13,7 @@ from jaxtyping import Bool, UInt8
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.resources import resource
-from dc2g_jax.files.tables import table_lines
+from dc2g_jax.files.tables import table_lines, whole_cell
 from dc2g_jax.grid.ground import connected_to_goal, why_no_path
 from dc2g_jax.grid.poses import HEADINGS
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
@@ -121,43 +120,23 @@ _OPTIONAL = ("range", "expanding_range")
 _MIN_RANGE = 2
 
 
-def _whole_number(path: Path, line: int, row: dict[str, str], column: str, low: int, high: int | None) -> int:
-    """One entry of the table as a whole number within bounds."""
-    text = row[column]
-    bounds = f"of at least {low}" if high is None else f"from {low} to {high}"
-    # Values have at most six digits. `int` alone would accept spellings that do not belong in a table.
-    number = int(text) if re.fullmatch(r"-?[0-9]{1,6}", text) else None
-    if number is None or number < low or (high is not None and number > high):
-        raise InputError(f"{path}: line {line}: {column} is {text[:20]!r}; give a whole number {bounds}")
-    return number
+def _read_start(where: str, row: dict[str, str], house: House, connected: Bool[np.ndarray, "h w"]) -> Start:
+    """A start on one of the `connected` cells, those that a front door can be reached from."""
 
+    def number(column: str, low: int, high: int) -> int:
+        return whole_cell(f"{where}: {column}", row[column], low, high)
 
-#: A house by name, the reason why no episode can be run in it, and the cells that its front doors can be reached from.
-_LookUp = Callable[[str], tuple[House, str | None, Bool[np.ndarray, "h w"]]]
-
-
-def _read_start(path: Path, line: int, row: dict[str, str], look_up: _LookUp) -> Start:
-    try:
-        house, reason, connected = look_up(row["house"])
-    except InputError as error:
-        raise InputError(f"{path}: line {line}: {error}") from None
-    if reason is not None:
-        raise InputError(f"{path}: line {line}: no episode can be run in {house.name}: {reason}; remove the line")
     height, width = house.terrain.shape
-    x = _whole_number(path, line, row, "x", 0, width - 1)
-    y = _whole_number(path, line, row, "y", 0, height - 1)
+    x, y = number("x", 0, width - 1), number("y", 0, height - 1)
     if house.terrain[y, x] == FRONT_DOOR:
-        raise InputError(f"{path}: line {line}: ({x}, {y}) in {house.name} is a front door already; start elsewhere")
+        raise InputError(f"{where}: ({x}, {y}) in {house.name} is a front door already; start elsewhere")
     if not connected[y, x]:
         raise InputError(
-            f"{path}: line {line}: no front door of {house.name} can be reached from ({x}, {y}); "
+            f"{where}: no front door of {house.name} can be reached from ({x}, {y}); "
             "start on a traversable cell that is connected to one"
         )
-    ranges = [
-        _whole_number(path, line, row, column, _MIN_RANGE, MAX_SENSING_RANGE) if row[column] else None
-        for column in _OPTIONAL
-    ]
-    return Start(house.name, x, y, _whole_number(path, line, row, "heading", 0, HEADINGS - 1), *ranges)
+    ranges = [number(column, _MIN_RANGE, MAX_SENSING_RANGE) if row[column] else None for column in _OPTIONAL]
+    return Start(house.name, x, y, number("heading", 0, HEADINGS - 1), *ranges)
 
 
 def read_starts(path: str | Path, dataset: HouseDataset) -> list[Start]:
@@ -173,14 +152,21 @@ def read_starts(path: str | Path, dataset: HouseDataset) -> list[Start]:
     remedy = f"give a CSV file with columns {', '.join(_REQUIRED)}"
 
     @functools.cache  # there may be a million starts in a few houses
-    def look_up(name: str) -> tuple[House, str | None, Bool[np.ndarray, "h w"]]:
+    def look_up(name: str) -> tuple[House, Bool[np.ndarray, "h w"]]:
         house = dataset.house(name)
-        return house, why_no_episode(house), connected_to_goal(house.terrain)
+        if reason := why_no_episode(house):
+            raise InputError(f"no episode can be run in {name}: {reason}; remove the line")
+        return house, connected_to_goal(house.terrain)
 
     starts, of_planners = [], set()
     for line, row in table_lines(path, _REQUIRED, optional=(*_OPTIONAL, "planner"), remedy=remedy):
         of_planners.add(row["planner"])
-        starts.append(_read_start(path, line, row, look_up))
+        where = f"{path}: line {line}"
+        try:
+            house, connected = look_up(row["house"])
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
+        starts.append(_read_start(where, row, house, connected))
     planners = sorted(of_planners)
     if len(planners) > 1:
         raise InputError(

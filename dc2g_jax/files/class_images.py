@@ -2,7 +2,6 @@
 
 import difflib
 import functools
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy.typing as npt
 
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.files.png import bands, read_png, write_png
-from dc2g_jax.files.tables import read_table, write_table
+from dc2g_jax.files.tables import read_table, whole_cell, write_table
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, UNKNOWN
 
 #: The palette of a dataset, in its folder.
@@ -54,9 +53,13 @@ class Palette:
             table[code] = known.get(name, _FOREIGN_CLASS)
         return table
 
+    def classes(self, pixels: np.ndarray) -> np.ndarray:
+        """Terrain classes of RGB colors, uint8 [...], as in `class_of_color`, for colors uint8 [... 3 or more]."""
+        return self.class_of_color[_color_codes(pixels)]
+
     def color_of_class(self) -> dict[int, tuple[int, int, int]]:
         """RGB color of each terrain class that has one; the first if it has several."""
-        classes = self.class_of_color[_color_codes(self.colors)].tolist()
+        classes = self.classes(self.colors).tolist()
         colors = dict(zip(classes[::-1], map(_rgb, self.colors[::-1]), strict=True))
         return {index: color for index, color in colors.items() if index < len(CLASS_NAMES)}
 
@@ -87,13 +90,8 @@ def read_palette(csv_path: Path) -> Palette:
     colors = np.zeros((len(rows), 3), np.uint8)
     for index, (line, row) in enumerate(rows):
         for channel, column in enumerate("rgb"):
-            value = row[column]
-            if not re.fullmatch(r"[0-9]{1,9}", value) or int(value) > 255:
-                raise InputError(
-                    f"{csv_path}: line {line} has {short(value)} in column {column!r} of class {short(row['class'])}; "
-                    "write a whole number from 0 to 255"
-                )
-            colors[index, channel] = int(value)
+            where = f"{csv_path}: line {line}: {column!r} of class {short(row['class'])}"
+            colors[index, channel] = whole_cell(where, row[column], 0, 255)
     return Palette(csv_path, tuple(row["class"] for _, row in rows), colors)
 
 
@@ -118,7 +116,7 @@ def read_class_image(png_path: Path, palette: Palette, *, size: tuple[int, int] 
         pixels = np.asarray(band.convert("RGBA"))
         if pixels[..., 3].min() < 255:
             raise InputError(f"{png_path}: has pixels that are not opaque; export it without transparency")
-        classes[rows] = palette.class_of_color[_color_codes(pixels)]
+        classes[rows] = palette.classes(pixels)
         if classes[rows].max() >= _FOREIGN_CLASS:
             raise InputError(f"{png_path}: {_explain_color(palette, pixels[..., :3], classes[rows], rows.start)}")
     return classes

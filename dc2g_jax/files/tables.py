@@ -1,6 +1,7 @@
 """Strict reading of small CSV tables, with one-line errors that name file and line, and atomic writing."""
 
 import csv
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from io import BufferedIOBase
 from pathlib import Path
@@ -60,15 +61,26 @@ def table_lines(
                     optional = header if optional is None else optional
                     _check_header(path, header, columns, optional)
                     continue
-                values = _pick(path, reader.line_num, header, cells, columns)
-                given = dict(zip(header, cells, strict=False))
                 empty = False
-                yield reader.line_num, values | {column: given.get(column, "") for column in optional or ()}
+                yield reader.line_num, _pick(path, reader.line_num, header, cells, columns, optional or ())
     except csv.Error as error:
         raise InputError(f"{path}: line {reader.line_num} is not CSV ({error}); repair the file") from None
     if empty:
         found = "is empty" if header is None else f"has the header {short(','.join(header))} but no rows"
         raise InputError(f"{path}: {found}; expected a header with {','.join(columns)} and one row an entry")
+
+
+def whole_cell(where: str, text: str, low: int, high: int) -> int:
+    """The whole number of at most nine digits in a cell of a table.
+
+    Raises:
+        InputError: it is something else, or not from `low` to `high`; `where` begins the message.
+    """
+    # `int` alone would accept spellings that do not belong in a table.
+    number = int(text) if re.fullmatch(r"-?[0-9]{1,9}", text) else None
+    if number is None or not low <= number <= high:
+        raise InputError(f"{where} is {short(text)}; give a whole number from {low} to {high}")
+    return number
 
 
 def write_table(path: Path, columns: Sequence[str], rows: Iterable[Iterable[object]]) -> None:
@@ -107,11 +119,13 @@ def _check_header(path: Path, header: list[str], columns: Sequence[str], optiona
             raise InputError(f"{path}: the header {short(','.join(header))} names {column!r} twice; leave one of them")
 
 
-def _pick(path: Path, line: int, header: list[str], cells: list[str], columns: Sequence[str]) -> dict[str, str]:
+def _pick(
+    path: Path, line: int, header: list[str], cells: list[str], columns: Sequence[str], optional: Sequence[str]
+) -> dict[str, str]:
     if len(cells) > len(header):
         raise InputError(f"{path}: line {line} has {len(cells)} values for {len(header)} columns; repair the line")
     values = dict(zip(header, cells, strict=False))
     for column in columns:
         if not values.get(column):
             raise InputError(f"{path}: line {line} has no value in column {column!r}; fill it in or delete it")
-    return {column: values[column] for column in columns}
+    return {column: values.get(column, "") for column in (*columns, *optional)}

@@ -222,8 +222,7 @@ def capture(airsim: AirSim, camera: Camera) -> Capture:
                 f"AirSim's camera {camera.name!r}: {name} is {image.shape[1]} x {image.shape[0]} pixels, depth "
                 f"{meters.shape[1]} x {meters.shape[0]}; give all CaptureSettings in settings.json one size"
             )
-    shades = colors.astype(np.int64)
-    classes = camera.palette.class_of_color[shades[..., 0] << 16 | shades[..., 1] << 8 | shades[..., 2]]
+    classes = camera.palette.classes(colors)
     labels: Any = np.where(classes < len(CLASS_NAMES), classes, UNKNOWN).astype(np.uint8)
     returned: Any = np.where(meters < _SKY, meters, 0).astype(np.float32)
     pose = _world_pose(depth["camera_position"], depth["camera_orientation"], camera.origin)
