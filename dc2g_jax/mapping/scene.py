@@ -131,13 +131,8 @@ def _obstacles(classes: UInt8[np.ndarray, "h w"], shape: Shape) -> Bool[np.ndarr
 def _door_leaves(classes: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """Door tiles along a house except those at the ends, and the house tiles that close the gap to its wall."""
     doors, building = classes == FRONT_DOOR, _obstacles(classes, _BUILDING)
-    leaves = doors & _beside(building) & (_distance(doors | building) > 1)
-    return leaves | (building & _beside(leaves))
-
-
-def _beside(tiles: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """The tiles of a set and those that share a side with one of them."""
-    return np.asarray(ndimage.binary_dilation(tiles))
+    leaves = doors & ndimage.binary_dilation(building) & (_distance(doors | building) > 1)
+    return leaves | (building & ndimage.binary_dilation(leaves))
 
 
 def _distance(tiles: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:

@@ -199,7 +199,11 @@ class Drawn:
         self.view, self.classes, self.cell = view, classes, cell
         labels = component_numbers(TRAVERSABLE[classes])
         self._connected = TRAVERSABLE[classes] & np.isin(labels, labels[classes == ROAD])
-        self._nearest: tuple[np.ndarray, np.ndarray] | None = None
+
+    @functools.cached_property
+    def _nearest(self) -> np.ndarray:
+        """Row and column of the nearest connected pixel of each pixel [2 H W]."""
+        return ndimage.distance_transform_edt(~self._connected, return_distances=False, return_indices=True)
 
     def at(self, points: Points) -> np.ndarray:
         """Classes at points [n 2]; house beyond the edge."""
@@ -214,13 +218,10 @@ class Drawn:
 
     def nearest_ground(self, point: Points) -> Points | None:
         """The nearest point [2] of ground that leads to a street, `None` if there is none."""
-        if self._nearest is None:
-            distance, index = ndimage.distance_transform_edt(~self._connected, return_indices=True)
-            self._nearest = distance, index
-        x, y = np.clip(self.view.to_pixels(point[None])[0], 0, (self.view.width - 1, self.view.height - 1))
         if not np.any(self._connected):
             return None
-        row, column = self._nearest[1][:, y, x]
+        x, y = np.clip(self.view.to_pixels(point[None])[0], 0, (self.view.width - 1, self.view.height - 1))
+        row, column = self._nearest[:, y, x]
         return np.array([column + 0.5, row + 0.5]) / self.view.scale + self.view.corner
 
 

@@ -29,12 +29,12 @@ from dc2g_jax.datasets.osm.shapes import (
     square_view,
     street_width,
 )
-from dc2g_jax.datasets.procedural.drawing import PictureFrame, Polygons, Sketch, resample
+from dc2g_jax.datasets.procedural.drawing import PictureFrame, Sketch, resample
 from dc2g_jax.grid.ground import component_numbers
 from dc2g_jax.grid.sampling import ClassImage, resize_nearest, sample_grid
 from dc2g_jax.grid.terrain import FRONT_DOOR, ROAD, TRAVERSABLE, UNKNOWN
 
-_Item = TypeVar("_Item")
+_Item = TypeVar("_Item", Area, Patch)
 
 #: Share of the streets without mapped sidewalks that get some, and the kinds of streets that may.
 _SIDEWALKS, _WITH_SIDEWALKS = 0.7, ("residential", "unclassified", "tertiary", "secondary", "primary")
@@ -51,14 +51,12 @@ class BuildingMap:
     """The map of a building.
 
     Attributes:
-      building: the building.
       latitude: latitude of the map's center, degrees.
       longitude: its longitude.
       classes: class indices, uint8 [H W], north up.
       added: those that are not mapped but added, 0 elsewhere, uint8 [H W].
     """
 
-    building: Area
     latitude: float
     longitude: float
     classes: ClassImage
@@ -66,11 +64,11 @@ class BuildingMap:
 
 
 class _Index(Generic[_Item]):
-    """Things in the plane, to be asked for those in a picture."""
+    """Areas or patches, to be asked for those in a picture."""
 
-    def __init__(self, items: Sequence[_Item], polygons: Sequence[Polygons]) -> None:
-        corners = [np.concatenate(outlines) for outlines in polygons]
-        self._items = items
+    def __init__(self, items: Sequence[_Item]) -> None:
+        corners = [np.concatenate(item.outer) for item in items]
+        self._items: Sequence[_Item] = items
         self._low = np.array([points.min(axis=0) for points in corners]).reshape(-1, 2)
         self._high = np.array([points.max(axis=0) for points in corners]).reshape(-1, 2)
 
@@ -79,10 +77,6 @@ class _Index(Generic[_Item]):
         corner = view.corner + np.array([view.width, view.height]) / view.scale + margin
         near = np.all((self._low <= corner) & (self._high >= view.corner - margin), axis=1)
         return list(itertools.compress(self._items, near))
-
-
-def _shape_index(shapes: Sequence[Patch]) -> _Index[Patch]:
-    return _Index(shapes, [shape.outer for shape in shapes])
 
 
 class Neighborhood:
@@ -105,16 +99,15 @@ class Neighborhood:
     ) -> None:
         self._extract, self._meters, self._cells = extract, meters, cells
         self._seed, self._only_mapped = seed, only_mapped
-        self._mapped = _shape_index(mapped_shapes(extract, meters / cells))
+        self._mapped = _Index(mapped_shapes(extract, meters / cells))
         self._streets = street_points(extract.streets)
         self._entrances = list(filter(is_entrance, extract.spots))
-        self._sidewalks = _shape_index([] if only_mapped else self._added_sidewalks())
+        self._sidewalks = _Index([] if only_mapped else self._added_sidewalks())
         self._uses = uses = Uses(extract.buildings)
         self.buildings = [area for area in extract.buildings if uses.has_front_door(area)]
         if around:
             self.buildings = [one for one in self.buildings if self._shows_origin(one)]
-        entered = [area for area in extract.buildings if uses.has_front_door(area) or uses.is_garage(area)]
-        self._entered = _Index(entered, [area.outer for area in entered])
+        self._entered = _Index([one for one in extract.buildings if uses.has_front_door(one) or uses.is_garage(one)])
         self._entries: dict[str, Entry | str] = {}
 
     def _shows_origin(self, building: Area) -> bool:
@@ -201,7 +194,7 @@ class Neighborhood:
         classes = whole.classes()
         center = view.corner + self._meters / 2
         added = np.where(classes == mapped.classes(), np.uint8(UNKNOWN), classes)
-        return BuildingMap(building, *self._extract.degrees(center), classes, added)
+        return BuildingMap(*self._extract.degrees(center), classes, added)
 
 
 def _has_beside(line: Line, mapped: spatial.KDTree) -> bool:
