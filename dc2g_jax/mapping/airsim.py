@@ -20,7 +20,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 
 from dc2g_jax.errors import InputError, require_extra
 from dc2g_jax.files.class_images import Palette
@@ -215,7 +215,8 @@ def capture(airsim: AirSim, camera: Camera) -> Capture:
             f"AirSim's simGetImages: sent no {len(requests)} images for camera {camera.name!r}; see its log"
         )
     scene, depth, segmentation = answers
-    picture, colors, meters = _pixels(scene), _pixels(segmentation), _meters(depth)
+    picture, colors = _pixels(scene), _pixels(segmentation)
+    meters = _shaped(depth, np.asarray(depth["image_data_float"], np.float32), 1)[..., 0]
     for name, image in (("scene", picture), ("segmentation", colors)):
         if image.shape[:2] != meters.shape:
             raise InputError(
@@ -310,11 +311,6 @@ def _call_of_camera(airsim: AirSim, method: str, *parameters: Any) -> Any:
         if "invalid number of arguments" not in str(error):
             raise
         return airsim.call(method, *parameters)
-
-
-def _meters(answer: Mapping[str, Any]) -> Float[np.ndarray, "h w"]:
-    """The depth image of an answer, one number per pixel, meters."""
-    return _shaped(answer, np.asarray(answer["image_data_float"], np.float32), 1)[..., 0]
 
 
 def _pixels(answer: Mapping[str, Any]) -> UInt8[np.ndarray, "h w 3"]:

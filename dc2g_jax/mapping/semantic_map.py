@@ -157,7 +157,7 @@ def integrate(semantic_map: SemanticMap, frame: Frame, intrinsics: Intrinsics, s
             "settings it was made with"
         )
     window = _window(frame.pose, settings)
-    usable = _usable(frame, intrinsics, settings)
+    usable = (frame.depth > 0) & (frame.depth * _ray_lengths(frame, intrinsics) <= settings.reach)
     counts = _counts(frame, usable, intrinsics, settings, window)
     missed = _looked_through(frame, usable, intrinsics, settings, window)
     before = jax.tree.map(lambda voxels: jax.lax.dynamic_slice(voxels, window.corner, window.shape), semantic_map)
@@ -195,12 +195,6 @@ def _window(pose: CameraPose, settings: MapSettings) -> _Window:
     first_column = jnp.clip(jnp.floor(x) - cells, 0, settings.columns - columns)
     corner = jnp.nan_to_num(jnp.stack([jnp.zeros_like(x), first_row, first_column])).astype(jnp.int32)
     return _Window(corner, (settings.levels, rows, columns))
-
-
-def _usable(frame: Frame, intrinsics: Intrinsics, settings: MapSettings) -> Bool[Array, "h w"]:
-    """Pixels with a valid depth within reach."""
-    distance = frame.depth * _ray_lengths(frame, intrinsics)
-    return (frame.depth > 0) & (distance <= settings.reach)
 
 
 def _ray_lengths(frame: Frame, intrinsics: Intrinsics) -> Float[Array, "h w"]:

@@ -1,5 +1,6 @@
 """The urban neighborhood: apartment blocks along streets with wide sidewalks, seen from above."""
 
+import collections
 from collections.abc import Callable
 
 import numpy as np
@@ -139,12 +140,12 @@ def _entrance(rng: np.random.Generator, x: float, y: float, path_width: float) -
 
 def _merge(into: Building, more: Building) -> None:
     for layer, shape in more.items():
-        into.setdefault(layer, []).extend(shape)
+        into[layer] += shape
 
 
 def _terraces(rng: np.random.Generator, width: float, setback: float) -> Building:
     """Attached narrow houses, each with a door and a short walkway, their fronts not quite in line."""
-    building: Building = {"house": [], "path": [], "door": []}
+    building: Building = collections.defaultdict(list)
     units = max(int(width / uniform(rng, (5.5, 9.0))), 2)
     unit, depth = width / units, uniform(rng, (9, 16))
     relief, side = uniform(rng, (0.0, 0.8)), uniform(rng, (0.2, 0.8))
@@ -165,11 +166,8 @@ def _terraces(rng: np.random.Generator, width: float, setback: float) -> Buildin
 def _slab(rng: np.random.Generator, width: float, setback: float) -> Building:
     """A long apartment house with several entrances, sometimes with a walkway along its front."""
     depth = uniform(rng, (10, 18))
-    building: Building = {
-        "house": [rectangle(-width / 2, setback, width / 2, setback + depth)],
-        "path": [],
-        "door": [],
-    }
+    building: Building = collections.defaultdict(list)
+    building["house"].append(rectangle(-width / 2, setback, width / 2, setback + depth))
     _relief(rng, building, width, setback, depth)
     count = max(round(width / uniform(rng, (9, 18))), 1)
     doors = -width / 2 + width * (np.arange(count) + uniform(rng, (0.3, 0.7))) / count
@@ -209,7 +207,7 @@ def _court_block(rng: np.random.Generator, width: float, setback: float) -> Buil
     house = [rectangle(left, setback, left + wing, back), rectangle(left, inner, right, back)]
     house += [] if one_sided else [rectangle(right - wing, setback, right, back)]
     middle = (left + wing + (right if one_sided else right - wing)) / 2 + rng.normal(0, 0.5)
-    building: Building = {"house": house, "path": [], "door": []}
+    building: Building = collections.defaultdict(list, house=house)
     path_width = uniform(rng, (1.3, 2.6))
     _merge(building, _entrance(rng, middle, inner, path_width))
     sides = [(left + wing, 1)] + ([] if one_sided else [(right - wing, -1)])
