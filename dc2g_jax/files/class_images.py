@@ -60,18 +60,14 @@ class Palette:
     def color_of_class(self) -> dict[int, tuple[int, int, int]]:
         """RGB color of each terrain class that has one; the first if it has several."""
         classes = self.classes(self.colors).tolist()
-        colors = dict(zip(classes[::-1], map(_rgb, self.colors[::-1]), strict=True))
+        colors = dict(zip(classes[::-1], map(tuple, self.colors[::-1].tolist()), strict=True))
         return {index: color for index, color in colors.items() if index < len(CLASS_NAMES)}
-
-    def name_of(self, color: Sequence[int]) -> str:
-        """Return the name of the class that has this RGB color, which must be in the palette."""
-        return self.names[int(np.flatnonzero((self.colors == np.asarray(color)).all(axis=1))[0])]
 
     def nearest(self, color: Sequence[int]) -> tuple[str, tuple[int, int, int]]:
         """Return name and RGB of the entry closest to a color, by Euclidean distance in RGB."""
         difference = self.colors.astype(int) - np.asarray(color, int)
         index = int(np.argmin((difference**2).sum(axis=1)))
-        return self.names[index], _rgb(self.colors[index])
+        return self.names[index], tuple(self.colors[index].tolist())
 
 
 def read_palette(csv_path: Path) -> Palette:
@@ -172,7 +168,7 @@ def _explain_color(palette: Palette, colors: np.ndarray, classes: np.ndarray, to
     """A message about the pixels without class in some rows of an image, from row `top` on."""
     y, x = (int(value) for value in np.argwhere(classes >= _FOREIGN_CLASS)[0])
     if classes[y, x] == _FOREIGN_CLASS:
-        name, known = palette.name_of(_rgb(colors[y, x])), CLASS_NAMES[1:]
+        name, known = palette.nearest(colors[y, x].tolist())[0], CLASS_NAMES[1:]
         close = difflib.get_close_matches(name, known, n=1)
         remedy = f"rename it to {close[0] if close else 'one of: ' + ', '.join(known)}"
         return f"pixel x={x}, y={top + y} is {short(name)} in {palette.path.name}, which is no class; {remedy}"
@@ -181,15 +177,10 @@ def _explain_color(palette: Palette, colors: np.ndarray, classes: np.ndarray, to
     listed = []
     for index in np.argsort(-counts, kind="stable")[:_LISTED_COLORS]:
         x, y, others = int(columns[first[index]]), int(rows[first[index]]), int(counts[index]) - 1
-        color = _rgb(colors[y, x])
+        color = tuple(colors[y, x].tolist())
         name, nearest = palette.nearest(color)
         more = f" and {others} more" if others else ""
         listed.append(f"{color} at x={x}, y={top + y}{more} (nearest: {short(name)} {nearest})")
     if len(counts) > len(listed):
         listed.append(f"and {len(counts) - len(listed)} other colors")
     return f"{', '.join(listed)} not in {palette.path.name}; add classes to it, or repaint exactly, without smoothing"
-
-
-def _rgb(color: np.ndarray) -> tuple[int, int, int]:
-    red, green, blue = (int(value) for value in color)
-    return red, green, blue
