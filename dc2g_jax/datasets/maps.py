@@ -230,9 +230,11 @@ def map_files(folder: Path) -> dict[str, list[Path]]:
 
 
 def _maps_in(folder: Path) -> list[Path]:
+    """The maps of a folder, by name. Hidden files are none: other systems and killed writers leave some."""
     if not folder.is_dir():
         return []
-    return sorted(path for path in folder.iterdir() if path.suffix.lower() in MAP_ENDINGS)
+    shown = (path for path in folder.iterdir() if not path.name.startswith("."))
+    return sorted(path for path in shown if path.suffix.lower() in MAP_ENDINGS)
 
 
 def read_map_folder(folder: Path) -> list[tuple[str, str, UInt8[np.ndarray, "h w"]]]:

@@ -112,6 +112,7 @@ def test_maps_without_folders_for_the_splits_are_for_testing(tmp_path, yard):
     large = yard.repeat(4, axis=0).repeat(4, axis=1)
     np.save(tmp_path / "b.npy", large)
     np.save(tmp_path / "a.npy", large.T)
+    (tmp_path / "._a.png").write_bytes(b"what another system keeps about a file")
     dataset = map_dataset(tmp_path)
     assert [(house.name, house.split) for house in dataset.houses] == [("a", "test"), ("b", "test")]
     assert [house.terrain.shape for house in dataset.houses] == [(20, 28), (28, 20)]
