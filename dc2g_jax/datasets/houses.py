@@ -156,12 +156,10 @@ def load_dataset(folder: str | os.PathLike[str], *, cells: int | None = 50) -> H
         raise InputError(f"{folder}: a grid of {cells} cells a side is not a grid; give at least 1")
     try:
         _check_folder(folder)
-        lists = _read_house_lists(folder)
+        listed = _read_house_lists(folder)
         palette = read_palette(folder / PALETTE_FILE)
         houses = tuple(
-            _read_house(folder, split, name, line, palette, cells)
-            for split, entries in lists.items()
-            for name, line in entries.items()
+            _read_house(folder, split, name, where, palette, cells) for name, (split, where) in listed.items()
         )
         if matches_published(folder):
             return HouseDataset(PUBLISHED_NAME, "published", houses)
@@ -323,27 +321,24 @@ def _check_folder(folder: Path) -> None:
         )
 
 
-def _read_house_lists(folder: Path) -> dict[str, dict[str, int]]:
-    """Return split -> house -> line number in its list."""
-    lists: dict[str, dict[str, int]] = {}
-    listed: dict[str, str] = {}
+def _read_house_lists(folder: Path) -> dict[str, tuple[str, str]]:
+    """Return house -> its split, and where it is listed."""
+    listed: dict[str, tuple[str, str]] = {}
     for split, file_name in SPLIT_FILES.items():
         path = folder / file_name
         if not path.exists() and not any((folder / IMAGE_FOLDER / split).glob("world*.png")):
             continue
         remedy = f"list the houses of {IMAGE_FOLDER}/{split} there, one a line below the header house_id"
-        entries: dict[str, int] = {}
         for line, row in read_table(path, ["house_id"], remedy=remedy):
             name = row["house_id"]
             _check_name(f"{path}: line {line}", name)
             if name in listed:
                 raise InputError(
-                    f"{path}: line {line} lists house {name!r}, which {listed[name]} lists already; a house belongs to "
-                    "one split, delete one of the two"
+                    f"{path}: line {line} lists house {name!r}, which {listed[name][1]} lists already; a house belongs "
+                    "to one split, delete one of the two"
                 )
-            entries[name], listed[name] = line, f"line {line} of {file_name}"
-        lists[split] = entries
-    return lists
+            listed[name] = split, f"line {line} of {file_name}"
+    return listed
 
 
 def _check_name(where: object, name: str) -> None:
@@ -355,11 +350,8 @@ def _image_path(folder: Path, split: str, name: str) -> Path:
     return folder / IMAGE_FOLDER / split / f"world{name}.png"
 
 
-def _read_house(folder: Path, split: str, name: str, line: int, palette: Palette, cells: int | None) -> House:
+def _read_house(folder: Path, split: str, name: str, where: str, palette: Palette, cells: int | None) -> House:
     path = _image_path(folder, split, name)
     if not path.exists():
-        raise InputError(
-            f"{path}: no such file, but line {line} of {SPLIT_FILES[split]} lists house {name!r}; "
-            "add the image or delete the line"
-        )
+        raise InputError(f"{path}: no such file, but {where} lists house {name!r}; add the image or delete the line")
     return House(name, split, sampled(str(path), read_class_image(path, palette), cells))
