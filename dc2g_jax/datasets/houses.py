@@ -300,7 +300,7 @@ def _is_map_folder(folder: Path) -> bool:
     """Whether a folder contains maps and nothing of the published layout. False for folders that cannot be listed."""
     published = [folder / name for name in (IMAGE_FOLDER, *SPLIT_FILES.values())]
     try:
-        return not any(path.exists() for path in published) and any(map_files(folder).values())
+        return not any(path.exists() for path in published) and bool(map_files(folder))
     except OSError:
         return False
 

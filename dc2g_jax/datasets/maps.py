@@ -213,20 +213,20 @@ def require_path_to_goal(where: str, terrain: UInt8[np.ndarray, "h w"]) -> None:
         raise InputError(f"{where}: {reason}; {_GOAL_REMEDY}")
 
 
-def map_files(folder: Path) -> dict[str, list[Path]]:
-    """The maps of a folder by split: those in the folders `train`, `val` and `test`, else all in the folder as `test`.
+def map_files(folder: Path) -> list[tuple[str, Path]]:
+    """Split and file of each map: those in the folders `train`, `val` and `test`, else all in the folder as `test`.
 
     Raises:
       InputError: there are maps both in the folder itself and in the folders of the splits.
     """
-    by_split = {split: _maps_in(folder / split) for split in SPLITS}
+    in_splits = [(split, path) for split in SPLITS for path in _maps_in(folder / split)]
     loose = _maps_in(folder)
-    if loose and any(by_split.values()):
+    if loose and in_splits:
         raise InputError(
             f"{loose[0]}: lies beside the folders of the splits, so it is in none of them; move it into one of "
             f"{', '.join(SPLITS)}"
         )
-    return {**by_split, "test": loose} if loose else by_split
+    return in_splits or [("test", path) for path in loose]
 
 
 def _maps_in(folder: Path) -> list[Path]:
@@ -252,20 +252,19 @@ def read_map_folder(folder: Path) -> list[tuple[str, str, UInt8[np.ndarray, "h w
     """
     files = map_files(folder)
     paths: dict[str, Path] = {}
-    for path in (path for split in SPLITS for path in files[split]):
+    for _, path in files:
         if path.stem in paths:
             raise InputError(f"{path}: {paths[path.stem]} has the same name; rename one, names must be unique")
         paths[path.stem] = path
     if not paths:
         raise InputError(f"{folder}: holds no maps; add files that end in {', '.join(MAP_ENDINGS)}")
-    pictures = [path for path in paths.values() if path.suffix.lower() == ".png"]
-    palette = read_palette(folder / PALETTE_FILE) if pictures else None
+    has_pictures = any(path.suffix.lower() == ".png" for _, path in files)
+    palette = read_palette(folder / PALETTE_FILE) if has_pictures else None
     goals = _read_goals(folder / GOALS_FILE, list(paths))
     cells = _read_cells(folder / CELLS_FILE)
     return [
         (path.stem, split, draw_map(path, palette=palette, goals=goals.get(path.stem, ()), cells=cells))
-        for split in SPLITS
-        for path in files[split]
+        for split, path in files
     ]
 
 
