@@ -186,16 +186,22 @@ def street_points(streets: Sequence[Line]) -> StreetPoints:
     )
 
 
-class Drawn:
-    """The picture around a building, as far as it is known.
+class Site:
+    """A building and the picture around it, as far as it is known.
 
     Attributes:
+      building: the building.
+      walls: its walls.
+      streets: the streets.
       view: the frame of the picture.
       classes: its class indices.
       cell: side of a cell of its grid, meters: nothing is too narrow to appear there.
     """
 
-    def __init__(self, view: PictureFrame, classes: ClassImage, cell: float) -> None:
+    def __init__(
+        self, building: Area, streets: StreetPoints, view: PictureFrame, classes: ClassImage, cell: float
+    ) -> None:
+        self.building, self.walls, self.streets = building, facades(building), streets
         self.view, self.classes, self.cell = view, classes, cell
         labels = component_numbers(TRAVERSABLE[classes])
         self._connected = TRAVERSABLE[classes] & np.isin(labels, labels[classes == ROAD])
@@ -225,18 +231,18 @@ class Drawn:
         return np.array([column + 0.5, row + 0.5]) / self.view.scale + self.view.corner
 
 
-def mapped_doors(building: Area, walls: Facades, entrances: Sequence[Spot]) -> list[Placement]:
+def mapped_doors(site: Site, entrances: Sequence[Spot]) -> list[Placement]:
     """Frames of the entrances on a building's outline: of the main ones, or else of all."""
     if not entrances:
         return []
-    distance, index = spatial.KDTree(walls.points).query([spot.point for spot in entrances])
+    distance, index = spatial.KDTree(site.walls.points).query([spot.point for spot in entrances])
     near = [
         i
         for i, meters in enumerate(distance)
-        if meters < 3 * _FACADE_STEP and _on_outline(entrances[i].point, building)
+        if meters < 3 * _FACADE_STEP and _on_outline(entrances[i].point, site.building)
     ]
     main = [i for i in near if entrances[i].tags["entrance"] in _FRONT_ENTRANCES] or near
-    return [walls.frame(int(index[i]), entrances[i].point) for i in main]
+    return [site.walls.frame(int(index[i]), entrances[i].point) for i in main]
 
 
 def is_entrance(spot: Spot) -> bool:
@@ -253,19 +259,17 @@ def _on_outline(point: Points, building: Area) -> bool:
     return False
 
 
-def front_of(
-    building: Area, walls: Facades, site: Drawn, streets: StreetPoints, rng: np.random.Generator
-) -> int | None:
+def front_of(site: Site, rng: np.random.Generator) -> int | None:
     """A place for a front door: a point of the walls that faces a street, with nothing between.
 
     The street of the address comes first, then any other, then alleys. The place is drawn from those nearly as close to
     the street as the closest. `None` if there is none.
     """
-    address = building.tags.get("addr:street", "")
+    address, streets = site.building.tags.get("addr:street", ""), site.streets
     of_address = streets.where((streets.names == address) & bool(address))
     for chosen in (of_address, streets.main_streets, streets.alleys):
         if len(chosen.points):
-            distance, facing = _views(walls, site, chosen)
+            distance, facing = _views(site, chosen)
             if np.any(facing):
                 return int(
                     rng.choice(np.flatnonzero(facing & (distance <= np.min(distance[facing]) + _SETBACK_SPREAD)))
@@ -273,8 +277,9 @@ def front_of(
     return None
 
 
-def _views(walls: Facades, site: Drawn, streets: StreetPoints) -> tuple[Float[np.ndarray, "k"], Bool[np.ndarray, "k"]]:
+def _views(site: Site, streets: StreetPoints) -> tuple[Float[np.ndarray, "k"], Bool[np.ndarray, "k"]]:
     """Meters from each point of the walls to the nearest street, and whether it faces it with nothing between."""
+    walls = site.walls
     distance, street = streets.nearest(walls.points)
     toward = street - walls.points
     ahead = np.sum(toward * walls.outward, axis=1) > 0.5 * np.hypot(*toward.T)
@@ -282,39 +287,34 @@ def _views(walls: Facades, site: Drawn, streets: StreetPoints) -> tuple[Float[np
     return distance, np.array([a and site.clear(*ends) for a, *ends in zip(ahead, starts, street, strict=True)])
 
 
-def add_driveway(
-    building: Area,
-    walls: Facades,
-    site: Drawn,
-    streets: StreetPoints,
-    rng: np.random.Generator,
-    front: Placement | None,
-) -> tuple[Patch, Points] | None:
+def add_driveway(site: Site, rng: np.random.Generator, front: Placement | None) -> tuple[Patch, Points] | None:
     """A straight driveway from the street to a wall beside the front door, and where a walkway leaves it, [2].
 
     Detached houses and garages get one where none is mapped. `None` where there is none or no room for one.
 
     Args:
-      building: the house or garage.
-      walls: its walls.
-      site: its surroundings.
-      streets: the streets.
+      site: the house or garage.
       rng: random number generator.
       front: frame of the front door; `None` for a garage.
     """
+    walls = site.walls
     beside = site.at(np.concatenate([walls.points + reach * walls.outward for reach in (1.2, 2.5, 4.0)]))
     attached = np.mean(beside[: len(walls.points)] == HOUSE) > 0.12
     served = np.any((beside == DRIVEWAY) | (beside == ROAD))
-    if served or (front is not None and (attached or _ground(building) > _MOST_GROUND)) or rng.random() > _DRIVEWAYS:
+    if (
+        served
+        or (front is not None and (attached or _ground(site.building) > _MOST_GROUND))
+        or rng.random() > _DRIVEWAYS
+    ):
         return None
-    distance, facing = _views(walls, site, streets)
+    distance, facing = _views(site, site.streets)
     facing &= (distance > _DRIVEWAY_LENGTH[0]) & (distance < _DRIVEWAY_LENGTH[1])
     if front is not None:
         aside = np.hypot(*(walls.points - front.origin).T)
         facing &= (aside > _DRIVEWAY_ASIDE[0]) & (aside < _DRIVEWAY_ASIDE[1])
     for index in rng.permutation(np.flatnonzero(facing & (distance < np.min(distance[facing], initial=np.inf) + 4))):
         wall, frame = walls.points[index], walls.frame(int(index))
-        street = streets.nearest(wall[None])[1][0]
+        street = site.streets.nearest(wall[None])[1][0]
         toward = (street - wall) / np.hypot(*(street - wall))
         mouth = wall + (distance[index] + 1.0) * toward
         side = 1.4 * np.array([-toward[1], toward[0]])
@@ -326,16 +326,13 @@ def add_driveway(
     return None
 
 
-def add_walkway(
-    door: Placement, site: Drawn, streets: StreetPoints, rng: np.random.Generator, start: Points | None
-) -> list[Patch] | None:
+def add_walkway(site: Site, rng: np.random.Generator, door: Placement, start: Points | None) -> list[Patch] | None:
     """A walkway to a door, from a driveway, or straight from the nearest ground that leads to a street.
 
     Args:
-      door: frame of the door.
-      site: its surroundings.
-      streets: the streets.
+      site: the building.
       rng: random number generator.
+      door: frame of the door.
       start: where the walkway leaves a driveway; `None` if there is none.
 
     Returns:
@@ -348,7 +345,7 @@ def add_walkway(
             return [Patch("path", shape)]
         if site.clear(threshold, start):
             return [Patch("path", stroke(np.array([start, threshold, door.origin]), width))]
-    ends = [site.nearest_ground(threshold), streets.nearest(door.origin[None])[1][0]]
+    ends = [site.nearest_ground(threshold), site.streets.nearest(door.origin[None])[1][0]]
     for end in ends:
         if end is not None and site.clear(threshold, end):
             length = float(np.hypot(*(end - threshold)))
@@ -359,40 +356,30 @@ def add_walkway(
     return None
 
 
-def plan_entry(
-    building: Area,
-    site: Drawn,
-    streets: StreetPoints,
-    entrances: Sequence[Spot],
-    rng: np.random.Generator,
-    only_mapped: bool,
-) -> Entry | str:
+def plan_entry(site: Site, entrances: Sequence[Spot], rng: np.random.Generator, only_mapped: bool) -> Entry | str:
     """How a building is entered, or the reason why it is not.
 
     Args:
-      building: the building.
-      site: its surroundings.
-      streets: the streets.
+      site: the building.
       entrances: entrances of all buildings.
       rng: random number generator.
       only_mapped: whether to add nothing.
     """
-    walls = facades(building)
     size = max(1.0, site.cell)
-    doors = mapped_doors(building, walls, entrances)
+    doors = mapped_doors(site, entrances)
     outlines = [door.place(size * rectangle(-1.2, -0.8, 1.2, 0.9)) for door in doors]
     if only_mapped:
         return Entry(outlines, mapped=True) if doors else "no front door is mapped"
     mapped = bool(doors)
     if not mapped:
-        front = front_of(building, walls, site, streets, rng)
+        front = front_of(site, rng)
         if front is None:
             return "no wall faces a street with nothing between"
-        doors = [walls.frame(front)]
+        doors = [site.walls.frame(front)]
         outlines = [doors[0].place(door_outline(rng, (0.0, 0.0), size))]
-    driveway = add_driveway(building, walls, site, streets, rng, doors[0])
+    driveway = add_driveway(site, rng, doors[0])
     starts = [None if driveway is None else driveway[1], *([None] * (len(doors) - 1))]
-    walks = [add_walkway(door, site, streets, rng, start) for door, start in zip(doors, starts, strict=True)]
+    walks = [add_walkway(site, rng, door, start) for door, start in zip(doors, starts, strict=True)]
     added = [shape for walk in walks if walk for shape in walk] + ([] if driveway is None else [driveway[0]])
     reached = [outline for outline, walk in zip(outlines, walks, strict=True) if walk is not None]
     return Entry(reached, mapped, added) if reached else "no ground leads to its mapped doors"

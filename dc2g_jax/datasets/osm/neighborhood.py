@@ -10,8 +10,8 @@ import numpy as np
 from scipy import spatial
 
 from dc2g_jax.datasets.osm.entrances import (
-    Drawn,
     Entry,
+    Site,
     Uses,
     add_driveway,
     facades,
@@ -158,12 +158,11 @@ class Neighborhood:
             return "no street is near enough to be on its map"
         sketch = Sketch(view)
         fill(sketch, [*self._mapped.within(view), *self._sidewalks.within(view)])
-        site, rng = Drawn(view, sketch.classes(), self._meters / self._cells), self._random(building.name)
+        site = Site(building, self._streets, view, sketch.classes(), self._meters / self._cells)
+        rng = self._random(building.name)
         if self._uses.has_front_door(building):
-            return plan_entry(building, site, self._streets, self._entrances, rng, self._only_mapped)
-        driveway = None
-        if not self._only_mapped:
-            driveway = add_driveway(building, facades(building), site, self._streets, rng, None)
+            return plan_entry(site, self._entrances, rng, self._only_mapped)
+        driveway = None if self._only_mapped else add_driveway(site, rng, None)
         return Entry([], False, [] if driveway is None else [driveway[0]])
 
     def map_of(self, building: Area) -> BuildingMap | str:
