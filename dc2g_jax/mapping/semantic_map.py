@@ -10,6 +10,7 @@ World frame, camera frame and units are those of `dc2g_jax.mapping.camera`. The 
 z = 0. All functions take one map; use `jax.vmap` for batches.
 """
 
+import dataclasses
 import functools
 import math
 from typing import NamedTuple
@@ -157,9 +158,10 @@ def integrate(semantic_map: SemanticMap, frame: Frame, intrinsics: Intrinsics, s
             "settings it was made with"
         )
     window = _window(frame.pose, settings)
-    usable = (frame.depth > 0) & (frame.depth * _ray_lengths(frame, intrinsics) <= settings.reach)
-    counts = _counts(frame, usable, intrinsics, settings, window)
-    missed = _looked_through(frame, usable, intrinsics, settings, window)
+    in_reach = (frame.depth > 0) & (frame.depth * _ray_lengths(frame, intrinsics) <= settings.reach)
+    frame = dataclasses.replace(frame, depth=jnp.where(in_reach, frame.depth, 0))
+    counts = _counts(frame, intrinsics, settings, window)
+    missed = _looked_through(frame, intrinsics, settings, window)
     before = jax.tree.map(lambda voxels: jax.lax.dynamic_slice(voxels, window.corner, window.shape), semantic_map)
     after = _updated(before, counts, missed)
     return jax.tree.map(
@@ -203,11 +205,7 @@ def _ray_lengths(frame: Frame, intrinsics: Intrinsics) -> Float[Array, "h w"]:
 
 
 def _counts(
-    frame: Frame,
-    usable: Bool[Array, "height width"],
-    intrinsics: Intrinsics,
-    settings: MapSettings,
-    window: _Window,
+    frame: Frame, intrinsics: Intrinsics, settings: MapSettings, window: _Window
 ) -> Int32[Array, "class levels h w"]:
     """Number of returns of each class in each voxel of the window; class 0 counts returns without label."""
     booked = frame.depth + settings.inset / _ray_lengths(frame, intrinsics)
@@ -215,7 +213,7 @@ def _counts(
     heights = z / settings.level_height + 0.5
     places = [heights, -y / settings.cell_size, x / settings.cell_size]
     labels = jnp.where(frame.classes < len(CLASS_NAMES), frame.classes, jnp.uint8(UNKNOWN))
-    index, inside = labels.astype(jnp.int32), usable
+    index, inside = labels.astype(jnp.int32), frame.depth > 0
     for place, first, size in zip(places, window.corner, window.shape, strict=True):
         # Compared as floats: large values do not fit into integers.
         offset = jnp.floor(place) - first
@@ -227,11 +225,7 @@ def _counts(
 
 
 def _looked_through(
-    frame: Frame,
-    usable: Bool[Array, "height width"],
-    intrinsics: Intrinsics,
-    settings: MapSettings,
-    window: _Window,
+    frame: Frame, intrinsics: Intrinsics, settings: MapSettings, window: _Window
 ) -> Bool[Array, "levels h w"]:
     """Voxels of the window above the ground that the camera has looked through.
 
@@ -248,7 +242,8 @@ def _looked_through(
     in_image = (column >= 0) & (column < intrinsics.width) & (row >= 0) & (row < intrinsics.height)
     in_view = in_image & (forward > 0) & (right**2 + down**2 + forward**2 <= settings.reach**2)
     row, column = (jnp.where(in_view, place, 0).astype(jnp.int32) for place in (row, column))
-    nearest = jnp.where(usable, _nearest_around(jnp.where(usable, frame.depth, jnp.inf)), 0)
+    returned = frame.depth > 0
+    nearest = jnp.where(returned, _nearest_around(jnp.where(returned, frame.depth, jnp.inf)), 0)
     half_diagonal = math.hypot(settings.cell_size, settings.cell_size, settings.level_height) / 2
     return in_view & (forward + half_diagonal < nearest[row, column]) & (levels[:, None, None] > 0)
 
