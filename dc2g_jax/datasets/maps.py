@@ -96,23 +96,22 @@ def draw_map(
 ) -> UInt8[np.ndarray, "h w"]:
     """Read a map like `read_map`, without the check that a goal can be reached."""
     path = Path(path)
-    where, ending, occupancy = str(path), path.suffix.lower(), None
+    where, ending = str(path), path.suffix.lower()
+    if ending in YAML_ENDINGS:
+        occupancy = read_occupancy_map(path)
+        terrain = occupancy.terrain(*_grid_size(where, occupancy.free.shape, cells))
+        return _with_goals(where, terrain, goals, occupancy)
     if ending == ".png":
         if palette is None:
             raise InputError(
                 f"{path}: a picture needs a palette; give one (--palette), a CSV file with the columns class,r,g,b"
             )
-        terrain = _sampled_with_doors(where, read_class_image(path, palette), cells, goals)
+        classes = read_class_image(path, palette)
     elif ending == ".npy":
-        terrain = _sampled_with_doors(
-            where, check_classes(where, read_array(path, "write it with numpy.save")), cells, goals
-        )
-    elif ending in YAML_ENDINGS:
-        occupancy = read_occupancy_map(path)
-        terrain = occupancy.terrain(*_grid_size(where, occupancy.free.shape, cells))
+        classes = check_classes(where, read_array(path, "write it with numpy.save"))
     else:
         raise InputError(f"{path}: is not a map; give a file that ends in {', '.join(MAP_ENDINGS)}")
-    return _with_goals(where, terrain, goals, occupancy)
+    return _with_goals(where, _sampled_with_doors(where, classes, cells, goals), goals)
 
 
 def sampled(where: str, classes: ClassImage, cells: int | tuple[int, int] | None) -> ClassImage:
