@@ -19,29 +19,20 @@ STYLES: tuple[str, ...] = (*SUBURBS, "urban")
 MIN_ROAD_CELLS = 20
 
 _ATTEMPTS = 100
-# Houses per neighborhood and split, as in the published dataset.
-_COUNTS = (
-    ("p000", "train", STYLES[0], 21),
-    ("p001", "train", STYLES[1], 10),
-    ("p001", "val", STYLES[1], 4),
-    ("p001", "test", STYLES[1], 6),
-    ("p002", "test", STYLES[2], 31),
-    ("p004", "test", STYLES[3], 5),
-)
-
-
-def _split() -> tuple[tuple[str, str, str], ...]:
-    houses, numbers = [], dict.fromkeys(("p000", "p001", "p002", "p004"), 0)
-    for neighborhood, split, style, count in _COUNTS:
-        for _ in range(count):
-            number = numbers[neighborhood]
-            houses.append((f"{neighborhood}m{number // 10:03d}h{number % 10:03d}", split, style))
-            numbers[neighborhood] += 1
-    return tuple(houses)
-
+# Splits of the houses of each neighborhood, one neighborhood a style; as many as in the published dataset.
+_SPLITS = {
+    "p000": ("train",) * 21,
+    "p001": ("train",) * 10 + ("val",) * 4 + ("test",) * 6,
+    "p002": ("test",) * 31,
+    "p004": ("test",) * 5,
+}
 
 #: (name, split, style) of the 77 houses of the default dataset: 31 train, 4 val, 42 test.
-PROCEDURAL_SPLIT: tuple[tuple[str, str, str], ...] = _split()
+PROCEDURAL_SPLIT: tuple[tuple[str, str, str], ...] = tuple(
+    (f"{neighborhood}m{number // 10:03d}h{number % 10:03d}", split, style)
+    for (neighborhood, splits), style in zip(_SPLITS.items(), STYLES, strict=True)
+    for number, split in enumerate(splits)
+)
 
 
 def house_seed(seed: int, index: int) -> int:
