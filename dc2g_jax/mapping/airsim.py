@@ -204,10 +204,9 @@ def capture(airsim: AirSim, camera: Camera) -> Capture:
     Raises:
       InputError: AirSim reports an error, or an image has another size or kind than AirSim states.
     """
-    kinds = ((SCENE, False), (DEPTH_PLANAR, True), (SEGMENTATION, False))
     requests = [
-        {"camera_name": camera.name, "image_type": kind, "pixels_as_float": is_float, "compress": False}
-        for kind, is_float in kinds
+        {"camera_name": camera.name, "image_type": kind, "pixels_as_float": kind == DEPTH_PLANAR, "compress": False}
+        for kind in (SCENE, DEPTH_PLANAR, SEGMENTATION)
     ]
     answers = _call_of_camera(airsim, "simGetImages", requests, camera.vehicle)
     if not isinstance(answers, list) or len(answers) != len(requests):

@@ -299,14 +299,8 @@ _BUILDINGS: dict[str, Callable[[np.random.Generator, float, float], Building]] =
 }
 #: Kinds of the buildings along alleys.
 _BEHIND = {"terraces": 0.5, "slab": 1.0, "annex": 1.2}
-_WEIGHTS = {
-    "terraces": 1.0,
-    "slab": 1.0,
-    "court_block": 0.5,
-    "closed_block": 0.3,
-    "parking": 0.2,
-    "tower": 0.25,
-}
+#: Kinds of the buildings along streets.
+_WEIGHTS = {"terraces": 1.0, "slab": 1.0, "court_block": 0.5, "closed_block": 0.3, "parking": 0.2, "tower": 0.25}
 
 
 def _parked_cars(rng: np.random.Generator, streets: Streets, density: float) -> Polygons:

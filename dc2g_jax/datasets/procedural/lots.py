@@ -225,30 +225,16 @@ def _horseshoe_driveway(
     near = door_y - uniform(rng, (3.5, 9.0))
     spread = uniform(rng, (3.0, 7.0))
     sign = -1.0 if stand.mirrored else 1.0
-    left, right = (sign * (door_x + side * uniform(rng, (9, 20))) for side in (-1, 1))
+    first, last = (curb.at(sign * (door_x + side * uniform(rng, (9, 20)))) for side in (-1, 1))
     apex = [stand.place((door_x - spread, near)), stand.place((door_x + spread, near + rng.normal(0, 1.0)))]
-    mouths = [curb.at(left), curb.at(right)]
-    corners = np.array(
-        [
-            mouths[0].place((0, -1.5)),
-            mouths[0].place((0, 3)),
-            *apex,
-            mouths[1].place((0, 3)),
-            mouths[1].place((0, -1.5)),
-        ]
-    )
+    corners = [first.place((0, -1.5)), first.place((0, 3)), *apex, last.place((0, 3)), last.place((0, -1.5))]
     line = resample(smooth(corners, int(rng.integers(1, 4))), 1.2)
     distance = traveled(line)
     ends = np.minimum(distance, distance[-1] - distance)
     shape = stroke(line, width * (1 + 0.8 * np.clip(1 - (ends - 1) / 3, 0, 1)))
     leave = line[int(np.clip(len(line) * uniform(rng, (0.15, 0.4)), 1, len(line) - 2))]
-    spur_corners = [
-        leave,
-        stand.place(entry - (0, uniform(rng, (1.5, 4)))),
-        stand.place(entry),
-        stand.place(middle),
-    ]
-    spur = resample(smooth(spur_corners, int(rng.integers(0, 3))), 1.2)
+    before = stand.place(entry - (0, uniform(rng, (1.5, 4))))
+    spur = resample(smooth([leave, before, stand.place(entry), stand.place(middle)], int(rng.integers(0, 3))), 1.2)
     shape += stroke(spur, width)
     closest = line[int(np.argmin(np.hypot(*(line - stand.place((door_x, near))).T)))]
     return Driveway([*shape, *stand.place_all(court)], np.concatenate([line, spur]), width, closest[None])
