@@ -256,10 +256,10 @@ def write_sequence(folder: str | Path, intrinsics: Intrinsics, shots: Iterable[S
     (folder / CAMERA_FILE).write_text(f"# {' '.join(_CAMERA_FIELDS)}\n{' '.join(f'{n:.9g}' for n in numbers)}\n")
     for number, shot in enumerate(shots):
         check_shapes(shot.frame, intrinsics)
-        for (name, fields), line in _write_shot(folder, f"{number / rate:.6f}", shot).items():
-            begun = (folder / name).exists()
+        for name, line in _write_shot(folder, f"{number / rate:.6f}", shot).items():
+            header = f"# {' '.join(_POSE_FIELDS if name == POSE_LIST else _LIST_FIELDS)}\n"
             with (folder / name).open("a") as file:
-                file.write(f"{line}\n" if begun else f"# {' '.join(fields)}\n{line}\n")
+                file.write(f"{line}\n" if file.tell() else f"{header}{line}\n")
     return folder
 
 
@@ -269,21 +269,20 @@ def depth_steps(depth: Float[np.ndarray, "h w"]) -> UInt16[np.ndarray, "h w"]:
     return np.where((steps > 0) & (steps <= np.iinfo(np.uint16).max), steps, 0).astype(np.uint16)
 
 
-def _write_shot(folder: Path, time: str, shot: Shot) -> dict[tuple[str, tuple[str, ...]], str]:
-    """Write the images of a shot. Returns its line in each list, by name and fields of the list."""
-    images = {DEPTH_LIST: ("depth", depth_steps(np.asarray(shot.frame.depth)))}
-    images[CLASS_LIST] = ("classes", np.asarray(shot.frame.classes))
+def _write_shot(folder: Path, time: str, shot: Shot) -> dict[str, str]:
+    """Write the images of a shot. Returns its line in each list."""
+    images = {DEPTH_LIST: depth_steps(np.asarray(shot.frame.depth)), CLASS_LIST: np.asarray(shot.frame.classes)}
     if shot.picture is not None:
-        images[PICTURE_LIST] = ("rgb", np.asarray(shot.picture))
-    lines: dict[tuple[str, tuple[str, ...]], str] = {}
-    for name, (kind, image) in images.items():
-        file = f"{kind}/{time}.png"
+        images[PICTURE_LIST] = np.asarray(shot.picture)
+    lines = {}
+    for name, image in images.items():
+        kind = name.removesuffix(".txt")
         (folder / kind).mkdir(exist_ok=True)
-        write_png(folder / file, image)
-        lines[name, _LIST_FIELDS] = f"{time} {file}"
+        write_png(folder / kind / f"{time}.png", image)
+        lines[name] = f"{time} {kind}/{time}.png"
     turn = quaternion_from_rotation(np.asarray(shot.frame.pose.rotation))
     numbers = [*np.asarray(shot.frame.pose.position).tolist(), *turn.tolist()]
-    lines[POSE_LIST, _POSE_FIELDS] = f"{time} {' '.join(f'{number:.9g}' for number in numbers)}"
+    lines[POSE_LIST] = f"{time} {' '.join(f'{number:.9g}' for number in numbers)}"
     return lines
 
 
