@@ -154,9 +154,8 @@ def _terraces(rng: np.random.Generator, width: float, setback: float) -> Buildin
         back = setback + depth + rng.normal(0, 1.0)
         building["house"].append(rectangle(left, front, left + unit + 0.2, back))
         if rng.random() < 0.3:
-            building["house"].append(
-                rectangle(left + 0.15 * unit, back - 1, left + 0.6 * unit, back + uniform(rng, (2, 5)))
-            )
+            top = back + uniform(rng, (2, 5))
+            building["house"].append(rectangle(left + 0.15 * unit, back - 1, left + 0.6 * unit, top))
         at = side if index % 2 == 0 or rng.random() < 0.5 else 1 - side
         if rng.random() < 0.85:
             _merge(building, _entrance(rng, left + at * unit, front, uniform(rng, (1.0, 1.6))))
@@ -255,10 +254,8 @@ def _parking(rng: np.random.Generator, width: float, setback: float) -> Building
 def _tower(rng: np.random.Generator, width: float, setback: float) -> Building:
     """A tower on a lawn or a paved square, with a bent walkway to its door and a driveway to its garage."""
     side, back = uniform(rng, (13, 20)), setback + uniform(rng, (3, 9))
-    blocks = [rectangle(-side / 2, back, side / 2, back + side)]
-    blocks.append(
-        rectangle(-side / 2 - uniform(rng, (-2, 3)), back + 3, side / 2 + uniform(rng, (-2, 3)), back + side - 3)
-    )
+    left, right = -side / 2 - uniform(rng, (-2, 3)), side / 2 + uniform(rng, (-2, 3))
+    blocks = [rectangle(-side / 2, back, side / 2, back + side), rectangle(left, back + 3, right, back + side - 3)]
     x = uniform(rng, (-0.3, 0.3)) * side
     corners = [
         (x + rng.normal(0, 4), -1.5),
