@@ -63,26 +63,6 @@ class Wall(NamedTuple):
     length: float
 
 
-class Item(NamedTuple):
-    """A piece of furniture without a place.
-
-    Attributes:
-      kind: class index.
-      width: extent along its back, meters.
-      depth: extent from back to front, meters.
-      top: height, meters.
-    """
-
-    kind: int
-    width: float
-    depth: float
-    top: float
-
-    def at(self, x: float, y: float, angle: float) -> Furniture:
-        """The item with its center at a point, meters, and its back at an angle, radians."""
-        return Furniture(self.kind, x, y, self.width, self.depth, angle, self.top)
-
-
 def bounds(piece: Furniture) -> Rectangle:
     """The axis-aligned bounding rectangle of a piece."""
     cosine, sine = abs(math.cos(piece.angle)), abs(math.sin(piece.angle))
@@ -146,12 +126,12 @@ class RoomSketch:
         self._taken = list[Rectangle]()
 
     def against_wall(
-        self, item: Item, *, corner: float = 0.0, front: float = 0.0, wall: Wall | None = None
+        self, item: Furniture, *, corner: float = 0.0, front: float = 0.0, wall: Wall | None = None
     ) -> Furniture | None:
         """Place a piece with its back to a wall.
 
         Args:
-          item: the piece.
+          item: the piece, wherever it is.
           corner: share of the attempts at an end of the wall.
           front: free space in front of the piece, meters.
           wall: the wall; any if `None`.
@@ -167,17 +147,20 @@ class RoomSketch:
             chosen = walls[int(np.searchsorted(shares, self.rng.uniform(0, shares[-1])))]
             least, most = _BEHIND + item.width / 2, chosen.length - _BEHIND - item.width / 2
             at = self.rng.choice((least, most)) if self.rng.random() < corner else self.rng.uniform(least, most)
-            piece = standing(item, chosen, float(at))
+            middle = zip(chosen.start, chosen.along, chosen.inward, strict=True)
+            x, y = (start + along * float(at) + inward * (_BEHIND + item.depth / 2) for start, along, inward in middle)
+            piece = item._replace(x=x, y=y, angle=math.atan2(-chosen.inward[0], chosen.inward[1]))
             if self.place(piece, front=front):
                 return piece
         return None
 
-    def anywhere(self, item: Item) -> Furniture | None:
+    def anywhere(self, item: Furniture) -> Furniture | None:
         """Place a piece anywhere on the floor, along or across; `None` if it does not fit."""
+        squares = sorted(self._squares)
         for _ in range(_ATTEMPTS):
-            x, y = self.point()
-            angle = float(self.rng.integers(2)) * math.pi / 2
-            piece = item.at(x, y, angle)
+            column, row = squares[int(self.rng.integers(len(squares)))]
+            x, y = (column + self.rng.uniform()) * self._unit, (row + self.rng.uniform()) * self._unit
+            piece = item._replace(x=x, y=y, angle=float(self.rng.integers(2)) * math.pi / 2)
             if self.place(piece):
                 return piece
         return None
@@ -194,18 +177,12 @@ class RoomSketch:
                 found.append((distance, wall))
         return min(found)[1] if found else None
 
-    def point(self) -> tuple[float, float]:
-        """A random point of the floor."""
-        squares = sorted(self._squares)
-        column, row = squares[int(self.rng.integers(len(squares)))]
-        return (column + self.rng.uniform()) * self._unit, (row + self.rng.uniform()) * self._unit
-
-    def on(self, piece: Furniture, item: Item) -> None:
+    def on(self, piece: Furniture, item: Furniture) -> None:
         """Place a small object on top of a piece."""
         along = max((piece.width - item.width) / 2, 0.0) * self.rng.uniform(-0.9, 0.9)
         back = max((piece.depth - item.depth) / 2, 0.0) * self.rng.uniform(-0.9, 0.3)
         x, y = in_front(piece, along, back)
-        self.pieces.append(item._replace(top=piece.top + item.top).at(x, y, piece.angle))
+        self.pieces.append(item._replace(x=x, y=y, angle=piece.angle, top=piece.top + item.top))
 
     def place(self, piece: Furniture, *, front: float = 0.0, table: Furniture | None = None) -> bool:
         """Place a piece, unless it does not fit or some floor would be cut off.
@@ -249,13 +226,6 @@ class RoomSketch:
         return int(component_numbers(cells).max()) == 1
 
 
-def standing(item: Item, wall: Wall, at: float) -> Furniture:
-    """A piece with its back to a wall, its center `at` meters from the wall's start."""
-    ahead = _BEHIND + item.depth / 2
-    x, y = (s + a * at + n * ahead for s, a, n in zip(wall.start, wall.along, wall.inward, strict=True))
-    return item.at(x, y, math.atan2(-wall.inward[0], wall.inward[1]))
-
-
 def _front(piece: Furniture, reach: float) -> Rectangle:
     """The space in front of a piece."""
     x, y = in_front(piece, 0, (piece.depth + reach) / 2)
@@ -277,13 +247,10 @@ def _walls_of(layout: Layout, number: int) -> list[Wall]:
         length = math.hypot(x1 - x0, y1 - y0)
         along = round((x1 - x0) / length), round((y1 - y0) / length)
         side = Rectangle(min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1))
+        is_upright = along[0] == 0
         if not any(
-            _widened(border, 0.0).overlaps(side, gap=0.01) and _is_along(border, along) for border in layout.open
+            _widened(border, 0.0).overlaps(side, gap=0.01) and (border.start[0] == border.end[0]) == is_upright
+            for border in layout.open
         ):
             walls.append(Wall((x0, y0), along, (-along[1], along[0]), length))
     return walls
-
-
-def _is_along(border: Segment, along: tuple[int, int]) -> bool:
-    """Whether a border runs along a direction."""
-    return (border.start[0] == border.end[0]) == (along[0] == 0)
