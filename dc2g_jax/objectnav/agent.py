@@ -25,9 +25,8 @@ from dc2g_jax.objectnav.classes import GOALS, NO_OBJECT
 from dc2g_jax.objectnav.cost_maps import cost_lookup, dense_costs
 from dc2g_jax.objectnav.goal_reacher import STOP, distance_to_object
 from dc2g_jax.objectnav.mapping import IndoorMap, IndoorMapSettings, empty_map, grid_cell, integrate, stood_on
-from dc2g_jax.objectnav.paint import painted
 from dc2g_jax.objectnav.starts import ROBOT_RADIUS
-from dc2g_jax.objectnav.worlds import IndoorWorld, scene
+from dc2g_jax.objectnav.worlds import IndoorWorld, painted, scene
 from dc2g_jax.programs import jit
 from dc2g_jax.vehicles import mppi
 from dc2g_jax.vehicles.footprint import Ground
@@ -74,7 +73,7 @@ class IndoorSite:
 
     Attributes:
       scene: scene for the simulated camera.
-      paint: color of each cell, see `dc2g_jax.objectnav.paint.painted`.
+      paint: color of each cell, see `dc2g_jax.objectnav.worlds.painted`.
       free: free floor.
       distances: distance that the robot's center has to drive until an object of each of `GOALS` is at arm's length,
         meters; infinite where the robot does not fit or no path leads there. Only a privileged guide uses it.

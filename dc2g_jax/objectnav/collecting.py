@@ -25,9 +25,8 @@ from dc2g_jax.objectnav.data import (
 from dc2g_jax.objectnav.exploring import NEVER, Journey, explore
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.midlevel import CameraView, ImageEncoder, view
-from dc2g_jax.objectnav.paint import painted
 from dc2g_jax.objectnav.starts import ROBOT_RADIUS, largest_region
-from dc2g_jax.objectnav.worlds import IndoorWorld, padded_alike, scene
+from dc2g_jax.objectnav.worlds import IndoorWorld, padded_alike, painted, scene
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import deal, gather, mesh_of, on_each, replicate
 

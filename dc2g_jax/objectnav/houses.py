@@ -13,8 +13,7 @@ from dc2g_jax.grid.ground import component_numbers
 from dc2g_jax.objectnav.floor_plans.furnishing import furnish
 from dc2g_jax.objectnav.floor_plans.layouts import draw_layout
 from dc2g_jax.objectnav.floor_plans.placing import CHECK_CELLS, Floor, RoomSketch
-from dc2g_jax.objectnav.plan_cells import PLAN_CELL_SIZE, world_from_plan
-from dc2g_jax.objectnav.plans import HousePlan
+from dc2g_jax.objectnav.plans import PLAN_CELL_SIZE, HousePlan, world_from_plan
 from dc2g_jax.objectnav.procthor import read_procthor
 from dc2g_jax.objectnav.starts import passable
 from dc2g_jax.objectnav.worlds import IndoorWorld

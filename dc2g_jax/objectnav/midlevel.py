@@ -26,7 +26,7 @@ from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.mapping.simulator import FACE_TOP, FACE_X, cast
 from dc2g_jax.objectnav.agent import INDOOR_FIELD_OF_VIEW
 from dc2g_jax.objectnav.classes import OBJECT_CLASSES
-from dc2g_jax.objectnav.paint import NO_COLOR
+from dc2g_jax.objectnav.worlds import NO_COLOR
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import divide, first_copy, mesh_for_batch, replicate
 from dc2g_jax.training.loop import Losses, Task
@@ -79,7 +79,7 @@ def view(scene: Scene, paint: UInt8[Array, "h w 3"], pose: CameraPose) -> Camera
 
     Args:
       scene: scene of the house.
-      paint: color of each cell, see `dc2g_jax.objectnav.paint.painted`.
+      paint: color of each cell, see `dc2g_jax.objectnav.worlds.painted`.
       pose: pose of the camera.
     """
     to_hit = jax.vmap(jax.vmap(lambda ray: cast(scene, pose.position, ray, jnp.float32(math.inf))))

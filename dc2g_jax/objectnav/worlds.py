@@ -1,4 +1,4 @@
-"""Houses as grids of cells: free floor, heights, classes and objects.
+"""Houses as grids of cells: free floor, heights, classes and objects, with a scene and colors.
 
 World frame as in `dc2g_jax.mapping.camera`: x along the columns, y against the rows, both 0 at the outer corner of the
 first cell, which is the upper left one of the plan.
@@ -13,9 +13,14 @@ from jaxtyping import Array, Bool, Float, Int16, UInt8
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.mapping.scene import Scene, scene_from_heights
+from dc2g_jax.objectnav.classes import BATHROOM, BEDROOM, KITCHEN, LIVING_ROOM, OBJECT_COLORS
 
 #: A leaf of one house (NumPy) or of stacked houses (JAX).
 Leaf = np.ndarray | Array
+
+#: Colors of floors by type of room, of walls, and of the outside.
+_FLOORS = {BEDROOM: (196, 170, 140), BATHROOM: (170, 196, 206), KITCHEN: (206, 200, 182), LIVING_ROOM: (158, 120, 88)}
+_WALL, NO_COLOR = (226, 224, 218), (245, 245, 242)
 
 
 @struct.dataclass
@@ -76,6 +81,26 @@ class IndoorWorld:
 def scene(world: IndoorWorld) -> Scene:
     """The scene of a house for the simulated camera, with one tile per cell. Scenes of equal size can be stacked."""
     return scene_from_heights(np.asarray(world.heights), np.asarray(world.classes), float(world.cell_size))
+
+
+def painted(world: IndoorWorld, rng: np.random.Generator) -> UInt8[np.ndarray, "h w 3"]:
+    """The color of each cell of a house, which is that of its highest object.
+
+    Houses have no textures. Objects have the colors of their classes with random variation. Floors differ by the type
+    of room, since kitchens and bathrooms have other floors than bedrooms. All walls look alike.
+
+    Args:
+      world: one house.
+      rng: random number generator of the variation between objects.
+    """
+    objects = np.append(OBJECT_COLORS[np.asarray(world.objects.classes)], [_WALL], axis=0)
+    objects = objects + rng.normal(0, 14, objects.shape)
+    kinds = np.asarray(world.room_kinds)
+    floors = np.array([_FLOORS.get(int(kind), NO_COLOR) for kind in kinds]) + rng.normal(0, 10, (len(kinds), 3))
+    cells = np.where(
+        np.asarray(world.obstacle)[..., None], objects[np.asarray(world.instances)], floors[np.asarray(world.rooms)]
+    )
+    return np.clip(np.round(cells), 0, 255).astype(np.uint8)
 
 
 def pad_world(world: IndoorWorld, rows: int, columns: int, rooms: int, objects: int) -> IndoorWorld:

@@ -34,8 +34,7 @@ from dc2g_jax.objectnav.data import (
 from dc2g_jax.objectnav.exploring import NEVER, visible
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.midlevel import ConvolutionEncoder
-from dc2g_jax.objectnav.plan_cells import world_from_plan
-from dc2g_jax.objectnav.plans import Furniture
+from dc2g_jax.objectnav.plans import Furniture, world_from_plan
 from dc2g_jax.objectnav.worlds import scene
 from tests.support.plans import BED_BOX, PLANT_BOX, plan
 from tests.support.refusals import refusal

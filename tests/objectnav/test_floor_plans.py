@@ -22,7 +22,7 @@ from dc2g_jax.objectnav.classes import (
 )
 from dc2g_jax.objectnav.floor_plans import furnishing, layouts
 from dc2g_jax.objectnav.houses import draw_plan, indoor_houses
-from dc2g_jax.objectnav.plan_cells import world_from_plan
+from dc2g_jax.objectnav.plans import world_from_plan
 from dc2g_jax.objectnav.starts import start_cells
 from tests.support.rooms import rooms_cut_off
 

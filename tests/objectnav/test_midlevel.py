@@ -22,9 +22,8 @@ from dc2g_jax.objectnav.midlevel import (
     task_losses,
     view,
 )
-from dc2g_jax.objectnav.paint import painted
-from dc2g_jax.objectnav.plan_cells import world_from_plan
-from dc2g_jax.objectnav.worlds import scene
+from dc2g_jax.objectnav.plans import world_from_plan
+from dc2g_jax.objectnav.worlds import painted, scene
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import mesh_of
 from dc2g_jax.training.loop import Pauses, train

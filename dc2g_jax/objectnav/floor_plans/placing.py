@@ -13,8 +13,7 @@ from jaxtyping import Bool
 
 from dc2g_jax.grid.ground import component_numbers
 from dc2g_jax.objectnav.floor_plans.layouts import Layout
-from dc2g_jax.objectnav.plan_cells import MARGIN, world_from_plan
-from dc2g_jax.objectnav.plans import Furniture, Segment
+from dc2g_jax.objectnav.plans import MARGIN, Furniture, Segment, world_from_plan
 from dc2g_jax.objectnav.starts import passable
 
 #: Side of the cells with which reachability is checked, meters.
