@@ -22,8 +22,7 @@ from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, intrinsics
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.mapping.simulator import render
 from dc2g_jax.objectnav.classes import GOALS, NO_OBJECT
-from dc2g_jax.objectnav.cost_maps import cost_lookup, dense_costs
-from dc2g_jax.objectnav.goal_reacher import STOP, distance_to_object
+from dc2g_jax.objectnav.cost_maps import STOP, cost_lookup, dense_costs, distance_to_object
 from dc2g_jax.objectnav.mapping import IndoorMap, IndoorMapSettings, empty_map, grid_cell, integrate, stood_on
 from dc2g_jax.objectnav.starts import ROBOT_RADIUS
 from dc2g_jax.objectnav.worlds import IndoorWorld, painted, scene

@@ -15,8 +15,7 @@ from dc2g_jax.grid.search import FOUR_CONNECTED
 from dc2g_jax.grid.shifting import shifted
 from dc2g_jax.objectnav.agent import Agent, Guidance, Guide, IndoorRobot, IndoorSite
 from dc2g_jax.objectnav.classes import GOALS
-from dc2g_jax.objectnav.cost_maps import inflated
-from dc2g_jax.objectnav.goal_reacher import distance_to_object, without_specks
+from dc2g_jax.objectnav.cost_maps import distance_to_object, inflated, without_specks
 from dc2g_jax.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, has, has_any_class, square, window
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 
