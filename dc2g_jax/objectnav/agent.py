@@ -18,7 +18,7 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
-from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, intrinsics
+from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, intrinsics, level_camera
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.mapping.simulator import render
 from dc2g_jax.objectnav.classes import GOALS, NO_OBJECT
@@ -30,7 +30,7 @@ from dc2g_jax.programs import jit
 from dc2g_jax.vehicles import mppi
 from dc2g_jax.vehicles.footprint import Ground
 from dc2g_jax.vehicles.mppi import CostOfPose, MPPISettings
-from dc2g_jax.vehicles.robot import DRIVING, SimulatedRobot, camera_pose, is_driving, stopped_by_obstacles
+from dc2g_jax.vehicles.robot import DRIVING, SimulatedRobot, is_driving, stopped_by_obstacles
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive, wrapped
 
 #: The camera: height above the floor, meters; angle below the horizon, radians; horizontal field of view, degrees; rows
@@ -300,7 +300,8 @@ def reset(
 
 def indoor_camera(vehicle: VehicleState) -> CameraPose:
     """The pose of the camera of a vehicle."""
-    return camera_pose(vehicle, INDOOR_CAMERA_HEIGHT, INDOOR_CAMERA_PITCH)
+    x, y = vehicle.position
+    return level_camera(x, y, INDOOR_CAMERA_HEIGHT, vehicle.yaw, INDOOR_CAMERA_PITCH)
 
 
 def look_and_decide(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:

@@ -15,13 +15,14 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.objectnav.agent import DECLARED, Agent, IndoorRobot, IndoorSite, is_active, leg, reset, site_of
+from dc2g_jax.objectnav.agent import DECLARED, Agent, IndoorRobot, IndoorSite, leg, reset, site_of
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.starts import sample_starts
 from dc2g_jax.objectnav.worlds import pad_world
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import batched, deal, gather, mesh_of, not_repeated, on_each, replicate, serve_paced
+from dc2g_jax.rollouts.devices import deal, gather, mesh_of, on_each, replicate
+from dc2g_jax.vehicles.robot import run_to_end
 
 #: Control periods of an episode: 50 s (section III-C).
 TIME_LIMIT = 500
@@ -122,9 +123,9 @@ def search_all(
     agent, sites = replicate((agent, sites), mesh)
     keys, starts, targets, where = deal((keys, starts, targets, where), count, mesh)
     robots = _reset(keys, starts, targets, agent, mesh=mesh, limit=limit)
-    go_on = functools.partial(_go_on, where, sites, agent, mesh=mesh)
-    ended = functools.partial(_ended, not_repeated(count, mesh))
-    robots = serve_paced(robots, go_on, ended, count, on_progress, first_steps=_FIRST_LEGS)
+    robots = run_to_end(
+        robots, leg, where, sites, agent, limit=limit, count=count, first_steps=_FIRST_LEGS, on_progress=on_progress
+    )
     track, status, steps, bumps = gather((robots.track, robots.status, robots.periods, robots.bumps), count)
     return Searches(track=track, declared=status == DECLARED, steps=steps, bumps=bumps)
 
@@ -157,28 +158,3 @@ def _reset(
         return jax.vmap(one)(*own)
 
     return on_each(on_device, mesh, (keys, starts, targets), agent)
-
-
-@jit
-def _ended(wanted: Bool[Array, "devices own"], robots: IndoorRobot) -> Int[Array, "devices"]:
-    return jnp.sum(wanted & ~jax.vmap(jax.vmap(is_active))(robots), axis=1)
-
-
-@functools.partial(jit, static_argnames=("mesh",), donate_argnames=("robots",))
-def _go_on(
-    where: Int[Array, "devices own"], sites: IndoorSite, agent: Agent, robots: IndoorRobot, legs: Int[Array, ""],
-    *, mesh: Mesh,
-) -> IndoorRobot:  # fmt: skip
-    """Every robot that is under way some legs later."""
-
-    def on_device(own: tuple[Array, IndoorRobot], sites: IndoorSite, agent: Agent, legs: Int[Array, ""]) -> IndoorRobot:
-        def one(number: Int[Array, ""], robot: IndoorRobot) -> IndoorRobot:
-            site = jax.tree.map(lambda leaf: leaf[number], sites)
-            until = robot.periods + legs * agent.renewal
-            return jax.lax.while_loop(
-                lambda robot: is_active(robot) & (robot.periods < until), lambda robot: leg(robot, site, agent), robot
-            )
-
-        return batched(mesh)(one)(*own)
-
-    return on_each(on_device, mesh, (where, robots), sites, agent, legs)

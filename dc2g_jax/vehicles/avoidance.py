@@ -139,8 +139,8 @@ def avoid(
       limits: limits of the vehicle.
     """
     commands = _commands(state, wished, limits)
-    paths = _braking_paths(state, commands, limits)
-    admissible = _stays_on_ground(paths, ground, limits) & _touches_nobody(paths, people, limits)
+    path, start = _braking_paths(state, commands, limits), state.position
+    admissible = _stays_on_ground(start, path, ground, limits) & _touches_nobody(start, path, people, limits)
     change = (commands - commands[0]) / jnp.array([limits.max_speed, limits.max_turn_rate], jnp.float32)
     best = jnp.argmin(jnp.where(admissible, jnp.sum(change**2, axis=-1), jnp.inf))
     return jnp.where(jnp.any(admissible), commands[best], commands[1])
@@ -159,31 +159,17 @@ def _commands(state: VehicleState, wished: Float[Array, "2"], limits: VehicleLim
     return jnp.concatenate([jnp.stack([within_reach(wished), within_reach(braking(state, limits))]), grid])
 
 
-@struct.dataclass
-class _Paths:
-    """The paths of commands: one period under the command, then braking to a stop.
-
-    Attributes:
-      start: common start, meters.
-      ends: end of each period, meters.
-      traveled: length of each period's arc, meters.
-      turned: turn of each period's arc, radians.
-    """
-
-    start: Float[Array, "2"]
-    ends: Float[Array, "periods commands 2"]
-    traveled: Float[Array, "periods commands"]
-    turned: Float[Array, "periods commands"]
-
-
 def _periods(limits: VehicleLimits) -> int:
     """Largest number of periods until the vehicle has stopped."""
     # A hair less, so that rounding adds no period.
     return 1 + math.ceil(limits.max_speed / (limits.max_acceleration * CONTROL_PERIOD) - 1e-6)
 
 
-def _braking_paths(state: VehicleState, commands: Float[Array, "commands 2"], limits: VehicleLimits) -> _Paths:
-    """The path of each command if only braking follows it."""
+def _braking_paths(state: VehicleState, commands: Float[Array, "commands 2"], limits: VehicleLimits) -> VehicleState:
+    """The vehicle after a period under each command, and after each period of braking to a stop from then on.
+
+    Its leaves are `[periods commands ...]`.
+    """
 
     def brake(before: VehicleState, _: None) -> tuple[VehicleState, VehicleState]:
         after = jax.vmap(lambda one: drive(one, braking(one, limits), limits))(before)
@@ -191,41 +177,39 @@ def _braking_paths(state: VehicleState, commands: Float[Array, "commands 2"], li
 
     first = jax.vmap(drive, in_axes=(None, 0, None))(state, commands, limits)
     _, later = jax.lax.scan(brake, first, length=_periods(limits) - 1)
-    states = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, later)
-    return _Paths(
-        start=state.position,
-        ends=states.position,
-        traveled=states.speed * CONTROL_PERIOD,
-        turned=states.turn_rate * CONTROL_PERIOD,
-    )
+    return jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, later)
 
 
-def _stays_on_ground(paths: _Paths, ground: Ground, limits: VehicleLimits) -> Bool[Array, "commands"]:
-    """Whether the footprint stays on allowed ground along the whole path."""
+def _stays_on_ground(
+    start: Float[Array, "2"], path: VehicleState, ground: Ground, limits: VehicleLimits
+) -> Bool[Array, "commands"]:
+    """Whether the footprint stays on allowed ground along the whole path, from its start on."""
     longest = limits.max_speed * CONTROL_PERIOD * (_periods(limits) + 1) / 2
-    around = surroundings(ground, paths.start, longest + limits.radius)
-    now = clearance(paths.start, around)
-    needed = needed_clearance(limits.radius, paths.traveled, paths.turned, now)
+    around = surroundings(ground, start, longest + limits.radius)
+    now = clearance(start, around)
+    needed = needed_clearance(limits.radius, path.speed * CONTROL_PERIOD, path.turn_rate * CONTROL_PERIOD, now)
     # A period begins where one ends that is at least as long and as bent, and needs as much clearance.
-    return jnp.all(clearance(paths.ends, around) >= needed, axis=0) & (now >= needed[0])
+    return jnp.all(clearance(path.position, around) >= needed, axis=0) & (now >= needed[0])
 
 
-def _touches_nobody(paths: _Paths, people: People, limits: VehicleLimits) -> Bool[Array, "commands"]:
+def _touches_nobody(
+    start: Float[Array, "2"], path: VehicleState, people: People, limits: VehicleLimits
+) -> Bool[Array, "commands"]:
     """Whether the footprint keeps clear of everybody while the vehicle moves, at all their possible positions.
 
     People are expected to walk around a vehicle that has stopped.
     """
-    starts = jnp.broadcast_to(paths.start, (1, *paths.ends.shape[1:]))
-    places = jnp.concatenate([starts, paths.ends])
+    places = jnp.concatenate([jnp.broadcast_to(start, (1, *path.position.shape[1:])), path.position])
     x, y = places[..., 0], places[..., 1]
-    traveled, turned = (jnp.concatenate([values[:1], values]) for values in (paths.traveled, paths.turned))
+    of_arcs = path.speed * CONTROL_PERIOD, path.turn_rate * CONTROL_PERIOD
+    traveled, turned = (jnp.concatenate([values[:1], values]) for values in of_arcs)
     # Where a period ends, the next one begins: everybody may have come as far as they do until that is over.
     time = CONTROL_PERIOD * (1 + jnp.arange(len(places), dtype=jnp.float32))[:, None]
 
     def clear_of(clear: Array, person: tuple[Array, Array]) -> tuple[Array, None]:
         position, velocity = person
         apart = people.radius + _MARGIN
-        now = jnp.linalg.norm(position - paths.start) - apart
+        now = jnp.linalg.norm(position - start) - apart
         off_x, off_y = x - position[0], y - position[1]
         speed_squared = jnp.maximum(jnp.sum(velocity**2), 1e-6)
         since = jnp.clip((off_x * velocity[0] + off_y * velocity[1]) / speed_squared, 0, time)

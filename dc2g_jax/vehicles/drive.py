@@ -28,7 +28,7 @@ from dc2g_jax.grid.poses import HEADINGS, Pose, PoseSet, moved
 from dc2g_jax.grid.sensing import Kernel
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE, UNKNOWN
 from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics
+from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, level_camera
 from dc2g_jax.mapping.noise import NoiseLevels, PoseDrift, drift_on, drifted, no_drift, noisy_frame
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.mapping.semantic_map import MapSettings, SemanticMap, empty_map, integrate, terrain_map
@@ -38,7 +38,7 @@ from dc2g_jax.vehicles.avoidance import People, navigate
 from dc2g_jax.vehicles.following import ARRIVAL, Path, path_through
 from dc2g_jax.vehicles.footprint import Ground, cell_at, cell_centers, clearance, surroundings
 from dc2g_jax.vehicles.pedestrians import Pedestrians, Walking, place, walk, walkable_cells
-from dc2g_jax.vehicles.robot import DRIVING, SimulatedRobot, camera_pose
+from dc2g_jax.vehicles.robot import DRIVING, SimulatedRobot
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive, wrapped
 
 #: Status of a robot that has reached a front door, and of one that has nothing left to explore.
@@ -217,7 +217,8 @@ def believed(robot: Robot) -> VehicleState:
 
 def outdoor_camera(vehicle: VehicleState) -> CameraPose:
     """The pose of the camera of a vehicle."""
-    return camera_pose(vehicle, CAMERA_HEIGHT, CAMERA_PITCH)
+    x, y = vehicle.position
+    return level_camera(x, y, CAMERA_HEIGHT, vehicle.yaw, CAMERA_PITCH)
 
 
 def look(robot: Robot, site: Site, equipment: Equipment) -> Robot:

@@ -15,10 +15,10 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.mapping.scene import CELL_SIZE, scene_from_terrain
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import batched, deal, gather, mesh_of, not_repeated, on_each, replicate, serve_paced
+from dc2g_jax.rollouts.devices import batched, deal, gather, mesh_of, on_each, replicate
 from dc2g_jax.rollouts.rollout import Episodes
 from dc2g_jax.vehicles.drive import ARRIVED, Equipment, Robot, Site, reset, step
-from dc2g_jax.vehicles.robot import DRIVING
+from dc2g_jax.vehicles.robot import run_to_end
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD
 
 #: Control periods that the first call of the device drives.
@@ -94,14 +94,10 @@ def drive_all(
     equipment, sites = replicate((equipment, sites), mesh)
     episodes, keys = deal((episodes, keys), count, mesh)
     robots = _reset(keys, episodes, sites, equipment, mesh=mesh, pedestrians=pedestrians, knows_map=knows_map)
-    go_on = functools.partial(_go_on, episodes.world, sites, equipment, last_period, mesh=mesh)
-
-    wanted = not_repeated(count, mesh)
-
-    def ended(robots: Robot) -> Int[Array, "devices"]:
-        return jnp.sum(wanted & ((robots.status != DRIVING) | (robots.periods >= last_period)), axis=1)
-
-    robots = serve_paced(robots, go_on, ended, count, on_progress, first_steps=_FIRST_PERIODS)
+    robots = run_to_end(
+        robots, step, episodes.world, sites, equipment,
+        limit=last_period, count=count, first_steps=_FIRST_PERIODS, on_progress=on_progress,
+    )  # fmt: skip
     status, *periods = gather((robots.status, robots.periods, robots.off_ground, robots.touched), count)
     seconds, off_ground, touched = (CONTROL_PERIOD * number for number in periods)
     return Drives(seconds=seconds, status=status, off_ground=off_ground, touched=touched)
@@ -114,36 +110,10 @@ def _reset(
 ) -> Robot:  # fmt: skip
     def on_device(own: tuple[Array, Episodes], sites: Site, equipment: Equipment, knows_map: Array) -> Robot:
         def one(key: Array, world: Array, start: Pose) -> Robot:
-            key = jax.random.wrap_key_data(key)
-            return reset(key, start, _site(sites, world), equipment, pedestrians=pedestrians, knows_map=knows_map)
+            key, site = jax.random.wrap_key_data(key), jax.tree.map(lambda leaf: leaf[world], sites)
+            return reset(key, start, site, equipment, pedestrians=pedestrians, knows_map=knows_map)
 
         keys, episodes = own
         return batched(mesh)(one)(keys, episodes.world, episodes.start)
 
     return on_each(on_device, mesh, (keys, episodes), sites, equipment, jnp.asarray(knows_map))
-
-
-@functools.partial(jit, static_argnames=("mesh",), donate_argnames=("robots",))
-def _go_on(
-    worlds: Int[Array, "devices own"], sites: Site, equipment: Equipment, last_period: ArrayLike, robots: Robot,
-    periods: ArrayLike, *, mesh: Mesh,
-) -> Robot:  # fmt: skip
-    """Drive every robot for so many periods, to the last one, or until it has ended."""
-
-    def on_device(own: tuple[Array, Robot], sites: Site, equipment: Equipment, last: Array, periods: Array) -> Robot:
-        def one(world: Array, robot: Robot) -> Robot:
-            site, until = _site(sites, world), jnp.minimum(robot.periods + periods, last)
-            return jax.lax.while_loop(
-                lambda robot: (robot.status == DRIVING) & (robot.periods < until),
-                lambda robot: step(robot, site, equipment),
-                robot,
-            )
-
-        return batched(mesh)(one)(*own)
-
-    return on_each(on_device, mesh, (worlds, robots), sites, equipment, jnp.asarray(last_period), jnp.asarray(periods))
-
-
-def _site(sites: Site, number: Int[Array, ""]) -> Site:
-    """One site of the stack."""
-    return jax.tree.map(lambda leaf: leaf[number], sites)

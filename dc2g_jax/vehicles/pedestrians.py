@@ -19,9 +19,6 @@ from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.vehicles.footprint import Ground, cell_centers, contains, distance_to_segment
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleState
 
-#: Class index -> whether pedestrians walk on it, bool [class].
-WALKABLE = np.isin(CLASS_NAMES, ["sidewalk", "path"])
-
 #: Points at most this far apart count as equal, meters.
 _SAME_PLACE = 1e-3
 
@@ -78,7 +75,7 @@ class Walking:
 
 def walkable_cells(terrain: UInt8[Array, "h w"] | UInt8[np.ndarray, "h w"]) -> Bool[Array, "h w"]:
     """The cells of a map that people walk on: sidewalks and paths."""
-    return jnp.asarray(WALKABLE)[terrain]
+    return jnp.asarray(np.isin(CLASS_NAMES, ["sidewalk", "path"]))[terrain]
 
 
 def place(key: Array, sidewalks: Ground, count: int, away_from: Float[Array, "2"], walking: Walking) -> Pedestrians:

@@ -1,13 +1,19 @@
 """What all simulated robots share: a vehicle with a camera, and an episode of control periods."""
 
 import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any, TypeVar
 
+import jax
 import jax.numpy as jnp
 from flax import struct
+from jax.sharding import Mesh
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Int, Key
 
-from dc2g_jax.mapping.camera import CameraPose, level_camera
+from dc2g_jax.programs import jit
+from dc2g_jax.rollouts.devices import batched, mesh_of, not_repeated, on_each, serve_paced
 from dc2g_jax.vehicles.footprint import Ground, clearance, surroundings
 from dc2g_jax.vehicles.vehicle import VehicleState
 
@@ -32,21 +38,15 @@ class SimulatedRobot:
     status: Int[Array, ""]
 
 
+_Robot = TypeVar("_Robot", bound=SimulatedRobot)
+
+#: `(robot, site, components) ->` the robot one control period later, or some.
+Step = Callable[[Any, Any, Any], Any]
+
+
 def is_driving(robot: SimulatedRobot, limit: ArrayLike) -> Bool[Array, ""]:
     """Whether the episode has not ended and lasts less than `limit` control periods so far."""
     return (robot.status == DRIVING) & (robot.periods < limit)
-
-
-def camera_pose(vehicle: VehicleState, height: float, pitch: float) -> CameraPose:
-    """The pose of a camera above the center of a vehicle, which looks ahead.
-
-    Args:
-      vehicle: state of the vehicle.
-      height: height of the camera above the ground, meters.
-      pitch: angle of its optical axis below the horizon, radians.
-    """
-    x, y = vehicle.position
-    return level_camera(x, y, height, vehicle.yaw, pitch)
 
 
 def stopped_by_obstacles(
@@ -71,3 +71,62 @@ def stopped_by_obstacles(
     bumped = (then < radius) & (then < now)
     position, speed = jnp.where(bumped, before.position, after.position), jnp.where(bumped, 0, after.speed)
     return dataclasses.replace(after, position=position, speed=speed), bumped
+
+
+def run_to_end(
+    robots: _Robot,
+    step: Step,
+    where: Int[Array, "devices own"],
+    sites: Any,
+    components: Any,
+    *,
+    limit: int,
+    count: int,
+    first_steps: int,
+    on_progress: Callable[[int], None] | None = None,
+) -> _Robot:
+    """Run robots that are dealt out to all devices to the ends of their episodes.
+
+    Args:
+      robots: the robots at their starts, `[devices own ...]`.
+      step: a function of a module, for which programs are compiled once.
+      where: number of each robot's site.
+      sites: stacked sites.
+      components: components of the robots.
+      limit: control periods after which an episode ends.
+      count: number of robots without repetitions.
+      first_steps: steps of the first call of the device.
+      on_progress: called now and then with the number of episodes that have ended.
+    """
+    mesh = mesh_of()
+    go_on = functools.partial(_go_on, where, sites, components, limit, mesh=mesh, step=step)
+    ended = functools.partial(_ended, not_repeated(count, mesh), limit)
+    return serve_paced(robots, go_on, ended, count, on_progress, first_steps=first_steps)
+
+
+@jit
+def _ended(wanted: Bool[Array, "devices own"], limit: ArrayLike, robots: SimulatedRobot) -> Int[Array, "devices"]:
+    """Number of robots on each device whose episodes have ended."""
+    goes_on = jax.vmap(jax.vmap(lambda robot: is_driving(robot, limit)))(robots)
+    return jnp.sum(wanted & ~goes_on, axis=1)
+
+
+@functools.partial(jit, static_argnames=("mesh", "step"), donate_argnames=("robots",))
+def _go_on(
+    where: Int[Array, "devices own"], sites: Any, components: Any, limit: ArrayLike, robots: SimulatedRobot,
+    steps: ArrayLike, *, mesh: Mesh, step: Step,
+) -> SimulatedRobot:  # fmt: skip
+    """Every robot so many steps later, or at the end of its episode."""
+
+    def on_device(own: tuple[Array, Any], sites: Any, components: Any, limit: Array, steps: Array) -> Any:
+        def one(number: Array, robot: Any) -> Any:
+            site = jax.tree.map(lambda leaf: leaf[number], sites)
+            return jax.lax.while_loop(
+                lambda carry: is_driving(carry[0], limit) & (carry[1] < steps),
+                lambda carry: (step(carry[0], site, components), carry[1] + 1),
+                (robot, jnp.int32(0)),
+            )[0]
+
+        return batched(mesh)(one)(*own)
+
+    return on_each(on_device, mesh, (where, robots), sites, components, jnp.asarray(limit), jnp.asarray(steps))

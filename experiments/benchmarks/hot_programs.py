@@ -19,7 +19,7 @@ from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.mapping.scene import TILES, Scene
 from dc2g_jax.objectnav import searches
-from dc2g_jax.objectnav.agent import IndoorSite
+from dc2g_jax.objectnav.agent import IndoorSite, leg
 from dc2g_jax.objectnav.classes import GOALS
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.planners import Planner
@@ -31,8 +31,9 @@ from dc2g_jax.training import cost_to_go, translator
 from dc2g_jax.training.cost_to_go import TrainingConfig
 from dc2g_jax.training.cost_to_go_data import DataConfig
 from dc2g_jax.training.image_pairs import ImageSet, draw_image_pairs
-from dc2g_jax.vehicles import fleet
-from dc2g_jax.vehicles.drive import Site
+from dc2g_jax.vehicles import fleet, robot
+from dc2g_jax.vehicles.drive import Site, step
+from dc2g_jax.vehicles.robot import Step
 
 #: Sides of a house and of an indoor house, in cells; houses; masks to train on; runs of a sweep.
 _CELLS, _INDOOR_CELLS, _HOUSES, _MASKS, _RUNS = 50, 200, 77, 12_000, 64
@@ -174,6 +175,12 @@ def _scene(houses: int, side: int) -> Scene:
     return Scene(_array(*cells, dtype=jnp.float32), _array(*cells, dtype=jnp.uint8), number, number)
 
 
+def _robots_steps(step: Step, where: Any, sites: Any, components: Any, robots: Any, mesh: Mesh) -> HotProgram:
+    arguments = (where, sites, components, _array(), robots, _array())
+    specs = (_DEALT, _WHOLE, _WHOLE, _WHOLE, _DEALT, _WHOLE)
+    return HotProgram(robot._go_on, arguments, specs, {"mesh": mesh, "step": step}, where.size, mesh, depth=1)
+
+
 def _search_leg(robots: int, mesh: Mesh) -> HotProgram:
     agent, houses, side, n = agent_with("promising", open_costs(None)), 8, _INDOOR_CELLS, mesh.size
     sites = IndoorSite(
@@ -185,21 +192,18 @@ def _search_leg(robots: int, mesh: Mesh) -> HotProgram:
     reset = functools.partial(searches._reset, mesh=mesh, limit=searches.TIME_LIMIT)
     starts, each = _array(n, robots, 3, dtype=jnp.float32), _array(n, robots)
     state = jax.eval_shape(reset, _array(n, robots, 2, dtype=jnp.uint32), starts, each, agent)
-    arguments, specs = (each, sites, agent, state, _array()), (_DEALT, _WHOLE, _WHOLE, _DEALT, _WHOLE)
-    return HotProgram(searches._go_on, arguments, specs, {"mesh": mesh}, n * robots, mesh, depth=1)
+    return _robots_steps(leg, each, sites, agent, state, mesh)
 
 
 def _drive_step(robots: int, mesh: Mesh) -> HotProgram:
-    robot, n = equipment("dc2g", load_network(None), (_CELLS, _CELLS), 1.0, DrivingOptions()), mesh.size
+    equipped, n = equipment("dc2g", load_network(None), (_CELLS, _CELLS), 1.0, DrivingOptions()), mesh.size
     sites = Site(_array(_HOUSES, _CELLS, _CELLS, dtype=jnp.uint8), _scene(_HOUSES, _CELLS * TILES))
     each = _array(n, robots)
     reset = functools.partial(fleet._reset, mesh=mesh, pedestrians=0, knows_map=False)
     state = jax.eval_shape(
-        reset, _array(n, robots, 2, dtype=jnp.uint32), Episodes(each, Pose(each, each, each)), sites, robot
+        reset, _array(n, robots, 2, dtype=jnp.uint32), Episodes(each, Pose(each, each, each)), sites, equipped
     )
-    arguments = (each, sites, robot, _array(), state, _array())
-    specs = (_DEALT, _WHOLE, _WHOLE, _WHOLE, _DEALT, _WHOLE)
-    return HotProgram(fleet._go_on, arguments, specs, {"mesh": mesh}, n * robots, mesh, depth=1)
+    return _robots_steps(step, each, sites, equipped, state, mesh)
 
 
 def hot_programs(robots: int, driving: int) -> dict[str, tuple[int, Callable[[Mesh], HotProgram]]]:
