@@ -37,7 +37,7 @@ from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL, MapRevisingPla
 from dc2g_jax.vehicles.avoidance import People, navigate
 from dc2g_jax.vehicles.following import ARRIVAL, Path, path_through
 from dc2g_jax.vehicles.footprint import Ground, cell_at, cell_centers, clearance, surroundings
-from dc2g_jax.vehicles.pedestrians import Pedestrians, Walking, place, walk, walkable_cells
+from dc2g_jax.vehicles.pedestrians import PERSON_RADIUS, Pedestrians, place, walk, walkable_cells
 from dc2g_jax.vehicles.robot import DRIVING, SimulatedRobot
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive, wrapped
 
@@ -184,7 +184,7 @@ def reset(
         decided_on=prior,
         mode=jnp.int32(EXPLORE),
         new_maps=zero,
-        people=place(own_key, Ground(walkable_cells(site.terrain), cell_size), pedestrians, position, Walking()),
+        people=place(own_key, Ground(walkable_cells(site.terrain), cell_size), pedestrians, position),
         periods=zero,
         # The first period begins with a decision.
         decided_at=jnp.int32(-_DECISION_PERIODS),
@@ -350,12 +350,11 @@ def _drive(robot: Robot, site: Site, equipment: Equipment) -> Robot:
     limits, cell_size = equipment.limits, equipment.mapping.cell_size
     known = Ground(jnp.asarray(TRAVERSABLE)[robot.terrain], cell_size)
     vehicle = believed(robot)
-    walking = Walking()
-    command = navigate(vehicle, robot.path, known, _people_seen(robot, walking), limits)
+    command = navigate(vehicle, robot.path, known, _people_seen(robot), limits)
     key, walk_key = jax.random.split(robot.key)
     after = drive(robot.vehicle, command, limits)
     sidewalks = Ground(walkable_cells(site.terrain), cell_size)
-    people = walk(walk_key, robot.people, sidewalks, robot.vehicle, limits.radius, walking)
+    people = walk(walk_key, robot.people, sidewalks, robot.vehicle, limits.radius)
     drivable = Ground(jnp.asarray(TRAVERSABLE)[site.terrain], cell_size)
     clear = clearance(after.position, surroundings(drivable, after.position, 2 * limits.radius))
     nearest = jnp.min(jnp.linalg.norm(people.position - after.position, axis=-1), initial=jnp.inf)
@@ -370,11 +369,11 @@ def _drive(robot: Robot, site: Site, equipment: Equipment) -> Robot:
         periods=robot.periods + 1,
         status=jnp.where(site.terrain[row, column] == FRONT_DOOR, ARRIVED, robot.status).astype(jnp.int32),
         off_ground=robot.off_ground + (clear < limits.radius),
-        touched=robot.touched + (nearest < limits.radius + walking.radius),
+        touched=robot.touched + (nearest < limits.radius + PERSON_RADIUS),
     )
 
 
-def _people_seen(robot: Robot, walking: Walking) -> People:
+def _people_seen(robot: Robot) -> People:
     """The people at their true places relative to the robot, around its estimated pose."""
     drift = robot.drift
     along, across = jnp.cos(drift.yaw), jnp.sin(drift.yaw)
@@ -384,4 +383,4 @@ def _people_seen(robot: Robot, walking: Walking) -> People:
         return jnp.sum(offsets[..., None] * turn, axis=-2)
 
     positions = believed(robot).position + turned(robot.people.position - robot.vehicle.position)
-    return People(positions=positions, velocities=turned(robot.people.velocity), radius=walking.radius)
+    return People(positions=positions, velocities=turned(robot.people.velocity), radius=PERSON_RADIUS)

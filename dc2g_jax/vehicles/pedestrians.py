@@ -19,6 +19,14 @@ from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.vehicles.footprint import Ground, cell_centers, contains, distance_to_segment
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleState
 
+#: Walking speed, meters per second; radius of the circle that a pedestrian occupies, and the distance that pedestrians
+#: keep to a vehicle in front of them, meters.
+WALKING_SPEED, PERSON_RADIUS, SPACE = 1.2, 0.25, 0.3
+
+#: Time for which pedestrians predict the vehicle at constant velocity, and time that they wait for it before they go
+#: back, seconds; how often they go back before they are removed.
+FORESIGHT, PATIENCE, RETURNS = 1.0, 2.0, 3
+
 #: Points at most this far apart count as equal, meters.
 _SAME_PLACE = 1e-3
 
@@ -52,33 +60,12 @@ class Pedestrians:
     turned_back: Int[Array, "people"]
 
 
-@struct.dataclass
-class Walking:
-    """Settings of the pedestrian model.
-
-    Attributes:
-      speed: walking speed, meters per second.
-      radius: radius of the circle that a pedestrian occupies, meters.
-      space: distance that they keep to a vehicle in front of them, meters.
-      foresight: time for which they predict the vehicle at constant velocity, seconds.
-      patience: time that they wait for the vehicle before they go back, seconds.
-      returns: how often they go back before they are removed.
-    """
-
-    speed: float = struct.field(pytree_node=False, default=1.2)
-    radius: float = struct.field(pytree_node=False, default=0.25)
-    space: float = struct.field(pytree_node=False, default=0.3)
-    foresight: float = struct.field(pytree_node=False, default=1.0)
-    patience: float = struct.field(pytree_node=False, default=2.0)
-    returns: int = struct.field(pytree_node=False, default=3)
-
-
 def walkable_cells(terrain: UInt8[Array, "h w"] | UInt8[np.ndarray, "h w"]) -> Bool[Array, "h w"]:
     """The cells of a map that people walk on: sidewalks and paths."""
     return jnp.asarray(np.isin(CLASS_NAMES, ["sidewalk", "path"]))[terrain]
 
 
-def place(key: Array, sidewalks: Ground, count: int, away_from: Float[Array, "2"], walking: Walking) -> Pedestrians:
+def place(key: Array, sidewalks: Ground, count: int, away_from: Float[Array, "2"]) -> Pedestrians:
     """Standing pedestrians at random places on sidewalks, more than three meters from the vehicle's start.
 
     Args:
@@ -86,7 +73,6 @@ def place(key: Array, sidewalks: Ground, count: int, away_from: Float[Array, "2"
       sidewalks: walkable cells. If none is far enough from the start, pedestrians are at `NOWHERE`.
       count: number of pedestrians.
       away_from: start of the vehicle, meters. The distance to the centers of cells counts.
-      walking: settings of the model.
     """
     of_cell, of_side = jax.random.split(key)
     height, width = sidewalks.cells.shape
@@ -96,7 +82,7 @@ def place(key: Array, sidewalks: Ground, count: int, away_from: Float[Array, "2"
     free = sidewalks.cells.ravel() & (distance > 3)
     drawn = jax.random.categorical(of_cell, jnp.where(free, 0.0, -jnp.inf), shape=(count,))
     cells = jnp.where(jnp.any(free), every_cell[drawn], int(NOWHERE / sidewalks.cell_size))
-    room = max(sidewalks.cell_size / 2 - walking.radius - 0.01, 0)
+    room = max(sidewalks.cell_size / 2 - PERSON_RADIUS - 0.01, 0)
     side = jax.random.uniform(of_side, (count, 2), minval=-room, maxval=room)
     return Pedestrians(
         position=cell_centers(cells, sidewalks.cell_size) + side,
@@ -110,9 +96,8 @@ def place(key: Array, sidewalks: Ground, count: int, away_from: Float[Array, "2"
 
 
 def walk(
-    key: Array, people: Pedestrians, sidewalks: Ground, vehicle: VehicleState, vehicle_radius: float,
-    walking: Walking,
-) -> Pedestrians:  # fmt: skip
+    key: Array, people: Pedestrians, sidewalks: Ground, vehicle: VehicleState, vehicle_radius: float
+) -> Pedestrians:
     """The pedestrians one period later.
 
     Args:
@@ -121,10 +106,9 @@ def walk(
       sidewalks: walkable cells.
       vehicle: current state of the vehicle.
       vehicle_radius: radius of its footprint, meters.
-      walking: settings of the model.
     """
-    ahead = walking.foresight * vehicle.speed * jnp.stack([jnp.cos(vehicle.yaw), jnp.sin(vehicle.yaw)])
-    personal = walking.radius + vehicle_radius + walking.space
+    ahead = FORESIGHT * vehicle.speed * jnp.stack([jnp.cos(vehicle.yaw), jnp.sin(vehicle.yaw)])
+    personal = PERSON_RADIUS + vehicle_radius + SPACE
 
     def one(key: Array, person: Pedestrians) -> Pedestrians:
         goal = cell_centers(person.heads_for, sidewalks.cell_size) + person.side
@@ -133,13 +117,13 @@ def walk(
         heads_for = jnp.where(is_there, _next_cell(key, person, sidewalks), person.heads_for)
         to_go = cell_centers(heads_for, sidewalks.cell_size) + person.side - person.position
         distance = jnp.linalg.norm(to_go)
-        step = person.position + jnp.minimum(walking.speed * CONTROL_PERIOD / jnp.maximum(distance, 1e-6), 1) * to_go
+        step = person.position + jnp.minimum(WALKING_SPEED * CONTROL_PERIOD / jnp.maximum(distance, 1e-6), 1) * to_go
         comes_nearer = jnp.sum((vehicle.position - person.position) * to_go) > 0
         in_the_way = comes_nearer & (distance_to_segment(step, vehicle.position, ahead) < personal)
         waited = jnp.where(in_the_way, person.waited + CONTROL_PERIOD, 0)
-        gives_way = waited > walking.patience
+        gives_way = waited > PATIENCE
         turned_back = person.turned_back + gives_way
-        leaves = turned_back > walking.returns
+        leaves = turned_back > RETURNS
         position = jnp.where(in_the_way, person.position, step)
         return Pedestrians(
             position=jnp.where(leaves, NOWHERE, position),

@@ -14,7 +14,7 @@ from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
 from dc2g_jax.vehicles.avoidance import People, navigate
 from dc2g_jax.vehicles.following import Path, path_through
 from dc2g_jax.vehicles.footprint import Ground, cell_at, cell_centers
-from dc2g_jax.vehicles.pedestrians import Pedestrians, Walking, walk, walkable_cells
+from dc2g_jax.vehicles.pedestrians import PERSON_RADIUS, Pedestrians, walk, walkable_cells
 from dc2g_jax.vehicles.vehicle import VehicleLimits, VehicleState, at_rest, drive
 from tests.support import maps
 
@@ -33,7 +33,6 @@ WALLED[7, 9] = FRONT_DOOR
 
 CELL_SIZE = 1.0
 LIMITS = VehicleLimits()
-WALKING = Walking()
 
 #: Cells of a path.
 AHEAD = 8
@@ -73,9 +72,9 @@ def episodes(key: Array, terrain: Array, cell: Array, yaw: Array, everybody: Ped
     def period(carry, key):
         state, everybody, arrived = carry
         path = plan(cost, cell_at(state.position, CELL_SIZE))
-        people = People(everybody.position, everybody.velocity, WALKING.radius)
+        people = People(everybody.position, everybody.velocity, PERSON_RADIUS)
         driven = drive(state, navigate(state, path, ground, people, LIMITS), LIMITS)
-        walked = walk(key, everybody, sidewalks, state, LIMITS.radius, WALKING)
+        walked = walk(key, everybody, sidewalks, state, LIMITS.radius)
         state, everybody = jax.tree.map(
             lambda before, after: jnp.where(arrived, before, after), (state, everybody), (driven, walked)
         )

@@ -11,11 +11,11 @@ from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.grid.terrain import GRASS, TRAVERSABLE
 from dc2g_jax.vehicles.avoidance import People, avoid
 from dc2g_jax.vehicles.footprint import Ground, cell_centers
-from dc2g_jax.vehicles.pedestrians import NOWHERE, Pedestrians, place, walkable_cells
+from dc2g_jax.vehicles.pedestrians import NOWHERE, PERSON_RADIUS, Pedestrians, place, walkable_cells
 from dc2g_jax.vehicles.vehicle import VehicleState, at_rest, drive
 from tests.oracles.vehicle_oracle import clearance, driven
 from tests.support.maps import drawn
-from tests.support.streets import LIMITS, WALKING, Episode, episodes
+from tests.support.streets import LIMITS, Episode, episodes
 
 HOUSES, STARTS, PEOPLE, PERIODS = 2, 4, 6, 500
 
@@ -35,7 +35,7 @@ BROAD = drawn("""
     RRRRRRRRRRRRRRRR
     RRRRRRRRRRRRRRRR
 """)
-FAR_AWAY = People(jnp.full((1, 2), NOWHERE), jnp.zeros((1, 2)), WALKING.radius)
+FAR_AWAY = People(jnp.full((1, 2), NOWHERE), jnp.zeros((1, 2)), PERSON_RADIUS)
 
 
 def framed(terrain: np.ndarray) -> np.ndarray:
@@ -67,7 +67,7 @@ def driven_episodes(maps) -> Episode:
     cells = jnp.array([*cells, (0, 2), (1, 2)], jnp.int32)
     sidewalks = Ground(jnp.stack([walkable_cells(terrain) for terrain in maps[:-2]]), 1.0)
     keys = jax.random.split(jax.random.key(1), len(maps))
-    placing = jax.jit(jax.vmap(lambda key, ground, start: place(key, ground, PEOPLE, start, WALKING)))
+    placing = jax.jit(jax.vmap(lambda key, ground, start: place(key, ground, PEOPLE, start)))
     placed = placing(keys[:-2], sidewalks, cell_centers(cells[:-2], 1.0))
     alone = [standing((9, 2), (8, 2)), standing((8, 2), (8, 2))]
     everybody = jax.tree.map(lambda many, *ones: jnp.concatenate([many, jnp.stack(ones)]), placed, *alone)
@@ -92,7 +92,7 @@ def test_every_robot_arrives_and_touches_nothing_and_nobody(driven_episodes, map
     for number, terrain in enumerate(maps):
         vehicle, people = positions_of(driven_episodes, number)
         assert clearance(vehicle, TRAVERSABLE[terrain], 1.0).min() > LIMITS.radius
-        assert np.linalg.norm(people - vehicle[:, None], axis=-1).min() > LIMITS.radius + WALKING.radius
+        assert np.linalg.norm(people - vehicle[:, None], axis=-1).min() > LIMITS.radius + PERSON_RADIUS
 
 
 def test_no_limit_is_exceeded(driven_episodes):
@@ -177,7 +177,7 @@ def chosen(guarded):
 
 
 def person(x: float, velocity: float = 0.0) -> People:
-    return People(jnp.array([[x, -2.5]]), jnp.array([[velocity, 0.0]]), WALKING.radius)
+    return People(jnp.array([[x, -2.5]]), jnp.array([[velocity, 0.0]]), PERSON_RADIUS)
 
 
 def test_it_does_as_wished_where_it_may(chosen):

@@ -1,5 +1,4 @@
 import dataclasses
-import functools
 
 import jax
 import jax.numpy as jnp
@@ -7,7 +6,17 @@ import numpy as np
 import pytest
 
 from dc2g_jax.vehicles.footprint import Ground
-from dc2g_jax.vehicles.pedestrians import NOWHERE, Walking, place, walk, walkable_cells
+from dc2g_jax.vehicles.pedestrians import (
+    NOWHERE,
+    PATIENCE,
+    PERSON_RADIUS,
+    RETURNS,
+    SPACE,
+    WALKING_SPEED,
+    place,
+    walk,
+    walkable_cells,
+)
 from dc2g_jax.vehicles.vehicle import VehicleState, at_rest
 from tests.oracles.vehicle_oracle import clearance
 from tests.support.maps import drawn
@@ -19,7 +28,7 @@ TERRAIN = drawn("""
     SSSPPPSSSS
     D..#......
 """)
-WALKING, PERIODS, PEOPLE = Walking(), 300, 12
+PERIODS, PEOPLE = 300, 12
 FAR_AWAY = at_rest(jnp.array([500.0, 500.0]), 0.0)
 
 
@@ -34,7 +43,7 @@ def walks(sidewalks):
 
     def run(key, people, vehicle):
         def period(people, key):
-            after = walk(key, people, sidewalks, vehicle, 0.3, WALKING)
+            after = walk(key, people, sidewalks, vehicle, 0.3)
             return after, after
 
         return jax.lax.scan(period, people, jax.random.split(key, PERIODS))[1]
@@ -44,12 +53,12 @@ def walks(sidewalks):
 
 @pytest.fixture(scope="module")
 def walks_once():
-    return jax.jit(lambda key, people, sidewalks, vehicle: walk(key, people, sidewalks, vehicle, 0.3, WALKING))
+    return jax.jit(lambda key, people, sidewalks, vehicle: walk(key, people, sidewalks, vehicle, 0.3))
 
 
 @pytest.fixture(scope="module")
 def placed():
-    return jax.jit(functools.partial(place, walking=WALKING), static_argnames="count")
+    return jax.jit(place, static_argnames="count")
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +73,7 @@ def test_people_walk_on_sidewalks_and_paths():
 
 def test_people_begin_on_sidewalks_away_from_the_vehicle(people, sidewalks):
     position = np.asarray(people.position)
-    assert clearance(position, np.asarray(sidewalks.cells), 1.0).min() >= WALKING.radius
+    assert clearance(position, np.asarray(sidewalks.cells), 1.0).min() >= PERSON_RADIUS
     # Three meters to the cell's middle, and a quarter aside of it.
     assert np.linalg.norm(position - [0.5, -1.5], axis=-1).min() > 3 - np.hypot(0.25, 0.25)
     assert len(np.unique(people.heads_for, axis=0)) > 5
@@ -73,11 +82,11 @@ def test_people_begin_on_sidewalks_away_from_the_vehicle(people, sidewalks):
 def test_people_walk_all_over_the_sidewalks_and_never_off_them(walks, people, sidewalks):
     walked = jax.device_get(walks(jax.random.key(1), people, FAR_AWAY))
     free = np.asarray(sidewalks.cells)
-    assert clearance(walked.position.reshape(-1, 2), free, 1.0).min() >= WALKING.radius
+    assert clearance(walked.position.reshape(-1, 2), free, 1.0).min() >= PERSON_RADIUS
     speeds = np.linalg.norm(walked.velocity, axis=-1)
-    assert speeds.max() <= WALKING.speed + 1e-4
+    assert speeds.max() <= WALKING_SPEED + 1e-4
     # Only where a step ends at the middle of a cell is it shorter.
-    assert np.mean(speeds > WALKING.speed - 1e-3) > 0.8
+    assert np.mean(speeds > WALKING_SPEED - 1e-3) > 0.8
     columns, rows = np.floor(walked.position[..., 0]).astype(int), np.floor(-walked.position[..., 1]).astype(int)
     visited = np.zeros_like(free)
     visited[rows, columns] = True
@@ -100,14 +109,14 @@ def test_people_do_not_touch_a_vehicle_that_stands_and_turn_round_in_front_of_it
     away = np.linalg.norm(np.asarray(people.position) - [5.5, -1.5], axis=-1) > 1.5
     walked = jax.device_get(walks(jax.random.key(4), people, vehicle))
     gaps = (np.linalg.norm(walked.position - [5.5, -1.5], axis=-1) - 0.55)[:, away]
-    assert gaps.min() >= WALKING.space
-    stays = walked.turned_back[:, away] <= WALKING.returns
+    assert gaps.min() >= SPACE
+    stays = walked.turned_back[:, away] <= RETURNS
     stood = (np.linalg.norm(walked.velocity, axis=-1)[:, away] == 0) & stays
     assert stood.any()
     # Two seconds, and nobody for good: then they go back.
     window = np.lib.stride_tricks.sliding_window_view(stood, 25, axis=0)
     assert not window.all(axis=-1).any()
-    assert walked.waited.max() == pytest.approx(WALKING.patience, abs=0.11)
+    assert walked.waited.max() == pytest.approx(PATIENCE, abs=0.11)
 
 
 def test_who_is_shut_in_leaves_in_the_end(walks_once, people):
@@ -130,8 +139,8 @@ def test_who_is_shut_in_leaves_in_the_end(walks_once, people):
         assert cells[1, int(shut_in.position[0, 0])]
     # It has stood in front of the vehicle four times, two seconds each.
     assert gone_after is not None
-    assert gone_after > 4 * WALKING.patience
-    assert shut_in.turned_back.tolist() == [WALKING.returns + 1]
+    assert gone_after > 4 * PATIENCE
+    assert shut_in.turned_back.tolist() == [RETURNS + 1]
 
 
 def test_nobody_steps_in_front_of_a_vehicle_that_drives(walks_once, sidewalks, people):
