@@ -3,25 +3,20 @@
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
-from jaxtyping import Array, Bool, Float, Float16, Int, UInt8, UInt16, UInt32
+from jaxtyping import Array, Bool, Float, Float16, Int, UInt8, UInt16
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.mapping.camera import level_camera
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.objectnav.agent import INDOOR_CAMERA_HEIGHT, INDOOR_CAMERA_PITCH
+from dc2g_jax.objectnav.classes import GOALS
 from dc2g_jax.objectnav.cost_maps import distance_for_vehicle, inflated, with_tight_cells
-from dc2g_jax.objectnav.data import (
-    JourneySet,
-    cell_codes,
-    drive_to_goals,
-    in_millimeters,
-)
+from dc2g_jax.objectnav.data import JourneySet, cell_codes, in_millimeters
 from dc2g_jax.objectnav.exploring import NEVER, Journey, explore
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.midlevel import CameraView, ImageEncoder, view
@@ -98,17 +93,16 @@ def _distances(
 ) -> tuple[UInt16[Array, "goal h w"], Float[Array, "way h w"]]:
     """Labels of a house, and what its robots are led by: distances to places, then to goals."""
 
-    def drive_to(place: Int[Array, "2"]) -> Float[Array, "h w"]:
-        goal = jnp.zeros(free.shape, bool).at[place[0], place[1]].set(True)
-        return distance_for_vehicle(~free, goal, ROBOT_RADIUS, cell_size)
+    def drive_to(goals: Bool[Array, "h w"]) -> Float[Array, "h w"]:
+        return distance_for_vehicle(~free, goals, ROBOT_RADIUS, cell_size)
 
     def label(distance: Float[Array, "h w"]) -> UInt16[Array, "h w"]:
         return in_millimeters(with_tight_cells(distance, free, fits, cell_size))
 
     fits = ~inflated(~free, ROBOT_RADIUS, cell_size)
-    to_goals = drive_to_goals(free, classes, cell_size)
-    labels = jax.lax.map(label, to_goals)
-    return labels, jnp.concatenate([jax.lax.map(drive_to, places), to_goals])
+    to_goals = jax.lax.map(lambda goal: drive_to((classes == goal) & ~free), jnp.asarray(GOALS, jnp.uint8))
+    to_places = jax.lax.map(lambda place: drive_to(jnp.zeros_like(free).at[place[0], place[1]].set(True)), places)
+    return jax.lax.map(label, to_goals), jnp.concatenate([to_places, to_goals])
 
 
 def _journeys(
@@ -131,9 +125,10 @@ def _journeys(
 
 
 @jit
-def _views(scene_and_paint: tuple[Scene, Array], cells: Int[Array, "n 2"], headings: Float[Array, "n"]) -> CameraView:
+def _views(
+    house: Scene, paint: UInt8[Array, "h w 3"], cells: Int[Array, "n 2"], headings: Float[Array, "n"]
+) -> CameraView:
     """What robots' cameras see of one house."""
-    house, paint = scene_and_paint
 
     def one(pose: tuple[Array, Array]) -> CameraView:
         (row, column), heading = (pose[0] + 0.5) * house.tile_size, pose[1]
@@ -142,53 +137,27 @@ def _views(scene_and_paint: tuple[Scene, Array], cells: Int[Array, "n 2"], headi
     return jax.lax.map(one, (cells, headings))
 
 
-def _features(encoder: ImageEncoder, images: UInt8[Array, "n h w 3"]) -> Float16[Array, "n 2 f"]:
-    """Features of pictures and of their mirror images."""
-    both = [encoder.encode(images), encoder.encode(images[:, :, ::-1])]
-    return jnp.stack(both, axis=1).astype(jnp.float16)
-
-
-class _Given(NamedTuple):
-    """What one house is collected from: the house, as it looks, and what is drawn at random."""
-
-    free: Bool[Array, "h w"]
-    classes: UInt8[Array, "h w"]
-    heights: Float[Array, "h w"]
-    scene: Scene
-    paint: UInt8[Array, "h w 3"]
-    places: Int[Array, "place 2"]
-    starts: Int[Array, "journey 2"]
-    key: UInt32[Array, "key"]
-
-
-def _given(world: IndoorWorld, config: CollectionConfig, number: int) -> _Given:
+def _given(world: IndoorWorld, config: CollectionConfig, number: int) -> tuple:
+    """What one house is collected from: the house, its scene and colors, places, starts and random key."""
     rng = np.random.default_rng((config.data_seed, number))
     places = random_places(world, config.places + config.journeys, rng)
-    return _Given(
-        free=jnp.asarray(world.free),
-        classes=jnp.asarray(world.classes),
-        heights=jnp.asarray(world.heights),
-        scene=scene(world),
-        paint=jnp.asarray(painted(world, rng)),
-        places=jnp.asarray(places[: config.places]),
-        starts=jnp.asarray(places[config.places :]),
-        key=jax.random.key_data(jax.random.fold_in(jax.random.key(config.data_seed), number)),
-    )
+    key = jax.random.key_data(jax.random.fold_in(jax.random.key(config.data_seed), number))
+    return world, scene(world), painted(world, rng), places[: config.places], places[config.places :], key
 
 
 @functools.partial(jit, static_argnames=("mesh", "cell_size", "views"))
 def _collect_houses(
-    houses: _Given, encoder: ImageEncoder, *, mesh: Mesh, cell_size: float, views: int
+    houses: tuple, encoder: ImageEncoder, *, mesh: Mesh, cell_size: float, views: int
 ) -> tuple[UInt16[Array, "devices 1 goal h w"], Journey, Float16[Array, "devices 1 n 2 f"]]:
-    """Labels, journeys and their features of a house on each device."""
+    """Labels, journeys, and features of images and of their mirror images, of a house on each device."""
 
-    def on_device(houses: _Given, encoder: ImageEncoder) -> tuple[Array, Journey, Array]:
-        house: _Given = jax.tree.map(lambda leaf: leaf[0], houses)
-        labels, to_places = _distances(house.free, house.classes, house.places, cell_size)
-        key = jax.random.wrap_key_data(house.key)
-        journeys = _journeys(house.heights, cell_size, to_places, house.starts, key, views)
+    def on_device(houses: tuple, encoder: ImageEncoder) -> tuple[Array, Journey, Array]:
+        world, house, paint, places, starts, key = jax.tree.map(lambda leaf: leaf[0], houses)
+        labels, to_places = _distances(world.free, world.classes, places, cell_size)
+        journeys = _journeys(world.heights, cell_size, to_places, starts, jax.random.wrap_key_data(key), views)
         cells, headings = journeys.cells.reshape(-1, 2), journeys.headings.reshape(-1)
-        features = _features(encoder, _views((house.scene, house.paint), cells, headings).image)
+        images = _views(house, paint, cells, headings).image
+        features = jnp.stack([encoder.encode(images), encoder.encode(images[:, :, ::-1])], axis=1).astype(jnp.float16)
         return jax.tree.map(lambda leaf: leaf[None], (labels, journeys, features))
 
     return on_each(on_device, mesh, houses, encoder)
@@ -256,6 +225,6 @@ def random_views(
         rng = np.random.default_rng((seed, number))
         cells = jnp.asarray(random_places(world, count, rng))
         headings = jnp.asarray(rng.uniform(-np.pi, np.pi, count), jnp.float32)
-        views = _views((scene(world), jnp.asarray(painted(world, rng))), cells, headings)
+        views = _views(scene(world), jnp.asarray(painted(world, rng)), cells, headings)
         taken.append(jax.tree.map(np.asarray, views))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *taken)

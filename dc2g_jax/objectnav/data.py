@@ -15,10 +15,8 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Float16, Int, Int16, UInt8, UInt16
 
-from dc2g_jax.objectnav.classes import GOALS, SEMANTIC_CLASSES
-from dc2g_jax.objectnav.cost_maps import distance_for_vehicle
+from dc2g_jax.objectnav.classes import SEMANTIC_CLASSES
 from dc2g_jax.objectnav.mapping import IndoorMapSettings, square
-from dc2g_jax.objectnav.starts import ROBOT_RADIUS
 from dc2g_jax.objectnav.worlds import IndoorWorld, Leaf
 
 #: Sides of the local and the global map in cells (section II-B), and of the averaged squares of the global map.
@@ -119,25 +117,6 @@ def cell_codes(world: IndoorWorld) -> UInt8[Array, "*b h w"]:
     standing = jnp.asarray(world.obstacle)
     codes = jnp.where(standing, OBSTACLE + jnp.asarray(world.classes), jnp.where(world.free, FREE, UNEXPLORED))
     return codes.astype(jnp.uint8)
-
-
-def drive_to_goals(
-    free: Bool[Array, "h w"], classes: UInt8[Array, "h w"], cell_size: float
-) -> Float[Array, "goal h w"]:
-    """Distance that the center of a robot has to drive to the nearest goal of each class (fast marching method).
-
-    Args:
-      free: free floor.
-      classes: class index of each cell.
-      cell_size: edge of a cell, meters.
-
-    Returns:
-      float32 meters; infinite where the robot does not fit and where no path leads to the goal.
-    """
-    return jax.lax.map(
-        lambda goal: distance_for_vehicle(~free, (classes == goal) & ~free, ROBOT_RADIUS, cell_size),
-        jnp.asarray(GOALS, jnp.uint8),
-    )
 
 
 def in_millimeters(distance: Float[Array, "*n"]) -> UInt16[Array, "*n"]:

@@ -3,6 +3,8 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from dc2g_jax.grid.shifting import shifted
+
 #: Steps of a local policy, (rows, columns). Staying comes first, because the first of equal costs counts.
 FIVE_ACTIONS: tuple[tuple[int, int], ...] = ((0, 0), (0, 1), (-1, 0), (0, -1), (1, 0))
 NINE_ACTIONS: tuple[tuple[int, int], ...] = (*FIVE_ACTIONS, (-1, 1), (-1, -1), (1, -1), (1, 1))
@@ -46,12 +48,8 @@ def best_actions(costs: Float[Array, "h w"], actions: tuple[tuple[int, int], ...
       costs: costs of cells, infinite without path. Costs beyond the map are infinite.
       actions: steps, (rows, columns).
     """
-    height, width = costs.shape
-    around = jnp.pad(costs, 1, constant_values=jnp.inf)
-    return jnp.argmin(
-        jnp.stack([around[1 + down : 1 + down + height, 1 + right : 1 + right + width] for down, right in actions]),
-        axis=0,
-    )
+    around = [shifted(costs, -right, -down, jnp.inf) for down, right in actions]
+    return jnp.argmin(jnp.stack(around), axis=0)
 
 
 def action_accuracy(
