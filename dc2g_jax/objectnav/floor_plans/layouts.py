@@ -160,7 +160,7 @@ def _give_away(rooms: list[set[Square]], left: set[Square], targets: Sequence[in
         claims = []
         for square in sorted(left):
             for index, room in enumerate(rooms):
-                touching = sum(neighbor in room for neighbor in _neighbors(square))
+                touching = sum((square[0] + x, square[1] + y) in room for x, y in _SIDES)
                 if touching:
                     claims.append((touching, -len(room) / targets[index], square, index))
         if not claims:
@@ -168,10 +168,6 @@ def _give_away(rooms: list[set[Square]], left: set[Square], targets: Sequence[in
         _, _, square, index = max(claims)
         rooms[index].add(square)
         left.discard(square)
-
-
-def _neighbors(square: Square) -> list[Square]:
-    return [(square[0] + x, square[1] + y) for x, y in _SIDES]
 
 
 def _with_doors(
