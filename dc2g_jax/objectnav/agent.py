@@ -18,7 +18,7 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
-from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, intrinsics, level_camera
+from dc2g_jax.mapping.camera import CameraPose, Intrinsics, intrinsics, level_camera
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.mapping.simulator import render
 from dc2g_jax.objectnav.classes import GOALS, NO_OBJECT
@@ -141,7 +141,6 @@ class IndoorRobot(SimulatedRobot):
     Attributes:
       target: the wanted class, an index into `GOALS`.
       map: map of the house so far.
-      frame: last camera frame.
       local_middle: row and column in the world's grid of the cell in the middle of the local map, at half its side.
       guidance: last costs of the guide.
       costs: the same costs, with costs that lead back to them elsewhere.
@@ -152,7 +151,6 @@ class IndoorRobot(SimulatedRobot):
 
     target: Int[Array, ""]
     map: IndoorMap
-    frame: Frame
     local_middle: Int[Array, "2"]
     guidance: Guidance
     costs: Float[Array, "n n"]
@@ -279,14 +277,12 @@ def reset(
       limit: largest number of control periods.
     """
     vehicle = at_rest(start[:2], start[2])
-    side, image = agent.mapping.local, (agent.camera.height, agent.camera.width)
-    zero = jnp.int32(0)
+    side, zero = agent.mapping.local, jnp.int32(0)
     return IndoorRobot(
         key=key,
         target=jnp.asarray(target, jnp.int32),
         vehicle=vehicle,
         map=empty_map(vehicle.position, agent.mapping),
-        frame=Frame(depth=jnp.zeros(image), classes=jnp.zeros(image, jnp.uint8), pose=indoor_camera(vehicle)),
         local_middle=grid_cell(vehicle.position, agent.mapping.cell_size),
         guidance=Guidance(jnp.full((side, side), jnp.inf, jnp.float32), jnp.bool_(False)),
         costs=jnp.zeros((side, side), jnp.float32),
@@ -314,7 +310,6 @@ def look_and_decide(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Indoo
         robot,
         key=key,
         map=stood_on(seen, position, FOOTROOM, agent.mapping),
-        frame=frame,
         local_middle=grid_cell(position, cell_size),
     )
     guidance = agent.guide.guide(own_key, robot, site, agent)
