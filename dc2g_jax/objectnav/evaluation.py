@@ -25,7 +25,6 @@ from dc2g_jax.objectnav.cost_maps import straight_distance, with_tight_cells
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.searches import Search, Searches
 from dc2g_jax.objectnav.starts import REACH, passable
-from dc2g_jax.objectnav.worlds import Leaf
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.statistics import house_bootstrap
 from dc2g_jax.vehicles.footprint import cell_at
@@ -76,38 +75,30 @@ class SearchResult(NamedTuple):
     turn_jerk: float
 
 
-class SuccessRegion(NamedTuple):
+def success_region(house: IndoorHouse, target: str) -> tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
     """The cells of a house where a search for a class succeeds.
-
-    Attributes:
-      distance: distance to drive from each cell to the region, meters; infinite where no path leads there.
-      cells: whether a cell belongs to the region.
-    """
-
-    distance: Float[Leaf, "h w"]
-    cells: Bool[Leaf, "h w"]
-
-
-def success_region(house: IndoorHouse, target: str) -> SuccessRegion:
-    """The success region of a search.
 
     Args:
       house: the house.
       target: name of the wanted class.
+
+    Returns:
+      Distance to drive from each cell to these cells, meters, infinite where no path leads there; and whether a cell is
+      one of them.
     """
     world = house.world
     free, classes, cell_size = np.asarray(world.free), np.asarray(world.classes), float(world.cell_size)
     goals, walls = classes == OBJECT_CLASSES.index(target), ~free & (classes == NO_OBJECT)
-    region = _success_region(goals, walls, free, passable(free, cell_size), cell_size)
-    return SuccessRegion(*(np.asarray(leaf) for leaf in region))
+    distance, cells = _success_region(goals, walls, free, passable(free, cell_size), cell_size)
+    return np.asarray(distance), np.asarray(cells)
 
 
 @functools.partial(jit, static_argnames=("cell_size",))
-def _success_region(goals: Array, walls: Array, free: Array, fits: Array, cell_size: float) -> SuccessRegion:
-    """The success region. Where a robot does not fit, distances lead over free floor to where it does."""
+def _success_region(goals: Array, walls: Array, free: Array, fits: Array, cell_size: float) -> tuple[Array, Array]:
+    """See `success_region`. Where a robot does not fit, distances lead over free floor to where it does."""
     cells = free & jnp.isfinite(straight_distance(goals, walls, cell_size, REACH))
     distance = geodesic_distance(fits, fits & cells, cell_size)
-    return SuccessRegion(with_tight_cells(distance, free, fits, cell_size), cells)
+    return with_tight_cells(distance, free, fits, cell_size), cells
 
 
 def results_of(
@@ -126,12 +117,13 @@ def results_of(
     results = []
     for number, episode in enumerate(episodes):
         steps, declared = int(searches.steps[number]), bool(searches.declared[number])
-        track, region = searches.track[number, : steps + 1].astype(float), regions[episode.house, episode.target]
+        track = searches.track[number, : steps + 1].astype(float)
+        distance, succeeds = regions[episode.house, episode.target]
         ends = jnp.asarray(track[[0, -1], :2], jnp.float32)
         cells = np.asarray(cell_at(ends, float(by_name[episode.house].world.cell_size)))
         first, last = ((int(row), int(column)) for column, row in cells)
-        shortest, driven = float(region.distance[first]), float(np.hypot(*np.diff(track[:, :2], axis=0).T).sum())
-        success = declared and bool(region.cells[last])
+        shortest, driven = float(distance[first]), float(np.hypot(*np.diff(track[:, :2], axis=0).T).sum())
+        success = declared and bool(succeeds[last])
         acceleration, jerk = (_mean_rate(track[:, 3:], order) for order in (1, 2))
         results.append(
             SearchResult(
@@ -142,7 +134,7 @@ def results_of(
                 spl=success * shortest / max(shortest, driven, 1e-9),
                 shortest=shortest,
                 driven=driven,
-                distance=0.0 if region.cells[last] else float(region.distance[last]),
+                distance=0.0 if succeeds[last] else float(distance[last]),
                 steps=steps,
                 bumps=int(searches.bumps[number]),
                 acceleration=acceleration[0],
