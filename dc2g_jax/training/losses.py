@@ -9,10 +9,13 @@ from jaxtyping import Array, Float
 
 from dc2g_jax.errors import InputError
 
+#: What losses get, in units of the network's cost scale, and the levels of the estimated quantiles.
+_Estimate = Float[Array, "h w quantiles"]
+_Target = Float[Array, "h w 1"]
+_Levels = Float[Array, "quantiles"]
+
 #: `(estimate, target, levels) ->` loss of each estimate, in units of the network's cost scale.
-Loss = Callable[
-    [Float[Array, "h w quantiles"], Float[Array, "h w 1"], Float[Array, "quantiles"]], Float[Array, "h w quantiles"]
-]
+Loss = Callable[[_Estimate, _Target, _Levels], _Estimate]
 
 #: The Huber loss is quadratic up to this error, in cost scales.
 _HUBER_BEND = 0.25
@@ -21,33 +24,25 @@ _HUBER_BEND = 0.25
 _LOG_BEND = 0.25
 
 
-def _quantile(
-    estimate: Float[Array, "h w quantiles"], target: Float[Array, "h w 1"], levels: Float[Array, "quantiles"]
-) -> Float[Array, "h w quantiles"]:
+def _quantile(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimate:
     """Quantile loss: each estimate converges to its level of the distribution. At level 1/2 it is `l1`."""
     error = target - estimate
     return 2 * jnp.maximum(levels * error, (levels - 1) * error)
 
 
-def _l1(
-    estimate: Float[Array, "h w quantiles"], target: Float[Array, "h w 1"], levels: Float[Array, "quantiles"]
-) -> Float[Array, "h w quantiles"]:
+def _l1(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimate:
     """Absolute error: estimates converge to the median."""
     del levels
     return jnp.abs(target - estimate)
 
 
-def _l2(
-    estimate: Float[Array, "h w quantiles"], target: Float[Array, "h w 1"], levels: Float[Array, "quantiles"]
-) -> Float[Array, "h w quantiles"]:
+def _l2(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimate:
     """Squared error: estimates converge to the mean."""
     del levels
     return jnp.square(target - estimate)
 
 
-def _huber(
-    estimate: Float[Array, "h w quantiles"], target: Float[Array, "h w 1"], levels: Float[Array, "quantiles"]
-) -> Float[Array, "h w quantiles"]:
+def _huber(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimate:
     """Squared for small errors, absolute for large ones."""
     del levels
     error = jnp.abs(target - estimate)
@@ -55,9 +50,7 @@ def _huber(
     return small * (error - 0.5 * small) / _HUBER_BEND
 
 
-def _log(
-    estimate: Float[Array, "h w quantiles"], target: Float[Array, "h w 1"], levels: Float[Array, "quantiles"]
-) -> Float[Array, "h w quantiles"]:
+def _log(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimate:
     """Absolute error of the inverse hyperbolic sine: a relative error that is defined for all values."""
     del levels
     return jnp.abs(jnp.arcsinh(target / _LOG_BEND) - jnp.arcsinh(estimate / _LOG_BEND)) * _LOG_BEND
