@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
-from dc2g_jax.datasets.houses import House, HouseDataset
+from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.files.atomic import replacing
@@ -17,7 +17,6 @@ from dc2g_jax.training.cost_to_go_data import (
     DataConfig,
     by_house,
     check_masks,
-    masks_of_network,
     observation_masks,
     training_houses,
     training_set,
@@ -54,13 +53,6 @@ def kept_arrays(path: Path, names: Sequence[str], collect: Collect, *, unit: str
     return arrays
 
 
-def _kept_masks(path: Path, houses: Sequence[House], collect: Callable[[Callable[[int, int], None]], Masks]) -> Masks:
-    """Masks of these houses from a file, collected and saved there the first time."""
-    masks = Masks(**kept_arrays(path, Masks._fields, lambda show: collect(show)._asdict(), unit="rollout"))
-    check_masks(masks, houses, str(path))
-    return masks
-
-
 def open_training_set(
     folder: Path, dataset: HouseDataset, config: DataConfig, network: NetworkCostToGo | None = None
 ) -> TrainingSet:
@@ -76,10 +68,18 @@ def open_training_set(
       InputError: no house can be trained on, or saved masks cannot be read or belong to other houses.
     """
     houses, n_own = training_houses(dataset, config)
-    parts = [_kept_masks(folder / "masks.npz", houses, lambda show: observation_masks(config, houses, n_own, show))]
+
+    def kept_masks(name: str, leader: NetworkCostToGo | None = None) -> Masks:
+        def collect(show: Callable[[int, int], None]) -> Mapping[str, npt.ArrayLike]:
+            return observation_masks(config, houses, n_own, show, leader)._asdict()
+
+        masks = Masks(**kept_arrays(folder / name, Masks._fields, collect, unit="rollout"))
+        check_masks(masks, houses, str(folder / name))
+        return masks
+
+    parts = [kept_masks("masks.npz")]
     if network is not None:
-        path = folder / "masks_of_network.npz"
-        parts.append(_kept_masks(path, houses, lambda show: masks_of_network(config, houses, n_own, network, show)))
+        parts.append(kept_masks("masks_of_network.npz", network))
     data = training_set(houses, n_own, by_house(parts))
     print(
         f"Training on {n_own} houses of the dataset ({dataset.name}) and {config.extra_houses} more that are drawn: "

@@ -85,7 +85,7 @@ def fake_step(state, *args, **options) -> tuple[Any, jax.Array]:
     return dataclasses.replace(state, step=state.step + 1, **changed), jnp.full(state.step.shape, 0.5)
 
 
-def fake_masks(config, houses, n_own, on_progress) -> Masks:
+def fake_masks(config, houses, n_own, on_progress, network) -> Masks:
     """Stands in for `observation_masks`."""
     return Masks(boards=np.ones((2, 1, 10), np.uint32), world=np.zeros(2, np.int32))
 
