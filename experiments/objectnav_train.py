@@ -16,7 +16,7 @@ import numpy as np
 import tyro
 
 from dc2g_jax.cli.common import check_seed, command_line
-from dc2g_jax.cli.options import PauseOptions, TrainingOptions, require_positive
+from dc2g_jax.cli.options import TrainingOptions, require_positive
 from dc2g_jax.cli.outputs import command_written, commit, output_folder
 from dc2g_jax.cli.training_sets import kept_arrays
 from dc2g_jax.datasets.houses import PROCEDURAL
@@ -54,7 +54,7 @@ _VALIDATION_SEED = 1_000_003
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(TrainingOptions, PauseOptions):
+class Options(TrainingOptions, Pauses):
     """Train the network that predicts cost maps for object goals indoors (section II), on training houses only.
 
     Attributes:
@@ -223,7 +223,7 @@ def main(options: Options) -> None:
     options.training(1)  # raises before anything is written
     require_positive(options, "count", "validation_houses", "encoder_steps", "validation_samples")
     check_seed(options.collection.data_seed, "data-seed")
-    pauses = options.pauses
+    options.check_pauses()
     if options.encoder is not None and not (options.out / ENCODER_FILE).exists():
         load_encoder(options.encoder)
     free = ("validate_every", "minutes_per_checkpoint", "validation_samples")
@@ -247,7 +247,7 @@ def main(options: Options) -> None:
     config = options.training(encoder.size)
     facts = {name: str(getattr(options, name)) for name in ("houses", "count", "collection")}
     checkpoints = TrainingCheckpoints(options.out, config, facts, first_state=first_state)
-    train(training_task(options, config, data, validation), options.out, checkpoints, pauses, options.track)
+    train(training_task(options, config, data, validation), options.out, checkpoints, options, options.track)
     print(f"Trained: {options.out / NETWORK_FILE}")
 
 

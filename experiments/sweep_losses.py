@@ -17,7 +17,7 @@ import tyro
 from jaxtyping import Array, Float
 
 from dc2g_jax.cli.common import command_line, digests
-from dc2g_jax.cli.options import DatasetOptions, PauseOptions, TrainingOptions
+from dc2g_jax.cli.options import DatasetOptions, TrainingOptions
 from dc2g_jax.cli.outputs import number_or_null, output_folder
 from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import open_dataset
@@ -43,7 +43,7 @@ from dc2g_jax.training.cost_to_go import (
     train_step,
 )
 from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses, validation_pairs
-from dc2g_jax.training.loop import Log, Losses, Task, train
+from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax.training.sweeps import (
     StackedCheckpoints,
     group_by_shape,
@@ -66,7 +66,7 @@ _FIGURES = ("error", "steps_left_out")
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DatasetOptions, TrainingOptions, PauseOptions):
+class Options(DatasetOptions, TrainingOptions, Pauses):
     """Train every combination of losses, learning rates, widths and seeds, together where shapes allow.
 
     Attributes:
@@ -176,7 +176,7 @@ def train_group(
             for network, config in zip(networks, configs, strict=True)
         ]
     )
-    states = train(task, options.out, checkpoints, options.pauses, options.track)
+    states = train(task, options.out, checkpoints, options, options.track)
     for folder, network, config in zip(networks, networks_of(states), configs, strict=True):
         save_network(folder, network, {"config": dataclasses.asdict(config), "facts": facts})
 
@@ -254,7 +254,8 @@ def main(options: Options) -> None:
     """Train and validate all runs; write and plot the results."""
     dataset = open_dataset(options.dataset)
     height, width = dataset.houses[0].terrain.shape
-    _, runs = options.pauses, options.runs(max(height, width))  # raises before anything is written
+    options.check_pauses()
+    runs = options.runs(max(height, width))  # raises before anything is written
     groups = group_by_shape(runs)
     turns = [turn for group in groups for turn in in_turns(group, options.runs_at_once)]
     check_houses(dataset, extra=options.data.extra_houses, drawn=options.episodes, validated=True)

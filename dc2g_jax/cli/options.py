@@ -9,7 +9,6 @@ import tyro
 from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, StepLimitOption
 from dc2g_jax.cli.outputs import CommandOptions
 from dc2g_jax.errors import InputError
-from dc2g_jax.training.loop import Pauses
 from dc2g_jax.training.tracking import TrackerName
 
 
@@ -80,24 +79,6 @@ class TrainingOptions(ResumeOptions):
 
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     track: Annotated[TrackerName | None, tyro.conf.arg(help_behavior_hint="")] = None
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class PauseOptions:
-    """Pauses of a training.
-
-    Attributes:
-      validate_every: steps between validations; the last step is validated too. 0 for none.
-      minutes_per_checkpoint: minutes between checkpoints.
-    """
-
-    validate_every: int
-    minutes_per_checkpoint: float = 5.0
-
-    @property
-    def pauses(self) -> Pauses:
-        """When to validate and to save."""
-        return Pauses(self.validate_every, self.minutes_per_checkpoint)
 
 
 def require_positive(options: object, *names: str) -> None:

@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import tyro
 
-from dc2g_jax.cli.options import PauseOptions
 from dc2g_jax.cli.outputs import command_written, commit, number_or_null
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
@@ -19,7 +18,7 @@ from dc2g_jax.training.cost_to_go import check_numbers
 from dc2g_jax.training.image_data import MaskKind, image_set
 from dc2g_jax.training.image_evaluation import metrics_over_pairs
 from dc2g_jax.training.image_pairs import ImageSet, draw_image_pairs
-from dc2g_jax.training.loop import Log, Losses, Task, train
+from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax.training.tracking import TrackerName
 from dc2g_jax.training.translator import TranslatorConfig, TranslatorState, init_translator, translator_step
 
@@ -28,7 +27,7 @@ _STEPS_PER_LOOK = 10
 
 
 @dataclasses.dataclass(frozen=True)
-class TranslationOptions(PauseOptions):
+class TranslationOptions(Pauses):
     """Training of a translator. The defaults are the paper's if it gives them.
 
     Attributes:
@@ -67,7 +66,7 @@ class TranslationOptions(PauseOptions):
           InputError: an option is invalid.
         """
         check_numbers(self.learning_rate, steps=self.steps)
-        _ = self.pauses  # raises if invalid
+        self.check_pauses()
         if not 0 <= self.whole_share <= 1:
             raise InputError(f"--whole-share {self.whole_share:g}: give a share from 0 to 1")
         architecture = TranslatorArchitecture(self.size, self.base_filters, self.compute_dtype)
@@ -172,4 +171,4 @@ def train_translator(
         learning_rate=lambda step: config.learning_rate,
     )
     checkpoints = TrainingCheckpoints(out, config, options.facts(dataset, seed), first_state=first_state)
-    train(task, out, checkpoints, options.pauses, track)
+    train(task, out, checkpoints, options, track)
