@@ -53,21 +53,12 @@ class Options(CommandOptions):
     only_mapped: bool = False
 
 
-def check_options(options: Options) -> None:
-    """Check the options before anything is read.
-
-    Raises:
-      InputError: they are invalid.
-    """
+def main(options: Options) -> None:
+    """Read the extract, write a map of each building, and say which were left out."""
     if not 20 <= options.meters <= 1000:
         raise InputError(f"--meters {options.meters:g}: give the side of a map, 20 to 1000 meters")
     if not 10 <= options.cells <= 2000:
         raise InputError(f"--cells {options.cells}: give columns and rows, 10 to 2000")
-
-
-def main(options: Options) -> None:
-    """Read the extract, write a map of each building, and say which were left out."""
-    check_options(options)
     extract = read_extract(options.extract, options.around, 2 * options.meters)
     neighborhood = Neighborhood(
         extract,

@@ -11,7 +11,7 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from dc2g_jax.cli.common import command_line
+from dc2g_jax.cli.common import ImageSizeOption, command_line
 from dc2g_jax.cli.map_options import StartOption, start_in
 from dc2g_jax.cli.options import DatasetOptions, OutOptions
 from dc2g_jax.cli.outputs import output_folder
@@ -33,10 +33,6 @@ from dc2g_jax.mapping.simulated_drives import path_to_goal, simulated_shots
 from dc2g_jax.mapping.simulator import FIELD_OF_VIEW
 from dc2g_jax.programs import jit
 
-HouseOption = Annotated[str | None, tyro.conf.arg(metavar="HOUSE", help_behavior_hint="")]
-ImageSizeOption = Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")]
-SequenceOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
-
 
 @dataclasses.dataclass(frozen=True)
 class Options(DatasetOptions, OutOptions):
@@ -56,8 +52,8 @@ class Options(DatasetOptions, OutOptions):
       ground: height of the ground in the frame of the sequence, meters.
     """
 
-    sequence: SequenceOption = None
-    simulate: HouseOption = None
+    sequence: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
+    simulate: Annotated[str | None, tyro.conf.arg(metavar="HOUSE", help_behavior_hint="")] = None
     start: StartOption = None
     seed: int = 0
     image_size: ImageSizeOption = (160, 120)
@@ -97,12 +93,8 @@ def map_sequence(sequence: ImageSequence, settings: MapSettings, out: Path, name
     return np.asarray(read(voxels, settings)), wrong
 
 
-def check_options(options: Options) -> None:
-    """Check the options before anything is written.
-
-    Raises:
-      InputError: they are invalid.
-    """
+def main(options: Options) -> None:
+    """Simulate or read the sequence, map it, draw and write the map."""
     if (options.sequence is None) == (options.simulate is None):
         raise InputError("give either --sequence with the folder of a sequence, or --simulate with a house")
     for option, value in (("--cell-size", options.cell_size), ("--reach", options.reach)):
@@ -112,11 +104,6 @@ def check_options(options: Options) -> None:
         raise InputError(f"--ground {options.ground:g}: give meters")
     if min(options.image_size) < 1:
         raise InputError(f"--image-size {options.image_size[0]} {options.image_size[1]}: give pixels, at least 1")
-
-
-def main(options: Options) -> None:
-    """Simulate or read the sequence, map it, draw and write the map."""
-    check_options(options)
     house = None
     if options.sequence is not None:
         folder = options.sequence

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from dc2g_jax.cli.common import command_line
+from dc2g_jax.cli.common import HouseOption, command_line
 from dc2g_jax.cli.options import NetworkOptions, require_positive
 from dc2g_jax.cli.outputs import output_folder, print_files
 from dc2g_jax.cli.searches import AGENT_TITLES, AgentName, SearchOptions, agent_with, costs_for
@@ -47,7 +47,7 @@ class Options(SearchOptions, NetworkOptions):
       agent: the agent that searches; see experiments.objectnav_table1.
     """
 
-    house: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    house: HouseOption = None
     target: Annotated[str | None, tyro.conf.arg(metavar="CLASS", help_behavior_hint="")] = None
     agent: AgentName = "promising"
 

@@ -10,7 +10,7 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from dc2g_jax.cli.common import command_line
+from dc2g_jax.cli.common import command_line, digests
 from dc2g_jax.cli.options import NetworkOptions
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.cli.searches import (
@@ -20,7 +20,6 @@ from dc2g_jax.cli.searches import (
     agent_with,
     conclude,
     costs_for,
-    digests,
     run_searches,
 )
 from dc2g_jax.errors import InputError
@@ -98,7 +97,8 @@ def main(options: Options) -> None:
         raise InputError(f"--agents {' '.join(options.agents)}: give each agent once, one at least")
     costs = costs_for(options.agents, options.network)
     houses, episodes = options.places()
-    out = output_folder(options, "objectnav_table1", inputs=digests(houses, network=costs))
+    inputs = digests(houses=[house.world for house in houses], network=costs)
+    out = output_folder(options, "objectnav_table1", inputs=inputs)
     searches, all_results = ResumableTable(out / "episodes.csv", SearchResult), dict[str, list[SearchResult]]()
     for name in options.agents:
         began = time.perf_counter()

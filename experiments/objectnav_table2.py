@@ -12,9 +12,9 @@ from typing import Annotated, NamedTuple
 
 import tyro
 
-from dc2g_jax.cli.common import command_line
+from dc2g_jax.cli.common import command_line, digests
 from dc2g_jax.cli.outputs import output_folder
-from dc2g_jax.cli.searches import ON_NETWORK, ComparisonOptions, agent_with, conclude, digests, open_costs, run_searches
+from dc2g_jax.cli.searches import ON_NETWORK, ComparisonOptions, agent_with, conclude, open_costs, run_searches
 from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect
 from dc2g_jax.objectnav.evaluation import SearchResult, SearchSummary, summarize
@@ -142,7 +142,8 @@ def main(options: Options) -> None:
         raise InputError(f"--maps {options.maps}: give a multiple of {MAPS_A_BATCH}")
     networks = open_networks(options.networks)
     houses, episodes = options.places()
-    out = output_folder(options, "objectnav_table2", inputs=digests(houses, networks=networks))
+    inputs = digests(houses=[house.world for house in houses], networks=networks)
+    out = output_folder(options, "objectnav_table2", inputs=inputs)
     searches, results = ResumableTable(out / "episodes.csv", SearchResult), dict[str, list[SearchResult]]()
     metrics = {}
     for name, costs in networks.items():

@@ -39,6 +39,10 @@ OutOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior
 PlannerOption = Annotated[str, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 PlannersOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 
+#: A house by its name, and the size of a camera's images in pixels.
+HouseOption = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
+ImageSizeOption = Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")]
+
 #: Actions after which an episode ends without success; the default depends on the size of the map.
 StepLimitOption = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
 
@@ -161,7 +165,12 @@ def network_for(planners: Iterable[str], place: str | Path | None) -> TrainedNet
     return load(place) if NETWORK_PLANNERS.keys() & set(planners) else None
 
 
-def digests(dataset: HouseDataset, **networks: TrainedNetwork | None) -> dict[str, str]:
-    """SHA-256 of the inputs of a run, by option. They must be the same when a run is resumed."""
-    given = {name: network for name, network in networks.items() if network is not None}
-    return {"dataset": dataset.sha256, **{name: tree_sha256(one) for name, one in given.items()}}
+def digests(dataset: HouseDataset | None = None, **inputs: Any) -> dict[str, str]:
+    """SHA-256 of the inputs of a run, by option; `None` is left out. They must be the same when a run is resumed.
+
+    Args:
+      dataset: the houses of option `dataset`.
+      inputs: trees of arrays, such as networks.
+    """
+    houses = {} if dataset is None else {"dataset": dataset.sha256}
+    return houses | {name: tree_sha256(tree) for name, tree in inputs.items() if tree is not None}

@@ -3,12 +3,12 @@
 import dataclasses
 import sys
 from collections.abc import Sequence
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import tyro
 from tqdm import tqdm
 
+from dc2g_jax.cli.common import ImageSizeOption
 from dc2g_jax.cli.outputs import CommandOptions
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.starts import Start
@@ -45,7 +45,7 @@ class DrivingOptions(CommandOptions):
     """
 
     pedestrians: int = 0
-    image_size: Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")] = (160, 120)
+    image_size: ImageSizeOption = (160, 120)
 
     def __post_init__(self) -> None:
         if self.pedestrians < 0:

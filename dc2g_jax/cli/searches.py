@@ -15,7 +15,6 @@ from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.hub import local_folder
 from dc2g_jax.files.atomic import write_json
-from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.files.resources import resource
 from dc2g_jax.objectnav.agent import (
     CONTROLLER,
@@ -128,17 +127,6 @@ def open_costs(place: NetworkOption) -> PredictedCosts[CostMapEstimator]:
 def costs_for(agents: Iterable[str], place: NetworkOption) -> PredictedCosts[CostMapEstimator] | None:
     """`open_costs` if one of these agents uses a network, else `None`."""
     return open_costs(place) if set(ON_NETWORK) & set(agents) else None
-
-
-def digests(houses: Sequence[IndoorHouse], **networks: Any) -> dict[str, str]:
-    """SHA-256 of the inputs of searches, by option. They must be the same when a run is resumed.
-
-    Args:
-      houses: houses to search.
-      networks: `PredictedCosts` or a mapping of them, by option; `None` is left out.
-    """
-    given = {"houses": [house.world for house in houses], **networks}
-    return {name: tree_sha256(tree) for name, tree in given.items() if tree is not None}
 
 
 def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLER.samples) -> Agent:
