@@ -5,14 +5,18 @@ After an interruption, --resume continues where it stopped. It may be given more
 
 import dataclasses
 import functools
-from typing import Annotated, Literal
-
-import tyro
+from typing import Literal
 
 from dc2g_jax.cli.common import command_line, digests
 from dc2g_jax.cli.options import DatasetOptions, TrainingOptions
 from dc2g_jax.cli.outputs import output_folder
-from dc2g_jax.cli.translation import TranslationOptions, require_steps, train_translator, translation_data
+from dc2g_jax.cli.translation import (
+    TranslationGroup,
+    TranslationOptions,
+    require_steps,
+    train_translator,
+    translation_data,
+)
 from dc2g_jax.datasets.houses import open_dataset
 
 
@@ -30,9 +34,7 @@ class Options(DatasetOptions, TrainingOptions):
 
     loss: Literal["l1", "gan", "l1+gan"] = "l1+gan"
     seed: int = 0
-    training: Annotated[TranslationOptions, tyro.conf.arg(name="")] = dataclasses.field(
-        default_factory=TranslationOptions
-    )
+    training: TranslationGroup = dataclasses.field(default_factory=TranslationOptions)
 
 
 def main(options: Options) -> None:

@@ -80,6 +80,10 @@ class TranslationOptions(Pauses):
         return {"seed": seed, "dataset": dataset.name, **{name: getattr(self, name) for name in names}}
 
 
+#: These options in the options of a command, without a prefix.
+TranslationGroup = Annotated[TranslationOptions, tyro.conf.arg(name="")]
+
+
 class TranslationData(NamedTuple):
     """Training pairs and validation pairs."""
 
