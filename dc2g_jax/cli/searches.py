@@ -26,13 +26,14 @@ from dc2g_jax.objectnav.agent import (
     Steering,
     usual_camera,
 )
-from dc2g_jax.objectnav.evaluation import Difference, SearchResult, difference, results_of
+from dc2g_jax.objectnav.evaluation import SearchResult, difference, results_of
 from dc2g_jax.objectnav.guides import GoalReacher, NearestFrontier, NoIdea, Predicted, PromisingFrontier, TrueCost
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
 from dc2g_jax.objectnav.networks import CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts, load_costs
 from dc2g_jax.objectnav.searches import TIME_LIMIT, Search, sample_episodes, search_all
+from dc2g_jax.objectnav.tables import with_interval
 from dc2g_jax.rollouts.results import ResumableTable
 
 #: The shipped network and its encoder.
@@ -43,15 +44,6 @@ AgentName = Literal["true_cost", "random", "frontier", "predicted", "promising"]
 
 #: Agents that use a network.
 ON_NETWORK = ("promising", "predicted")
-
-#: Titles of the agents in tables.
-AGENT_TITLES = {
-    "true_cost": "true cost map",
-    "random": "privileged random",
-    "frontier": "frontier",
-    "predicted": "predicted cost map",
-    "promising": "predicted, at frontiers",
-}
 
 #: Printed below every table.
 CAVEAT = (
@@ -217,7 +209,11 @@ def conclude(
     gains = {name: difference(results[last], results[name], resamples=options.resamples) for name in others}
     print(f"\n{table}\n{CAVEAT}")
     for name, gain in gains.items():
-        print(f"{titles[last]} against {titles[name]}: {_in_words(gain)}")
+        success, spl = (
+            with_interval(value, interval, "+")
+            for value, interval in ((gain.success, gain.success_interval), (gain.spl, gain.spl_interval))
+        )
+        print(f"{titles[last]} against {titles[name]}: success {success}, SPL {spl}")
     found = {
         "houses": [house.name for house in houses],
         "split": options.split,
@@ -227,11 +223,3 @@ def conclude(
     }
     write_json(out / "results.json", found)
     print_files(out)
-
-
-def _in_words(one: Difference) -> str:
-    success, spl = (
-        f"{gain:+.3f} ({low:+.3f} to {high:+.3f})"
-        for gain, (low, high) in ((one.success, one.success_interval), (one.spl, one.spl_interval))
-    )
-    return f"success {success}, SPL {spl}"

@@ -24,7 +24,9 @@ from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.grid.terrain import GRASS
 from dc2g_jax.objectnav.collecting import CollectionConfig
 from dc2g_jax.objectnav.evaluation import SearchResult
+from dc2g_jax.objectnav.metrics import OF_CLASSES
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, EncoderState, TrainedEncoder, init_encoder, save_encoder
+from dc2g_jax.objectnav.tables import METRICS
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax.rollouts.published import PUBLISHED_GROUPS
@@ -213,9 +215,8 @@ def objectnav_table2_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> 
     _tables(patch)
     patch.setattr(objectnav_table2, "open_networks", lambda folders: {"semantic": None, "both": None})
     patch.setattr(objectnav_table2, "agent_with", lambda *args: None)
-    patch.setattr(
-        objectnav_table2, "prediction_metrics", lambda *args: dict.fromkeys(objectnav_table2.METRICS, 50.0)
-    )  # fmt: skip
+    metrics = dict.fromkeys((*METRICS, *OF_CLASSES), 50.0)
+    patch.setattr(objectnav_table2, "prediction_metrics", lambda *args: metrics)
     return _command(objectnav_table2, objectnav_table2.Options(count=1, episodes=2, resamples=20))
 
 
