@@ -28,6 +28,7 @@ from dc2g_jax.objectnav.metrics import OF_CLASSES
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, EncoderState, TrainedEncoder, init_encoder, save_encoder
 from dc2g_jax.objectnav.tables import METRICS
 from dc2g_jax.programs import jit
+from dc2g_jax.rollouts import published
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax.rollouts.published import PUBLISHED_GROUPS
 from dc2g_jax.training.cost_to_go_data import DataConfig
@@ -151,8 +152,8 @@ def _published(patch: pytest.MonkeyPatch, module: Any) -> None:
     ran = [PublishedEpisode(group, start, 5, 9, 7) for group in groups for start in STARTS[:2]]
     open_dataset = module.open_dataset
     patch.setattr(module, "open_dataset", lambda where: dataclasses.replace(open_dataset(where), source="published"))
-    for each in (module, episodes):
-        patch.setattr(each, "published_episodes", lambda: ran)
+    for each in (module, episodes, published):
+        patch.setattr(each, "published_episodes", lambda: ran, raising=False)
 
 
 def run_episodes_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
