@@ -5,16 +5,13 @@ After an interruption, --resume continues where it stopped.
 """
 
 import dataclasses
-import functools
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import tyro
-from jaxtyping import Array, Float
 
 from dc2g_jax.cli.common import command_line, digests
 from dc2g_jax.cli.options import DatasetOptions, TrainingOptions
@@ -39,11 +36,11 @@ from dc2g_jax.training.cost_to_go import (
     first_state,
     learning_rates,
     least_memory,
-    mean_error,
     train_step,
 )
 from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses, validation_pairs
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
+from dc2g_jax.training.losses import losses_as_text
 from dc2g_jax.training.sweeps import (
     StackedCheckpoints,
     group_by_shape,
@@ -52,14 +49,12 @@ from dc2g_jax.training.sweeps import (
     runs_of_grid,
     stacked_hyperparameters,
     steps_left_out,
+    validation_errors,
 )
 from dc2g_jax.training.tracking import Image
 
-#: Number of validation pairs, and the batch size for them.
-_PAIRS, _PAIRS_AT_A_TIME = 512, 64
-
-#: Number of them in pictures for a tracker.
-_PAIRS_SHOWN = 6
+#: Number of validation pairs, and of those in pictures for a tracker.
+_PAIRS, _PAIRS_SHOWN = 512, 6
 
 #: Numbers in every line of the log.
 _FIGURES = ("error", "steps_left_out")
@@ -111,17 +106,6 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
             widths=widths,
             seeds=self.seeds,
         )
-
-
-@functools.partial(jit, static_argnames=("architecture",))
-def validation_errors(architecture: Architecture, weights: Any, pairs: Pair) -> Float[Array, "runs"]:
-    """Mean error of each run on all pairs, in cells."""
-    chunks = jax.tree.map(lambda leaf: leaf.reshape(-1, _PAIRS_AT_A_TIME, *leaf.shape[1:]), pairs)
-
-    def error(weights: Any) -> Float[Array, ""]:
-        return jnp.mean(jax.lax.map(lambda chunk: mean_error(architecture, weights, chunk), chunks))
-
-    return jax.lax.map(error, weights)
 
 
 def train_group(
@@ -186,14 +170,9 @@ def network_folder(out: Path, run: str) -> Path:
     return out / "runs" / run / "network"
 
 
-def loss_name(config: TrainingConfig) -> str:
-    """The losses of a run, with weights other than 1."""
-    return " + ".join(name if weight == 1 else f"{weight!r} {name}" for name, weight in config.losses)
-
-
 def kind_of(options: Options, config: TrainingConfig) -> str:
     """The parameters of a run that vary in the sweep, except the seed."""
-    parts = [loss_name(config)]
+    parts = [losses_as_text(config.losses)]
     if len(options.learning_rates) > 1:
         parts.append(f"rate {config.learning_rate!r}")
     if len(options.widths) > 1:
@@ -218,7 +197,7 @@ def write_results(
         rows.append(
             {
                 "run": run,
-                "loss": loss_name(config),
+                "loss": losses_as_text(config.losses),
                 "learning_rate": config.learning_rate,
                 "widths": "-".join(map(str, config.architecture.widths)),
                 "million_multiply_accumulates": round(1e-6 * macs[config.architecture], 2),

@@ -97,6 +97,11 @@ def parse_losses(text: str) -> tuple[tuple[str, float], ...]:
     return tuple(losses)
 
 
+def losses_as_text(losses: Sequence[tuple[str, float]]) -> str:
+    """Losses with their weights other than 1, for people."""
+    return " + ".join(name if weight == 1 else f"{weight!r} {name}" for name, weight in losses)
+
+
 def map_loss(
     loss: Loss,
     estimate: Float[Array, "h w quantiles"],
