@@ -62,17 +62,6 @@ LOSSES: Mapping[str, Loss] = MappingProxyType(
 )
 
 
-def check_loss_names(names: Sequence[str]) -> None:
-    """Check that all losses are known.
-
-    Raises:
-      InputError: one is unknown; the message lists the known ones.
-    """
-    for name in names:
-        if name not in LOSSES:
-            raise InputError(f"loss {name!r} is not known; known losses: {', '.join(LOSSES)}")
-
-
 def parse_losses(text: str) -> tuple[tuple[str, float], ...]:
     """Parse losses and their weights from text such as `l1` or `quantile=1,log=0.5`.
 
@@ -86,7 +75,8 @@ def parse_losses(text: str) -> tuple[tuple[str, float], ...]:
             value = float(weight) if weighted else 1.0
         except ValueError:
             value = -1.0
-        check_loss_names([name])
+        if name not in LOSSES:
+            raise InputError(f"loss {name!r} is not known; known losses: {', '.join(LOSSES)}")
         if not 0 < np.float32(value) < np.inf:
             raise InputError(
                 f"loss {text!r}: the weight of {name} is {weight!r}; give a number above 0 that single precision holds"
