@@ -150,12 +150,7 @@ def kept(path: Path, make: Callable[[Callable[[int], None]], JourneySet], houses
       houses: total number of houses.
     """
     names = [field.name for field in dataclasses.fields(JourneySet)]
-
-    def collect(show: Callable[[int, int], None]) -> dict[str, Any]:
-        data = make(lambda done: show(done, houses))
-        return {name: getattr(data, name) for name in names}
-
-    arrays = kept_arrays(path, names, collect, unit="house")
+    arrays = kept_arrays(path, names, lambda show: make(lambda done: show(done, houses)), unit="house")
     return JourneySet(**{name: jnp.asarray(array) for name, array in arrays.items()})
 
 
@@ -214,8 +209,8 @@ def main(options: Options) -> None:
         indoor_houses, options.houses, cell_size=IndoorMapSettings.cell_size, strict=options.strict
     )
     houses = read("train", count=count)
-    unknown = read("val", count=options.validation_houses if options.houses == PROCEDURAL else None)
-    unknown = unknown[: options.validation_houses]
+    largest = options.validation_houses
+    unknown = read("val", count=largest if options.houses == PROCEDURAL else None)[:largest]
     encoder = open_encoder(options, houses)
     collection = options.collection
     data = kept(options.out / "data.npz", functools.partial(collect, houses, encoder, collection), len(houses))

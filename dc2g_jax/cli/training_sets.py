@@ -1,11 +1,11 @@
 """Training sets, saved in the folder of the training so that they are collected only once."""
 
+import functools
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from tqdm import tqdm
 
 from dc2g_jax.datasets.houses import HouseDataset
@@ -23,8 +23,8 @@ from dc2g_jax.training.cost_to_go_data import (
 )
 from dc2g_jax.training.mask_collection import Masks
 
-#: Collects arrays by name. Takes a function to report the finished and the total number of parts.
-Collect = Callable[[Callable[[int, int], None]], Mapping[str, npt.ArrayLike]]
+#: Collects an object with arrays as attributes. Takes a function to report the finished and the total number of parts.
+Collect = Callable[[Callable[[int, int], None]], object]
 
 
 def kept_arrays(path: Path, names: Sequence[str], collect: Collect, *, unit: str) -> dict[str, np.ndarray]:
@@ -33,7 +33,7 @@ def kept_arrays(path: Path, names: Sequence[str], collect: Collect, *, unit: str
     Args:
       path: the file.
       names: names of the arrays.
-      collect: collects the arrays.
+      collect: collects an object that has the arrays as attributes.
       unit: unit of the progress bar.
 
     Raises:
@@ -47,7 +47,8 @@ def kept_arrays(path: Path, names: Sequence[str], collect: Collect, *, unit: str
             bar.total = total
             bar.update(done - bar.n)
 
-        arrays = {name: np.asarray(array) for name, array in collect(show).items()}
+        collected = collect(show)
+    arrays = {name: np.asarray(getattr(collected, name)) for name in names}
     with replacing(path) as unfinished:
         np.savez(unfinished, **arrays)  # type: ignore[arg-type]
     return arrays
@@ -70,9 +71,7 @@ def open_training_set(
     houses, n_own = training_houses(dataset, config)
 
     def kept_masks(name: str, leader: NetworkCostToGo | None = None) -> Masks:
-        def collect(show: Callable[[int, int], None]) -> Mapping[str, npt.ArrayLike]:
-            return observation_masks(config, houses, n_own, show, leader)._asdict()
-
+        collect = functools.partial(observation_masks, config, houses, n_own, network=leader)
         masks = Masks(**kept_arrays(folder / name, Masks._fields, collect, unit="rollout"))
         check_masks(masks, houses, str(folder / name))
         return masks
