@@ -30,6 +30,7 @@ from dc2g_jax.inspection.training_figures import plot_sweep
 from dc2g_jax.inspection.training_recording import prediction_picture
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import fetch, mesh_of, replicate, require_memory
+from dc2g_jax.training import sweeps
 from dc2g_jax.training.cost_to_go import (
     TrainingConfig,
     TrainingState,
@@ -41,16 +42,6 @@ from dc2g_jax.training.cost_to_go import (
 from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses, validation_pairs
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax.training.losses import losses_as_text
-from dc2g_jax.training.sweeps import (
-    StackedCheckpoints,
-    group_by_shape,
-    in_turns,
-    init_states,
-    runs_of_grid,
-    stacked_hyperparameters,
-    steps_left_out,
-    validation_errors,
-)
 from dc2g_jax.training.tracking import Image
 
 #: Number of validation pairs, and of those in pictures for a tracker.
@@ -99,7 +90,7 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
             widths = [tuple(int(width) for width in text.split(",")) for text in self.widths]
         except ValueError:
             raise InputError(f"widths: {' '.join(self.widths)}; give whole numbers such as 16,32,64,128") from None
-        return runs_of_grid(
+        return sweeps.runs_of_grid(
             TrainingConfig(Architecture(side=side), steps=self.steps, batch_size=self.batch_size),
             losses=self.losses,
             learning_rates=self.learning_rates,
@@ -116,7 +107,7 @@ def train_group(
     if all((network / CARD).exists() for network in networks):
         return
     configs = list(runs.values())
-    recipe, hyperparameters = configs[0].recipe, stacked_hyperparameters(configs)
+    recipe, hyperparameters = configs[0].recipe, sweeps.stacked_hyperparameters(configs)
     draw, log = options.data.draw_batch, Log(options.out)
     rates = np.stack([learning_rates(config) for config in configs], axis=1)
 
@@ -130,8 +121,8 @@ def train_group(
         return [prediction_picture(network, shown) for network in networks_of(states)]
 
     def validate(states: TrainingState, step: int, losses: Losses | None) -> list[dict[str, Any]]:
-        errors = np.asarray(validation_errors(recipe.architecture, jax.tree.map(fetch, states.average), pairs))
-        left_out = fetch(steps_left_out(states))
+        errors = np.asarray(sweeps.validation_errors(recipe.architecture, jax.tree.map(fetch, states.average), pairs))
+        left_out = fetch(sweeps.steps_left_out(states))
         return [
             {
                 "run": run,
@@ -145,7 +136,7 @@ def train_group(
 
     task = Task(
         steps=recipe.steps,
-        init=lambda: jit(init_states, static_argnums=0)(recipe, hyperparameters),
+        init=lambda: jit(sweeps.init_states, static_argnums=0)(recipe, hyperparameters),
         step=lambda states: train_step(states, hyperparameters, data, recipe=recipe, draw_batch=draw),
         validate=validate,
         validated=set.intersection(*(set(log.by_step(run)) for run in runs)),
@@ -154,7 +145,7 @@ def train_group(
         learning_rate=lambda step: rates[step - 1],
         pictures=pictures,
     )
-    checkpoints = StackedCheckpoints(
+    checkpoints = sweeps.StackedCheckpoints(
         [
             TrainingCheckpoints(network.parent, config, {**facts, "parts": config.parts}, first_state=first_state)
             for network, config in zip(networks, configs, strict=True)
@@ -235,8 +226,8 @@ def main(options: Options) -> None:
     height, width = dataset.houses[0].terrain.shape
     options.check_pauses()
     runs = options.runs(max(height, width))  # raises before anything is written
-    groups = group_by_shape(runs)
-    turns = [turn for group in groups for turn in in_turns(group, options.runs_at_once)]
+    groups = sweeps.group_by_shape(runs)
+    turns = [turn for group in groups for turn in sweeps.in_turns(group, options.runs_at_once)]
     check_houses(dataset, extra=options.data.extra_houses, drawn=options.episodes, validated=True)
     largest = max(sum(least_memory(config, height, width) for config in turn.values()) for turn in turns)
     require_memory(largest, f"--batch-size {options.batch_size} or --runs-at-once {options.runs_at_once}")

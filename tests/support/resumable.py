@@ -31,6 +31,7 @@ from dc2g_jax.programs import jit
 from dc2g_jax.rollouts import published
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax.rollouts.published import PUBLISHED_GROUPS
+from dc2g_jax.training import sweeps
 from dc2g_jax.training.cost_to_go_data import DataConfig
 from dc2g_jax.training.loop import Task
 from dc2g_jax.training.mask_collection import Masks
@@ -242,7 +243,7 @@ def sweep_losses_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Comm
     _training(patch, sweep_losses)
     patch.setattr(sweep_losses, "jit", functools.cache(jit))
     patch.setattr(sweep_losses, "validation_pairs", lambda *args, **options: None)
-    patch.setattr(sweep_losses, "validation_errors", lambda architecture, weights, pairs: np.arange(2.0))
+    patch.setattr(sweeps, "validation_errors", lambda architecture, weights, pairs: np.arange(2.0))
     patch.setattr(sweep_losses, "plot_sweep", fake_figure)
     options = sweep_losses.Options(
         dataset=dataset, out=folder, data=DataConfig(extra_houses=0), widths=("2,2,2,2",), losses=("l1",), seeds=(0, 1),
