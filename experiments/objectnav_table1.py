@@ -35,7 +35,6 @@ class Options(ComparisonOptions, NetworkOptions):
 
 def main(options: Options) -> None:
     """Run the agents; print and write the table."""
-    options.check()
     if not options.agents or len(set(options.agents)) < len(options.agents):
         raise InputError(f"--agents {' '.join(options.agents)}: give each agent once, one at least")
     costs = costs_for(options.agents, options.network)

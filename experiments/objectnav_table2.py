@@ -81,7 +81,6 @@ def prediction_metrics(
 
 def main(options: Options) -> None:
     """Predict and search; print and write the table."""
-    options.check()
     if options.agent not in ON_NETWORK:
         raise InputError(f"--agent {options.agent}: give {' or '.join(ON_NETWORK)}, which use a network")
     if options.maps < MAPS_A_BATCH or options.maps % MAPS_A_BATCH:

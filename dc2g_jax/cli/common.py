@@ -30,10 +30,9 @@ from dc2g_jax.training.tracking import check_tracker
 
 _Options = TypeVar("_Options", bound=CommandOptions)
 
-#: Common options: a folder of houses (or a name), a trained network (see `estimation.hub`), and the output folder.
+#: Common options: a folder of houses (or a name), and a trained network (see `estimation.hub`).
 DatasetOption = Annotated[str | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 NetworkOption = Annotated[str | Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
-OutOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 
 #: One planner and several: names in `dc2g_jax.planning.named.PLANNERS`, or `package.module:Class`.
 PlannerOption = Annotated[str, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
@@ -42,9 +41,6 @@ PlannersOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_b
 #: A house by its name, and the size of a camera's images in pixels.
 HouseOption = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 ImageSizeOption = Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")]
-
-#: Actions after which an episode ends without success; the default depends on the size of the map.
-StepLimitOption = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
 
 
 def command_line(options: type[_Options], main: Callable[[_Options], None]) -> None:

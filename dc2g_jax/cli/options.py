@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, StepLimitOption
+from dc2g_jax.cli.common import DatasetOption, NetworkOption
 from dc2g_jax.cli.outputs import CommandOptions
 from dc2g_jax.errors import InputError
 from dc2g_jax.training.tracking import TrackerName
@@ -43,7 +43,7 @@ class StepLimitOptions(CommandOptions):
         ways to the goal are long.
     """
 
-    step_limit: StepLimitOption = None
+    step_limit: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -54,7 +54,7 @@ class OutOptions(CommandOptions):
       out: folder to write to; a new one under outputs/ by default.
     """
 
-    out: OutOption = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

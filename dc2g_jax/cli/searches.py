@@ -89,16 +89,13 @@ class ComparisonOptions(SearchOptions, ResumeOptions):
     episodes: int = 40
     resamples: int = 10_000
 
-    def check(self) -> None:
-        """Check the numbers.
+    def places(self) -> tuple[list[IndoorHouse], list[Search]]:
+        """The houses and the searches in them.
 
         Raises:
-          InputError: one is below 1; the message names the option.
+          InputError: a number is below 1, or there are not enough houses.
         """
         require_positive(self, "count", "episodes", "samples", "limit", "resamples")
-
-    def places(self) -> tuple[list[IndoorHouse], list[Search]]:
-        """The houses and the searches in them."""
         houses = indoor_houses(
             self.houses, self.split, count=self.count, cell_size=IndoorMapSettings.cell_size, strict=self.strict
         )
