@@ -10,7 +10,7 @@ import os
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
@@ -76,7 +76,6 @@ def output_folder(
     *,
     free: Collection[str] = (),
     inputs: Mapping[str, str] | None = None,
-    check: Callable[[Path], None] = lambda folder: None,
 ) -> Path:
     """Make or reopen the output folder, with a `run.json` of the command, all options, versions, commit and time.
 
@@ -88,7 +87,6 @@ def output_folder(
       command: name of the command.
       free: further options that may change when a run is resumed.
       inputs: option name -> SHA-256 of its data. They must be the same when a run is resumed.
-      check: called with the folder of a resumed run; raises if it cannot continue.
 
     Raises:
       InputError: the folder is in use or cannot be written, or holds no such run to resume.
@@ -106,7 +104,6 @@ def output_folder(
         alone = _hold(folder)
         _require_same(folder, before, command, given, {*WHERE, *free})
         _require_same_inputs(folder, before.get("inputs", {}), inputs or {})
-        check(folder)
         runs = before["runs"]
     else:
         _make_new(folder, resumable=hasattr(options, "resume"))

@@ -81,7 +81,7 @@ class TranslationOptions(Pauses):
 
 
 #: These options in the options of a command, without a prefix.
-TranslationGroup = Annotated[TranslationOptions, tyro.conf.arg(name="")]
+Translation = Annotated[TranslationOptions, tyro.conf.arg(name="")]
 
 
 class TranslationData(NamedTuple):
