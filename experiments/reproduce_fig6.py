@@ -17,8 +17,8 @@ from dc2g_jax.estimation.hub import load
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.inspection.image_figures import METRIC_LABELS, plot_by_similarity
-from dc2g_jax.training.image_evaluation import GRID_CELLS, HouseMetrics, distances_from_training, full_map_metrics
-from dc2g_jax.training.image_pairs import houses_with_door
+from dc2g_jax.training.image_evaluation import HouseMetrics, distances_from_training, full_map_metrics
+from dc2g_jax.training.image_pairs import GRID_CELLS, houses_with_door
 
 
 @dataclasses.dataclass(frozen=True)

@@ -15,9 +15,8 @@ from dc2g_jax.estimation.estimators import TranslatorCostToGo
 from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
 from dc2g_jax.training.cost_to_go import check_numbers
-from dc2g_jax.training.image_data import MaskKind, image_set
 from dc2g_jax.training.image_evaluation import metrics_over_pairs
-from dc2g_jax.training.image_pairs import ImageSet, draw_image_pairs
+from dc2g_jax.training.image_pairs import ImageSet, MaskKind, draw_image_pairs, image_set
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax.training.tracking import TrackerName
 from dc2g_jax.training.translator import TranslatorConfig, TranslatorState, init_translator, translator_step

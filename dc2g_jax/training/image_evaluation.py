@@ -18,10 +18,15 @@ from dc2g_jax.grid.sampling import ClassImage, resize_nearest
 from dc2g_jax.grid.terrain import TRAVERSABLE
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.programs import jit
-from dc2g_jax.training.image_pairs import ImageSet, MaskedMap, houses_with_door, labeled_grid, labeled_map, masked_map
-
-#: Side length of the gridworld, in cells (section IV-B).
-GRID_CELLS = 50
+from dc2g_jax.training.image_pairs import (
+    GRID_CELLS,
+    ImageSet,
+    MaskedMap,
+    houses_with_door,
+    labeled_grid,
+    labeled_map,
+    masked_map,
+)
 
 #: Side length, in pixels, of the maps for the comparison with training maps.
 _COMPARED_SIZE = 256
