@@ -45,11 +45,6 @@ class Options(ComparisonOptions):
     maps: int = 2048
 
 
-def ablation(estimator: CostMapEstimator) -> str:
-    """The name of a network's inputs."""
-    return next(name for name, inputs in ABLATIONS.items() if inputs == estimator.architecture.inputs)
-
-
 def open_networks(places: tuple[str | Path, ...]) -> dict[str, PredictedCosts[CostMapEstimator]]:
     """The networks by name of their inputs.
 
@@ -59,7 +54,7 @@ def open_networks(places: tuple[str | Path, ...]) -> dict[str, PredictedCosts[Co
     found: dict[str, PredictedCosts[CostMapEstimator]] = {}
     for place in places or (None,):
         costs = open_costs(place)
-        name = ablation(costs.estimator)
+        name = next(name for name, inputs in ABLATIONS.items() if inputs == costs.estimator.architecture.inputs)
         if name in found:
             raise InputError(
                 f"--networks {place}: another one has these inputs ({ABLATION_TITLES[name]}); give one of each"

@@ -110,6 +110,8 @@ def output_folder(
         alone = _hold(folder)
     if alone:
         clear_unfinished(folder)
+    # Where houses are read from, if no option says it.
+    location = os.environ.get("DC2G_DATA") if getattr(options, "dataset", "") is None else None
     facts = {
         "experiment": command,
         "options": given,
@@ -121,7 +123,7 @@ def output_folder(
                 "began": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
                 "commit": commit(),
                 "versions": versions(),
-                **_environment(options),
+                **({"DC2G_DATA": location} if location else {}),
             },
         ],
     }
@@ -130,12 +132,6 @@ def output_folder(
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror}); give --out another folder") from None
     return folder
-
-
-def _environment(options: OutputOptions) -> dict[str, Any]:
-    """Where houses are read from, if `DC2G_DATA` and not an option sets it."""
-    location = os.environ.get("DC2G_DATA")
-    return {"DC2G_DATA": location} if location and getattr(options, "dataset", location) is None else {}
 
 
 def _make_new(folder: Path, *, resumable: bool) -> None:

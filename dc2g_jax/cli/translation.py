@@ -73,11 +73,6 @@ class TranslationOptions(Pauses):
         require_memory(self.batch_size * images, f"--batch-size {self.batch_size}")
         return TranslatorConfig(architecture, loss, self.batch_size, self.learning_rate)
 
-    def facts(self, dataset: HouseDataset, seed: int) -> dict[str, Any]:
-        """Besides the configuration, what must be the same when a run is resumed."""
-        names = ("masks", "train_masks", "whole_share", "augment")
-        return {"seed": seed, "dataset": dataset.name, **{name: getattr(self, name) for name in names}}
-
 
 #: These options in the options of a command, without a prefix.
 Translation = Annotated[TranslationOptions, tyro.conf.arg(name="")]
@@ -96,22 +91,6 @@ def translation_data(dataset: HouseDataset, options: TranslationOptions) -> Tran
     return TranslationData(
         train=make("train", per_house=options.train_masks), validation=make("val", per_house=options.validation_masks)
     )
-
-
-def _card(
-    dataset: HouseDataset, config: TranslatorConfig, options: TranslationOptions, seed: int, step: int
-) -> dict[str, Any]:
-    """The card of a network: its origin."""
-    return {
-        "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks}), "
-        f"{100 * options.whole_share:g} % of pairs whole" + ", shifted, enlarged and mirrored" * options.augment,
-        "target": "8-connected cost-to-go as a picture, brightest visible pixel 1",
-        "loss": config.loss,
-        "command": command_written(),
-        "commit": commit(),
-        "seed": seed,
-        "steps": step,
-    }
 
 
 def require_steps(steps: int, out: Path) -> None:
@@ -155,7 +134,17 @@ def train_translator(
 
     def validate(state: TranslatorState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
         network = TranslatorCostToGo(weights=first_copy(state.generator), architecture=config.architecture)
-        save_network(out / "network", network, _card(dataset, config, options, seed, step))
+        card = {
+            "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks}), "
+            f"{100 * options.whole_share:g} % of pairs whole" + ", shifted, enlarged and mirrored" * options.augment,
+            "target": "8-connected cost-to-go as a picture, brightest visible pixel 1",
+            "loss": config.loss,
+            "command": command_written(),
+            "commit": commit(),
+            "seed": seed,
+            "steps": step,
+        }
+        save_network(out / "network", network, card)
         if not options.validate_every:
             return []
         metrics = metrics_over_pairs(network, data.validation)
@@ -173,5 +162,7 @@ def train_translator(
         steps_per_look=_STEPS_PER_LOOK,
         learning_rate=lambda step: config.learning_rate,
     )
-    checkpoints = TrainingCheckpoints(out, config, options.facts(dataset, seed), first_state=first_state)
+    names = ("masks", "train_masks", "whole_share", "augment")
+    facts = {"seed": seed, "dataset": dataset.name, **{name: getattr(options, name) for name in names}}
+    checkpoints = TrainingCheckpoints(out, config, facts, first_state=first_state)
     train(task, out, checkpoints, options, track)

@@ -200,21 +200,6 @@ def running_average(average: Any, weights: Any, step: Int[Array, ""], decay: flo
     return jax.tree.map(lambda a, w: kept * a + (1 - kept) * w, average, weights)
 
 
-def _part_of_batch(
-    step: Int[Array, ""],
-    part: Int[Array, ""],
-    hyperparameters: Hyperparameters,
-    data: Any,
-    *,
-    recipe: TrainingConfig,
-    draw_batch: DrawBatch,
-) -> Pair:
-    """Draw one part of a batch. It only depends on the seed, `step` and `part`, so training can be resumed anywhere."""
-    of_batches = jax.random.fold_in(jax.random.key(hyperparameters.seed), 1)
-    key = jax.random.fold_in(jax.random.fold_in(of_batches, step), part)
-    return draw_batch(key, data, batch_size=recipe.batch_size // recipe.parts)
-
-
 def _updated(
     recipe: TrainingConfig,
     state: TrainingState,
@@ -265,7 +250,11 @@ def _draw(
             numbers = jax.tree.map(lambda leaf: leaf[run], hyperparameters)
 
             def part(number: Array) -> Pair:
-                return _part_of_batch(steps[run], first + number, numbers, data, recipe=recipe, draw_batch=draw_batch)
+                step, place = steps[run], first + number
+                # A part only depends on the seed, the step and its number, so training can be resumed anywhere.
+                of_batches = jax.random.fold_in(jax.random.key(numbers.seed), 1)
+                key = jax.random.fold_in(jax.random.fold_in(of_batches, step), place)
+                return draw_batch(key, data, batch_size=recipe.batch_size // recipe.parts)
 
             return jax.tree.map(lambda leaf: leaf.reshape(1, -1, *leaf.shape[2:]), jax.vmap(part)(parts))
 
