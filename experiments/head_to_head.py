@@ -16,13 +16,8 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.inspection.figures import plot_head_to_head
-from dc2g_jax.rollouts.published import (
-    PUBLISHED_GROUPS,
-    EpisodePair,
-    compare,
-    houses_where_frontier_is_shorter,
-    pair_up,
-)
+from dc2g_jax.rollouts import published
+from dc2g_jax.rollouts.published import PUBLISHED_GROUPS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,21 +73,21 @@ def main(options: Options) -> None:
     both = tuple(dict.fromkeys(("frontier", options.planner)))
     ran = EpisodeTable(out / "episodes.csv").published(dataset, both, network)
     frontier, ours = ([one for one in ran if one.planner == name] for name in ("frontier", options.planner))
-    pairs = pair_up(published_episodes(), frontier, ours)
+    pairs = published.pair_up(published_episodes(), frontier, ours)
     groups = {group: [pair for pair in pairs if group in (pair.group, "all")] for group in PUBLISHED_GROUPS}
-    tables = {group: compare(own, resamples=options.resamples, seed=options.seed) for group, own in groups.items()}
+    bootstrap = {"resamples": options.resamples, "seed": options.seed}
+    tables = {group: published.compare(own, **bootstrap) for group, own in groups.items()}
     print_comparison(tables)
-    shorter, count = houses_where_frontier_is_shorter(pairs), len({pair.house for pair in pairs})
+    shorter, count = published.houses_where_frontier_is_shorter(pairs), len({pair.house for pair in pairs})
     print(f"\nHouses of {count} in which frontier exploration is shorter on average:")
     for whose, houses in shorter.items():
         print(f"  {whose}: {len(houses)} {' '.join(houses)}")
     rows = [pair._replace(extra=round(pair.extra, 4), authors_extra=round(pair.authors_extra, 4)) for pair in pairs]
-    write_table(out / "head_to_head.csv", EpisodePair._fields, rows)
+    write_table(out / "head_to_head.csv", published.EpisodePair._fields, rows)
     facts = {
         "planner": options.planner,
         "dataset": dataset.name,
-        "resamples": options.resamples,
-        "seed": options.seed,
+        **bootstrap,
         "groups": tables,
         "houses_where_frontier_is_shorter": shorter,
     }

@@ -12,7 +12,7 @@ from tqdm import tqdm
 from dc2g_jax.cli.common import command_line
 from dc2g_jax.cli.outputs import CommandOptions, output_folder
 from dc2g_jax.datasets.maps import CELLS_FILE
-from dc2g_jax.datasets.osm.extract import ATTRIBUTION, Tags, read_extract
+from dc2g_jax.datasets.osm.extract import ATTRIBUTION, read_extract
 from dc2g_jax.datasets.osm.neighborhood import Neighborhood
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import write_class_image, write_palette
@@ -53,21 +53,12 @@ class Options(CommandOptions):
     only_mapped: bool = False
 
 
-def check_options(options: Options) -> None:
-    """Check the options before anything is read.
-
-    Raises:
-      InputError: they are invalid.
-    """
+def main(options: Options) -> None:
+    """Read the extract, write a map of each building, and say which were left out."""
     if not 20 <= options.meters <= 1000:
         raise InputError(f"--meters {options.meters:g}: give the side of a map, 20 to 1000 meters")
     if not 10 <= options.cells <= 2000:
         raise InputError(f"--cells {options.cells}: give columns and rows, 10 to 2000")
-
-
-def main(options: Options) -> None:
-    """Read the extract, write a map of each building, and say which were left out."""
-    check_options(options)
     extract = read_extract(options.extract, options.around, 2 * options.meters)
     neighborhood = Neighborhood(
         extract,
@@ -97,15 +88,13 @@ def main(options: Options) -> None:
             continue
         write_class_image(out / f"{building.name}.png", drawn.classes)
         write_class_image(out / _ADDED_FOLDER / f"{building.name}.png", drawn.added)
-        rows.append([building.name, _address(building.tags), f"{drawn.latitude:.6f}", f"{drawn.longitude:.6f}"])
+        tags = building.tags
+        address = " ".join(tags[key] for key in ("addr:street", "addr:housenumber") if key in tags)
+        rows.append([building.name, address, f"{drawn.latitude:.6f}", f"{drawn.longitude:.6f}"])
         rows[-1] += [int(np.sum(sample_grid(drawn.added, options.cells) == index)) for index in _ADDED.values()]
     write_table(out / _MAPS_FILE, ("map", "address", "latitude", "longitude", *_ADDED), rows)
     write_table(out / _LEFT_OUT_FILE, ("building", "reason"), left_out)
     _report(options, out, rows, left_out)
-
-
-def _address(tags: Tags) -> str:
-    return " ".join(tags[key] for key in ("addr:street", "addr:housenumber") if key in tags)
 
 
 def _report(options: Options, out: Path, rows: list[list[object]], left_out: list[tuple[str, str]]) -> None:

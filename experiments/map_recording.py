@@ -6,12 +6,11 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-import jax
 import numpy as np
 import tyro
 from tqdm import tqdm
 
-from dc2g_jax.cli.common import command_line
+from dc2g_jax.cli.common import ImageSizeOption, command_line
 from dc2g_jax.cli.map_options import StartOption, start_in
 from dc2g_jax.cli.options import DatasetOptions, OutOptions
 from dc2g_jax.cli.outputs import output_folder
@@ -21,21 +20,14 @@ from dc2g_jax.estimation.estimators import world_cost_to_go
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.terrain import UNKNOWN
 from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.inspection.camera_recording import CameraRecording, MappedFrame
+from dc2g_jax.inspection.camera_recording import record_mapping
 from dc2g_jax.inspection.map_figures import plot_map
 from dc2g_jax.mapping import sequences
 from dc2g_jax.mapping.camera import intrinsics
-from dc2g_jax.mapping.checks import check_frame
 from dc2g_jax.mapping.scene import CELL_SIZE
-from dc2g_jax.mapping.semantic_map import MapSettings, empty_map, integrate, terrain_map
-from dc2g_jax.mapping.sequences import ImageSequence
+from dc2g_jax.mapping.semantic_map import MapSettings
 from dc2g_jax.mapping.simulated_drives import path_to_goal, simulated_shots
 from dc2g_jax.mapping.simulator import FIELD_OF_VIEW
-from dc2g_jax.programs import jit
-
-HouseOption = Annotated[str | None, tyro.conf.arg(metavar="HOUSE", help_behavior_hint="")]
-ImageSizeOption = Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")]
-SequenceOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,8 +48,8 @@ class Options(DatasetOptions, OutOptions):
       ground: height of the ground in the frame of the sequence, meters.
     """
 
-    sequence: SequenceOption = None
-    simulate: HouseOption = None
+    sequence: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
+    simulate: Annotated[str | None, tyro.conf.arg(metavar="HOUSE", help_behavior_hint="")] = None
     start: StartOption = None
     seed: int = 0
     image_size: ImageSizeOption = (160, 120)
@@ -66,43 +58,8 @@ class Options(DatasetOptions, OutOptions):
     ground: float = 0.0
 
 
-def map_sequence(sequence: ImageSequence, settings: MapSettings, out: Path, name: str) -> tuple[np.ndarray, int]:
-    """Integrate and record all frames.
-
-    Returns:
-      The map seen from above, and the number of invalid frames that were skipped.
-
-    Raises:
-      InputError: all frames are invalid.
-    """
-    take = jit(integrate, static_argnums=3)
-    read = jit(terrain_map, static_argnums=1)
-    voxels, wrong = empty_map(settings), 0
-    path = np.stack([moment.pose.position for moment in sequence.moments])
-    file = out / "recording.rrd"
-    with CameraRecording(file, camera=sequence.intrinsics, settings=settings, path=path, name=name) as recording:
-        for moment in tqdm(sequence.moments, desc="mapping", unit="frame", file=sys.stderr):
-            frame = sequences.read_frame(sequence, moment)
-            try:
-                check_frame(frame, sequence.intrinsics, settings)
-            except InputError as error:
-                tqdm.write(f"left out {moment.depth}: {error}", file=sys.stderr)
-                wrong += 1
-                continue
-            voxels = take(voxels, frame, sequence.intrinsics, settings)
-            terrain, after = jax.device_get((read(voxels, settings), voxels))
-            recording.add(MappedFrame(frame, sequences.read_picture(moment), after, terrain))
-    if wrong == len(sequence.moments):
-        raise InputError(f"{name}: something is wrong with all of its {wrong} frames; see the lines above")
-    return np.asarray(read(voxels, settings)), wrong
-
-
-def check_options(options: Options) -> None:
-    """Check the options before anything is written.
-
-    Raises:
-      InputError: they are invalid.
-    """
+def main(options: Options) -> None:
+    """Simulate or read the sequence, map it, draw and write the map."""
     if (options.sequence is None) == (options.simulate is None):
         raise InputError("give either --sequence with the folder of a sequence, or --simulate with a house")
     for option, value in (("--cell-size", options.cell_size), ("--reach", options.reach)):
@@ -112,11 +69,6 @@ def check_options(options: Options) -> None:
         raise InputError(f"--ground {options.ground:g}: give meters")
     if min(options.image_size) < 1:
         raise InputError(f"--image-size {options.image_size[0]} {options.image_size[1]}: give pixels, at least 1")
-
-
-def main(options: Options) -> None:
-    """Simulate or read the sequence, map it, draw and write the map."""
-    check_options(options)
     house = None
     if options.sequence is not None:
         folder = options.sequence
@@ -137,7 +89,7 @@ def main(options: Options) -> None:
         rows, columns = house.terrain.shape
         settings = MapSettings(rows=rows, columns=columns, cell_size=options.cell_size, reach=options.reach)
     name = folder.name if house is None else house.name
-    terrain, wrong = map_sequence(sequence, settings, out, name)
+    terrain, wrong = record_mapping(out / "recording.rrd", sequence, settings, name)
     np.save(out / "map.npy", terrain)
     title = f"{name}: {len(sequence.moments) - wrong} frames, {settings.columns} x {settings.rows} cells"
     plot_map(out / "map", title, terrain, np.asarray(world_cost_to_go(world_from_terrain(terrain))))

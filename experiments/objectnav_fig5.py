@@ -14,22 +14,20 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from dc2g_jax.cli.common import command_line
+from dc2g_jax.cli.common import HouseOption, command_line
 from dc2g_jax.cli.options import NetworkOptions, require_positive
 from dc2g_jax.cli.outputs import output_folder, print_files
-from dc2g_jax.cli.searches import AGENT_TITLES, AgentName, SearchOptions, agent_with, costs_for
-from dc2g_jax.datasets.houses import PROCEDURAL
-from dc2g_jax.errors import InputError
+from dc2g_jax.cli.searches import AgentName, SearchOptions, agent_with, costs_for
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.inspection.search_figures import plot_prediction, plot_search
 from dc2g_jax.inspection.search_moments import choose_legs, moment_of, prediction_at, run_search
 from dc2g_jax.objectnav.agent import DECLARED, reset, site_of
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax.objectnav.evaluation import results_of
-from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
+from dc2g_jax.objectnav.houses import indoor_house, indoor_houses
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
-from dc2g_jax.objectnav.searches import Search, Searches, sample_episodes
-from dc2g_jax.objectnav.starts import sample_starts
+from dc2g_jax.objectnav.searches import Searches, sample_episodes, search_for
+from dc2g_jax.objectnav.tables import AGENT_TITLES
 
 #: Number of moments in the figure.
 _COLUMNS = 5
@@ -47,60 +45,23 @@ class Options(SearchOptions, NetworkOptions):
       agent: the agent that searches; see experiments.objectnav_table1.
     """
 
-    house: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    house: HouseOption = None
     target: Annotated[str | None, tyro.conf.arg(metavar="CLASS", help_behavior_hint="")] = None
     agent: AgentName = "promising"
-
-
-def house_of(options: Options) -> IndoorHouse:
-    """The house to search in.
-
-    Raises:
-      InputError: no house of the split has that name.
-    """
-    count = 1 if options.house is None else None
-    if options.houses == PROCEDURAL and options.house is not None:
-        split, _, number = options.house.rpartition("-")
-        if split != options.split or not number.isdecimal():
-            raise InputError(
-                f"--house {options.house}: the procedural houses of the split {options.split} are called "
-                f"{options.split}-0, {options.split}-1 and so on; give one of these, or another --split"
-            )
-        count = int(number) + 1  # procedural houses are unlimited
-    houses = indoor_houses(options.houses, options.split, count=count, cell_size=IndoorMapSettings.cell_size)
-    for house in houses:
-        if options.house in (None, house.name):
-            return house
-    raise InputError(
-        f"--house {options.house}: {options.houses} has no such house in its split {options.split}; "
-        f"give one from {houses[0].name} to {houses[-1].name}"
-    )
-
-
-def episode_in(house: IndoorHouse, options: Options) -> Search:
-    """The search to run.
-
-    Raises:
-      InputError: the target is not a goal class, or the house has no reachable object of this class.
-    """
-    if options.target is None:
-        return sample_episodes([house], 1, seed=options.seed)[0]
-    rng = np.random.default_rng([options.seed, *house.name.encode()])
-    starts = {OBJECT_CLASSES[goal]: sample_starts(house.world, goal, 1, rng=rng) for goal in GOALS}
-    there = [name for name, drawn in starts.items() if len(drawn)]
-    if options.target not in there:
-        raise InputError(
-            f"--target {options.target}: cannot be searched for in {house.name}; "
-            f"give one of: {', '.join(there)}; or another --house"
-        )
-    return Search(house.name, options.target, *starts[options.target][0].tolist())
 
 
 def main(options: Options) -> None:
     """Search, draw and print the result."""
     require_positive(options, "samples", "limit")
-    house = house_of(options)
-    episode = episode_in(house, options)
+    where, cell_size = (options.houses, options.split), IndoorMapSettings.cell_size
+    if options.house is None:
+        house = indoor_houses(*where, count=1, cell_size=cell_size)[0]
+    else:
+        house = indoor_house(options.house, *where, cell_size=cell_size)
+    if options.target is None:
+        episode = sample_episodes([house], 1, seed=options.seed)[0]
+    else:
+        episode = search_for(house, options.target, seed=options.seed)
     costs = costs_for([options.agent], options.network)
     agent = agent_with(options.agent, costs, options.samples)
     out = output_folder(options, "objectnav_fig5")

@@ -5,33 +5,29 @@ After an interruption, --resume continues where it stopped.
 
 import dataclasses
 import functools
-import hashlib
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import jax.numpy as jnp
-import numpy as np
 import tyro
 
 from dc2g_jax.cli.common import check_seed, command_line
-from dc2g_jax.cli.options import PauseOptions, TrainingOptions, require_positive
+from dc2g_jax.cli.options import TrainingOptions, require_positive
 from dc2g_jax.cli.outputs import command_written, commit, output_folder
 from dc2g_jax.cli.training_sets import kept_arrays
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
-from dc2g_jax.files.atomic import replacing, write_json
-from dc2g_jax.files.digests import arrays_sha256
+from dc2g_jax.files.atomic import replacing
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect, random_views
 from dc2g_jax.objectnav.data import JourneySet
-from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses, split_file
+from dc2g_jax.objectnav.houses import IndoorHouse, houses_sha256, indoor_houses
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, ImageEncoder, encoder_task, load_encoder, save_encoder
-from dc2g_jax.objectnav.networks import ABLATIONS, INPUT_CHANNELS, CostMapArchitecture, CostMapEstimator, save_estimator
-from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE
-from dc2g_jax.objectnav.procthor import BOXES_FILE
+from dc2g_jax.objectnav.networks import ABLATIONS, INPUT_CHANNELS, CostMapArchitecture, CostMapEstimator
+from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, save_costs
 from dc2g_jax.objectnav.training import (
     RECIPES,
     CostMapConfig,
@@ -54,7 +50,7 @@ _VALIDATION_SEED = 1_000_003
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(TrainingOptions, PauseOptions):
+class Options(TrainingOptions, Pauses):
     """Train the network that predicts cost maps for object goals indoors (section II), on training houses only.
 
     Attributes:
@@ -154,12 +150,7 @@ def kept(path: Path, make: Callable[[Callable[[int], None]], JourneySet], houses
       houses: total number of houses.
     """
     names = [field.name for field in dataclasses.fields(JourneySet)]
-
-    def collect(show: Callable[[int, int], None]) -> dict[str, Any]:
-        data = make(lambda done: show(done, houses))
-        return {name: getattr(data, name) for name in names}
-
-    arrays = kept_arrays(path, names, collect, unit="house")
+    arrays = kept_arrays(path, names, lambda show: make(lambda done: show(done, houses)), unit="house")
     return JourneySet(**{name: jnp.asarray(array) for name, array in arrays.items()})
 
 
@@ -184,8 +175,7 @@ def training_task(
             "commit": commit(),
             "validation": found,
         }
-        save_estimator(options.out / NETWORK_FILE, estimator, card)
-        write_card(options.out, card)
+        save_costs(options.out, estimator, card)
         return [found]
 
     return Task(
@@ -199,45 +189,28 @@ def training_task(
     )
 
 
-def house_digests(location: str) -> dict[str, str]:
-    """SHA-256 of the files of houses; empty for procedural houses.
-
-    Raises:
-      InputError: the file of a split is missing.
-    """
-    if location == PROCEDURAL:
-        return {}
-    files = [split_file(Path(location), split) for split in ("train", "val")]
-    files += [path for path in [Path(location) / BOXES_FILE] if path.is_file()]
-    return {"houses": arrays_sha256({path.name: np.fromfile(path, np.uint8) for path in files})}
-
-
-def write_card(folder: Path, card: dict[str, Any]) -> None:
-    """Write the card of a network as `network.json`, with checksums of the network files."""
-    digests = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in (NETWORK_FILE, ENCODER_FILE)}
-    write_json(folder / "network.json", {**card, "sha256": digests})
-
-
 def main(options: Options) -> None:
     """Collect samples; train, validate and save the network."""
     options.training(1)  # raises before anything is written
     require_positive(options, "count", "validation_houses", "encoder_steps", "validation_samples")
     check_seed(options.collection.data_seed, "data-seed")
-    pauses = options.pauses
+    options.check_pauses()
     if options.encoder is not None and not (options.out / ENCODER_FILE).exists():
         load_encoder(options.encoder)
     free = ("validate_every", "minutes_per_checkpoint", "validation_samples")
     maps = float(INPUT_CHANNELS * IndoorMapSettings.local**2)
     require_memory(options.batch_size * maps, f"--batch-size {options.batch_size}")
-    output_folder(options, "objectnav_train", free=free, inputs=house_digests(options.houses))
+    digest = houses_sha256(options.houses)
+    inputs = {} if digest is None else {"houses": digest}
+    output_folder(options, "objectnav_train", free=free, inputs=inputs)
     count = 500 if options.count is None and options.houses == PROCEDURAL else options.count
     print(f"Houses: {count or 'all'} of {options.houses}", flush=True)
     read = functools.partial(
         indoor_houses, options.houses, cell_size=IndoorMapSettings.cell_size, strict=options.strict
     )
     houses = read("train", count=count)
-    unknown = read("val", count=options.validation_houses if options.houses == PROCEDURAL else None)
-    unknown = unknown[: options.validation_houses]
+    largest = options.validation_houses
+    unknown = read("val", count=largest if options.houses == PROCEDURAL else None)[:largest]
     encoder = open_encoder(options, houses)
     collection = options.collection
     data = kept(options.out / "data.npz", functools.partial(collect, houses, encoder, collection), len(houses))
@@ -247,7 +220,7 @@ def main(options: Options) -> None:
     config = options.training(encoder.size)
     facts = {name: str(getattr(options, name)) for name in ("houses", "count", "collection")}
     checkpoints = TrainingCheckpoints(options.out, config, facts, first_state=first_state)
-    train(training_task(options, config, data, validation), options.out, checkpoints, pauses, options.track)
+    train(training_task(options, config, data, validation), options.out, checkpoints, options, options.track)
     print(f"Trained: {options.out / NETWORK_FILE}")
 
 

@@ -16,9 +16,8 @@ from dc2g_jax.datasets.houses import House, open_dataset
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.estimation.hub import load
 from dc2g_jax.inspection.image_figures import Example, plot_translations
-from dc2g_jax.training.image_data import MASK_SEEDS
 from dc2g_jax.training.image_evaluation import compare, map_for
-from dc2g_jax.training.image_pairs import houses_with_door
+from dc2g_jax.training.image_pairs import MASK_SEEDS, houses_with_door
 
 
 @dataclasses.dataclass(frozen=True)

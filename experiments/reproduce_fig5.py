@@ -4,14 +4,11 @@
 """
 
 import dataclasses
-from typing import Annotated
-
-import tyro
 
 from dc2g_jax.cli.common import check_seed, command_line, digests
 from dc2g_jax.cli.options import DatasetOptions, TrainingOptions
 from dc2g_jax.cli.outputs import output_folder
-from dc2g_jax.cli.translation import TranslationOptions, train_translator, translation_data
+from dc2g_jax.cli.translation import Translation, TranslationOptions, train_translator, translation_data
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
@@ -34,9 +31,7 @@ class Options(DatasetOptions, TrainingOptions):
     losses: tuple[str, ...] = tuple(TRANSLATOR_LOSSES)
     seeds: tuple[int, ...] = (0, 1, 2)
     window: int = 5
-    training: Annotated[TranslationOptions, tyro.conf.arg(name="")] = dataclasses.field(
-        default_factory=TranslationOptions
-    )
+    training: Translation = dataclasses.field(default_factory=TranslationOptions)
 
 
 def main(options: Options) -> None:

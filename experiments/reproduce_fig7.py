@@ -19,7 +19,7 @@ from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset, tell_on_stderr
-from dc2g_jax.datasets.starts import Start, published_episodes, sample_starts, why_no_episode
+from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.files.atomic import write_json
@@ -31,9 +31,8 @@ from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.named import FIGURE_PLANNERS
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
-from dc2g_jax.rollouts.published import PUBLISHED_GROUPS, frontier_over_dc2g
-from dc2g_jax.rollouts.rollout import STEP_LIMIT
-from dc2g_jax.rollouts.statistics import ExtraSteps, Summary, extra_steps, summarize, tabulate
+from dc2g_jax.rollouts.published import PUBLISHED_GROUPS, frontier_over_dc2g, with_authors
+from dc2g_jax.rollouts.statistics import ExtraSteps, Summary, summarize, tabulate
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,23 +60,6 @@ PAPER_GROUPS = ("same_neighborhood", "new_neighborhood", "urban", "test")
 
 #: Number of summary columns for a single house, which has no interval over houses.
 _OF_A_HOUSE = Summary._fields.index("mean_low")
-
-
-def _episode(result: EpisodeResult, group: str) -> ExtraSteps:
-    return ExtraSteps(result.planner, group, result.house, result.extra, result.success)
-
-
-def run_published(
-    dataset: HouseDataset, planners: Sequence[str], network: TrainedNetwork | None, table: EpisodeTable
-) -> tuple[list[EpisodeResult], list[ExtraSteps]]:
-    """Run the 400 published episodes. Returns our results, and table entries for ours and the authors'."""
-    published, results = published_episodes(), table.published(dataset, planners, network)
-    entries = [_episode(result, published[n % len(published)].group) for n, result in enumerate(results)]
-    for episode in published:
-        for planner, steps in (("authors_frontier", episode.frontier), ("authors_dc2g", episode.dc2g)):
-            extra = extra_steps(steps, episode.oracle)
-            entries.append(ExtraSteps(planner, episode.group, episode.start.house, extra, steps < STEP_LIMIT))
-    return results, entries
 
 
 def sampled_episodes(dataset: HouseDataset, options: Options) -> tuple[Runner, list[Start]]:
@@ -195,7 +177,8 @@ def main(options: Options) -> None:
     results: dict[str, list[EpisodeResult]] = {}
     ratio: dict[str, dict[str, float]] = {}
     if options.settings != "paper" and dataset.source == "published":
-        results["published"], entries["published"] = run_published(dataset, options.planner, network, table)
+        results["published"] = table.published(dataset, options.planner, network)
+        entries["published"] = with_authors(results["published"])
         tables["published"] = tabulate(entries["published"], PUBLISHED_GROUPS)
         ratio = frontier_over_dc2g(results["published"])
         print_table(f"The 400 published episodes, 5-cell sensing ({label})", tables["published"], PUBLISHED_GROUPS)
@@ -212,7 +195,8 @@ def main(options: Options) -> None:
         runner, starts = sampled
         results["paper"] = table.run(runner, starts, options.planner, network)
         entries["paper"] = [
-            _episode(result, group_of(dataset.house(result.house)) or "test") for result in results["paper"]
+            ExtraSteps(one.planner, group_of(dataset.house(one.house)) or "test", one.house, one.extra, one.success)
+            for one in results["paper"]
         ]
         tables["paper"] = tabulate(entries["paper"], PAPER_GROUPS)
         houses = len({episode.house for episode in entries["paper"]})

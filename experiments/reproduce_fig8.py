@@ -4,11 +4,8 @@
 """
 
 import dataclasses
-from typing import Annotated
 
-import tyro
-
-from dc2g_jax.cli.common import command_line
+from dc2g_jax.cli.common import HouseOption, command_line
 from dc2g_jax.cli.episodes import EpisodeProgress
 from dc2g_jax.cli.map_options import start_in
 from dc2g_jax.cli.one_start import OneStartOptions, run_one_start
@@ -32,7 +29,7 @@ class Options(OneStartOptions, DatasetOptions):
       house: name of the house; chosen as above by default. `start` is a start in this house.
     """
 
-    house: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    house: HouseOption = None
 
 
 def median_start(dataset: HouseDataset, seed: int) -> Start:

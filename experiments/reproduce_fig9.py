@@ -4,15 +4,13 @@ import dataclasses
 import math
 import sys
 from pathlib import Path
-from typing import Annotated
 
 import cv2
 import jax
 import numpy as np
-import tyro
 from tqdm import tqdm
 
-from dc2g_jax.cli.common import NetworkOption, PlannerOption, check_planners, command_line, network_for
+from dc2g_jax.cli.common import HouseOption, NetworkOption, PlannerOption, check_planners, command_line, network_for
 from dc2g_jax.cli.driving import SECONDS_LIMIT, DrivingOptions, equipment
 from dc2g_jax.cli.map_options import StartOption, start_in
 from dc2g_jax.cli.options import DatasetOptions, OutOptions
@@ -46,7 +44,7 @@ class Options(DrivingOptions, DatasetOptions, OutOptions):
       seed: seed of the sampled start, noise and pedestrians.
     """
 
-    house: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    house: HouseOption = None
     start: StartOption = None
     noise: float = 1.0
     planner: PlannerOption = "dc2g"

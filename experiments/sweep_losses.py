@@ -5,19 +5,16 @@ After an interruption, --resume continues where it stopped.
 """
 
 import dataclasses
-import functools
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import tyro
-from jaxtyping import Array, Float
 
 from dc2g_jax.cli.common import command_line, digests
-from dc2g_jax.cli.options import DatasetOptions, PauseOptions, TrainingOptions
+from dc2g_jax.cli.options import DatasetOptions, TrainingOptions
 from dc2g_jax.cli.outputs import number_or_null, output_folder
 from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import open_dataset
@@ -33,40 +30,29 @@ from dc2g_jax.inspection.training_figures import plot_sweep
 from dc2g_jax.inspection.training_recording import prediction_picture
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import fetch, mesh_of, replicate, require_memory
+from dc2g_jax.training import sweeps
 from dc2g_jax.training.cost_to_go import (
     TrainingConfig,
     TrainingState,
     first_state,
     learning_rates,
     least_memory,
-    mean_error,
     train_step,
 )
 from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses, validation_pairs
-from dc2g_jax.training.loop import Log, Losses, Task, train
-from dc2g_jax.training.sweeps import (
-    StackedCheckpoints,
-    group_by_shape,
-    in_turns,
-    init_states,
-    runs_of_grid,
-    stacked_hyperparameters,
-    steps_left_out,
-)
+from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
+from dc2g_jax.training.losses import losses_as_text
 from dc2g_jax.training.tracking import Image
 
-#: Number of validation pairs, and the batch size for them.
-_PAIRS, _PAIRS_AT_A_TIME = 512, 64
-
-#: Number of them in pictures for a tracker.
-_PAIRS_SHOWN = 6
+#: Number of validation pairs, and of those in pictures for a tracker.
+_PAIRS, _PAIRS_SHOWN = 512, 6
 
 #: Numbers in every line of the log.
 _FIGURES = ("error", "steps_left_out")
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DatasetOptions, TrainingOptions, PauseOptions):
+class Options(DatasetOptions, TrainingOptions, Pauses):
     """Train every combination of losses, learning rates, widths and seeds, together where shapes allow.
 
     Attributes:
@@ -104,24 +90,13 @@ class Options(DatasetOptions, TrainingOptions, PauseOptions):
             widths = [tuple(int(width) for width in text.split(",")) for text in self.widths]
         except ValueError:
             raise InputError(f"widths: {' '.join(self.widths)}; give whole numbers such as 16,32,64,128") from None
-        return runs_of_grid(
+        return sweeps.runs_of_grid(
             TrainingConfig(Architecture(side=side), steps=self.steps, batch_size=self.batch_size),
             losses=self.losses,
             learning_rates=self.learning_rates,
             widths=widths,
             seeds=self.seeds,
         )
-
-
-@functools.partial(jit, static_argnames=("architecture",))
-def validation_errors(architecture: Architecture, weights: Any, pairs: Pair) -> Float[Array, "runs"]:
-    """Mean error of each run on all pairs, in cells."""
-    chunks = jax.tree.map(lambda leaf: leaf.reshape(-1, _PAIRS_AT_A_TIME, *leaf.shape[1:]), pairs)
-
-    def error(weights: Any) -> Float[Array, ""]:
-        return jnp.mean(jax.lax.map(lambda chunk: mean_error(architecture, weights, chunk), chunks))
-
-    return jax.lax.map(error, weights)
 
 
 def train_group(
@@ -132,7 +107,7 @@ def train_group(
     if all((network / CARD).exists() for network in networks):
         return
     configs = list(runs.values())
-    recipe, hyperparameters = configs[0].recipe, stacked_hyperparameters(configs)
+    recipe, hyperparameters = configs[0].recipe, sweeps.stacked_hyperparameters(configs)
     draw, log = options.data.draw_batch, Log(options.out)
     rates = np.stack([learning_rates(config) for config in configs], axis=1)
 
@@ -146,8 +121,8 @@ def train_group(
         return [prediction_picture(network, shown) for network in networks_of(states)]
 
     def validate(states: TrainingState, step: int, losses: Losses | None) -> list[dict[str, Any]]:
-        errors = np.asarray(validation_errors(recipe.architecture, jax.tree.map(fetch, states.average), pairs))
-        left_out = fetch(steps_left_out(states))
+        errors = np.asarray(sweeps.validation_errors(recipe.architecture, jax.tree.map(fetch, states.average), pairs))
+        left_out = fetch(sweeps.steps_left_out(states))
         return [
             {
                 "run": run,
@@ -161,7 +136,7 @@ def train_group(
 
     task = Task(
         steps=recipe.steps,
-        init=lambda: jit(init_states, static_argnums=0)(recipe, hyperparameters),
+        init=lambda: jit(sweeps.init_states, static_argnums=0)(recipe, hyperparameters),
         step=lambda states: train_step(states, hyperparameters, data, recipe=recipe, draw_batch=draw),
         validate=validate,
         validated=set.intersection(*(set(log.by_step(run)) for run in runs)),
@@ -170,13 +145,13 @@ def train_group(
         learning_rate=lambda step: rates[step - 1],
         pictures=pictures,
     )
-    checkpoints = StackedCheckpoints(
+    checkpoints = sweeps.StackedCheckpoints(
         [
             TrainingCheckpoints(network.parent, config, {**facts, "parts": config.parts}, first_state=first_state)
             for network, config in zip(networks, configs, strict=True)
         ]
     )
-    states = train(task, options.out, checkpoints, options.pauses, options.track)
+    states = train(task, options.out, checkpoints, options, options.track)
     for folder, network, config in zip(networks, networks_of(states), configs, strict=True):
         save_network(folder, network, {"config": dataclasses.asdict(config), "facts": facts})
 
@@ -186,14 +161,9 @@ def network_folder(out: Path, run: str) -> Path:
     return out / "runs" / run / "network"
 
 
-def loss_name(config: TrainingConfig) -> str:
-    """The losses of a run, with weights other than 1."""
-    return " + ".join(name if weight == 1 else f"{weight!r} {name}" for name, weight in config.losses)
-
-
 def kind_of(options: Options, config: TrainingConfig) -> str:
     """The parameters of a run that vary in the sweep, except the seed."""
-    parts = [loss_name(config)]
+    parts = [losses_as_text(config.losses)]
     if len(options.learning_rates) > 1:
         parts.append(f"rate {config.learning_rate!r}")
     if len(options.widths) > 1:
@@ -218,7 +188,7 @@ def write_results(
         rows.append(
             {
                 "run": run,
-                "loss": loss_name(config),
+                "loss": losses_as_text(config.losses),
                 "learning_rate": config.learning_rate,
                 "widths": "-".join(map(str, config.architecture.widths)),
                 "million_multiply_accumulates": round(1e-6 * macs[config.architecture], 2),
@@ -254,9 +224,10 @@ def main(options: Options) -> None:
     """Train and validate all runs; write and plot the results."""
     dataset = open_dataset(options.dataset)
     height, width = dataset.houses[0].terrain.shape
-    _, runs = options.pauses, options.runs(max(height, width))  # raises before anything is written
-    groups = group_by_shape(runs)
-    turns = [turn for group in groups for turn in in_turns(group, options.runs_at_once)]
+    options.check_pauses()
+    runs = options.runs(max(height, width))  # raises before anything is written
+    groups = sweeps.group_by_shape(runs)
+    turns = [turn for group in groups for turn in sweeps.in_turns(group, options.runs_at_once)]
     check_houses(dataset, extra=options.data.extra_houses, drawn=options.episodes, validated=True)
     largest = max(sum(least_memory(config, height, width) for config in turn.values()) for turn in turns)
     require_memory(largest, f"--batch-size {options.batch_size} or --runs-at-once {options.runs_at_once}")

@@ -14,7 +14,7 @@ import numpy as np
 import tyro
 
 from dc2g_jax.cli.common import NetworkOption, command_line, digests
-from dc2g_jax.cli.options import DatasetOptions, PauseOptions, TrainingOptions
+from dc2g_jax.cli.options import DatasetOptions, TrainingOptions
 from dc2g_jax.cli.outputs import WHERE, command_written, commit, output_folder
 from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
@@ -36,7 +36,7 @@ from dc2g_jax.training.cost_to_go import (
     train_step,
 )
 from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_houses
-from dc2g_jax.training.loop import Log, Losses, Task, train
+from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax.training.losses import parse_losses
 
 #: Number of maps in a recording, and in pictures for a tracker.
@@ -44,7 +44,7 @@ _MAPS_SHOWN = 6
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DatasetOptions, TrainingOptions, PauseOptions):
+class Options(DatasetOptions, TrainingOptions, Pauses):
     """Train the cost-to-go network on training houses, with pairs of partial maps and exact cost-to-go (Algorithm 1).
 
     Attributes:
@@ -208,7 +208,8 @@ def training_task(
 
 def main(options: Options) -> None:
     """Train, validate and save the network."""
-    pauses, dataset = options.pauses, open_dataset(options.dataset)
+    options.check_pauses()
+    dataset = open_dataset(options.dataset)
     config = options.training(max(dataset.houses[0].terrain.shape))
     network = None if options.after is None else compact_network(options.after, config.architecture)
     if options.connect is not None:
@@ -226,7 +227,7 @@ def main(options: Options) -> None:
     with contextlib.closing(recording) if recording else contextlib.nullcontext():
         task = training_task(options, config, dataset, network, recording)
         checkpoints = TrainingCheckpoints(options.out, config, facts, first_state=first_state)
-        train(task, options.out, checkpoints, pauses, options.track)
+        train(task, options.out, checkpoints, options, options.track)
     print(f"Trained: {options.out / 'network'}")
 
 

@@ -4,15 +4,12 @@ After an interruption, --resume continues where it stopped. It may be given more
 """
 
 import dataclasses
-import functools
-from typing import Annotated, Literal
-
-import tyro
+from typing import Literal
 
 from dc2g_jax.cli.common import command_line, digests
 from dc2g_jax.cli.options import DatasetOptions, TrainingOptions
 from dc2g_jax.cli.outputs import output_folder
-from dc2g_jax.cli.translation import TranslationOptions, require_steps, train_translator, translation_data
+from dc2g_jax.cli.translation import Translation, TranslationOptions, require_steps, train_translator, translation_data
 from dc2g_jax.datasets.houses import open_dataset
 
 
@@ -30,22 +27,16 @@ class Options(DatasetOptions, TrainingOptions):
 
     loss: Literal["l1", "gan", "l1+gan"] = "l1+gan"
     seed: int = 0
-    training: Annotated[TranslationOptions, tyro.conf.arg(name="")] = dataclasses.field(
-        default_factory=TranslationOptions
-    )
+    training: Translation = dataclasses.field(default_factory=TranslationOptions)
 
 
 def main(options: Options) -> None:
     """Make the pairs and train on them."""
     config = options.training.config(options.loss)
     dataset = open_dataset(options.dataset, cells=None)
-    output_folder(
-        options,
-        "train_translator",
-        free=("minutes_per_checkpoint", "steps"),
-        inputs=digests(dataset),
-        check=functools.partial(require_steps, options.training.steps),
-    )
+    if options.resume:
+        require_steps(options.training.steps, options.out)
+    output_folder(options, "train_translator", free=("minutes_per_checkpoint", "steps"), inputs=digests(dataset))
     data = translation_data(dataset, options.training)
     print(
         f"Training on {len(data.train.pair_house)} pairs of {len(data.train.terrain)} houses of {dataset.name}, "

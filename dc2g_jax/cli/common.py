@@ -30,17 +30,17 @@ from dc2g_jax.training.tracking import check_tracker
 
 _Options = TypeVar("_Options", bound=CommandOptions)
 
-#: Common options: a folder of houses (or a name), a trained network (see `estimation.hub`), and the output folder.
+#: Common options: a folder of houses (or a name), and a trained network (see `estimation.hub`).
 DatasetOption = Annotated[str | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 NetworkOption = Annotated[str | Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
-OutOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 
 #: One planner and several: names in `dc2g_jax.planning.named.PLANNERS`, or `package.module:Class`.
 PlannerOption = Annotated[str, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 PlannersOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 
-#: Actions after which an episode ends without success; the default depends on the size of the map.
-StepLimitOption = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
+#: A house by its name, and the size of a camera's images in pixels.
+HouseOption = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
+ImageSizeOption = Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")]
 
 
 def command_line(options: type[_Options], main: Callable[[_Options], None]) -> None:
@@ -161,7 +161,12 @@ def network_for(planners: Iterable[str], place: str | Path | None) -> TrainedNet
     return load(place) if NETWORK_PLANNERS.keys() & set(planners) else None
 
 
-def digests(dataset: HouseDataset, **networks: TrainedNetwork | None) -> dict[str, str]:
-    """SHA-256 of the inputs of a run, by option. They must be the same when a run is resumed."""
-    given = {name: network for name, network in networks.items() if network is not None}
-    return {"dataset": dataset.sha256, **{name: tree_sha256(one) for name, one in given.items()}}
+def digests(dataset: HouseDataset | None = None, **inputs: Any) -> dict[str, str]:
+    """SHA-256 of the inputs of a run, by option; `None` is left out. They must be the same when a run is resumed.
+
+    Args:
+      dataset: the houses of option `dataset`.
+      inputs: trees of arrays, such as networks.
+    """
+    houses = {} if dataset is None else {"dataset": dataset.sha256}
+    return houses | {name: tree_sha256(tree) for name, tree in inputs.items() if tree is not None}

@@ -1,14 +1,13 @@
 """Robots that drive with a camera: their equipment, and drives from many starts."""
 
 import dataclasses
-import sys
 from collections.abc import Sequence
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import tyro
-from tqdm import tqdm
 
+from dc2g_jax.cli.common import ImageSizeOption
+from dc2g_jax.cli.episodes import EpisodeProgress
 from dc2g_jax.cli.outputs import CommandOptions
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.starts import Start
@@ -45,7 +44,7 @@ class DrivingOptions(CommandOptions):
     """
 
     pedestrians: int = 0
-    image_size: Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")] = (160, 120)
+    image_size: ImageSizeOption = (160, 120)
 
     def __post_init__(self) -> None:
         if self.pedestrians < 0:
@@ -120,15 +119,11 @@ def drive(
     """
     episodes = episodes_from(starts, {house.name: number for number, house in enumerate(houses)})
     sites = sites_of([house.terrain for house in houses])
-    with tqdm(total=len(starts), desc=f"{name:>16}", unit="episode", file=sys.stderr) as bar:
-
-        def show(ended: int) -> None:
-            bar.update(ended - bar.n)
-
-        drives = drive_all(
-            robot, sites, episodes, seed=seed, pedestrians=options.pedestrians, knows_map=knows_map,
-            time_limit=SECONDS_LIMIT, on_progress=show,
-        )  # fmt: skip
+    progress = EpisodeProgress()
+    drives = drive_all(
+        robot, sites, episodes, seed=seed, pedestrians=options.pedestrians, knows_map=knows_map,
+        time_limit=SECONDS_LIMIT, on_progress=lambda ended: progress(name, ended, len(starts)),
+    )  # fmt: skip
     times = np.round([drives.seconds, drives.off_ground, drives.touched], 2).T.tolist()
     return [
         DriveResult(*start[:4], seconds, STATUS_NAMES[status], off_ground, touched)

@@ -6,10 +6,9 @@ from typing import Annotated
 
 import tyro
 
-from dc2g_jax.cli.common import DatasetOption, NetworkOption, OutOption, StepLimitOption
+from dc2g_jax.cli.common import DatasetOption, NetworkOption
 from dc2g_jax.cli.outputs import CommandOptions
 from dc2g_jax.errors import InputError
-from dc2g_jax.training.loop import Pauses
 from dc2g_jax.training.tracking import TrackerName
 
 
@@ -44,7 +43,7 @@ class StepLimitOptions(CommandOptions):
         ways to the goal are long.
     """
 
-    step_limit: StepLimitOption = None
+    step_limit: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -55,7 +54,7 @@ class OutOptions(CommandOptions):
       out: folder to write to; a new one under outputs/ by default.
     """
 
-    out: OutOption = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -80,24 +79,6 @@ class TrainingOptions(ResumeOptions):
 
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     track: Annotated[TrackerName | None, tyro.conf.arg(help_behavior_hint="")] = None
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class PauseOptions:
-    """Pauses of a training.
-
-    Attributes:
-      validate_every: steps between validations; the last step is validated too. 0 for none.
-      minutes_per_checkpoint: minutes between checkpoints.
-    """
-
-    validate_every: int
-    minutes_per_checkpoint: float = 5.0
-
-    @property
-    def pauses(self) -> Pauses:
-        """When to validate and to save."""
-        return Pauses(self.validate_every, self.minutes_per_checkpoint)
 
 
 def require_positive(options: object, *names: str) -> None:

@@ -10,7 +10,7 @@ import os
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
@@ -76,7 +76,6 @@ def output_folder(
     *,
     free: Collection[str] = (),
     inputs: Mapping[str, str] | None = None,
-    check: Callable[[Path], None] = lambda folder: None,
 ) -> Path:
     """Make or reopen the output folder, with a `run.json` of the command, all options, versions, commit and time.
 
@@ -88,7 +87,6 @@ def output_folder(
       command: name of the command.
       free: further options that may change when a run is resumed.
       inputs: option name -> SHA-256 of its data. They must be the same when a run is resumed.
-      check: called with the folder of a resumed run; raises if it cannot continue.
 
     Raises:
       InputError: the folder is in use or cannot be written, or holds no such run to resume.
@@ -106,13 +104,14 @@ def output_folder(
         alone = _hold(folder)
         _require_same(folder, before, command, given, {*WHERE, *free})
         _require_same_inputs(folder, before.get("inputs", {}), inputs or {})
-        check(folder)
         runs = before["runs"]
     else:
         _make_new(folder, resumable=hasattr(options, "resume"))
         alone = _hold(folder)
     if alone:
         clear_unfinished(folder)
+    # Where houses are read from, if no option says it.
+    location = os.environ.get("DC2G_DATA") if getattr(options, "dataset", "") is None else None
     facts = {
         "experiment": command,
         "options": given,
@@ -124,7 +123,7 @@ def output_folder(
                 "began": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
                 "commit": commit(),
                 "versions": versions(),
-                **_environment(options),
+                **({"DC2G_DATA": location} if location else {}),
             },
         ],
     }
@@ -133,12 +132,6 @@ def output_folder(
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror}); give --out another folder") from None
     return folder
-
-
-def _environment(options: OutputOptions) -> dict[str, Any]:
-    """Where houses are read from, if `DC2G_DATA` and not an option sets it."""
-    location = os.environ.get("DC2G_DATA")
-    return {"DC2G_DATA": location} if location and getattr(options, "dataset", location) is None else {}
 
 
 def _make_new(folder: Path, *, resumable: bool) -> None:

@@ -15,7 +15,6 @@ from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.hub import local_folder
 from dc2g_jax.files.atomic import write_json
-from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.files.resources import resource
 from dc2g_jax.objectnav.agent import (
     CONTROLLER,
@@ -27,13 +26,14 @@ from dc2g_jax.objectnav.agent import (
     Steering,
     usual_camera,
 )
-from dc2g_jax.objectnav.evaluation import Difference, SearchResult, difference, results_of
+from dc2g_jax.objectnav.evaluation import SearchResult, difference, results_of
 from dc2g_jax.objectnav.guides import GoalReacher, NearestFrontier, NoIdea, Predicted, PromisingFrontier, TrueCost
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
 from dc2g_jax.objectnav.networks import CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts, load_costs
 from dc2g_jax.objectnav.searches import TIME_LIMIT, Search, sample_episodes, search_all
+from dc2g_jax.objectnav.tables import with_interval
 from dc2g_jax.rollouts.results import ResumableTable
 
 #: The shipped network and its encoder.
@@ -44,15 +44,6 @@ AgentName = Literal["true_cost", "random", "frontier", "predicted", "promising"]
 
 #: Agents that use a network.
 ON_NETWORK = ("promising", "predicted")
-
-#: Titles of the agents in tables.
-AGENT_TITLES = {
-    "true_cost": "true cost map",
-    "random": "privileged random",
-    "frontier": "frontier",
-    "predicted": "predicted cost map",
-    "promising": "predicted, at frontiers",
-}
 
 #: Printed below every table.
 CAVEAT = (
@@ -98,16 +89,13 @@ class ComparisonOptions(SearchOptions, ResumeOptions):
     episodes: int = 40
     resamples: int = 10_000
 
-    def check(self) -> None:
-        """Check the numbers.
+    def places(self) -> tuple[list[IndoorHouse], list[Search]]:
+        """The houses and the searches in them.
 
         Raises:
-          InputError: one is below 1; the message names the option.
+          InputError: a number is below 1, or there are not enough houses.
         """
         require_positive(self, "count", "episodes", "samples", "limit", "resamples")
-
-    def places(self) -> tuple[list[IndoorHouse], list[Search]]:
-        """The houses and the searches in them."""
         houses = indoor_houses(
             self.houses, self.split, count=self.count, cell_size=IndoorMapSettings.cell_size, strict=self.strict
         )
@@ -128,17 +116,6 @@ def open_costs(place: NetworkOption) -> PredictedCosts[CostMapEstimator]:
 def costs_for(agents: Iterable[str], place: NetworkOption) -> PredictedCosts[CostMapEstimator] | None:
     """`open_costs` if one of these agents uses a network, else `None`."""
     return open_costs(place) if set(ON_NETWORK) & set(agents) else None
-
-
-def digests(houses: Sequence[IndoorHouse], **networks: Any) -> dict[str, str]:
-    """SHA-256 of the inputs of searches, by option. They must be the same when a run is resumed.
-
-    Args:
-      houses: houses to search.
-      networks: `PredictedCosts` or a mapping of them, by option; `None` is left out.
-    """
-    given = {"houses": [house.world for house in houses], **networks}
-    return {name: tree_sha256(tree) for name, tree in given.items() if tree is not None}
 
 
 def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLER.samples) -> Agent:
@@ -229,7 +206,11 @@ def conclude(
     gains = {name: difference(results[last], results[name], resamples=options.resamples) for name in others}
     print(f"\n{table}\n{CAVEAT}")
     for name, gain in gains.items():
-        print(f"{titles[last]} against {titles[name]}: {_in_words(gain)}")
+        success, spl = (
+            with_interval(value, interval, "+")
+            for value, interval in ((gain.success, gain.success_interval), (gain.spl, gain.spl_interval))
+        )
+        print(f"{titles[last]} against {titles[name]}: success {success}, SPL {spl}")
     found = {
         "houses": [house.name for house in houses],
         "split": options.split,
@@ -239,11 +220,3 @@ def conclude(
     }
     write_json(out / "results.json", found)
     print_files(out)
-
-
-def _in_words(one: Difference) -> str:
-    success, spl = (
-        f"{gain:+.3f} ({low:+.3f} to {high:+.3f})"
-        for gain, (low, high) in ((one.success, one.success_interval), (one.spl, one.spl_interval))
-    )
-    return f"success {success}, SPL {spl}"

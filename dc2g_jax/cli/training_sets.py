@@ -1,14 +1,14 @@
 """Training sets, saved in the folder of the training so that they are collected only once."""
 
+import functools
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from tqdm import tqdm
 
-from dc2g_jax.datasets.houses import House, HouseDataset
+from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.files.atomic import replacing
@@ -17,15 +17,14 @@ from dc2g_jax.training.cost_to_go_data import (
     DataConfig,
     by_house,
     check_masks,
-    masks_of_network,
     observation_masks,
     training_houses,
     training_set,
 )
 from dc2g_jax.training.mask_collection import Masks
 
-#: Collects arrays by name. Takes a function to report the finished and the total number of parts.
-Collect = Callable[[Callable[[int, int], None]], Mapping[str, npt.ArrayLike]]
+#: Collects an object with arrays as attributes. Takes a function to report the finished and the total number of parts.
+Collect = Callable[[Callable[[int, int], None]], object]
 
 
 def kept_arrays(path: Path, names: Sequence[str], collect: Collect, *, unit: str) -> dict[str, np.ndarray]:
@@ -34,7 +33,7 @@ def kept_arrays(path: Path, names: Sequence[str], collect: Collect, *, unit: str
     Args:
       path: the file.
       names: names of the arrays.
-      collect: collects the arrays.
+      collect: collects an object that has the arrays as attributes.
       unit: unit of the progress bar.
 
     Raises:
@@ -48,17 +47,11 @@ def kept_arrays(path: Path, names: Sequence[str], collect: Collect, *, unit: str
             bar.total = total
             bar.update(done - bar.n)
 
-        arrays = {name: np.asarray(array) for name, array in collect(show).items()}
+        collected = collect(show)
+    arrays = {name: np.asarray(getattr(collected, name)) for name in names}
     with replacing(path) as unfinished:
         np.savez(unfinished, **arrays)  # type: ignore[arg-type]
     return arrays
-
-
-def _kept_masks(path: Path, houses: Sequence[House], collect: Callable[[Callable[[int, int], None]], Masks]) -> Masks:
-    """Masks of these houses from a file, collected and saved there the first time."""
-    masks = Masks(**kept_arrays(path, Masks._fields, lambda show: collect(show)._asdict(), unit="rollout"))
-    check_masks(masks, houses, str(path))
-    return masks
 
 
 def open_training_set(
@@ -76,10 +69,16 @@ def open_training_set(
       InputError: no house can be trained on, or saved masks cannot be read or belong to other houses.
     """
     houses, n_own = training_houses(dataset, config)
-    parts = [_kept_masks(folder / "masks.npz", houses, lambda show: observation_masks(config, houses, n_own, show))]
+
+    def kept_masks(name: str, leader: NetworkCostToGo | None = None) -> Masks:
+        collect = functools.partial(observation_masks, config, houses, n_own, network=leader)
+        masks = Masks(**kept_arrays(folder / name, Masks._fields, collect, unit="rollout"))
+        check_masks(masks, houses, str(folder / name))
+        return masks
+
+    parts = [kept_masks("masks.npz")]
     if network is not None:
-        path = folder / "masks_of_network.npz"
-        parts.append(_kept_masks(path, houses, lambda show: masks_of_network(config, houses, n_own, network, show)))
+        parts.append(kept_masks("masks_of_network.npz", network))
     data = training_set(houses, n_own, by_house(parts))
     print(
         f"Training on {n_own} houses of the dataset ({dataset.name}) and {config.extra_houses} more that are drawn: "

@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import tyro
 
-from dc2g_jax.cli.options import PauseOptions
 from dc2g_jax.cli.outputs import command_written, commit, number_or_null
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
@@ -16,10 +15,9 @@ from dc2g_jax.estimation.estimators import TranslatorCostToGo
 from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
 from dc2g_jax.training.cost_to_go import check_numbers
-from dc2g_jax.training.image_data import MaskKind, image_set
 from dc2g_jax.training.image_evaluation import metrics_over_pairs
-from dc2g_jax.training.image_pairs import ImageSet, draw_image_pairs
-from dc2g_jax.training.loop import Log, Losses, Task, train
+from dc2g_jax.training.image_pairs import ImageSet, MaskKind, draw_image_pairs, image_set
+from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax.training.tracking import TrackerName
 from dc2g_jax.training.translator import TranslatorConfig, TranslatorState, init_translator, translator_step
 
@@ -28,7 +26,7 @@ _STEPS_PER_LOOK = 10
 
 
 @dataclasses.dataclass(frozen=True)
-class TranslationOptions(PauseOptions):
+class TranslationOptions(Pauses):
     """Training of a translator. The defaults are the paper's if it gives them.
 
     Attributes:
@@ -67,7 +65,7 @@ class TranslationOptions(PauseOptions):
           InputError: an option is invalid.
         """
         check_numbers(self.learning_rate, steps=self.steps)
-        _ = self.pauses  # raises if invalid
+        self.check_pauses()
         if not 0 <= self.whole_share <= 1:
             raise InputError(f"--whole-share {self.whole_share:g}: give a share from 0 to 1")
         architecture = TranslatorArchitecture(self.size, self.base_filters, self.compute_dtype)
@@ -75,10 +73,9 @@ class TranslationOptions(PauseOptions):
         require_memory(self.batch_size * images, f"--batch-size {self.batch_size}")
         return TranslatorConfig(architecture, loss, self.batch_size, self.learning_rate)
 
-    def facts(self, dataset: HouseDataset, seed: int) -> dict[str, Any]:
-        """Besides the configuration, what must be the same when a run is resumed."""
-        names = ("masks", "train_masks", "whole_share", "augment")
-        return {"seed": seed, "dataset": dataset.name, **{name: getattr(self, name) for name in names}}
+
+#: These options in the options of a command, without a prefix.
+Translation = Annotated[TranslationOptions, tyro.conf.arg(name="")]
 
 
 class TranslationData(NamedTuple):
@@ -94,22 +91,6 @@ def translation_data(dataset: HouseDataset, options: TranslationOptions) -> Tran
     return TranslationData(
         train=make("train", per_house=options.train_masks), validation=make("val", per_house=options.validation_masks)
     )
-
-
-def _card(
-    dataset: HouseDataset, config: TranslatorConfig, options: TranslationOptions, seed: int, step: int
-) -> dict[str, Any]:
-    """The card of a network: its origin."""
-    return {
-        "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks}), "
-        f"{100 * options.whole_share:g} % of pairs whole" + ", shifted, enlarged and mirrored" * options.augment,
-        "target": "8-connected cost-to-go as a picture, brightest visible pixel 1",
-        "loss": config.loss,
-        "command": command_written(),
-        "commit": commit(),
-        "seed": seed,
-        "steps": step,
-    }
 
 
 def require_steps(steps: int, out: Path) -> None:
@@ -153,7 +134,17 @@ def train_translator(
 
     def validate(state: TranslatorState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
         network = TranslatorCostToGo(weights=first_copy(state.generator), architecture=config.architecture)
-        save_network(out / "network", network, _card(dataset, config, options, seed, step))
+        card = {
+            "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks}), "
+            f"{100 * options.whole_share:g} % of pairs whole" + ", shifted, enlarged and mirrored" * options.augment,
+            "target": "8-connected cost-to-go as a picture, brightest visible pixel 1",
+            "loss": config.loss,
+            "command": command_written(),
+            "commit": commit(),
+            "seed": seed,
+            "steps": step,
+        }
+        save_network(out / "network", network, card)
         if not options.validate_every:
             return []
         metrics = metrics_over_pairs(network, data.validation)
@@ -171,5 +162,7 @@ def train_translator(
         steps_per_look=_STEPS_PER_LOOK,
         learning_rate=lambda step: config.learning_rate,
     )
-    checkpoints = TrainingCheckpoints(out, config, options.facts(dataset, seed), first_state=first_state)
-    train(task, out, checkpoints, options.pauses, track)
+    names = ("masks", "train_masks", "whole_share", "augment")
+    facts = {"seed": seed, "dataset": dataset.name, **{name: getattr(options, name) for name in names}}
+    checkpoints = TrainingCheckpoints(out, config, facts, first_state=first_state)
+    train(task, out, checkpoints, options, track)

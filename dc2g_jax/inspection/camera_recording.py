@@ -1,5 +1,6 @@
 """Recordings of mapping for the rerun viewer: camera images, points, voxels, the map and the camera's path."""
 
+import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,13 +10,16 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import Float, UInt8
+from tqdm import tqdm
 
+from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.inspection import legend
 from dc2g_jax.inspection.columns import SO_FAR, first_view, image_style, open_recording, send, send_images
 from dc2g_jax.mapping.camera import Frame, Intrinsics, points
-from dc2g_jax.mapping.semantic_map import MapSettings, SemanticMap
-from dc2g_jax.mapping.sequences import DEPTH_UNITS, depth_steps
+from dc2g_jax.mapping.checks import check_frame
+from dc2g_jax.mapping.semantic_map import MapSettings, SemanticMap, empty_map, integrate, terrain_map
+from dc2g_jax.mapping.sequences import DEPTH_UNITS, ImageSequence, depth_steps, read_frame, read_picture
 from dc2g_jax.programs import jit
 
 #: Number of steps that are sent together. Until then they are kept in memory.
@@ -254,3 +258,40 @@ def _layout(settings: MapSettings, path: Float[np.ndarray, "n 3"]) -> rrb.Bluepr
             column_shares=[2.2, 5, 3.4, 1.2],
         )
     )
+
+
+def record_mapping(
+    file: Path, sequence: ImageSequence, settings: MapSettings, name: str
+) -> tuple[UInt8[np.ndarray, "h w"], int]:
+    """Map all frames of a sequence and record them. Invalid frames are skipped, with a line on the standard error.
+
+    Args:
+      file: file to write.
+      sequence: the sequence.
+      settings: settings of the map.
+      name: name of the sequence.
+
+    Returns:
+      The map seen from above, and the number of invalid frames.
+
+    Raises:
+      InputError: all frames are invalid, or the file cannot be written.
+    """
+    take, read = jit(integrate, static_argnums=3), jit(terrain_map, static_argnums=1)
+    voxels, wrong = empty_map(settings), 0
+    path = np.stack([moment.pose.position for moment in sequence.moments])
+    with CameraRecording(file, camera=sequence.intrinsics, settings=settings, path=path, name=name) as recording:
+        for moment in tqdm(sequence.moments, desc="mapping", unit="frame", file=sys.stderr):
+            frame = read_frame(sequence, moment)
+            try:
+                check_frame(frame, sequence.intrinsics, settings)
+            except InputError as error:
+                tqdm.write(f"left out {moment.depth}: {error}", file=sys.stderr)
+                wrong += 1
+                continue
+            voxels = take(voxels, frame, sequence.intrinsics, settings)
+            terrain, after = jax.device_get((read(voxels, settings), voxels))
+            recording.add(MappedFrame(frame, read_picture(moment), after, terrain))
+    if wrong == len(sequence.moments):
+        raise InputError(f"{name}: something is wrong with all of its {wrong} frames; see the lines above")
+    return np.asarray(read(voxels, settings)), wrong

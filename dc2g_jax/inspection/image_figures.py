@@ -13,6 +13,7 @@ from matplotlib.patches import Patch
 
 from dc2g_jax.inspection.figures import PAGE_WIDTH, bare_axes, plain_axes, save_figure
 from dc2g_jax.inspection.training_figures import draw_band
+from dc2g_jax.training.image_evaluation import HouseMetrics
 
 #: Colors (of Okabe and Ito; the first three as in the paper: L1, GAN, both), markers and line styles of networks and
 #: losses, in the order in which these are given.
@@ -44,20 +45,6 @@ class Example(NamedTuple):
     image: Float[np.ndarray, "s s 3"]
     predicted: Float[np.ndarray, "s s 3"]
     true: Float[np.ndarray, "s s 3"]
-
-
-class HouseMetrics(NamedTuple):
-    """Metrics of a network by house.
-
-    Attributes:
-      distance: distance of each house from the training houses.
-      metrics: metric -> value of each house.
-      fits: metric -> slope and intercept of the regression line, without metrics that have none.
-    """
-
-    distance: Sequence[float]
-    metrics: Mapping[str, Sequence[float]]
-    fits: Mapping[str, tuple[float, float]]
 
 
 def _plain(axes: Axes, metric: str) -> None:

@@ -9,12 +9,13 @@ import numpy as np
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.datasets.maps import SPLITS
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.digests import arrays_sha256
 from dc2g_jax.grid.ground import component_numbers
 from dc2g_jax.objectnav.floor_plans.furnishing import furnish
 from dc2g_jax.objectnav.floor_plans.layouts import draw_layout
 from dc2g_jax.objectnav.floor_plans.placing import CHECK_CELLS, Floor, RoomSketch
 from dc2g_jax.objectnav.plans import PLAN_CELL_SIZE, HousePlan, world_from_plan
-from dc2g_jax.objectnav.procthor import read_procthor
+from dc2g_jax.objectnav.procthor import BOXES_FILE, read_procthor
 from dc2g_jax.objectnav.starts import passable
 from dc2g_jax.objectnav.worlds import IndoorWorld
 
@@ -109,6 +110,50 @@ def indoor_houses(
         if count is not None and count > len(plans):
             raise InputError(f"{path}: has {len(plans)} houses, less than {count}; ask for fewer")
     return [IndoorHouse(f"{split}-{number}", split, world_from_plan(plan, cell_size)) for number, plan in plans[:count]]
+
+
+def indoor_house(
+    name: str,
+    location: str | os.PathLike[str] = PROCEDURAL,
+    split: str = "train",
+    *,
+    cell_size: float = PLAN_CELL_SIZE,
+) -> IndoorHouse:
+    """The house of a split that has this name.
+
+    Raises:
+        InputError: there is none; or see `indoor_houses`, whose arguments the others are.
+    """
+    count = None
+    if location == PROCEDURAL:  # procedural houses are unlimited
+        where, _, number = name.rpartition("-")
+        if where != split or not number.isdecimal():
+            raise InputError(
+                f"--house {name}: the procedural houses of the split {split} are called {split}-0, {split}-1 and so "
+                "on; give one of these, or another --split"
+            )
+        count = int(number) + 1
+    houses = indoor_houses(location, split, count=count, cell_size=cell_size)
+    for house in houses:
+        if house.name == name:
+            return house
+    raise InputError(
+        f"--house {name}: {location} has no such house in its split {split}; give one from {houses[0].name} to "
+        f"{houses[-1].name}"
+    )
+
+
+def houses_sha256(location: str | os.PathLike[str]) -> str | None:
+    """SHA-256 of the files of training and validation houses; `None` for procedural houses, which have none.
+
+    Raises:
+        InputError: the file of a split is missing.
+    """
+    if location == PROCEDURAL:
+        return None
+    files = [split_file(Path(location), split) for split in ("train", "val")]
+    files += [path for path in [Path(location) / BOXES_FILE] if path.is_file()]
+    return arrays_sha256({path.name: np.fromfile(path, np.uint8) for path in files})
 
 
 def split_file(folder: Path, split: str) -> Path:

@@ -1,17 +1,19 @@
 """Predicted costs of a robot: inputs of the network, and its output in meters."""
 
+import hashlib
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float, Int
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.atomic import write_json
 from dc2g_jax.objectnav.agent import Agent, IndoorRobot, IndoorSite, indoor_camera
 from dc2g_jax.objectnav.mapping import IndoorMapSettings, network_input
 from dc2g_jax.objectnav.midlevel import ImageEncoder, load_encoder, view
-from dc2g_jax.objectnav.networks import CostMapEstimator, fused_cost, load_estimator
+from dc2g_jax.objectnav.networks import CostMapEstimator, fused_cost, load_estimator, save_estimator
 
 #: The files of a trained network and of the encoder that it was trained with, in one folder.
 NETWORK_FILE, ENCODER_FILE = "network.safetensors", "encoder.safetensors"
@@ -73,6 +75,19 @@ class PredictedCosts(Generic[_Estimator]):
         occupied, cost = self.estimator.estimate(maps, robot.target, features, vehicle.yaw)
         fused = fused_cost(occupied, cost, self.threshold)
         return jnp.where(jnp.isinf(fused), fused, self.meters * (fused - jnp.min(fused)))
+
+
+def save_costs(folder: Path, estimator: CostMapEstimator, card: dict[str, Any]) -> None:
+    """Save a network beside its encoder, and its card as `network.json` with the SHA-256 of both files.
+
+    Args:
+      folder: folder that the encoder was saved to.
+      estimator: the network.
+      card: further facts about it, as JSON values.
+    """
+    save_estimator(folder / NETWORK_FILE, estimator, card)
+    digests = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in (NETWORK_FILE, ENCODER_FILE)}
+    write_json(folder / "network.json", {**card, "sha256": digests})
 
 
 def load_costs(folder: Path) -> PredictedCosts[CostMapEstimator]:

@@ -92,6 +92,28 @@ def sample_episodes(houses: Sequence[IndoorHouse], per_house: int, *, seed: int 
     return episodes
 
 
+def search_for(house: IndoorHouse, target: str, *, seed: int = 0) -> Search:
+    """A search for an object of a class, from a random start.
+
+    Args:
+      house: the house.
+      target: name of the class.
+      seed: seed of the start.
+
+    Raises:
+      InputError: the target is not a goal class, or the house has no reachable object of this class.
+    """
+    rng = np.random.default_rng([seed, *house.name.encode()])
+    starts = {OBJECT_CLASSES[goal]: sample_starts(house.world, goal, 1, rng=rng) for goal in GOALS}
+    there = [name for name, drawn in starts.items() if len(drawn)]
+    if target not in there:
+        raise InputError(
+            f"--target {target}: cannot be searched for in {house.name}; give one of: {', '.join(there)}; or another "
+            "--house"
+        )
+    return Search(house.name, target, *starts[target][0].tolist())
+
+
 def search_all(
     agent: Agent,
     houses: Sequence[IndoorHouse],

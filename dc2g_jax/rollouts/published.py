@@ -9,7 +9,7 @@ import numpy as np
 from dc2g_jax.datasets.starts import PublishedEpisode, published_episodes
 from dc2g_jax.rollouts.evaluation import EpisodeResult
 from dc2g_jax.rollouts.rollout import STEP_LIMIT
-from dc2g_jax.rollouts.statistics import extra_steps, house_bootstrap
+from dc2g_jax.rollouts.statistics import ExtraSteps, extra_steps, house_bootstrap
 
 #: Groups of the published episodes in tables, in order; `all` holds all episodes.
 PUBLISHED_GROUPS = ("train", "same_neighborhood", "new_neighborhood", "urban", "all")
@@ -49,6 +49,20 @@ class EpisodePair(NamedTuple):
     reached: bool
     extra: float
     authors_extra: float
+
+
+def with_authors(results: Sequence[EpisodeResult]) -> list[ExtraSteps]:
+    """Extra steps in the published episodes: of our results, planner by planner, and of the authors' own runs."""
+    published = published_episodes()
+    found = [
+        ExtraSteps(one.planner, published[number % len(published)].group, one.house, one.extra, one.success)
+        for number, one in enumerate(results)
+    ]
+    for episode in published:
+        for planner, steps in (("authors_frontier", episode.frontier), ("authors_dc2g", episode.dc2g)):
+            extra = extra_steps(steps, episode.oracle)
+            found.append(ExtraSteps(planner, episode.group, episode.start.house, extra, steps < STEP_LIMIT))
+    return found
 
 
 def pair_up(

@@ -3,8 +3,8 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +13,9 @@ import optax
 from flax import struct
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
-from jaxtyping import Array, Float, Int, UInt8, UInt32
+from jaxtyping import Array, Float, Int, UInt32
 
+from dc2g_jax.datasets.pairs import Pair
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import compact_unet
 from dc2g_jax.estimation.compact_unet import Architecture
@@ -132,31 +133,8 @@ class TrainingState:
     optimizer: Any
 
 
-class Batch(Protocol):
-    """Training pairs, see `dc2g_jax.datasets.pairs.Pair`."""
-
-    @property
-    def terrain(self) -> UInt8[Array, "b h w"]:
-        """Observed class indices."""
-        ...
-
-    @property
-    def target(self) -> Float[Array, "b h w"]:
-        """Exact cost-to-go, in cells."""
-        ...
-
-    @property
-    def weight(self) -> Float[Array, "b h w"]:
-        """Weight of each cell in the loss."""
-        ...
-
-
-class DrawBatch(Protocol):
-    """A function that draws training pairs."""
-
-    def __call__(self, key: Array, data: Any, *, batch_size: int) -> Batch:
-        """Draw `batch_size` pairs from the data."""
-        ...
+#: `(key, data, batch_size=...) ->` training pairs.
+DrawBatch = Callable[..., Pair]
 
 
 def learning_rate_schedule(recipe: TrainingConfig) -> optax.Schedule:
@@ -194,7 +172,7 @@ def first_state(config: TrainingConfig) -> TrainingState:
 
 
 def mean_loss(
-    recipe: TrainingConfig, loss_weights: Float[Array, "losses"], weights: Any, batch: Batch
+    recipe: TrainingConfig, loss_weights: Float[Array, "losses"], weights: Any, batch: Pair
 ) -> Float[Array, ""]:
     """Mean over a batch of the weighted sum of each map's losses, in units of the architecture's cost scale."""
     scale = recipe.architecture.cost_scale
@@ -220,21 +198,6 @@ def running_average(average: Any, weights: Any, step: Int[Array, ""], decay: flo
     """The running average of the weights after one more step. Early on, its decay is smaller."""
     kept = jnp.minimum(decay, (1.0 + step) / (10.0 + step))
     return jax.tree.map(lambda a, w: kept * a + (1 - kept) * w, average, weights)
-
-
-def _part_of_batch(
-    step: Int[Array, ""],
-    part: Int[Array, ""],
-    hyperparameters: Hyperparameters,
-    data: Any,
-    *,
-    recipe: TrainingConfig,
-    draw_batch: DrawBatch,
-) -> Batch:
-    """Draw one part of a batch. It only depends on the seed, `step` and `part`, so training can be resumed anywhere."""
-    of_batches = jax.random.fold_in(jax.random.key(hyperparameters.seed), 1)
-    key = jax.random.fold_in(jax.random.fold_in(of_batches, step), part)
-    return draw_batch(key, data, batch_size=recipe.batch_size // recipe.parts)
 
 
 def _updated(
@@ -276,18 +239,22 @@ def _own_parts(recipe: TrainingConfig, layout: Mesh) -> int:
 def _draw(
     state: TrainingState, hyperparameters: Hyperparameters, data: Any, runs: Int[Array, "k"], parts: Int[Array, "p"],
     *, layout: Mesh, recipe: TrainingConfig, draw_batch: DrawBatch,
-) -> Batch:  # fmt: skip
+) -> Pair:  # fmt: skip
     """Draw, on each device, some of its parts of the batches of some of its runs: `[runs, devices of a run, pairs]`."""
     own_parts = _own_parts(recipe, layout)
 
-    def own(steps: Array, hyperparameters: Hyperparameters, data: Any, runs: Array, parts: Array) -> Batch:
+    def own(steps: Array, hyperparameters: Hyperparameters, data: Any, runs: Array, parts: Array) -> Pair:
         first = jax.lax.axis_index(_PARTS) * own_parts % recipe.parts
 
-        def of_run(run: Array) -> Batch:
+        def of_run(run: Array) -> Pair:
             numbers = jax.tree.map(lambda leaf: leaf[run], hyperparameters)
 
-            def part(number: Array) -> Batch:
-                return _part_of_batch(steps[run], first + number, numbers, data, recipe=recipe, draw_batch=draw_batch)
+            def part(number: Array) -> Pair:
+                step, place = steps[run], first + number
+                # A part only depends on the seed, the step and its number, so training can be resumed anywhere.
+                of_batches = jax.random.fold_in(jax.random.key(numbers.seed), 1)
+                key = jax.random.fold_in(jax.random.fold_in(of_batches, step), place)
+                return draw_batch(key, data, batch_size=recipe.batch_size // recipe.parts)
 
             return jax.tree.map(lambda leaf: leaf.reshape(1, -1, *leaf.shape[2:]), jax.vmap(part)(parts))
 
@@ -301,13 +268,13 @@ def _draw(
 
 @functools.partial(jit, static_argnames=("layout", "recipe"))
 def _gradient(
-    state: TrainingState, hyperparameters: Hyperparameters, batch: Batch, runs: Int[Array, "k"],
+    state: TrainingState, hyperparameters: Hyperparameters, batch: Pair, runs: Int[Array, "k"],
     *, layout: Mesh, recipe: TrainingConfig,
 ) -> tuple[Float[Array, "runs devices"], Any]:  # fmt: skip
     """Losses and gradients of the batches of `_draw`."""
 
-    def own(weights: Any, loss_weights: Array, batch: Batch, runs: Array) -> tuple[Array, Any]:
-        def of_run(weights: Any, loss_weights: Array, batch: Batch) -> tuple[Array, Any]:
+    def own(weights: Any, loss_weights: Array, batch: Pair, runs: Array) -> tuple[Array, Any]:
+        def of_run(weights: Any, loss_weights: Array, batch: Pair) -> tuple[Array, Any]:
             own_batch = jax.tree.map(lambda leaf: leaf[0], batch)
             found = jax.value_and_grad(functools.partial(mean_loss, recipe, loss_weights))(weights, own_batch)
             return jax.tree.map(lambda leaf: leaf[None], found)
@@ -401,7 +368,7 @@ def train_step(
     return new
 
 
-def mean_error(architecture: Architecture, weights: Any, batch: Batch) -> Float[Array, ""]:
+def mean_error(architecture: Architecture, weights: Any, batch: Pair) -> Float[Array, ""]:
     """Mean absolute error of the mean outcome, in cells: the weighted mean of each map, averaged over maps."""
     estimate = jnp.mean(compact_unet.apply(architecture, weights, batch.terrain), axis=-1, keepdims=True)
     of_map = functools.partial(map_loss, LOSSES["l1"], levels=jnp.array([0.5]))

@@ -21,8 +21,7 @@ from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax.mapping.noise import IN_MAPS, noisy_map, scaled
 from dc2g_jax.planning.named import make_planner
-from dc2g_jax.planning.planners import Planner
-from dc2g_jax.planning.rules import SETTINGS, Rules, complete_rules
+from dc2g_jax.planning.rules import SETTINGS, complete_rules
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.evaluation import Runner, episodes_from
 from dc2g_jax.training.cost_to_go import DrawBatch
@@ -181,20 +180,38 @@ def training_houses(dataset: HouseDataset, config: DataConfig) -> tuple[list[Hou
     return _with_drawn(own, "e", config.extra_houses, config.data_seed), len(own)
 
 
-def _led_masks(
+def observation_masks(
     config: DataConfig,
     houses: Sequence[House],
     n_own: int,
-    leaders: Callable[[Rules], Sequence[Planner]],
-    on_progress: Callable[[int], None],
+    on_progress: Callable[[int, int], None],
+    network: Estimator | None = None,
 ) -> Masks:
-    """Masks of robots of all sensing ranges in all houses, ordered by house."""
+    """Masks of robots of all sensing ranges in all houses, ordered by house.
+
+    Robots explore frontiers or are led by the exact cost-to-go with errors. With a network, it leads them instead, so
+    that it learns from its own mistakes (DAgger). They then use every other sensing range of the configuration, and
+    four times as many moments of each episode.
+
+    Args:
+      config: configuration of the training data.
+      houses: the houses; those of the dataset first.
+      n_own: number of houses of the dataset.
+      on_progress: called as `on_progress(finished rollouts, total rollouts)`.
+      network: network of the `dc2g` planner.
+    """
+    if network is not None:
+        config = dataclasses.replace(config, ranges=config.ranges[::2], masks_per_episode=4 * config.masks_per_episode)
     index = {house.name: number for number, house in enumerate(houses)}
     worlds = stack_worlds(houses)
     collected: list[Masks] = []
     for place, sensing_range in enumerate(config.ranges):
         rules = complete_rules(sensing_range)
-        for turn, planner in enumerate(leaders(rules)):
+        if network is None:
+            leaders = leading_planners(rules, *houses[0].terrain.shape, seed=config.data_seed)
+        else:
+            leaders = [make_planner("dc2g", rules, network)]
+        for turn, planner in enumerate(leaders):
             seed = (config.data_seed * len(config.ranges) + place) * LEADERS + turn
             starts = sample_starts(houses[:n_own], config.starts_per_house, seed=seed)
             starts += sample_starts(houses[n_own:], config.starts_per_extra_house, seed=seed)
@@ -208,7 +225,7 @@ def _led_masks(
                     seed=seed,
                 )
             )
-            on_progress(len(collected))
+            on_progress(len(collected), len(config.ranges) * len(leaders))
     return by_house(collected)
 
 
@@ -217,50 +234,6 @@ def by_house(parts: Sequence[Masks]) -> Masks:
     masks = concatenate_masks(parts)
     order = np.argsort(masks.world, kind="stable")
     return Masks(boards=masks.boards[order], world=masks.world[order])
-
-
-def observation_masks(
-    config: DataConfig, houses: Sequence[House], n_own: int, on_progress: Callable[[int, int], None]
-) -> Masks:
-    """Masks of robots with frontier exploration or led by the exact cost-to-go with errors.
-
-    Args:
-      config: configuration of the training data.
-      houses: the houses; those of the dataset first.
-      n_own: number of houses of the dataset.
-      on_progress: called as `on_progress(finished rollouts, total rollouts)`.
-    """
-    height, width = houses[0].terrain.shape
-    leaders = functools.partial(leading_planners, height=height, width=width, seed=config.data_seed)
-    return _led_masks(config, houses, n_own, leaders, lambda done: on_progress(done, len(config.ranges) * LEADERS))
-
-
-def masks_of_network(
-    config: DataConfig,
-    houses: Sequence[House],
-    n_own: int,
-    network: Estimator,
-    on_progress: Callable[[int, int], None],
-) -> Masks:
-    """Masks of robots led by a trained network, so that it learns from its own mistakes (DAgger).
-
-    They use every other sensing range of the configuration, and four times as many moments of each episode.
-
-    Args:
-      config: configuration of the training data.
-      houses: the houses; those of the dataset first.
-      n_own: number of houses of the dataset.
-      network: network of the `dc2g` planner.
-      on_progress: called as `on_progress(finished rollouts, total rollouts)`.
-    """
-    some = dataclasses.replace(config, ranges=config.ranges[::2], masks_per_episode=4 * config.masks_per_episode)
-    return _led_masks(
-        some,
-        houses,
-        n_own,
-        lambda rules: [make_planner("dc2g", rules, network)],
-        lambda done: on_progress(done, len(some.ranges)),
-    )
 
 
 def check_masks(masks: Masks, houses: Sequence[House], where: str) -> None:

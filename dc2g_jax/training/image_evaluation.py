@@ -1,12 +1,16 @@
 """Evaluate estimators by their cost-to-go images (section IV-A)."""
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt8
 
+from dc2g_jax.datasets.houses import House, HouseDataset
+from dc2g_jax.datasets.similarity import distance_to_training, similarity_scale
 from dc2g_jax.estimation.estimators import Estimator, TranslatorCostToGo
 from dc2g_jax.estimation.images import cost_to_go_image, largest_cost
 from dc2g_jax.estimation.metrics import Comparison, ImageMetrics, compare_images
@@ -14,10 +18,18 @@ from dc2g_jax.grid.sampling import ClassImage, resize_nearest
 from dc2g_jax.grid.terrain import TRAVERSABLE
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.programs import jit
-from dc2g_jax.training.image_pairs import ImageSet, MaskedMap, labeled_grid, labeled_map, masked_map
+from dc2g_jax.training.image_pairs import (
+    GRID_CELLS,
+    ImageSet,
+    MaskedMap,
+    houses_with_door,
+    labeled_grid,
+    labeled_map,
+    masked_map,
+)
 
-#: Side length of the gridworld, in cells (section IV-B).
-GRID_CELLS = 50
+#: Side length, in pixels, of the maps for the comparison with training maps.
+_COMPARED_SIZE = 256
 
 
 def map_for(estimator: Estimator, image: ClassImage) -> tuple[UInt8[np.ndarray, "s s"], Float[np.ndarray, "s s"]]:
@@ -77,6 +89,51 @@ def compare(
     return compare_images(predicted, pair.target).metrics(), pair.image, predicted, pair.target
 
 
+class HouseMetrics(NamedTuple):
+    """Metrics of a network by house.
+
+    Attributes:
+      distance: distance of each house from the training houses.
+      metrics: metric -> value of each house.
+      fits: metric -> slope and intercept of the regression line, without metrics that have none.
+    """
+
+    distance: Sequence[float]
+    metrics: Mapping[str, Sequence[float]]
+    fits: Mapping[str, tuple[float, float]]
+
+    @classmethod
+    def of(cls, distance: Sequence[float], rows: Sequence[Mapping[str, float]]) -> "HouseMetrics":
+        """Metrics of houses, see `full_map_metrics`, with a least-squares line for each.
+
+        There is no line if all houses have the same distance. Houses without a value are ignored.
+        """
+        metrics = {name: [row[name] for row in rows] for name in ImageMetrics._fields}
+        fits = {}
+        for name, values in metrics.items():
+            known = np.isfinite(values)
+            apart = np.asarray(distance)[known]
+            if apart.size and np.ptp(apart) > 0:
+                slope, intercept = np.polyfit(apart, np.asarray(values)[known], 1)
+                fits[name] = (float(slope), float(intercept))
+        return cls(distance, metrics, fits)
+
+    def summary(self, name: str) -> dict[str, float]:
+        """Mean, lowest and highest value of a metric over the houses with a value; slope and intercept of its line.
+
+        NaN where there is none.
+        """
+        known = [value for value in self.metrics[name] if np.isfinite(value)] or [math.nan]
+        slope, intercept = self.fits.get(name, (math.nan, math.nan))
+        return {
+            "mean": float(np.mean(known)),
+            "lowest": min(known),
+            "highest": max(known),
+            "slope": slope,
+            "intercept": intercept,
+        }
+
+
 def full_map_metrics(estimator: Estimator, images: Iterable[ClassImage]) -> list[dict[str, float]]:
     """Metrics of an estimator on fully observed maps, one entry per house (Fig. 6)."""
     everything = jnp.ones((1, 1), bool)
@@ -85,6 +142,16 @@ def full_map_metrics(estimator: Estimator, images: Iterable[ClassImage]) -> list
         terrain, cost = map_for(estimator, image)
         rows.append(as_floats(compare(estimator, jnp.asarray(terrain), jnp.asarray(cost), everything)[0]))
     return rows
+
+
+def distances_from_training(dataset: HouseDataset, houses: Sequence[House]) -> list[float]:
+    """Distance of each house from the dataset's training houses (section IV-A3), 0 to 1."""
+
+    def squeezed(house: House) -> UInt8[np.ndarray, "s s"]:
+        return resize_nearest(house.terrain, _COMPARED_SIZE, _COMPARED_SIZE)
+
+    scale = similarity_scale(np.stack([squeezed(house) for house in houses_with_door(dataset, "train")]))
+    return [distance_to_training(squeezed(house), scale) for house in houses]
 
 
 def as_floats(metrics: ImageMetrics) -> dict[str, float]:

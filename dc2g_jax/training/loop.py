@@ -85,17 +85,19 @@ class Pauses:
     """When to validate and to save.
 
     Attributes:
-      validate_every: steps between validations; 0 for the last step only.
+      validate_every: steps between validations; the last step is validated too. 0 for none.
       minutes_per_checkpoint: minutes between checkpoints.
-
-    Raises:
-      InputError: one of them is negative or NaN.
     """
 
     validate_every: int
-    minutes_per_checkpoint: float
+    minutes_per_checkpoint: float = 5.0
 
-    def __post_init__(self) -> None:
+    def check_pauses(self) -> None:
+        """Check the numbers.
+
+        Raises:
+          InputError: one of them is negative or NaN.
+        """
         if self.validate_every < 0:
             raise InputError(f"--validate-every {self.validate_every}: give at least 1, or 0 for none")
         if not self.minutes_per_checkpoint >= 0:

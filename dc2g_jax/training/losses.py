@@ -9,10 +9,13 @@ from jaxtyping import Array, Float
 
 from dc2g_jax.errors import InputError
 
+#: What losses get, in units of the network's cost scale, and the levels of the estimated quantiles.
+_Estimate = Float[Array, "h w quantiles"]
+_Target = Float[Array, "h w 1"]
+_Levels = Float[Array, "quantiles"]
+
 #: `(estimate, target, levels) ->` loss of each estimate, in units of the network's cost scale.
-Loss = Callable[
-    [Float[Array, "h w quantiles"], Float[Array, "h w 1"], Float[Array, "quantiles"]], Float[Array, "h w quantiles"]
-]
+Loss = Callable[[_Estimate, _Target, _Levels], _Estimate]
 
 #: The Huber loss is quadratic up to this error, in cost scales.
 _HUBER_BEND = 0.25
@@ -21,33 +24,25 @@ _HUBER_BEND = 0.25
 _LOG_BEND = 0.25
 
 
-def _quantile(
-    estimate: Float[Array, "h w quantiles"], target: Float[Array, "h w 1"], levels: Float[Array, "quantiles"]
-) -> Float[Array, "h w quantiles"]:
+def _quantile(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimate:
     """Quantile loss: each estimate converges to its level of the distribution. At level 1/2 it is `l1`."""
     error = target - estimate
     return 2 * jnp.maximum(levels * error, (levels - 1) * error)
 
 
-def _l1(
-    estimate: Float[Array, "h w quantiles"], target: Float[Array, "h w 1"], levels: Float[Array, "quantiles"]
-) -> Float[Array, "h w quantiles"]:
+def _l1(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimate:
     """Absolute error: estimates converge to the median."""
     del levels
     return jnp.abs(target - estimate)
 
 
-def _l2(
-    estimate: Float[Array, "h w quantiles"], target: Float[Array, "h w 1"], levels: Float[Array, "quantiles"]
-) -> Float[Array, "h w quantiles"]:
+def _l2(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimate:
     """Squared error: estimates converge to the mean."""
     del levels
     return jnp.square(target - estimate)
 
 
-def _huber(
-    estimate: Float[Array, "h w quantiles"], target: Float[Array, "h w 1"], levels: Float[Array, "quantiles"]
-) -> Float[Array, "h w quantiles"]:
+def _huber(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimate:
     """Squared for small errors, absolute for large ones."""
     del levels
     error = jnp.abs(target - estimate)
@@ -55,9 +50,7 @@ def _huber(
     return small * (error - 0.5 * small) / _HUBER_BEND
 
 
-def _log(
-    estimate: Float[Array, "h w quantiles"], target: Float[Array, "h w 1"], levels: Float[Array, "quantiles"]
-) -> Float[Array, "h w quantiles"]:
+def _log(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimate:
     """Absolute error of the inverse hyperbolic sine: a relative error that is defined for all values."""
     del levels
     return jnp.abs(jnp.arcsinh(target / _LOG_BEND) - jnp.arcsinh(estimate / _LOG_BEND)) * _LOG_BEND
@@ -67,17 +60,6 @@ def _log(
 LOSSES: Mapping[str, Loss] = MappingProxyType(
     {"quantile": _quantile, "l1": _l1, "l2": _l2, "huber": _huber, "log": _log}
 )
-
-
-def check_loss_names(names: Sequence[str]) -> None:
-    """Check that all losses are known.
-
-    Raises:
-      InputError: one is unknown; the message lists the known ones.
-    """
-    for name in names:
-        if name not in LOSSES:
-            raise InputError(f"loss {name!r} is not known; known losses: {', '.join(LOSSES)}")
 
 
 def parse_losses(text: str) -> tuple[tuple[str, float], ...]:
@@ -93,7 +75,8 @@ def parse_losses(text: str) -> tuple[tuple[str, float], ...]:
             value = float(weight) if weighted else 1.0
         except ValueError:
             value = -1.0
-        check_loss_names([name])
+        if name not in LOSSES:
+            raise InputError(f"loss {name!r} is not known; known losses: {', '.join(LOSSES)}")
         if not 0 < np.float32(value) < np.inf:
             raise InputError(
                 f"loss {text!r}: the weight of {name} is {weight!r}; give a number above 0 that single precision holds"
@@ -102,6 +85,11 @@ def parse_losses(text: str) -> tuple[tuple[str, float], ...]:
     if len(dict(losses)) < len(losses):
         raise InputError(f"loss {text!r}: names a loss twice; give each once")
     return tuple(losses)
+
+
+def losses_as_text(losses: Sequence[tuple[str, float]]) -> str:
+    """Losses with their weights other than 1, for people."""
+    return " + ".join(name if weight == 1 else f"{weight!r} {name}" for name, weight in losses)
 
 
 def map_loss(

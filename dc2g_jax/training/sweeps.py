@@ -4,17 +4,24 @@ import dataclasses
 import functools
 import itertools
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float, Int
 
+from dc2g_jax.datasets.pairs import Pair
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax.estimation.compact_unet import Architecture
+from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import fetch
-from dc2g_jax.training.cost_to_go import Hyperparameters, TrainingConfig, TrainingState, init_state
+from dc2g_jax.training.cost_to_go import Hyperparameters, TrainingConfig, TrainingState, init_state, mean_error
 from dc2g_jax.training.losses import parse_losses
+
+#: Batch size of validation pairs.
+_PAIRS_AT_A_TIME = 64
 
 
 def runs_of_grid(
@@ -132,3 +139,14 @@ def steps_left_out(states: TrainingState) -> Int[Array, "runs"]:
     """Number of skipped steps of each run, in which the loss or the weights would not have been finite."""
     (_, taken), *_ = optax.tree_utils.tree_get_all_with_path(states.optimizer, "count")
     return states.step - taken
+
+
+@functools.partial(jit, static_argnames=("architecture",))
+def validation_errors(architecture: Architecture, weights: Any, pairs: Pair) -> Float[Array, "runs"]:
+    """Mean error of each run on all pairs, whose number is a multiple of 64, in cells."""
+    chunks = jax.tree.map(lambda leaf: leaf.reshape(-1, _PAIRS_AT_A_TIME, *leaf.shape[1:]), pairs)
+
+    def error(weights: Any) -> Float[Array, ""]:
+        return jnp.mean(jax.lax.map(lambda chunk: mean_error(architecture, weights, chunk), chunks))
+
+    return jax.lax.map(error, weights)

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,7 @@ from dc2g_jax.estimation.pix2pix import Discriminator, Generator, TranslatorArch
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import divide
 from dc2g_jax.training.cost_to_go import check_numbers, loss_or_nan
+from dc2g_jax.training.image_pairs import ImagePair
 
 
 class GeneratorLoss(NamedTuple):
@@ -92,22 +93,8 @@ class TranslatorState:
     discriminator_optimizer: Any
 
 
-class ImageBatch(Protocol):
-    """Image pairs, see `dc2g_jax.training.image_pairs.ImagePair`."""
-
-    @property
-    def image(self) -> Float[Array, "b s s 3"]:
-        """Images of partial maps."""
-        ...
-
-    @property
-    def target(self) -> Float[Array, "b s s 3"]:
-        """Images of their cost-to-go."""
-        ...
-
-
 #: `(key of the run, step, data) -> batch`
-DrawImages = Callable[[Array, Array, Any], ImageBatch]
+DrawImages = Callable[[Array, Array, Any], ImagePair]
 
 
 def _optimizer(config: TranslatorConfig) -> optax.GradientTransformation:
@@ -135,7 +122,7 @@ def init_translator(config: TranslatorConfig, *, seed: int) -> TranslatorState:
 
 
 def discriminator_loss(
-    architecture: TranslatorArchitecture, weights: Any, batch: ImageBatch, generated: Float[Array, "b s s 3"]
+    architecture: TranslatorArchitecture, weights: Any, batch: ImagePair, generated: Float[Array, "b s s 3"]
 ) -> Float[Array, ""]:
     """Cross-entropy of classifying patches as true or generated: the sum of the means of both classes."""
     true, false = (
@@ -145,7 +132,7 @@ def discriminator_loss(
 
 
 def generator_loss(
-    config: TranslatorConfig, discriminator: Any, batch: ImageBatch, generated: Float[Array, "b s s 3"]
+    config: TranslatorConfig, discriminator: Any, batch: ImagePair, generated: Float[Array, "b s s 3"]
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """The generator's loss, and the mean absolute error.
 

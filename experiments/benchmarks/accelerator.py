@@ -24,8 +24,7 @@ from dc2g_jax.rollouts.devices import mesh_for_batch, replicate
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax.rollouts.rollout import rollout
 from dc2g_jax.training.cost_to_go import TrainingConfig
-from dc2g_jax.training.image_data import image_set
-from dc2g_jax.training.image_pairs import draw_image_pairs
+from dc2g_jax.training.image_pairs import draw_image_pairs, image_set
 from dc2g_jax.training.translator import init_translator, translator_step
 
 from .bench import SENSING_RANGE, Bench, own

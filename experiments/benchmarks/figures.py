@@ -1,6 +1,9 @@
 """The figure: who is how fast, and on what it depends."""
 
+import collections
+import operator
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +18,9 @@ from .rows import Row
 #: Colors of Okabe and Ito.
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#666666", "#000000")
 _MARKERS = "osD^vPX*"
+
+#: What most panels show.
+_STEPS = "planner steps per second"
 
 
 def _plain(axes: Axes, title: str) -> None:
@@ -40,7 +46,9 @@ def _name(row: Row) -> str:
     return f"{row.by}{how}{cores}"
 
 
-def _bars(axes: Axes, rows: Sequence[Row], title: str, label: str, name: Callable[[Row], str] = _name) -> None:
+def _bars(
+    axes: Axes, rows: Sequence[Row], *, title: str, label: str = _STEPS, name: Callable[[Row], str] = _name
+) -> None:
     """A bar a program, the fastest on top."""
     rows = sorted((row for row in rows if row.rate), key=lambda row: row.rate or 0.0)
     for place, row in enumerate(rows):
@@ -60,20 +68,29 @@ def _bars(axes: Axes, rows: Sequence[Row], title: str, label: str, name: Callabl
 
 
 def _lines(
-    axes: Axes, groups: dict[str, Sequence[Row]], x: Callable[[Row], Any], title: str, labels: tuple[str, str]
+    axes: Axes,
+    rows: Sequence[Row],
+    *,
+    title: str,
+    x: tuple[str, str],
+    label: str = _STEPS,
+    name: Callable[[Row], str] = _name,
 ) -> None:
-    """A line a program, with the slowest repeat as the lower end of a bar."""
-    for place, (name, rows) in enumerate(groups.items()):
-        known = sorted((row for row in rows if row.rate and row.worst_rate), key=x)
+    """A line a program, over an attribute with its label, with the slowest repeat as the lower end of a bar."""
+    place_of, groups = operator.attrgetter(x[0]), collections.defaultdict[str, list[Row]](list)
+    for row in rows:
+        groups[name(row)].append(row)
+    for place, (program, own) in enumerate(groups.items()):
+        known = sorted((row for row in own if row.rate and row.worst_rate), key=place_of)
         if not known:
             continue
         rates = [row.rate or 0.0 for row in known]
         below = [(row.rate or 0.0) - (row.worst_rate or 0.0) for row in known]
         axes.errorbar(
-            [x(row) for row in known],
+            [place_of(row) for row in known],
             rates,
             yerr=[below, [0.0] * len(known)],
-            label=name,
+            label=program,
             color=_COLORS[place % len(_COLORS)],
             marker=_MARKERS[place % len(_MARKERS)],
             markersize=4.5,
@@ -82,7 +99,7 @@ def _lines(
         )
     axes.set_xscale("log", base=2)
     axes.set_yscale("log")
-    ticks = sorted({x(row) for rows in groups.values() for row in rows if row.rate})
+    ticks = sorted({place_of(row) for row in rows if row.rate})
     axes.set_xticks(ticks, [f"{tick:,}" for tick in ticks], fontsize=7.5, rotation=30 if len(ticks) > 6 else 0)
     axes.xaxis.set_minor_locator(NullLocator())
     bottom, top = axes.get_ylim()
@@ -90,18 +107,11 @@ def _lines(
     axes.set_ylim(bottom, top * 12 if crowded else top)  # room for the legend
     _ticks(axes.yaxis, (bottom, top))
     _plain(axes, title)
-    axes.set_xlabel(labels[0], fontsize=9)
-    axes.set_ylabel(labels[1], fontsize=9)
+    axes.set_xlabel(x[1], fontsize=9)
+    axes.set_ylabel(label, fontsize=9)
     if axes.get_legend_handles_labels()[0]:
         where: dict[str, Any] = {"loc": "upper left", "ncols": 2} if crowded else {}
         axes.legend(fontsize=7.5, frameon=False, **where)
-
-
-def _grouped(rows: Sequence[Row], name: Callable[[Row], str]) -> dict[str, Sequence[Row]]:
-    groups: dict[str, Sequence[Row]] = {}
-    for row in rows:
-        groups[name(row)] = [*groups.get(name(row), ()), row]
-    return groups
 
 
 def _shares(axes: Axes, rows: Sequence[Row]) -> None:
@@ -145,65 +155,43 @@ def plot(path: str | Path, facts: dict[str, Any], rows: Sequence[Row]) -> list[P
         return [row for row in rows if row.section == section and (not whats or row.what in whats)]
 
     batch = [row for row in of("batch") if row.by == "dc2g_jax"]
-    others = [row for row in of("batch") if row.by != "dc2g_jax"]
-    steps = "planner steps per second"
+    environments = [row for row in of("batch") if row.by != "dc2g_jax" or row.what.startswith("environment")]
+    mine = [row for row in of("planners") if row.by == "dc2g_jax"]
     panels: list[tuple[list[Row], Callable[[Axes, list[Row]], None]]] = [
+        (of("planners", "frontier", "frontier_lazy"), partial(_bars, title="Frontier exploration, whole episodes")),
         (
-            of("planners", "frontier", "frontier_lazy"),
-            lambda axes, own: _bars(axes, own, "Frontier exploration, whole episodes", steps),
+            mine,
+            partial(_bars, title="This package, by planner", name=lambda row: _name(row).replace("dc2g_jax", row.what)),
         ),
-        (
-            of("planners"),
-            lambda axes, own: _bars(
-                axes,
-                [row for row in own if row.by == "dc2g_jax"],
-                "This package, by planner",
-                steps,
-                lambda row: _name(row).replace("dc2g_jax", row.what),
-            ),
-        ),
-        (
-            of("environment"),
-            lambda axes, own: _bars(axes, own, "Environment alone, random actions", "steps per second"),
-        ),
+        (of("environment"), partial(_bars, title="Environment alone, random actions", label="steps per second")),
         (
             batch,
-            lambda axes, own: _lines(
-                axes,
-                _grouped(own, lambda row: row.what),
-                lambda row: row.batch,
-                "By batch: this package",
-                ("robots, environments or maps side by side", "steps or maps per second"),
+            partial(
+                _lines,
+                title="By batch: this package",
+                x=("batch", "robots, environments or maps side by side"),
+                label="steps or maps per second",
+                name=lambda row: row.what,
             ),
         ),
         (
-            [*[row for row in batch if row.what.startswith("environment")], *others],
-            lambda axes, own: _lines(
-                axes,
-                _grouped(own, lambda row: row.by),
-                lambda row: row.batch,
-                "By batch: environments",
-                ("environments side by side", "environment steps per second"),
+            environments,
+            partial(
+                _lines,
+                title="By batch: environments",
+                x=("batch", "environments side by side"),
+                label="environment steps per second",
+                name=lambda row: row.by,
             ),
         ),
         (
             of("grid"),
-            lambda axes, own: _lines(
-                axes,
-                _grouped(own, _name),
-                lambda row: row.cells,
-                "By size of the map: frontier, 100 actions",
-                ("side of the map (cells)", steps),
-            ),
+            partial(_lines, title="By size of the map: frontier, 100 actions", x=("cells", "side of the map (cells)")),
         ),
         (
             of("range"),
-            lambda axes, own: _lines(
-                axes,
-                _grouped(own, _name),
-                lambda row: row.sensing_range,
-                "By sensing range: frontier, 100 actions",
-                ("sensing range (cells)", steps),
+            partial(
+                _lines, title="By sensing range: frontier, 100 actions", x=("sensing_range", "sensing range (cells)")
             ),
         ),
         ([*of("kernels"), *of("network")], _shares),

@@ -22,7 +22,7 @@ _READS_PART = frozenset({"slice", "dynamic-slice", "gather"})
 _WRITES_PART = {"dynamic-update-slice": 1, "scatter": 2}
 
 _COMPUTATION = re.compile(r"^(ENTRY )?%?([\w.-]+) \(.*\{$")
-_INSTRUCTION = re.compile(r"^  (ROOT )?%?([\w.-]+) = (.*?) ([a-z][\w-]*)\((.*)$")
+_INSTRUCTION = re.compile(r"^  (?:ROOT )?%?([\w.-]+) = (.*?) ([a-z][\w-]*)\((.*)$")
 _ARRAY = re.compile(r"\b([a-z]+[0-9]*)[a-z0-9]*\[([0-9,]*)\]")
 _TURNS = re.compile(r'"known_trip_count":\{"n":"(\d+)"\}')
 
@@ -60,7 +60,6 @@ class Launches:
 class _Instruction(NamedTuple):
     """A line of HLO: `%name = shape operation(operands), attributes`."""
 
-    root: bool
     name: str
     size: int
     operation: str
@@ -89,10 +88,9 @@ def _parsed(hlo: str) -> tuple[dict[str, list[_Instruction]], str]:
             computations[name] = []
             entry = name if head[1] else entry
         elif found := _INSTRUCTION.match(line):
-            operands, _, attributes = found[5].partition(")")
+            operands, _, attributes = found[4].partition(")")
             names = re.findall(r"%([\w.-]+)", operands) or [operands]  # a parameter has its number there
-            instruction = _Instruction(bool(found[1]), found[2], _size(found[3]), found[4], names, attributes)
-            computations[name].append(instruction)
+            computations[name].append(_Instruction(found[1], _size(found[2]), found[3], names, attributes))
     return computations, entry
 
 

@@ -4,7 +4,6 @@ import dataclasses
 import os
 import platform
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -15,19 +14,16 @@ from dc2g_jax.cli.outputs import versions
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import cores
 
-from .timing import measure
+from .timing import measure, text_of
 
 #: Resources, as `shares` of rows name them.
 BANDWIDTH, WORD_ARITHMETIC, FLOAT_ARITHMETIC = "memory bandwidth", "32-bit word arithmetic", "float32 arithmetic"
 
 
 def _cpu_name() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
+    for line in text_of("/proc/cpuinfo").splitlines():
+        if line.startswith("model name"):
+            return line.split(":", 1)[1].strip()
     return platform.processor() or platform.machine()
 
 
@@ -37,19 +33,14 @@ def load() -> float:
 
 
 def _vector_instructions() -> str:
-    try:
-        flags = Path("/proc/cpuinfo").read_text().split()
-    except OSError:
-        return "unknown"
+    flags = text_of("/proc/cpuinfo").split()
     return next((name for name in ("avx512f", "avx2", "asimd", "sse2") if name in flags), "unknown")
 
 
 def _driver() -> str:
     """The accelerator's driver as the system names it, or the runtime that JAX runs it with."""
-    try:
-        return Path("/proc/driver/nvidia/version").read_text().splitlines()[0].split(":", 1)[1].strip()
-    except (OSError, IndexError):
-        return " ".join(str(jax.devices()[0].client.platform_version).split())
+    named = text_of("/proc/driver/nvidia/version").partition("\n")[0].partition(":")[2].strip()
+    return named or " ".join(str(jax.devices()[0].client.platform_version).split())
 
 
 def describe() -> dict[str, Any]:

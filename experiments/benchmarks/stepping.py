@@ -29,9 +29,11 @@ ENVIRONMENT_UNIT = "environment steps"
 _STEPS = 32
 
 
-def _actions(batch: int) -> jax.Array:
-    """The same random actions for everyone, [steps batch]."""
-    return jnp.asarray(np.random.default_rng(0).integers(3, size=(_STEPS, batch)), jnp.int32)
+def _stepped(bench: Bench, row: Row, batch: int, run: Callable[..., Any], *starts: Any) -> Row:
+    """The row of a program that takes random actions, [steps batch], the same for everyone, from its starts."""
+    actions = jnp.asarray(np.random.default_rng(0).integers(3, size=(_STEPS, batch)), jnp.int32)
+    program = compile_program(run, *starts, actions)
+    return row.with_figures(bench.measure(lambda: program.call(*starts, actions)), float(_STEPS * batch))
 
 
 def own_steps(bench: Bench, row: Row, batch: int) -> Row:
@@ -45,10 +47,7 @@ def own_steps(bench: Bench, row: Row, batch: int) -> Row:
 
         return jax.lax.scan(step, gridworld.reset(world, pose, sensing), actions)[0]
 
-    arguments = (robots.world, robots.belief.pose, _actions(batch))
-    program = compile_program(run, *arguments)
-    measured = bench.measure(lambda: program.call(*arguments))
-    return row.with_figures(measured, float(_STEPS * batch))
+    return _stepped(bench, row, batch, run, robots.world, robots.belief.pose)
 
 
 def _peer_steps(bench: Bench, make: Callable[[int, int], Environment], row: Row, batch: int) -> Row:
@@ -60,10 +59,7 @@ def _peer_steps(bench: Bench, make: Callable[[int, int], Environment], row: Row,
 
         return environment.outcome(jax.lax.scan(step, environment.reset(key), actions)[0])
 
-    arguments = (jax.random.key(0), _actions(batch))
-    program = compile_program(run, *arguments)
-    measured = bench.measure(lambda: program.call(*arguments))
-    return row.with_figures(measured, float(_STEPS * batch))
+    return _stepped(bench, row, batch, run, jax.random.key(0))
 
 
 def _numpy_steps(bench: Bench, row: Row) -> Row:

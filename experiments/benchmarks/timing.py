@@ -95,6 +95,14 @@ def checksum(output: Any) -> int:
     return total
 
 
+def text_of(path: str) -> str:
+    """The text of a file of the system; empty where it has none."""
+    try:
+        return Path(path).read_text()
+    except OSError:
+        return ""
+
+
 def _device_memory(name: str) -> int | None:
     """The first device's own count of its memory, where it keeps one."""
     return (jax.local_devices()[0].memory_stats() or {}).get(name)
@@ -102,12 +110,9 @@ def _device_memory(name: str) -> int | None:
 
 def _process_memory(name: str) -> int | None:
     """The system's count of this process's resident memory, in bytes."""
-    try:
-        for line in Path("/proc/self/status").read_text().splitlines():
-            if line.startswith(f"{name}:"):
-                return 1024 * int(line.split()[1])
-    except OSError:
-        pass
+    for line in text_of("/proc/self/status").splitlines():
+        if line.startswith(f"{name}:"):
+            return 1024 * int(line.split()[1])
     return None
 
 

@@ -14,10 +14,7 @@ from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import mesh_of, replicate
 from dc2g_jax.training.cost_to_go import Hyperparameters, TrainingConfig, TrainingState, first_state, train_step
 from dc2g_jax.training.cost_to_go_data import DataConfig
-from dc2g_jax.training.sweeps import (
-    init_states,
-    stacked_hyperparameters,
-)
+from dc2g_jax.training.sweeps import init_states, stacked_hyperparameters
 
 from .bench import Bench, own
 from .rows import Row

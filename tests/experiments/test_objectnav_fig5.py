@@ -5,6 +5,7 @@ import json
 
 import pytest
 
+from dc2g_jax.objectnav import houses
 from experiments import objectnav_fig5
 from experiments.objectnav_fig5 import Options, main
 from tests.support.refusals import refusal
@@ -14,8 +15,9 @@ OPTIONS = Options(split="val", target="plant", agent="random", samples=8, limit=
 
 
 @pytest.fixture(autouse=True)
-def houses(monkeypatch):
-    monkeypatch.setattr(objectnav_fig5, "indoor_houses", lambda *args, **options: [two_rooms()])
+def two_rooms_alone(monkeypatch):
+    for module in (houses, objectnav_fig5):
+        monkeypatch.setattr(module, "indoor_houses", lambda *args, **options: [two_rooms()])
 
 
 @pytest.mark.slow

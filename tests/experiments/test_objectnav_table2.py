@@ -12,8 +12,9 @@ from dc2g_jax.objectnav.metrics import OF_CLASSES
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, TrainedEncoder, init_encoder, save_encoder
 from dc2g_jax.objectnav.networks import ABLATIONS, CostMapArchitecture, CostMapEstimator, CostMapNetwork, save_estimator
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE
+from dc2g_jax.objectnav.tables import METRICS
 from experiments import objectnav_table2
-from experiments.objectnav_table2 import METRICS, Options, main
+from experiments.objectnav_table2 import Options, main
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 

@@ -12,9 +12,8 @@ from dc2g_jax.cli import translation
 from dc2g_jax.cli.translation import TranslationOptions, train_translator, translation_data
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
-from dc2g_jax.inspection.image_figures import METRIC_LABELS
 from dc2g_jax.training.loop import Log
-from experiments import reproduce_fig4, reproduce_fig5, reproduce_fig6
+from experiments import reproduce_fig4, reproduce_fig5
 from experiments import train_translator as train_translator_command
 from tests.support import maps
 
@@ -136,17 +135,6 @@ def test_figure_4_shows_as_many_houses_as_asked_for(dataset, compact_network, tm
     assert {path.name for path in (tmp_path / "fig4").iterdir()} == {"fig4.png", "fig4.svg", "fig4.pdf", "run.json"}
     with pytest.raises(InputError, match="--rows 0"):
         reproduce_fig4.main(reproduce_fig4.Options(rows=0, out=tmp_path / "no"))
-
-
-def test_a_house_without_a_value_has_no_part_in_means_and_lines():
-    rows = [dict.fromkeys(METRIC_LABELS, value) for value in (0.2, np.nan, 0.6)]
-    points = reproduce_fig6.points_of([0.0, 0.1, 0.4], rows)
-    assert points.fits["l1"] == pytest.approx((1.0, 0.2))
-    expected = {"mean": 0.4, "lowest": 0.2, "highest": 0.6, "slope": 1.0, "intercept": 0.2}
-    assert reproduce_fig6.summary_of(points, "l1") == pytest.approx(expected)
-    nothing = reproduce_fig6.points_of([0.0, 0.1, 0.4], [dict.fromkeys(METRIC_LABELS, np.nan)] * 3)
-    assert nothing.fits == {}
-    assert np.isnan(list(reproduce_fig6.summary_of(nothing, "l1").values())).all()
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.5])

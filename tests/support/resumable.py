@@ -24,10 +24,14 @@ from dc2g_jax.estimation.checkpoints import load_network
 from dc2g_jax.grid.terrain import GRASS
 from dc2g_jax.objectnav.collecting import CollectionConfig
 from dc2g_jax.objectnav.evaluation import SearchResult
+from dc2g_jax.objectnav.metrics import OF_CLASSES
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, EncoderState, TrainedEncoder, init_encoder, save_encoder
+from dc2g_jax.objectnav.tables import METRICS
 from dc2g_jax.programs import jit
+from dc2g_jax.rollouts import published
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax.rollouts.published import PUBLISHED_GROUPS
+from dc2g_jax.training import sweeps
 from dc2g_jax.training.cost_to_go_data import DataConfig
 from dc2g_jax.training.loop import Task
 from dc2g_jax.training.mask_collection import Masks
@@ -85,7 +89,7 @@ def fake_step(state, *args, **options) -> tuple[Any, jax.Array]:
     return dataclasses.replace(state, step=state.step + 1, **changed), jnp.full(state.step.shape, 0.5)
 
 
-def fake_masks(config, houses, n_own, on_progress) -> Masks:
+def fake_masks(config, houses, n_own, on_progress, network) -> Masks:
     """Stands in for `observation_masks`."""
     return Masks(boards=np.ones((2, 1, 10), np.uint32), world=np.zeros(2, np.int32))
 
@@ -149,8 +153,8 @@ def _published(patch: pytest.MonkeyPatch, module: Any) -> None:
     ran = [PublishedEpisode(group, start, 5, 9, 7) for group in groups for start in STARTS[:2]]
     open_dataset = module.open_dataset
     patch.setattr(module, "open_dataset", lambda where: dataclasses.replace(open_dataset(where), source="published"))
-    for each in (module, episodes):
-        patch.setattr(each, "published_episodes", lambda: ran)
+    for each in (module, episodes, published):
+        patch.setattr(each, "published_episodes", lambda: ran, raising=False)
 
 
 def run_episodes_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
@@ -213,9 +217,8 @@ def objectnav_table2_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> 
     _tables(patch)
     patch.setattr(objectnav_table2, "open_networks", lambda folders: {"semantic": None, "both": None})
     patch.setattr(objectnav_table2, "agent_with", lambda *args: None)
-    patch.setattr(
-        objectnav_table2, "prediction_metrics", lambda *args: dict.fromkeys(objectnav_table2.METRICS, 50.0)
-    )  # fmt: skip
+    metrics = dict.fromkeys((*METRICS, *OF_CLASSES), 50.0)
+    patch.setattr(objectnav_table2, "prediction_metrics", lambda *args: metrics)
     return _command(objectnav_table2, objectnav_table2.Options(count=1, episodes=2, resamples=20))
 
 
@@ -240,7 +243,7 @@ def sweep_losses_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Comm
     _training(patch, sweep_losses)
     patch.setattr(sweep_losses, "jit", functools.cache(jit))
     patch.setattr(sweep_losses, "validation_pairs", lambda *args, **options: None)
-    patch.setattr(sweep_losses, "validation_errors", lambda architecture, weights, pairs: np.arange(2.0))
+    patch.setattr(sweeps, "validation_errors", lambda architecture, weights, pairs: np.arange(2.0))
     patch.setattr(sweep_losses, "plot_sweep", fake_figure)
     options = sweep_losses.Options(
         dataset=dataset, out=folder, data=DataConfig(extra_houses=0), widths=("2,2,2,2",), losses=("l1",), seeds=(0, 1),

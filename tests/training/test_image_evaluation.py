@@ -17,7 +17,14 @@ from dc2g_jax.estimation.metrics import ImageMetrics, compare_images
 from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax.grid.search import EIGHT_CONNECTED
 from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
-from dc2g_jax.training.image_evaluation import as_floats, compare, full_map_metrics, map_for, metrics_over_pairs
+from dc2g_jax.training.image_evaluation import (
+    HouseMetrics,
+    as_floats,
+    compare,
+    full_map_metrics,
+    map_for,
+    metrics_over_pairs,
+)
 from dc2g_jax.training.image_pairs import all_pairs, masked_map
 from tests.support import maps
 
@@ -91,3 +98,14 @@ def test_metrics_over_pairs_count_the_pixels_of_all(network):
     together = compare_images(jnp.concatenate(drawn), jnp.concatenate(true)).metrics()
     found = metrics_over_pairs(network, data)
     assert found == pytest.approx(as_floats(together), abs=1e-3, nan_ok=True)
+
+
+def test_a_house_without_a_value_has_no_part_in_means_and_lines():
+    rows = [dict.fromkeys(ImageMetrics._fields, value) for value in (0.2, np.nan, 0.6)]
+    points = HouseMetrics.of([0.0, 0.1, 0.4], rows)
+    assert points.fits["l1"] == pytest.approx((1.0, 0.2))
+    expected = {"mean": 0.4, "lowest": 0.2, "highest": 0.6, "slope": 1.0, "intercept": 0.2}
+    assert points.summary("l1") == pytest.approx(expected)
+    nothing = HouseMetrics.of([0.0, 0.1, 0.4], [dict.fromkeys(ImageMetrics._fields, np.nan)] * 3)
+    assert nothing.fits == {}
+    assert np.isnan(list(nothing.summary("l1").values())).all()

@@ -21,6 +21,7 @@ from dc2g_jax.training.image_pairs import (
     all_pairs,
     draw_image_pairs,
     houses_with_door,
+    image_set,
     labeled_grid,
     labeled_map,
     masked_map,
@@ -172,3 +173,18 @@ def test_houses_without_a_door_are_left_out_and_a_split_without_houses_is_refuse
     for split in ("val", "test"):
         with pytest.raises(InputError, match=f"some: no {split} house has a front door"):
             houses_with_door(dataset, split)
+
+
+def test_masks_of_robots():
+    data = image_set(maps.drawn_dataset(), "train", size=32, masks="rollout", per_house=6)
+    np.testing.assert_array_equal(data.pair_house, np.repeat([0, 1], 6))
+    assert data.masks.shape == (12, 2, 50)
+    share = [np.asarray(bitboard.unpack(mask, 50)).mean() for mask in data.masks]
+    assert 0 < min(share) < max(share) < 1
+    again = image_set(maps.drawn_dataset(), "train", size=32, masks="rollout", per_house=6)
+    np.testing.assert_array_equal(again.masks, data.masks)
+
+
+def test_no_masks_make_no_pairs():
+    with pytest.raises(InputError, match="train: 0 masks a house"):
+        image_set(maps.drawn_dataset(), "train", size=32, masks="paper", per_house=0)

@@ -124,11 +124,11 @@ def test_runs_trained_together_go_on_when_one_diverges(training):
 
 def test_pauses_that_are_none_are_refused():
     with pytest.raises(InputError, match="--validate-every -1: give at least 1"):
-        Pauses(-1, 1.0)
+        Pauses(-1, 1.0).check_pauses()
     for minutes in (-0.5, np.nan):
         with pytest.raises(InputError, match=f"--minutes-per-checkpoint {minutes}: give a number from 0 on"):
-            Pauses(10, minutes)
-    Pauses(0, 0.0)
+            Pauses(10, minutes).check_pauses()
+    Pauses(0, 0.0).check_pauses()
 
 
 @pytest.mark.usefixtures("interruptible")
