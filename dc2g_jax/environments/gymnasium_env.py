@@ -24,29 +24,19 @@ import numpy as np
 from jaxtyping import Array, Float, Int, UInt8
 from PIL import Image, ImageDraw
 
-from dc2g_jax.datasets.houses import HouseDataset
-from dc2g_jax.environments.functional import (
-    SENSING_RANGE,
-    FrontDoor,
-    Observation,
-    Params,
-    State,
-    observe,
-    whole_number,
-)
+from dc2g_jax.environments.functional import FrontDoor, Observation, Params, State, observe, whole_number
 from dc2g_jax.environments.task import FrontDoorTask
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.poses import FORWARD, HEADINGS, Pose
 from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_RGB
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.rollout import STEP_LIMIT
 
 try:
     import gymnasium
     from gymnasium import spaces
     from gymnasium.utils import seeding
     from gymnasium.vector import AutoresetMode
-    from gymnasium.vector.utils import batch_space
+    from gymnasium.vector.utils import batch_space, iterate
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError(
         f"dc2g_jax.environments.gymnasium_env needs {error.name}, which is not installed; "
@@ -76,12 +66,9 @@ class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
     robot reaches a front door, and truncated at the step limit.
 
     Args:
-      dataset: folder, the word `procedural`, an open dataset or `None`; see `dc2g_jax.environments.task.FrontDoorTask`.
-      split: `train`, `val` or `test`.
-      sensing_range: range of the 90-degree field of view, in cells.
-      step_limit: actions after which an episode is truncated.
-      cells: side length of the square maps, if `dataset` is not open yet.
       render_mode: `rgb_array` or `None`.
+      **options: `dataset`, `split`, `sensing_range`, `step_limit` and `cells` of
+        `dc2g_jax.environments.task.FrontDoorTask`.
 
     Raises:
       InputError: an option or the dataset is invalid.
@@ -89,18 +76,9 @@ class FrontDoorEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012
 
-    def __init__(
-        self,
-        *,
-        dataset: str | os.PathLike[str] | HouseDataset | None = None,
-        split: str = "train",
-        sensing_range: int = SENSING_RANGE,
-        step_limit: int = STEP_LIMIT,
-        cells: int = 50,
-        render_mode: str | None = None,
-    ):
+    def __init__(self, *, render_mode: str | None = None, **options: Any):
         _leave_forks()
-        self._task = FrontDoorTask(dataset, split, sensing_range, step_limit, cells)
+        self._task = FrontDoorTask(**options)
         self.render_mode = _checked_render_mode(render_mode)
         self.observation_space = _observation_space(self._task)
         self.action_space = spaces.Discrete(FrontDoor.num_actions)
@@ -173,32 +151,15 @@ class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.nd
 
     Args:
       num_envs: number of robots.
-      dataset: see `FrontDoorEnv`.
-      split: see `FrontDoorEnv`.
-      sensing_range: see `FrontDoorEnv`.
-      step_limit: see `FrontDoorEnv`.
-      cells: see `FrontDoorEnv`.
       render_mode: see `FrontDoorEnv`.
+      **options: see `FrontDoorEnv`.
     """
 
-    metadata = {  # noqa: RUF012
-        **FrontDoorEnv.metadata,
-        "autoreset_mode": AutoresetMode.SAME_STEP,
-    }
+    metadata = {**FrontDoorEnv.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
 
-    def __init__(
-        self,
-        num_envs: int,
-        *,
-        dataset: str | os.PathLike[str] | HouseDataset | None = None,
-        split: str = "train",
-        sensing_range: int = SENSING_RANGE,
-        step_limit: int = STEP_LIMIT,
-        cells: int = 50,
-        render_mode: str | None = None,
-    ):
+    def __init__(self, num_envs: int, *, render_mode: str | None = None, **options: Any):
         self.num_envs = whole_number("num_envs", num_envs, 1)
-        self._task = FrontDoorTask(dataset, split, sensing_range, step_limit, cells)
+        self._task = FrontDoorTask(**options)
         self.render_mode = _checked_render_mode(render_mode)
         self.single_observation_space = _observation_space(self._task)
         self.single_action_space = spaces.Discrete(FrontDoor.num_actions)
@@ -249,14 +210,17 @@ class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.nd
         terminated, truncated = np.array(info["terminated"]), np.array(info["truncated"])
         infos = self._infos()
         if np.any(done := terminated | truncated):
-            infos |= self._final_infos(done, houses, info["final_observation"])
+            last = np.full(self.num_envs, None, object)
+            last[done] = list(iterate(self.observation_space, _to_numpy(info["final_observation"], done)))
+            final = {"house": np.where(done, task.names[houses], None), "_house": done.copy()}
+            infos |= {"final_obs": last, "_final_obs": done, "final_info": final, "_final_info": done.copy()}
         return _to_numpy(self._observations), np.array(rewards, np.float64), terminated, truncated, infos
 
     def render(self) -> tuple[UInt8[np.ndarray, "height width 3"], ...] | None:
         """An image of each robot's belief, or `None` without render mode."""
         if self.render_mode is None or self._observations is None:
             return None
-        return tuple(frame(**seen) for seen in _one_by_one(_to_numpy(self._observations)))
+        return tuple(frame(**seen) for seen in iterate(self.observation_space, _to_numpy(self._observations)))
 
     def _checked(self, actions: np.ndarray | Sequence[int]) -> Int[np.ndarray, "robots"]:
         chosen = np.asarray(actions)
@@ -272,19 +236,6 @@ class FrontDoorVectorEnv(gymnasium.vector.VectorEnv[dict[str, np.ndarray], np.nd
         """The infos of `FrontDoorEnv` for every robot, in the format of vector environments."""
         assert self._states is not None
         return {"house": self._task.names[np.asarray(self._states.house)], "_house": np.ones(self.num_envs, bool)}
-
-    def _final_infos(self, done: np.ndarray, houses: np.ndarray, observations: Observation) -> dict[str, Any]:
-        """The last observation and infos of every episode that has just ended."""
-        last = np.full(self.num_envs, None, object)
-        for robot, seen in zip(np.flatnonzero(done), _one_by_one(_to_numpy(observations, done)), strict=True):
-            last[robot] = seen
-        names = np.where(done, self._task.names[houses], None)
-        return {
-            "final_obs": last,
-            "_final_obs": done.copy(),
-            "final_info": {"house": names, "_house": done.copy()},
-            "_final_info": done.copy(),
-        }
 
 
 def _leave_forks() -> None:
@@ -327,20 +278,15 @@ def _to_numpy(observation: Observation, chosen: Any = ...) -> dict[str, np.ndarr
     }
 
 
-def _one_by_one(observations: dict[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
-    """The observations of a batch as a list."""
-    return [
-        {"terrain": terrain.copy(), "pose": pose.copy()}
-        for terrain, pose in zip(observations["terrain"], observations["pose"], strict=True)
-    ]
-
-
 _jit = functools.partial(jit, static_argnames="environment")
 
 
 @_jit
 def _start(house: Int[Array, ""], pose: Pose, params: Params, environment: FrontDoor) -> tuple[Observation, State]:
     return environment.start(house, pose, params)
+
+
+_start_all = _jit(jax.vmap(_start, in_axes=(0, 0, None, None)))
 
 
 @_jit
@@ -350,24 +296,15 @@ def _reset(key: Array, params: Params, environment: FrontDoor) -> tuple[Array, O
     return key, *environment.reset(own_key, params)
 
 
+_reset_all = _jit(jax.vmap(_reset, in_axes=(0, None, None)))
+
+
 @_jit
 def _advance(
     state: State, action: Int[Array, ""], params: Params, environment: FrontDoor
 ) -> tuple[Observation, State, Array, Array, Array]:
     state, reward, terminated, truncated = environment.advance(state, action, params)
     return observe(state), state, reward, terminated, truncated
-
-
-@_jit
-def _start_all(
-    houses: Int[Array, "robots"], poses: Pose, params: Params, environment: FrontDoor
-) -> tuple[Observation, State]:
-    return jax.vmap(lambda house, pose: environment.start(house, pose, params))(houses, poses)
-
-
-@_jit
-def _reset_all(keys: Array, params: Params, environment: FrontDoor) -> tuple[Array, Observation, State]:
-    return jax.vmap(lambda key: _reset(key, params, environment))(keys)
 
 
 @_jit

@@ -42,11 +42,11 @@ class FrontDoorTask:
 
     def __init__(
         self,
-        dataset: str | os.PathLike[str] | HouseDataset | None,
-        split: str,
-        sensing_range: int,
-        step_limit: int,
-        cells: int,
+        dataset: str | os.PathLike[str] | HouseDataset | None = None,
+        split: str = "train",
+        sensing_range: int = SENSING_RANGE,
+        step_limit: int = STEP_LIMIT,
+        cells: int = 50,
     ):
         if not isinstance(dataset, HouseDataset):
             dataset = open_dataset(dataset, cells=whole_number("cells", cells, 2))
