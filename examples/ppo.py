@@ -19,6 +19,7 @@ import numpy as np
 import optax
 import tyro
 from flax import nnx
+from flax.traverse_util import flatten_dict
 from jaxtyping import Array, Bool, Float, Int, UInt8
 from optax import softmax_cross_entropy_with_integer_labels as cross_entropy
 from tqdm import tqdm
@@ -29,7 +30,6 @@ from dc2g_jax.datasets.starts import sample_starts, why_no_episode
 from dc2g_jax.environments.functional import FrontDoor, Observation, Params, State, egocentric, front_door, observe
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.weights import (
-    flattened,
     read_safetensors,
     read_weights,
     shapes_of_weights,
@@ -328,7 +328,8 @@ def main(options: Options) -> None:
         (options.out / "table.csv").write_text("\n".join(lines))
         steps = ppo.chunk * ppo.decisions * np.arange(1, len(curve) + 1)
         save_learning_curve(options.out / "curve", steps, *curve.T)
-        write_safetensors(options.out / "policy.safetensors", flattened(jax.device_get(nnx.to_pure_dict(weights))), {})
+        policy = flatten_dict(jax.device_get(nnx.to_pure_dict(weights)), sep=".")
+        write_safetensors(options.out / "policy.safetensors", policy, {})
         print(f"Policy, learning curve and table are in {options.out}.")
 
 

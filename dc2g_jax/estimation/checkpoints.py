@@ -14,12 +14,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import nnx
+from flax.traverse_util import flatten_dict
 
 from dc2g_jax.errors import InputError, require_extra, short
 from dc2g_jax.estimation.compact_unet import Architecture, CompactUNet
 from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.pix2pix import Generator, TranslatorArchitecture
-from dc2g_jax.estimation.weights import flattened, read_safetensors, read_weights, shapes_of_weights, write_safetensors
+from dc2g_jax.estimation.weights import read_safetensors, read_weights, shapes_of_weights, write_safetensors
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.digests import arrays_sha256
 from dc2g_jax.files.reading import number, read_object, whole_number
@@ -92,9 +93,9 @@ def _quiet() -> Iterator[None]:
             logger.setLevel(level)
 
 
-def _reason(error: Exception) -> str:
-    """Orbax's error message, shortened."""
-    return str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+def reason(error: Exception) -> str:
+    """The first nonblank line of an error's message."""
+    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)[:160]
 
 
 def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, Any] | None = None) -> Path:
@@ -107,7 +108,7 @@ def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, An
     """
     folder = Path(folder).absolute()
     folder.mkdir(parents=True, exist_ok=True)
-    tensors = {name: np.asarray(leaf) for name, leaf in flattened(network.weights).items()}
+    tensors = {name: np.asarray(leaf) for name, leaf in flatten_dict(network.weights, sep=".").items()}
     write_safetensors(folder / _WEIGHTS, tensors, {})
     facts = {
         "network": next(name for name, kind in _KINDS.items() if isinstance(network, kind.estimator)),
@@ -153,7 +154,7 @@ def _read_orbax_weights(path: Path, shapes: dict[str, Any]) -> dict[str, Any]:
         with _quiet(), ocp.StandardCheckpointer() as checkpointer:
             return checkpointer.restore(path, shapes)
     except Exception as error:  # Orbax raises many types for a damaged checkpoint
-        raise InputError(f"{path}: cannot be read ({_reason(error)}); save or copy the network again") from None
+        raise InputError(f"{path}: cannot be read ({reason(error)}); save or copy the network again") from None
 
 
 def load_network(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork:
@@ -271,7 +272,7 @@ class TrainingCheckpoints:
                 restored = self._manager.restore(step, args=self._orbax.args.StandardRestore(template))
         except Exception as error:  # Orbax raises many types
             raise InputError(
-                f"{self._folder / str(step)}: cannot be restored ({_reason(error)}); delete it to go on from an "
+                f"{self._folder / str(step)}: cannot be restored ({reason(error)}); delete it to go on from an "
                 "earlier state, or train anew in another folder"
             ) from None
         # Not bound to the devices that Orbax put it on.

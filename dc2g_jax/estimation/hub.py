@@ -5,7 +5,7 @@ import tempfile
 from pathlib import Path
 
 from dc2g_jax.errors import InputError, require_extra
-from dc2g_jax.estimation.checkpoints import CARD, TrainedNetwork, load_network, save_network
+from dc2g_jax.estimation.checkpoints import CARD, TrainedNetwork, load_network, reason, save_network
 
 #: Prefix of places on the Hub.
 _HUB = "hf://"
@@ -41,7 +41,7 @@ def local_folder(place: str | os.PathLike[str]) -> Path:
         return Path(huggingface_hub.snapshot_download(repository, revision=revision, allow_patterns=_FILES))
     except Exception as error:  # from several libraries
         raise InputError(
-            f"{place}: cannot be downloaded ({_reason(error)}); check the name, and the connection to the Hub"
+            f"{place}: cannot be downloaded ({reason(error)}); check the name, and the connection to the Hub"
         ) from None
 
 
@@ -85,10 +85,5 @@ def push(network: TrainedNetwork | str | os.PathLike[str], place: str) -> str:
             return str(done.commit_url)
         except Exception as error:  # of many libraries
             raise InputError(
-                f"{place}: cannot be saved ({_reason(error)}); log in with `hf auth login`, and check the name"
+                f"{place}: cannot be saved ({reason(error)}); log in with `hf auth login`, and check the name"
             ) from None
-
-
-def _reason(error: Exception) -> str:
-    """The first nonblank line of an error's message."""
-    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)[:160]

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import nnx
+from flax.traverse_util import flatten_dict, unflatten_dict
 from jaxtyping import Array
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
@@ -92,15 +93,7 @@ def read_safetensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str,
         ) from None
 
 
-def flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Arrays of a nested dictionary, by their keys joined by dots."""
-    flat: dict[str, Any] = {}
-    for name, value in tree.items():
-        flat |= flattened(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {prefix + name: value}
-    return flat
-
-
-def read_weights(path: str | Path, shapes: Mapping[str, Any], tensors: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def read_weights(path: str | Path, shapes: dict[str, Any], tensors: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Weights of a known network from the arrays of a file, as float32.
 
     Args:
@@ -111,7 +104,7 @@ def read_weights(path: str | Path, shapes: Mapping[str, Any], tensors: Mapping[s
     Raises:
       InputError: an array is missing, unexpected or of another shape.
     """
-    wanted = {name: tuple(leaf.shape) for name, leaf in flattened(shapes).items()}
+    wanted = {name: tuple(leaf.shape) for name, leaf in flatten_dict(shapes, sep=".").items()}
     found = {name: tensor.shape for name, tensor in tensors.items()}
     for name in sorted({**wanted, **found}):
         if wanted.get(name) != found.get(name):
@@ -119,16 +112,10 @@ def read_weights(path: str | Path, shapes: Mapping[str, Any], tensors: Mapping[s
                 f"{path}: weights of another architecture: {name} has shape {found.get(name, 'none')}, but the "
                 f"network needs {wanted.get(name, 'none')}; keep the files of one training together"
             )
-
-    def nested(shape: Any, prefix: str) -> Any:
-        if isinstance(shape, Mapping):
-            return {name: nested(part, f"{prefix}{name}.") for name, part in shape.items()}
-        return jnp.asarray(tensors[prefix[:-1]], jnp.float32)
-
-    return nested(shapes, "")
+    return unflatten_dict({name: jnp.asarray(tensors[name], jnp.float32) for name in wanted}, sep=".")
 
 
-def write_network(path: str | Path, weights: Mapping[str, Any], architecture: Any, card: Mapping[str, Any]) -> None:
+def write_network(path: str | Path, weights: dict[str, Any], architecture: Any, card: Mapping[str, Any]) -> None:
     """Write a network to one file: weights in half precision, architecture and card as JSON in the metadata.
 
     Args:
@@ -137,7 +124,7 @@ def write_network(path: str | Path, weights: Mapping[str, Any], architecture: An
       architecture: dataclass of the architecture.
       card: further facts about the network.
     """
-    tensors = {name: np.asarray(leaf, np.float16) for name, leaf in flattened(weights).items()}
+    tensors = {name: np.asarray(leaf, np.float16) for name, leaf in flatten_dict(weights, sep=".").items()}
     metadata = {"architecture": json.dumps(dataclasses.asdict(architecture)), "card": json.dumps(dict(card))}
     write_safetensors(path, tensors, metadata)
 

@@ -6,8 +6,9 @@ import struct
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax.traverse_util import flatten_dict
 
-from dc2g_jax.estimation.weights import flattened, read_safetensors, write_safetensors
+from dc2g_jax.estimation.weights import read_safetensors, write_safetensors
 from tests.support.refusals import refusal
 
 
@@ -30,11 +31,11 @@ def test_a_file_made_by_hand_is_read(tmp_path):
 def test_what_is_written_is_read(tmp_path):
     path = tmp_path / "all.safetensors"
     tree = {"a": {"b": np.arange(6, dtype=np.uint8).reshape(3, 2).T}, "c": np.asarray(jnp.asarray([1.5], jnp.bfloat16))}
-    write_safetensors(path, flattened(tree), {"x": "y"})
+    write_safetensors(path, flatten_dict(tree, sep="."), {"x": "y"})
     tensors, facts = read_safetensors(path)
     assert facts == {"x": "y"}
     assert list(tensors) == ["a.b", "c"]
-    for name, array in flattened(tree).items():
+    for name, array in flatten_dict(tree, sep=".").items():
         assert tensors[name].dtype == array.dtype
         np.testing.assert_array_equal(tensors[name], array)
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
