@@ -24,9 +24,9 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.tables import write_table
-from dc2g_jax.inspection import recording
 from dc2g_jax.inspection.episode_figures import plot_episode
 from dc2g_jax.inspection.figures import Table, plot_extra_steps, plot_house_strips
+from dc2g_jax.inspection.recording import record_frames
 from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.named import FIGURE_PLANNERS
 from dc2g_jax.planning.rules import SETTINGS
@@ -101,13 +101,11 @@ def record(
         start = results[number]
         name = f"{settings}-{start.house}-x{start.x}-y{start.y}-h{start.heading}"
         house = dataset.house(start.house)
-        episodes = {
-            planner: recording.RecordedEpisode(result, replay_result(result, house, rules, network))
-            for planner, result in by_planner.items()
-        }
-        recording.record_frames(out / "recordings" / f"{name}.rrd", house=house, episodes=episodes)
-        frames = {planner: episodes[planner].frames for planner in sorted(drawn(planners))}
-        plot_episode(out / "recordings" / name, house, frames)
+        frames = {planner: replay_result(result, house, rules, network) for planner, result in by_planner.items()}
+        path = out / "recordings" / f"{name}.rrd"
+        record_frames(path, house=house, result_by_planner=by_planner, frames_by_planner=frames)
+        shown = {planner: frames[planner] for planner in sorted(drawn(planners))}
+        plot_episode(out / "recordings" / name, house, shown)
 
 
 def print_table(title: str, table: Table, groups: tuple[str, ...]) -> None:

@@ -20,7 +20,7 @@ from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax.inspection.animation import animate
 from dc2g_jax.inspection.episode_figures import plot_episode, plot_trajectories
-from dc2g_jax.inspection.recording import RecordedEpisode, record_frames
+from dc2g_jax.inspection.recording import record_frames
 from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.planners import GAVE_UP, MODE_NAMES
 from dc2g_jax.planning.rules import SETTINGS
@@ -142,11 +142,10 @@ def _draw(
     animations = options.animation if figures else ()
     total = len(chosen) + len(animations) + figures + record
     with tqdm(total=total, desc=f"{'drawing':>16}", unit="file", file=sys.stderr) as bar:
-        episodes = {}
+        frames = {}
         for planner, result in chosen.items():
-            episodes[planner] = RecordedEpisode(result, replay_result(result, house, rules, network))
+            frames[planner] = replay_result(result, house, rules, network)
             bar.update()
-        frames = {planner: episode.frames for planner, episode in episodes.items()}
         if figures:
             plot_episode(out / name, house, frames)
             bar.update()
@@ -154,7 +153,7 @@ def _draw(
             animate(out / f"{name}.{extension}", house, frames)
             bar.update()
         if record:
-            record_frames(out / f"{name}.rrd", house=house, episodes=episodes)
+            record_frames(out / f"{name}.rrd", house=house, result_by_planner=chosen, frames_by_planner=frames)
             bar.update()
 
 

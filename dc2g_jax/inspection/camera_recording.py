@@ -108,18 +108,14 @@ class CameraRecording:
 
         style("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         style("world", legend.terrain_context())
-        lens = np.eye(3)
-        lens[[0, 1], [0, 1]] = camera.focal_x, camera.focal_y
-        lens[:2, 2] = camera.center_x, camera.center_y
-        style(
-            _IMAGE,
-            rr.Pinhole(
-                image_from_camera=lens,
-                resolution=[camera.width, camera.height],
-                camera_xyz=rr.ViewCoordinates.RDF,
-                image_plane_distance=2 * self._settings.cell_size,
-            ),
+        pinhole = rr.Pinhole(
+            focal_length=[camera.focal_x, camera.focal_y],
+            principal_point=[camera.center_x, camera.center_y],
+            resolution=[camera.width, camera.height],
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=2 * self._settings.cell_size,
         )
+        style(_IMAGE, pinhole)
         steps = rr.components.ImageFormat(
             width=camera.width, height=camera.height, channel_datatype=rr.ChannelDatatype.U16
         )
@@ -128,13 +124,12 @@ class CameraRecording:
         style("world/points", rr.Points3D.from_fields(radii=-2.0))
         style("world/voxels", rr.Boxes3D.from_fields(fill_mode="solid"))
         style("world/path", rr.LineStrips3D.from_fields(radii=-2.5, colors=legend.ROBOT_COLOR))
-        image_style(stream, _CLASSES, legend.terrain_context(), 0)
-        image_style(stream, "map", legend.terrain_context(), 0)
+        for image in (_CLASSES, "map", "legend"):
+            image_style(stream, image, legend.terrain_context(), 0)
         style("map/path", rr.LineStrips2D.from_fields(radii=0.16, colors=legend.TRAJECTORY_COLOR, draw_order=30))
         style("map/robot", rr.Points2D.from_fields(radii=0.8, colors=legend.ROBOT_COLOR, draw_order=60))
         style("map/robot/view", rr.Arrows2D.from_fields(radii=0.3, colors=legend.ROBOT_COLOR, draw_order=61))
         classes = np.arange(len(CLASS_NAMES), dtype=np.uint8)
-        image_style(stream, "legend", legend.terrain_context(), 0)
         style("legend", rr.SegmentationImage(classes[:, None]))
         places = np.stack([0 * classes + 0.5, classes + 0.3], axis=1)
         names = [name.replace("_", " ") for name in ("not observed", *CLASS_NAMES[1:])]
@@ -155,14 +150,9 @@ class CameraRecording:
     def _send_images(self, steps: np.ndarray, mapped: list[MappedFrame]) -> None:
         """Send the camera's images."""
         stream = self._stream
-        seen = [(step, one.picture) for step, one in zip(steps, mapped, strict=True) if one.picture is not None]
-        if seen:
-            send(
-                stream,
-                _PICTURE,
-                np.array([step for step, _ in seen]),
-                rr.EncodedImage.columns(blob=[p for _, p in seen]),
-            )
+        pictures = {step: one.picture for step, one in zip(steps, mapped, strict=True) if one.picture is not None}
+        if pictures:
+            send(stream, _PICTURE, np.array(list(pictures)), rr.EncodedImage.columns(blob=list(pictures.values())))
         depth = np.stack([depth_steps(np.asarray(one.frame.depth)) for one in mapped])
         send(stream, _DEPTH, steps, rr.DepthImage.columns(buffer=depth.reshape(len(steps), -1).view(np.uint8)))
         send_images(stream, _CLASSES, steps, np.stack([np.asarray(one.frame.classes) for one in mapped]))
@@ -256,7 +246,8 @@ def _layout(settings: MapSettings, path: Float[np.ndarray, "n 3"]) -> rrb.Bluepr
             ),
             rrb.Spatial2DView(origin="/legend", name="legend", visual_bounds=names),
             column_shares=[2.2, 5, 3.4, 1.2],
-        )
+        ),
+        fps=10.0,
     )
 
 

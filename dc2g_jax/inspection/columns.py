@@ -66,15 +66,15 @@ def open_recording(
     return stream
 
 
-def first_view(contents: rrb.Horizontal) -> rrb.Blueprint:
-    """The view in which a recording of steps opens, with the viewer's own panels collapsed."""
-    return rrb.Blueprint(
-        contents,
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, fps=10.0),
-        auto_views=False,
-    )
+def first_view(contents: rrb.Horizontal, **playback: Any) -> rrb.Blueprint:
+    """The view in which a recording of steps opens, with the viewer's own panels collapsed.
+
+    Args:
+      contents: views of the data.
+      **playback: options of `rerun.blueprint.TimePanel`.
+    """
+    time = rrb.TimePanel(state="collapsed", timeline=TIMELINE, **playback)
+    return rrb.Blueprint(contents, time, auto_views=False, collapse_panels=True)
 
 
 def send(stream: rr.RecordingStream, entity: str, steps: Int[np.ndarray, "t"], columns: Any) -> None:

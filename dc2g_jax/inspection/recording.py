@@ -3,12 +3,13 @@
 The viewer reads files of its own version and of the previous one only, so results are also kept elsewhere.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 from jaxtyping import Float
 
 from dc2g_jax.datasets.houses import House
@@ -17,8 +18,10 @@ from dc2g_jax.grid.poses import FORWARD
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
 from dc2g_jax.inspection import legend
 from dc2g_jax.inspection.columns import (
+    SO_FAR,
     centers,
     curve_style,
+    first_view,
     image_style,
     open_recording,
     send,
@@ -28,7 +31,6 @@ from dc2g_jax.inspection.columns import (
     send_lines,
 )
 from dc2g_jax.inspection.costs import exact_cost_to_go
-from dc2g_jax.inspection.episode_layout import episode_layout
 from dc2g_jax.inspection.figures import planner_styles
 from dc2g_jax.inspection.legend import CostScale
 from dc2g_jax.inspection.replay import Frames, actions_from_letters, replay_result, running_extra_steps
@@ -38,36 +40,21 @@ from dc2g_jax.planning.rules import Rules
 from dc2g_jax.rollouts.evaluation import EpisodeResult
 
 
-class RecordedEpisode(NamedTuple):
-    """An episode to record.
-
-    Attributes:
-      result: the result of the episode.
-      frames: the replay of the episode.
-    """
-
-    result: EpisodeResult
-    frames: Frames
-
-
 def _send_maps(stream: rr.RecordingStream, entity: str, frames: Frames, scale: CostScale) -> None:
     """Send the observed map, its layers, and the estimate as images."""
-    steps = np.arange(len(frames))
-    image_style(stream, f"{entity}/map", legend.terrain_context(), 0)
-    send_images(stream, f"{entity}/map", steps, frames.terrain)
-    layers = (
-        ("reachable", legend.REACHABLE_LAYER, frames.reachable),
-        ("field_of_view", legend.FIELD_OF_VIEW_LAYER, frames.field_of_view),
-        ("frontier", legend.FRONTIER_LAYER, frames.frontier),
-    )
-    for order, (layer, (name, color), cells) in enumerate(layers, start=1):
-        image_style(stream, f"{entity}/map/{layer}", legend.layer_context(name, color), order)
-        send_images(stream, f"{entity}/map/{layer}", steps, cells.astype(np.uint8))
+    images = [
+        ("map", legend.terrain_context(), 0, frames.terrain),
+        ("map/reachable", legend.layer_context(*legend.REACHABLE_LAYER), 1, frames.reachable),
+        ("map/field_of_view", legend.layer_context(*legend.FIELD_OF_VIEW_LAYER), 2, frames.field_of_view),
+        ("map/frontier", legend.layer_context(*legend.FRONTIER_LAYER), 3, frames.frontier),
+    ]
     if frames.cost_to_go is not None:
         known = frames.seen & TRAVERSABLE[frames.terrain]
         scale = scale if frames.in_cells else legend.RELATIVE
-        image_style(stream, f"{entity}/cost_to_go", scale.context(), 0)
-        send_images(stream, f"{entity}/cost_to_go", steps, scale.classes(frames.cost_to_go, known))
+        images.append(("cost_to_go", scale.context(), 0, scale.classes(frames.cost_to_go, known)))
+    for name, context, order, classes in images:
+        image_style(stream, f"{entity}/{name}", context, order)
+        send_images(stream, f"{entity}/{name}", np.arange(len(frames)), classes.astype(np.uint8, copy=False))
 
 
 def _send_candidates(stream: rr.RecordingStream, entity: str, score: Float[np.ndarray, "t h w"]) -> None:
@@ -129,9 +116,8 @@ def _outcome(result: EpisodeResult) -> str:
     return "gave up" if result.mode == MODE_NAMES[GAVE_UP] else "step limit"
 
 
-def _status(episode: RecordedEpisode) -> list[str]:
+def _status(result: EpisodeResult, frames: Frames) -> list[str]:
     """One line per step: its number, the extra steps so far, and the plan."""
-    result, frames = episode
     extra = running_extra_steps(frames)
     last = len(frames) - 1
     counts = np.sum(~np.isnan(frames.score), axis=(1, 2)).tolist()
@@ -149,9 +135,8 @@ def _status(episode: RecordedEpisode) -> list[str]:
     return lines
 
 
-def _send_mode(stream: rr.RecordingStream, entity: str, label: str, episode: RecordedEpisode) -> None:
+def _send_mode(stream: rr.RecordingStream, entity: str, label: str, result: EpisodeResult, frames: Frames) -> None:
     """Send a line of text whenever the plan mode changes, and the outcome at the end."""
-    result, frames = episode
     changes = np.flatnonzero(np.diff(frames.mode, prepend=-1)).tolist()
     lines = [(step, MODE_NAMES[frames.mode[step]]) for step in changes]
     others = int(np.sum(frames.action[:-1] != actions_from_letters(result.actions)))
@@ -164,18 +149,22 @@ def _send_mode(stream: rr.RecordingStream, entity: str, label: str, episode: Rec
 
 
 def _send_episode(
-    stream: rr.RecordingStream, label: str, episode: RecordedEpisode, scale: CostScale, color: tuple[int, ...]
+    stream: rr.RecordingStream,
+    label: str,
+    result: EpisodeResult,
+    frames: Frames,
+    scale: CostScale,
+    color: tuple[int, ...],
 ) -> None:
     """Send all data of one planner, below the entity of its label."""
-    frames = episode.frames
     entity = rr.new_entity_path([label])
     _send_maps(stream, entity, frames, scale)
     _send_plan(stream, f"{entity}/plan", frames)
     _send_robot(stream, f"{entity}/robot", frames)
-    status = _status(episode)
+    status = _status(result, frames)
     texts = rr.TextDocument.columns(text=status, media_type=["text/markdown"] * len(status))
     send(stream, f"{entity}/status", np.arange(len(frames)), texts)
-    _send_mode(stream, f"{entity}/mode", label, episode)
+    _send_mode(stream, f"{entity}/mode", label, result, frames)
     left = np.where(frames.to_goal >= 0, frames.to_goal, np.nan)
     for name, values in (("extra_steps", running_extra_steps(frames)), ("steps_to_goal", left)):
         curve_style(stream, f"{entity}/{name}", label, color)
@@ -200,6 +189,60 @@ def _send_house(stream: rr.RecordingStream, house: House, exact: np.ndarray, sca
         stream.log(entity, rr.TextDocument(words, media_type="text/markdown"), static=True)
 
 
+def _layout(shape: tuple[int, ...], estimates: Mapping[str, bool]) -> rrb.Blueprint:
+    """The first view: the true map, then one column per planner; legend, curves and plan modes on the right.
+
+    Args:
+      shape: rows and columns of the map.
+      estimates: planner -> whether it estimates the cost-to-go.
+    """
+    height, width = shape
+    bounds = rrb.VisualBounds2D(x_range=[-0.5, width + 0.5], y_range=[-0.5, height + 0.5])
+    entities = {label: rr.new_entity_path([label]) for label in estimates}
+
+    def grid_view(name: str, contents: Sequence[str], robot: str | None = None) -> rrb.Spatial2DView:
+        overrides: dict[Any, Any] = {} if robot is None else {f"{robot}/trajectory": SO_FAR}
+        return rrb.Spatial2DView(origin="/", contents=contents, name=name, visual_bounds=bounds, overrides=overrides)
+
+    def column(above: rrb.View, below: rrb.View, words: rrb.View) -> rrb.Vertical:
+        return rrb.Vertical(above, below, words, row_shares=[6, 6, 1.4])
+
+    def of_planner(label: str) -> rrb.Vertical:
+        entity = entities[label]
+        robot, plan = f"{entity}/robot", f"{entity}/plan"
+        cost, whose = (f"{entity}/cost_to_go", "estimated") if estimates[label] else ("/hidden/cost_to_go", "exact")
+        on_both = [f"{plan}/path", f"{plan}/subgoals", f"{robot}/**"]
+        return column(
+            grid_view(f"{label}: observed map", [f"{entity}/map/**", f"{plan}/frontier_expanding", *on_both], robot),
+            grid_view(f"{label}: {whose} cost-to-go", [cost, f"{plan}/candidates", *on_both], robot),
+            rrb.TextDocumentView(origin=f"{entity}/status", name=label),
+        )
+
+    def of_all(name: str) -> list[str]:
+        return [f"{entity}/{name}" for entity in entities.values()]
+
+    hidden = column(
+        grid_view("hidden map", ["/hidden/map", "/hidden/goals"]),
+        grid_view("exact cost-to-go", ["/hidden/cost_to_go", "/hidden/goals"]),
+        rrb.TextDocumentView(origin="/hidden/about", name="house"),
+    )
+
+    def curves(entity: str, name: str, legend: rrb.Corner2D) -> rrb.TimeSeriesView:
+        return rrb.TimeSeriesView(
+            origin="/", contents=of_all(entity), name=name, plot_legend=rrb.PlotLegend(corner=legend)
+        )
+
+    aside = rrb.Vertical(
+        rrb.TextDocumentView(origin="/legend", name="legend"),
+        curves("extra_steps", "extra steps so far (%)", rrb.Corner2D.LeftTop),
+        curves("steps_to_goal", "steps left on the whole map", rrb.Corner2D.RightTop),
+        rrb.TextLogView(origin="/", contents=of_all("mode"), name="plan mode"),
+        row_shares=[6.4, 2.8, 2.8, 2.2],
+    )
+    columns = [hidden, *(of_planner(label) for label in estimates)]
+    return first_view(rrb.Horizontal(*columns, aside, column_shares=[4.0] * len(columns) + [3.2]), fps=10.0)
+
+
 def _check(house: House, results: Mapping[str, EpisodeResult]) -> EpisodeResult:
     """The first result. Checks that all results have the same start in this house.
 
@@ -218,13 +261,20 @@ def _check(house: House, results: Mapping[str, EpisodeResult]) -> EpisodeResult:
     return first
 
 
-def record_frames(path: str | Path, *, house: House, episodes: Mapping[str, RecordedEpisode]) -> Path:
+def record_frames(
+    path: str | Path,
+    *,
+    house: House,
+    result_by_planner: Mapping[str, EpisodeResult],
+    frames_by_planner: Mapping[str, Frames],
+) -> Path:
     """Write a rerun file (`.rrd`) of replayed episodes from one start.
 
     Args:
       path: file to write; its folder is created.
       house: house of the episodes.
-      episodes: label of each planner -> its episode and replay. All have the same start.
+      result_by_planner: label of each planner -> its episode. All have the same start.
+      frames_by_planner: the same labels -> the replays of the episodes.
 
     Returns:
       The path.
@@ -233,21 +283,18 @@ def record_frames(path: str | Path, *, house: House, episodes: Mapping[str, Reco
       InputError: the file cannot be written.
       ValueError: the episodes have different starts, or took place in another house.
     """
-    first = _check(house, {label: episode.result for label, episode in episodes.items()})
+    first = _check(house, result_by_planner)
     exact = exact_cost_to_go(house)
     scale = CostScale.of(exact)
     path, place = Path(path), f"({first.x}, {first.y}) facing {HEADING_NAMES[first.heading]}"
-    estimates = {label: episode.frames.cost_to_go is not None for label, episode in episodes.items()}
-    stream = open_recording(
-        path,
-        name=f"{house.name} from {place}",
-        blueprint=episode_layout(house.terrain.shape, estimates),
-    )
+    estimates = {label: frames_by_planner[label].cost_to_go is not None for label in result_by_planner}
+    blueprint = _layout(house.terrain.shape, estimates)
+    stream = open_recording(path, name=f"{house.name} from {place}", blueprint=blueprint)
     about = f"**{house.name}** from {place}; the oracle takes {first.oracle_steps} steps"
     _send_house(stream, house, exact, scale, about)
-    styles = planner_styles(episodes)
-    for label, episode in episodes.items():
-        _send_episode(stream, label, episode, scale, legend.rgb(styles[label].color))
+    styles = planner_styles(result_by_planner)
+    for label, result in result_by_planner.items():
+        _send_episode(stream, label, result, frames_by_planner[label], scale, legend.rgb(styles[label].color))
     stream.flush()
     stream.disconnect()
     return path
@@ -283,8 +330,5 @@ def record_episode(
     for label, result in result_by_planner.items():
         if (result.range, result.expanding_range) != (rules.sensing.radius, rules.expanding_range):
             raise ValueError(f"{label}: sensing range {result.range} is not that of the rules, {rules.sensing.radius}")
-    episodes = {
-        label: RecordedEpisode(result, replay_result(result, house, rules, estimator))
-        for label, result in result_by_planner.items()
-    }
-    return record_frames(path, house=house, episodes=episodes)
+    frames = {label: replay_result(result, house, rules, estimator) for label, result in result_by_planner.items()}
+    return record_frames(path, house=house, result_by_planner=result_by_planner, frames_by_planner=frames)

@@ -21,7 +21,7 @@ from dc2g_jax.estimation import compact_unet
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.grid.terrain import FIGURE_RGB
 from dc2g_jax.inspection import legend
-from dc2g_jax.inspection.columns import TIMELINE, curve_style, image_style, open_recording
+from dc2g_jax.inspection.columns import TIMELINE, curve_style, first_view, image_style, open_recording
 from dc2g_jax.inspection.legend import CostScale
 from dc2g_jax.planning.planners import Frontier
 from dc2g_jax.planning.rules import complete_rules
@@ -123,16 +123,13 @@ def _layout(shape: tuple[int, int], steps: int) -> rrb.Blueprint:
         rrb.TimeSeriesView(origin=f"/{curve}", name=name, axis_x=whole, plot_legend=legend_at)
         for curve, (name, _) in _CURVES.items()
     ]
-    return rrb.Blueprint(
+    return first_view(
         rrb.Horizontal(
             rrb.Vertical(*curves, row_shares=[share for _, share in _CURVES.values()]),
             rrb.Vertical(*maps),
             column_shares=[2, 3.6],
         ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
-        auto_views=False,
+        play_state="following",
     )
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 from rerun.chunk import RrdReader
 
 from dc2g_jax.datasets.houses import HouseDataset
-from dc2g_jax.inspection.recording import RecordedEpisode, record_frames
-from dc2g_jax.inspection.replay import replay_result
+from dc2g_jax.inspection.recording import record_frames
+from dc2g_jax.inspection.replay import Frames, replay_result
 from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax.rollouts.evaluation import Runner
 
 from .bench import SENSING_RANGE, Bench, own
 from .rows import Row
@@ -31,30 +31,28 @@ def recording_rows(bench: Bench) -> Iterator[Row]:
     workload, settings = bench.workload, SETTINGS["reference"]
     rules, start = bench.rules(), workload.starts[0]
     dataset = HouseDataset(name=workload.dataset, source="folder", houses=workload.houses)
-    results = Runner(dataset, settings).run([start], _PLANNERS, bench.network)
-    house = dataset.house(start.house)
+    found = Runner(dataset, settings).run([start], _PLANNERS, bench.network)
+    results, house = {result.planner: result for result in found}, dataset.house(start.house)
 
-    def replayed(result: EpisodeResult) -> RecordedEpisode:
-        return RecordedEpisode(result, replay_result(result, house, rules, bench.network))
+    def replayed() -> dict[str, Frames]:
+        return {planner: replay_result(result, house, rules, bench.network) for planner, result in results.items()}
 
-    episodes = {result.planner: replayed(result) for result in results}
+    frames = replayed()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "episode.rrd"
 
-        def write() -> int:
-            return record_frames(path, house=house, episodes=episodes).stat().st_size
+        def write(frames: dict[str, Frames]) -> int:
+            record_frames(path, house=house, result_by_planner=results, frames_by_planner=frames)
+            return path.stat().st_size
 
-        def replay_and_write() -> int:
-            again = {result.planner: replayed(result) for result in results}
-            return record_frames(path, house=house, episodes=again).stat().st_size
-
-        for what, call in (("written", write), ("replayed and written", replay_and_write)):
+        calls = {"written": lambda: write(frames), "replayed and written": lambda: write(replayed())}
+        for what, call in calls.items():
             row = own("recording", f"episodes {what}", "grid images", cells=workload.cells, sensing_range=SENSING_RANGE)
             measured = bench.measure(call)
             images = images_in(path)
             facts = {
                 "images": float(images),
-                "steps": float(sum(len(episode.frames) for episode in episodes.values())),
+                "steps": float(sum(map(len, frames.values()))),
                 "KiB": measured.output / 1024,
             }
             yield row.with_figures(measured, images, checksum=None, facts=facts)
