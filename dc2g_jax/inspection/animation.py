@@ -87,36 +87,16 @@ class _Layout(NamedTuple):
     """Layout of the panels, in pixels.
 
     Attributes:
-      columns: number of panels in a row.
       scale: side of a cell.
-      width: width of the map in a panel.
-      height: height of the map in a panel.
-      n_panels: number of panels.
+      column: width of a panel's column.
+      corners: upper left corner of each panel's map.
+      size: width and height of a picture; even, as video codecs require.
     """
 
-    columns: int
     scale: int
-    width: int
-    height: int
-    n_panels: int
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height of a picture; even, as video codecs require."""
-        rows = -(-self.n_panels // self.columns)
-        width = self.columns * (self._column + _GAP) + _GAP
-        height = rows * (_CAPTION + self.height + _GAP) + _GAP
-        return width + width % 2, height + height % 2
-
-    @property
-    def _column(self) -> int:
-        return max(self.width, _LEAST_WIDE)
-
-    def corner(self, number: int) -> tuple[int, int]:
-        """Upper left corner of a panel's map."""
-        row, column = divmod(number, self.columns)
-        x = _GAP + column * (self._column + _GAP)
-        return x, _GAP + row * (_CAPTION + self.height + _GAP) + _CAPTION
+    column: int
+    corners: list[tuple[int, int]]
+    size: tuple[int, int]
 
 
 def _layout(n_panels: int, height: int, width: int) -> _Layout:
@@ -130,7 +110,12 @@ def _layout(n_panels: int, height: int, width: int) -> _Layout:
         _, columns, scale = best
         if scale >= 3:
             break
-    return _Layout(columns, scale, scale * width, scale * height, n_panels)
+    column, row = max(scale * width, _LEAST_WIDE), _CAPTION + scale * height
+    places = [divmod(number, columns) for number in range(n_panels)]
+    corners = [(_GAP + right * (column + _GAP), _GAP + down * (row + _GAP) + _CAPTION) for down, right in places]
+    rows = places[-1][0] + 1
+    whole_width, whole_height = columns * (column + _GAP) + _GAP, rows * (row + _GAP) + _GAP
+    return _Layout(scale, column, corners, (whole_width + whole_width % 2, whole_height + whole_height % 2))
 
 
 def _font(name: str) -> ImageFont.FreeTypeFont:
@@ -232,11 +217,11 @@ class _Painter:
         """The picture of a step; robots that have arrived stay where they are."""
         picture = self._paper.copy()
         draw = ImageDraw.Draw(picture)
-        for number, panel in enumerate(self._panels):
-            corner = self._layout.corner(number)
+        for number, (panel, corner) in enumerate(zip(self._panels, self._layout.corners, strict=True)):
             frame = min(step, len(panel.frames) - 1)
-            picture.paste(self._ground(panel, frame), corner)
-            end = (corner[0] + self._layout.width, corner[1] + self._layout.height)
+            ground = self._ground(panel, frame)
+            picture.paste(ground, corner)
+            end = (corner[0] + ground.width, corner[1] + ground.height)
             draw.rectangle((corner[0] - 1, corner[1] - 1, *end), outline=_FRAME)
             self._draw_robot(picture, draw, corner, panel, frame)
             self._write(draw, corner, number, frame)
@@ -306,7 +291,7 @@ class _Painter:
         draw.text((x, lower), f"step {frame}: {_doing(panel.frames, frame)}", _INK, self._font)
         extra = self._extra[number][frame]
         if np.isfinite(extra):
-            right = x + max(self._layout.width, _LEAST_WIDE)
+            right = x + self._layout.column
             draw.text((right, lower), f"{extra:+.0f} %", _PALE_INK, self._font, anchor="ra")
 
     def _draw_scale(self, draw: ImageDraw.ImageDraw, x: int, y: int, *, in_cells: bool) -> None:
