@@ -85,45 +85,19 @@ def _doubt(house: House) -> str:
     return "door cut off" if np.any(house.terrain == FRONT_DOOR) else "no front door"
 
 
-class _Page:
-    """An empty page with its head.
+def _map_axes(figure: Figure, house: House, x: float, y: float) -> Axes:
+    """Axes of a map around a point of a page, in inches from the upper left corner.
 
-    Args:
-      title: text at the left of the head.
-      number: text at the right of the head.
-      height: height of all rows, inches.
+    They are as large as possible, at whole pixels so that all cells have the same size.
     """
-
-    def __init__(self, title: str, number: str, height: float):
-        self._height = _HEAD + height + _FOOT
-        self.figure = Figure(figsize=(PAGE_WIDTH, self._height))
-        self._text(_MARGIN, _HEAD / 2, title, fontsize=9, fontweight="bold")
-        self._text(PAGE_WIDTH - _MARGIN, _HEAD / 2, number, ha="right", fontsize=7.5, color="#555555")
-
-    def _text(self, x: float, y: float, text: str, **style: Any) -> None:
-        """Draw text at a position in inches from the upper left corner."""
-        self.figure.text(x / PAGE_WIDTH, 1 - y / self._height, text, va="center", **style)
-
-    def draw(self, row: SheetRow, y: float) -> None:
-        """Draw a row whose upper edge is `y` inches below that of the page."""
-        if row.headline:
-            self._text(_MARGIN, y + 0.55 * _HEADLINE, row.headline, fontsize=8)
-            y += _HEADLINE
-        for place, house in enumerate(row.houses):
-            middle = _MARGIN + place * (_SIDE + _BETWEEN) + _SIDE / 2
-            _draw_house(self._map_axes(house, middle, y + _SIDE / 2), house)
-            self._text(middle, y + _SIDE + 0.07, house.name, ha="center", fontsize=7)
-            self._text(middle, y + _SIDE + 0.175, _doubt(house), ha="center", fontsize=7, color="#b03000")
-
-    def _map_axes(self, house: House, x: float, y: float) -> Axes:
-        """Axes of a map around a point, as large as possible, at whole pixels so that all cells have the same size."""
-        height, width = house.terrain.shape
-        cell = whole_pixels(_SIDE / max(height, width), _DPI)
-        left = round((x - cell * width / 2) * _DPI) / _DPI
-        bottom = round((self._height - y - cell * height / 2) * _DPI) / _DPI
-        return self.figure.add_axes(
-            (left / PAGE_WIDTH, bottom / self._height, cell * width / PAGE_WIDTH, cell * height / self._height)
-        )
+    height, width = house.terrain.shape
+    page_height = float(figure.get_figheight())
+    cell = whole_pixels(_SIDE / max(height, width), _DPI)
+    left = round((x - cell * width / 2) * _DPI) / _DPI
+    bottom = round((page_height - y - cell * height / 2) * _DPI) / _DPI
+    return figure.add_axes(
+        (left / PAGE_WIDTH, bottom / page_height, cell * width / PAGE_WIDTH, cell * height / page_height)
+    )
 
 
 def plot_contact_page(path: str | Path, title: str, number: str, rows: Sequence[SheetRow]) -> list[Path]:
@@ -138,14 +112,29 @@ def plot_contact_page(path: str | Path, title: str, number: str, rows: Sequence[
     Returns:
       The files written: PNG, SVG and PDF.
     """
-    page = _Page(title, number, sum(row.height for row in rows))
+    height = _HEAD + sum(row.height for row in rows) + _FOOT
+    figure = Figure(figsize=(PAGE_WIDTH, height))
+
+    def write(x: float, y: float, text: str, **style: Any) -> None:
+        """Write at a position in inches from the upper left corner."""
+        figure.text(x / PAGE_WIDTH, 1 - y / height, text, va="center", **style)
+
+    write(_MARGIN, _HEAD / 2, title, fontsize=9, fontweight="bold")
+    write(PAGE_WIDTH - _MARGIN, _HEAD / 2, number, ha="right", fontsize=7.5, color="#555555")
     y = _HEAD
     for row in rows:
-        page.draw(row, y)
-        y += row.height
+        if row.headline:
+            write(_MARGIN, y + 0.55 * _HEADLINE, row.headline, fontsize=8)
+            y += _HEADLINE
+        for place, house in enumerate(row.houses):
+            middle = _MARGIN + place * (_SIDE + _BETWEEN) + _SIDE / 2
+            _draw_house(_map_axes(figure, house, middle, y + _SIDE / 2), house)
+            write(middle, y + _SIDE + 0.07, house.name, ha="center", fontsize=7)
+            write(middle, y + _SIDE + 0.175, _doubt(house), ha="center", fontsize=7, color="#b03000")
+        y += _SIDE + _NAME
     classes = np.unique(np.concatenate([house.terrain.ravel() for row in rows for house in row.houses]))
-    page.figure.legend(
+    figure.legend(
         handles=[class_patch(index) for index in classes.tolist()], loc="lower left", bbox_to_anchor=(0, 0), ncols=8,
         frameon=False, fontsize=7, handlelength=1.1, columnspacing=1.1, borderaxespad=0.1, labelspacing=0.3,
     )  # fmt: skip
-    return save_figure(page.figure, path, dpi=_DPI)
+    return save_figure(figure, path, dpi=_DPI)
