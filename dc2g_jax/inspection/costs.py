@@ -1,6 +1,6 @@
 """Costs-to-go in figures and animations of episodes: exact costs, range of the color scale, and colors."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -28,6 +28,12 @@ def exact_cost_to_go(house: House) -> Float[np.ndarray, "h w"]:
     return np.asarray(_solve(world_from_terrain(house.terrain)))
 
 
+def end_of_colors(costs: Sequence[Float[np.ndarray, "..."]]) -> float:
+    """The cost at the end of the colors, at least 1: 99 % of all these costs are lower."""
+    together = np.concatenate(costs) if costs else np.zeros(0)
+    return max(float(np.percentile(together, 99)), 1.0) if together.size else 1.0
+
+
 def highest_cost(house: House, frames_by_planner: Mapping[str, Frames], exact: Float[np.ndarray, "h w"]) -> float:
     """The cost at the end of the colors, in cells: nearly all costs of observed cells are lower.
 
@@ -41,8 +47,7 @@ def highest_cost(house: House, frames_by_planner: Mapping[str, Frames], exact: F
         if frames.cost_to_go is not None and frames.in_cells:
             ground = frames.seen[-1] & TRAVERSABLE[house.terrain] & np.isfinite(exact)
             shown += [exact[ground], frames.cost_to_go[-1][ground], frames.cost_to_go[0][ground & frames.seen[0]]]
-    costs = np.concatenate(shown) if shown else np.zeros(0)
-    return max(float(np.percentile(costs, 99)), 1.0) if costs.size else 1.0
+    return end_of_colors(shown)
 
 
 def cost_shares(frames: Frames, high: float) -> Float[np.ndarray, "t h w"]:

@@ -14,7 +14,7 @@ from matplotlib.markers import MarkerStyle
 from matplotlib.path import Path
 
 from dc2g_jax.grid.terrain import CLASS_NAMES, TRAVERSABLE, UNKNOWN
-from dc2g_jax.inspection.costs import BLOCKED_COLOR, COST_COLORS, UNSEEN_COLOR, cost_image
+from dc2g_jax.inspection.costs import BLOCKED_COLOR, COST_COLORS, UNSEEN_COLOR, cost_image, end_of_colors
 from dc2g_jax.inspection.figures import class_patch, legend_patch, map_image, plain_axes, present_classes, save_figure
 from dc2g_jax.vehicles.trace import Moment
 
@@ -88,10 +88,9 @@ def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_
     height, width = chosen[0].robot.terrain.shape
     figure = Figure(figsize=(10.5, 2.5 * len(chosen) + 0.9), layout="constrained")
     panels = figure.subplots(len(chosen), 4, squeeze=False, width_ratios=(1.3, 1, 1, 1))
-    costs = [moment.cost_to_go for moment in chosen if moment.cost_to_go is not None]
-    known = [TRAVERSABLE[moment.robot.terrain] for moment in chosen]
-    shown = [cost[ground] for cost, ground in zip(costs, known, strict=True)] if costs else []
-    high = max(float(np.percentile(np.concatenate(shown), 99)), 1.0) if shown else 1.0
+    high = end_of_colors(
+        [moment.cost_to_go[TRAVERSABLE[moment.robot.terrain]] for moment in chosen if moment.cost_to_go is not None]
+    )
     for row, (number, moment) in enumerate(zip(numbers, chosen, strict=True)):
         view, semantic, expected, planned = panels[row]
         view.imshow(moment.picture, aspect="equal")

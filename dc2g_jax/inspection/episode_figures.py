@@ -29,7 +29,7 @@ from dc2g_jax.inspection.costs import (
 )
 from dc2g_jax.inspection.figures import (
     class_patch,
-    hidden_patch,
+    hidden_color,
     legend_patch,
     map_image,
     planner_style,
@@ -61,10 +61,14 @@ _HEADING_MARKERS = ">v<^"
 _USUAL_CELL = 1.68
 
 
-def _entries(terrain: UInt8[np.ndarray, "h w"], *marks: tuple[str, dict[str, Any]]) -> list[Any]:
+#: Name in legends -> style of a mark.
+_MARKS = {"start": _START, "robot": {"marker": ">", **_ROBOT}, "subgoal": _SUBGOAL, "goal": _GOAL}
+
+
+def _entries(terrain: UInt8[np.ndarray, "h w"], *marks: str) -> list[Any]:
     """Entries of the legend: the classes of a map, the most frequent first, then marks."""
     classes = [class_patch(index) for index in present_classes(terrain)]
-    return classes + [Line2D([], [], label=label, **style) for label, style in marks]
+    return classes + [Line2D([], [], label=mark, **_MARKS[mark]) for mark in marks]
 
 
 def goal_marks(terrain: UInt8[np.ndarray, "h w"], robot: tuple[int, int]) -> tuple[list[tuple[int, int]], bool]:
@@ -85,19 +89,9 @@ def goal_marks(terrain: UInt8[np.ndarray, "h w"], robot: tuple[int, int]) -> tup
     return [*places, robot], True
 
 
-_START_MARK, _ROBOT_MARK = ("start", _START), ("robot", {"marker": ">", **_ROBOT})
-_GOAL_MARK, _SUBGOAL_MARK = ("goal", _GOAL), ("subgoal", _SUBGOAL)
-
-
-def _name(axes: Axes, planner: str) -> None:
-    """Write a planner's name beside its row."""
-    style = planner_style(planner)
-    axes.set_ylabel(style.label.replace(", ", ",\n"), fontsize=FONT, color=style.color, fontweight="bold", labelpad=3)
-
-
-def _scaled(axes: Axes, cells: int, style: Mapping[str, Any]) -> dict[str, Any]:
-    """The style of lines and marks, scaled to the size of a cell in a panel of the given number of columns."""
-    points = axes.bbox.width * 72 / axes.figure.dpi / cells
+def _scaled(axes: Axes, style: Mapping[str, Any]) -> dict[str, Any]:
+    """The style of lines and marks, scaled to the size of a cell of the image in a panel."""
+    points = axes.bbox.width * 72 / axes.figure.dpi / axes.images[0].get_size()[1]
     scale = float(np.clip(points / _USUAL_CELL, 0.6, 1.3))
     return {name: value * scale if name in ("linewidth", "markersize") else value for name, value in style.items()}
 
@@ -109,45 +103,36 @@ def _draw_map(
     axes.imshow(map_image(terrain, seen), interpolation="nearest", aspect="auto")
     axes.add_collection(LineCollection(cell_rim(seen), colors=_GRAY, linewidths=0.5), autolim=False)
     places, reached = goal_marks(terrain, robot)
-    styles = [_GOAL] * len(places)
-    if reached:
-        styles[-1] = _REACHED
-    for (x, y), style in zip(places, styles, strict=True):
-        axes.plot([x], [y], **_scaled(axes, terrain.shape[1], style))
-
-
-def _place(pose: Pose, step: int) -> tuple[int, int]:
-    """Column and row of a robot at a step."""
-    return int(pose.x[step]), int(pose.y[step])
+    for number, (x, y) in enumerate(places, start=1):
+        axes.plot([x], [y], **_scaled(axes, _REACHED if reached and number == len(places) else _GOAL))
 
 
 def _draw_robot(axes: Axes, frames: Frames, frame: int) -> None:
     """Draw the path so far, its start, the subgoal of the plan, and the robot."""
-    x, y, width = frames.pose.x[: frame + 1], frames.pose.y[: frame + 1], frames.seen.shape[2]
+    x, y = frames.pose.x[: frame + 1], frames.pose.y[: frame + 1]
     for color, thickness in (("white", 2.2), ("black", 1.1)):
-        axes.plot(x, y, color=color, **_scaled(axes, width, {"linewidth": thickness, **_LINE_STYLE}))
-    axes.plot(x[:1], y[:1], **_scaled(axes, width, _START))
+        axes.plot(x, y, color=color, **_scaled(axes, {"linewidth": thickness, **_LINE_STYLE}))
+    axes.plot(x[:1], y[:1], **_scaled(axes, _START))
     if frames.mode[frame] == EXPLORE and frame < len(frames) - 1:
         rows, columns = np.nonzero(frames.subgoals[frame].any(axis=0))
-        axes.plot(columns[:1], rows[:1], **_scaled(axes, width, _SUBGOAL))
+        axes.plot(columns[:1], rows[:1], **_scaled(axes, _SUBGOAL))
     marker = _HEADING_MARKERS[frames.pose.heading[frame]]
-    axes.plot(x[-1:], y[-1:], marker=marker, **_scaled(axes, width, _ROBOT))
+    axes.plot(x[-1:], y[-1:], marker=marker, **_scaled(axes, _ROBOT))
 
 
 def _draw_way(axes: Axes, house: House, way: Pose) -> None:
     """Draw the whole map and a path on it, colored from start to end."""
-    _draw_map(axes, house.terrain, np.ones(house.terrain.shape, bool), _place(way, -1))
+    _draw_map(axes, house.terrain, np.ones(house.terrain.shape, bool), (int(way.x[-1]), int(way.y[-1])))
     points = np.stack([way.x, way.y], axis=-1).astype(float)
     segments = np.stack([points[:-1], points[1:]], axis=1)
-    width = house.terrain.shape[1]
     for color, thickness in (("white", 3.0), ("black", 2.2)):
-        axes.plot(*points.T, color=color, **_scaled(axes, width, {"linewidth": thickness, **_LINE_STYLE}))
+        axes.plot(*points.T, color=color, **_scaled(axes, {"linewidth": thickness, **_LINE_STYLE}))
     colors = colormaps[_WAY_COLORS](np.linspace(0, 1, len(segments)))
-    style = _scaled(axes, width, {"linewidth": 1.3, "capstyle": "round"})
+    style = _scaled(axes, {"linewidth": 1.3, "capstyle": "round"})
     axes.add_collection(LineCollection(list(segments), colors=colors, **style), autolim=False)
-    axes.plot(way.x[:1], way.y[:1], **_scaled(axes, width, _START))
+    axes.plot(way.x[:1], way.y[:1], **_scaled(axes, _START))
     marker = _HEADING_MARKERS[way.heading[-1]]
-    axes.plot(way.x[-1:], way.y[-1:], marker=marker, **_scaled(axes, width, _ROBOT))
+    axes.plot(way.x[-1:], way.y[-1:], marker=marker, **_scaled(axes, _ROBOT))
 
 
 def _way_bar(sheet: Sheet, place: float) -> None:
@@ -215,8 +200,8 @@ def plot_episode(
     height, width = house.terrain.shape
     count = columns or (4 if width <= 1.6 * height else 3 if width <= 2.6 * height else 2)
     estimates = sum(frames.cost_to_go is not None for frames in frames_by_planner.values())
-    entries = _entries(house.terrain, _START_MARK, _ROBOT_MARK, _SUBGOAL_MARK, _GOAL_MARK)
-    entries.append(hidden_patch(present_classes(house.terrain)[0]))
+    entries = _entries(house.terrain, "start", "robot", "subgoal", "goal")
+    entries.append(legend_patch("not seen yet", hidden_color(present_classes(house.terrain)[0])))
     if estimates:
         entries.append(legend_patch("not traversable", BLOCKED_COLOR))
     titles = {planner: _titles(frames, moments(frames, count)) for planner, frames in frames_by_planner.items()}
@@ -231,9 +216,12 @@ def plot_episode(
     for planner, frames in frames_by_planner.items():
         chosen = moments(frames, count)
         first = [sheet.panel(row, column, title) for column, title in enumerate(titles[planner][:-1])]
-        _name(first[0], planner)
+        style = planner_style(planner)
+        name = style.label.replace(", ", ",\n")
+        first[0].set_ylabel(name, fontsize=FONT, color=style.color, fontweight="bold", labelpad=3)
         for axes, frame in zip(first, chosen, strict=True):
-            _draw_map(axes, house.terrain, frames.seen[frame], _place(frames.pose, frame))
+            robot = int(frames.pose.x[frame]), int(frames.pose.y[frame])
+            _draw_map(axes, house.terrain, frames.seen[frame], robot)
             _draw_robot(axes, frames, frame)
         _draw_way(sheet.panel(row, count, titles[planner][-1]), house, frames.pose)
         row += 1
@@ -289,7 +277,7 @@ def plot_trajectories(
     for planner, result in result_by_planner.items():
         extra = "" if planner == "oracle" else f" ({result.extra:+.0f} %)"
         titles[planner] = f"{planner_style(planner).label}: {result.steps} steps{extra}"
-    entries = _entries(house.terrain, _START_MARK, _ROBOT_MARK, _GOAL_MARK)
+    entries = _entries(house.terrain, "start", "robot", "goal")
     sheet = empty_sheet(house.terrain.shape, rows, columns, entries, list(titles.values()))
     for number, (planner, result) in enumerate(result_by_planner.items()):
         axes = sheet.panel(*divmod(number, columns), titles[planner], planner_style(planner).color)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -116,11 +116,8 @@ def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, 
     axes.set_xticks(np.arange(len(groups)), [_GROUP_LABELS.get(group, group) for group in groups])
     axes.set_xlim(-0.5, len(groups) - 0.5)
     axes.margins(y=0.09)
-    axes.tick_params(labelsize=7.5)
+    plain_axes(axes, grid="y", label_size=7.5)
     axes.tick_params(axis="x", length=0)
-    axes.yaxis.grid(True, color="#dddddd", linewidth=0.6)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
 
 
 def save_figure(figure: Figure, path: str | Path, dpi: int = 160) -> list[Path]:
@@ -154,27 +151,19 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], caption: str
     panels = {settings: table for settings, table in tables.items() if table.keys() - {"oracle"}}
     if not panels:
         raise ValueError("no planner to compare with the oracle: give the table of another one as well")
-    groups = {settings: list(next(iter(table.values()))) for settings, table in panels.items()}
-    for names in groups.values():
-        names.sort(key=_group_place)
     figure = Figure(figsize=(PAGE_WIDTH, 0.8 + 2.2 * len(panels)), layout="constrained")
     all_axes = figure.subplots(len(panels), 1, squeeze=False, sharey=True)[:, 0]
     styles = planner_styles(name for table in panels.values() for name in table if name != "oracle")
     for axes, (settings, table) in zip(all_axes, panels.items(), strict=True):
-        _bars(axes, table, groups[settings], styles)
+        _bars(axes, table, sorted(next(iter(table.values())), key=_group_place), styles)
         axes.set_title(_TITLES.get(settings, settings), fontsize=8.5)
     figure.supylabel("extra steps beyond the oracle (%)", fontsize=8)
-    figure.legend(
-        [
-            Patch(facecolor=style.color, hatch=style.hatch, edgecolor="#333333", linewidth=0.5)
-            for style in styles.values()
-        ],
-        [style.label for style in styles.values()],
-        loc="outside upper center",
-        ncols=2 if len(styles) == 4 else min(len(styles), 3),
-        frameon=False,
-        fontsize=7.5,
-    )
+    patches = [
+        Patch(facecolor=style.color, hatch=style.hatch, edgecolor="#333333", linewidth=0.5, label=style.label)
+        for style in styles.values()
+    ]
+    columns = 2 if len(styles) == 4 else min(len(styles), 3)
+    figure.legend(handles=patches, loc="outside upper center", ncols=columns, frameon=False, fontsize=7.5)
     note = "Bars: mean, with its 95 % interval over houses; black lines: median."
     figure.supxlabel(f"{note} {caption}", fontsize=7, color="#555555")
     return save_figure(figure, path, dpi=300)
@@ -205,13 +194,12 @@ def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float
     """
     rows = -(-len(extra) // 2)
     figure = Figure(figsize=(PAGE_WIDTH, 3.5 * rows + 0.3), layout="constrained")
-    grid = figure.subplots(rows, 2, squeeze=False, sharex=True, sharey=True)
-    all_axes = grid.ravel()[: len(extra)]
-    for axes in grid.ravel()[len(extra) :]:
+    all_axes = figure.subplots(rows, 2, squeeze=False, sharex=True, sharey=True).ravel()
+    for axes in all_axes[len(extra) :]:
         axes.remove()
     most = max(value for pairs in extra.values() for pair in pairs for value in pair)
     ends = (-4.0, 1.6 * most)
-    for axes, (group, pairs) in zip(all_axes, extra.items(), strict=True):
+    for axes, (group, pairs) in zip(all_axes, extra.items(), strict=False):
         authors, ours = np.array(pairs, float).T
         below, above = int(np.sum(ours < authors)), int(np.sum(ours > authors))
         axes.fill_between(ends, ends, ends[0], color="#0072b2", alpha=0.08, linewidth=0)
@@ -281,23 +269,12 @@ def hidden_color(index: int) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def hidden_patch(index: int) -> Patch:
-    """The legend entry of unobserved ground, in the color of a class."""
-    return legend_patch("not seen yet", hidden_color(index))
-
-
-def plain_axes(axes: Axes) -> None:
+def plain_axes(axes: Axes, *, grid: Literal["both", "x", "y"] = "both", label_size: float = 8) -> None:
     """Draw a grid behind the data, and no frame above and on the right."""
-    axes.grid(True, color="#dddddd", linewidth=0.6)
+    axes.grid(True, axis=grid, color="#dddddd", linewidth=0.6)
     axes.set_axisbelow(True)
-    axes.tick_params(labelsize=8)
+    axes.tick_params(labelsize=label_size)
     axes.spines[["top", "right"]].set_visible(False)
-
-
-def bare_axes(axes: Axes, title: str) -> None:
-    """Set a title and remove the ticks."""
-    axes.set_title(title, fontsize=9)
-    axes.set(xticks=[], yticks=[])
 
 
 #: Heights in strip plots, inches: a planner's lane, the space between houses, and a group's headline.

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from dc2g_jax.inspection.figures import PAGE_WIDTH, bare_axes, plain_axes, save_figure
+from dc2g_jax.inspection.figures import PAGE_WIDTH, plain_axes, save_figure
 from dc2g_jax.inspection.training_figures import draw_band
 from dc2g_jax.training.image_evaluation import HouseMetrics
 
@@ -79,7 +79,8 @@ def plot_translations(
         for number, (row, example) in enumerate(zip(grid, examples, strict=True)):
             for axes, picture, name in zip(row, example[1:], ("input", "prediction", "truth"), strict=True):
                 axes.imshow(np.clip(picture, 0, 1), interpolation="nearest")
-                bare_axes(axes, "" if number else name)
+                axes.set(xticks=[], yticks=[])
+                axes.set_title("" if number else name, fontsize=9)
             row[0].set_ylabel(example.name, fontsize=7)
     legend = {
         "white": "visible, nearest to the goal",

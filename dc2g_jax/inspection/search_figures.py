@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
 from matplotlib.patches import Patch
 
+from dc2g_jax.inspection.costs import end_of_colors
 from dc2g_jax.inspection.driving_figures import ROBOT_ARROW
 from dc2g_jax.inspection.figures import PAGE_WIDTH, save_figure
 from dc2g_jax.inspection.sheets import DPI, FONT, cell_rim
@@ -198,8 +199,7 @@ def _highest(moments: Sequence[SearchMoment], extent: tuple[float, float, float,
         )
         inside = ((y > bottom) & (y < top))[:, None] & (x > left) & (x < right)
         shown.append(moment.costs[inside & np.isfinite(moment.costs)])
-    costs = np.concatenate(shown)
-    return max(float(np.percentile(costs, 99)), 1.0) if costs.size else 1.0
+    return end_of_colors(shown)
 
 
 def _robots_map(cells: UInt32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:

@@ -32,6 +32,7 @@ class Sheet(NamedTuple):
       width: width of a panel, inches.
       height: height of a panel, inches.
       rows: number of rows of panels.
+      row: distance from one row of panels to the next, inches; their titles are between them.
       column: distance from one column of panels to the next, inches.
       lines: number of lines of the panels' titles, see `_title_lines`.
     """
@@ -40,23 +41,14 @@ class Sheet(NamedTuple):
     width: float
     height: float
     rows: int
+    row: float
     column: float
     lines: int
-
-    @property
-    def _row(self) -> float:
-        """Distance from one row of panels to the next, inches."""
-        return self.height + self._title
-
-    @property
-    def _title(self) -> float:
-        """Height of titles, inches."""
-        return _TITLE + (self.lines - 1) * _TITLE_LINE
 
     def panel(self, row: int, column: int, title: str = "", color: str = "black") -> Axes:
         """The panel in a row and a column."""
         x = _LEFT + column * self.column + (self.column - _GAP - self.width) / 2
-        axes = self._axes(x, self._title + row * self._row, self.width, self.height)
+        axes = self._axes(x, (row + 1) * self.row - self.height, self.width, self.height)
         axes.set(xticks=[], yticks=[])
         axes.set_title("\n".join(_title_lines(title, self.lines)), fontsize=FONT, pad=2, color=color)
         axes.spines[:].set(color="#888888", linewidth=0.5)
@@ -67,7 +59,7 @@ class Sheet(NamedTuple):
         width = float(self.figure.get_figwidth())
         length = min(2.2, 0.38 * width)
         x = (0.25 + 0.5 * place) * width - length / 2
-        axes = self._axes(x, self.rows * self._row + 0.09, length, 0.08)
+        axes = self._axes(x, self.rows * self.row + 0.09, length, 0.08)
         bar = self.figure.colorbar(colors, cax=axes, orientation="horizontal", **options)
         bar.outline.set_linewidth(0.5)  # type: ignore[operator]
         axes.tick_params(labelsize=_SMALL, length=2, width=0.5, pad=1.5)
@@ -79,13 +71,6 @@ class Sheet(NamedTuple):
         total_width, total_height = self.figure.get_size_inches()
         rectangle = (x / total_width, 1 - (y + height) / total_height, width / total_width, height / total_height)
         return self.figure.add_axes(rectangle)
-
-    def legend(self, entries: Sequence[Any], columns: int) -> None:
-        """Add the legend at the foot of the page."""
-        self.figure.legend(
-            handles=list(entries), loc="lower center", bbox_to_anchor=(0.5, 0), borderaxespad=0.1, ncols=columns,
-            frameon=False, fontsize=_SMALL, handlelength=1.1, handletextpad=0.5, columnspacing=1.2, labelspacing=0.35,
-        )  # fmt: skip
 
 
 def _title_lines(title: str, count: int) -> list[str]:
@@ -120,11 +105,14 @@ def empty_sheet(
     page_width = max(_LEFT + columns * column, 3.5)
     legend_columns = min(len(entries), int(page_width / _ENTRY))
     foot = _BARS + _LINE * -(-len(entries) // legend_columns)
-    page_height = rows * (panel_height + _TITLE + (lines - 1) * _TITLE_LINE) + foot
-    pixels = np.ceil(np.array([page_width, page_height]) * DPI)
-    sheet = Sheet(Figure(figsize=tuple(pixels / DPI)), panel_width, panel_height, rows, column, lines)
-    sheet.legend(entries, legend_columns)
-    return sheet
+    row = panel_height + _TITLE + (lines - 1) * _TITLE_LINE
+    pixels = np.ceil(np.array([page_width, rows * row + foot]) * DPI)
+    figure = Figure(figsize=tuple(pixels / DPI))
+    figure.legend(
+        handles=list(entries), loc="lower center", bbox_to_anchor=(0.5, 0), borderaxespad=0.1, ncols=legend_columns,
+        frameon=False, fontsize=_SMALL, handlelength=1.1, handletextpad=0.5, columnspacing=1.2, labelspacing=0.35,
+    )  # fmt: skip
+    return Sheet(figure, panel_width, panel_height, rows, row, column, lines)
 
 
 def cell_rim(cells: Bool[np.ndarray, "h w"] | Int[np.ndarray, "h w"]) -> list[Any]:
