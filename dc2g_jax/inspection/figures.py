@@ -1,5 +1,6 @@
 """Figures for publication as PNG, SVG and PDF, readable in grayscale and with color blindness."""
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -308,18 +309,18 @@ def plot_house_strips(
     if not extra:
         raise ValueError("no planner to compare with the oracle: give episodes of another one as well")
     styles = planner_styles(planner for by_planner in extra.values() for planner in by_planner)
-    groups = sorted({group_by_house[house] for house in extra}, key=_group_place)
-    sections = [(group, sorted(house for house in extra if group_by_house[house] == group)) for group in groups]
-    pages = _columns_of_houses(sections, 1 if len(extra) <= _ONE_COLUMN else 2)
+    houses = sorted(extra, key=lambda house: (_group_place(group_by_house[house]), house))
+    room = len(houses) if len(houses) <= _ONE_COLUMN else math.ceil(len(houses) / 2)
+    pages = [houses[first : first + room] for first in range(0, len(houses), room)]
     house_height = _LANE * len(styles) + _BETWEEN
-    heights = [sum(_HEADLINE + house_height * len(houses) for _, houses in page) for page in pages]
+    heights = [_HEADLINE * len({group_by_house[house] for house in page}) + house_height * len(page) for page in pages]
     entries_a_row = 2 * len(pages)
     height = max(heights) + 0.85 + 0.15 * math.ceil(len(styles) / entries_a_row)
     figure = Figure(figsize=(PAGE_WIDTH / 2 * len(pages), height), layout="constrained")
     most = max(value for by_planner in extra.values() for values in by_planner.values() for value in values)
     columns = figure.subplots(1, len(pages), squeeze=False)[0]
     for axes, page in zip(columns, pages, strict=True):
-        _draw_strips(axes, page, extra, styles)
+        _draw_strips(axes, page, group_by_house, extra, styles)
         axes.set_ylim(max(heights), 0)
         _scale_extra_steps(axes, "x", (-3.0, max(1.3 * most, 12.0)))
         axes.tick_params(axis="x", labelsize=7.5)
@@ -362,31 +363,17 @@ def _group_place(group: str) -> tuple[int, str]:
     return (order.index(group) if group in order else len(order)), group
 
 
-Sections = list[tuple[str, list[str]]]
-
-
-def _columns_of_houses(sections: Sections, count: int) -> list[Sections]:
-    """Groups of houses in columns of about equal length; groups are split if necessary."""
-    room = -(-sum(len(houses) for _, houses in sections) // count)
-    columns: list[Sections] = [[]]
-    for group, houses in sections:
-        while houses:
-            left = room - sum(len(own) for _, own in columns[-1])
-            if not left:
-                columns.append([])
-                left = room
-            columns[-1].append((group, houses[:left]))
-            houses = houses[left:]
-    return columns
-
-
 def _draw_strips(
-    axes: Axes, page: Sections, extra: Mapping[str, Mapping[str, Sequence[float]]], styles: Mapping[str, PlannerStyle]
+    axes: Axes,
+    page: Sequence[str],
+    group_by_house: Mapping[str, str],
+    extra: Mapping[str, Mapping[str, Sequence[float]]],
+    styles: Mapping[str, PlannerStyle],
 ) -> None:
     """Draw one column of strips, from the top down in inches."""
     names: list[tuple[float, str]] = []
     y, lanes = 0.0, _LANE * len(styles)
-    for group, houses in page:
+    for group, houses in itertools.groupby(page, key=lambda house: group_by_house[house]):
         label = _GROUP_LABELS.get(group, group).replace("\n", " ")
         axes.annotate(
             label, (0, y + 0.75 * _HEADLINE), xycoords=("axes fraction", "data"), fontsize=8, fontweight="bold"

@@ -55,12 +55,23 @@ def test_an_oracle_alone_has_nothing_to_be_compared_with(tmp_path):
         plot_house_strips(tmp_path / "strips", _results(["a"], ("oracle",)), {"a": "test"})
 
 
-def test_groups_are_cut_where_a_column_is_full():
-    sections = [("x", ["a", "b", "c"]), ("y", ["d", "e"])]
-    assert figures._columns_of_houses(sections, 1) == [sections]
-    assert figures._columns_of_houses(sections, 2) == [sections[:1], sections[1:]]
-    uneven = [("x", ["a"]), ("y", ["b", "c", "d"])]
-    assert figures._columns_of_houses(uneven, 2) == [[("x", ["a"]), ("y", ["b"])], [("y", ["c", "d"])]]
+@pytest.mark.parametrize(
+    ("counts", "columns"),
+    [
+        ({"x": 12, "y": 8}, [(["x", "y"], 20)]),
+        ({"x": 12, "y": 11}, [(["x"], 12), (["y"], 11)]),
+        ({"x": 9, "y": 14}, [(["x", "y"], 12), (["y"], 11)]),
+    ],
+)
+def test_groups_are_cut_where_a_column_is_full(counts, columns, monkeypatch, tmp_path):
+    drawn = []
+    monkeypatch.setattr(figures, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
+    groups = {f"{group}{number:02}": group for group, count in counts.items() for number in range(count)}
+    plot_house_strips(tmp_path / "strips", _results(groups, ("frontier",)), groups)
+    names = [[label.get_text() for label in axes.get_yticklabels()] for axes in drawn[0].axes]
+    assert [name for column in names for name in column] == list(groups)
+    headlines = [[text.get_text() for text in axes.texts] for axes in drawn[0].axes]
+    assert list(zip(headlines, map(len, names), strict=True)) == columns
 
 
 def test_strips_are_written(tmp_path):
