@@ -40,6 +40,7 @@ from dc2g_jax.inspection.replay import Frames, actions_from_letters, running_ext
 from dc2g_jax.inspection.sheets import DPI, FONT, Sheet, cell_rim, empty_sheet
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
 from dc2g_jax.rollouts.evaluation import EpisodeResult
+from dc2g_jax.rollouts.rollout import NO_ACTION
 
 _GRAY = "#444444"
 
@@ -247,14 +248,10 @@ def _draw_costs(panels: Sequence[Axes], house: House, frames: Frames, chosen: Se
 def poses_along(result: EpisodeResult, house: House) -> Pose:
     """The poses before each action of an episode and after the last: `[t]`, as NumPy arrays."""
     height, width = house.terrain.shape
-
-    def move(pose: Pose, action: jax.Array) -> tuple[Pose, Pose]:
-        after = moved(pose, action, height, width)
-        return after, after
-
     start = make_pose(result.x, result.y, result.heading)
-    _, after = jax.lax.scan(move, start, jnp.asarray(actions_from_letters(result.actions), jnp.int32))
-    return jax.tree.map(lambda first, rest: np.concatenate([np.asarray(first)[None], np.asarray(rest)]), start, after)
+    actions = jnp.append(actions_from_letters(result.actions), NO_ACTION).astype(jnp.int32)
+    _, poses = jax.lax.scan(lambda pose, action: (moved(pose, action, height, width), pose), start, actions)
+    return jax.device_get(poses)
 
 
 def plot_trajectories(
