@@ -110,12 +110,6 @@ class _Doubling(nnx.Module):
         return pixels[:, 1:-1, 1:-1] + self.bias[...].astype(self.dtype)
 
 
-def _convolution(width_in: int, width_out: int, step: int, *, dtype: Any, rngs: nnx.Rngs) -> nnx.Conv:
-    """A 4x4 convolution that halves the resolution (step 2), or reduces it by one pixel (step 1)."""
-    options: dict[str, Any] = {"strides": (step, step), "padding": ((1, 1), (1, 1)), "dtype": dtype, "rngs": rngs}
-    return nnx.Conv(width_in, width_out, _KERNEL, **options)
-
-
 class _Layer(nnx.Module):
     """A convolution with optional normalization."""
 
@@ -146,7 +140,7 @@ class Generator(nnx.Module):
         innermost = self.levels - 1
         for level, width in enumerate(widths):
             below, skipped = (widths[level - 1] if level else 3), (1 if level == innermost else 2)
-            halve = _convolution(below, width, 2, dtype=dtype, rngs=rngs)
+            halve = nnx.Conv(below, width, _KERNEL, strides=2, padding=1, dtype=dtype, rngs=rngs)
             double = _Doubling(skipped * width, below, dtype=dtype)
             setattr(self, f"down{level}", _Layer(halve, width, normalize=0 < level < innermost))
             setattr(self, f"up{level}", _Layer(double, below, normalize=level > 0))
@@ -176,8 +170,8 @@ class Discriminator(nnx.Module):
         for layer in range(self.layers):
             last = layer == self.layers - 1
             width = 1 if last else filters * 2**layer
-            step = 2 if layer < _DISCRIMINATOR_HALVINGS else 1
-            convolution = _convolution(width_in, width, step, dtype=dtype, rngs=rngs)
+            step = 2 if layer < _DISCRIMINATOR_HALVINGS else 1  # halves the resolution, or reduces it by one pixel
+            convolution = nnx.Conv(width_in, width, _KERNEL, strides=step, padding=1, dtype=dtype, rngs=rngs)
             setattr(self, f"layer{layer}", _Layer(convolution, width, normalize=layer > 0 and not last))
             width_in = width
 

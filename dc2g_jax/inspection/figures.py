@@ -80,15 +80,11 @@ _TITLES = {
 def planner_styles(planners: Iterable[str]) -> dict[str, PlannerStyle]:
     """Styles of planners, in the order of `PLANNER_STYLES`, other planners last."""
     present = dict.fromkeys(planners)
-    known = {name: style for name, style in PLANNER_STYLES.items() if name in present}
-    others = [name for name in present if name not in known]
-    return known | {name: _other_style(name, n) for n, name in enumerate(others)}
-
-
-def _other_style(name: str, n: int) -> PlannerStyle:
-    """The style of the n-th planner in a figure that is not in `PLANNER_STYLES`, named without its module."""
-    color, hatch, marker = (styles[n % len(styles)] for styles in (_OTHER_COLORS, _OTHER_HATCHES, _OTHER_MARKERS))
-    return PlannerStyle(name.rpartition(":")[2], color, hatch, marker)
+    styles = {name: style for name, style in PLANNER_STYLES.items() if name in present}
+    for n, name in enumerate([name for name in present if name not in styles]):
+        color, hatch, marker = (looks[n % len(looks)] for looks in (_OTHER_COLORS, _OTHER_HATCHES, _OTHER_MARKERS))
+        styles[name] = PlannerStyle(name.rpartition(":")[2], color, hatch, marker)  # named without its module
+    return styles
 
 
 def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, PlannerStyle]) -> None:
@@ -233,7 +229,7 @@ _EVEN_PIXELS = 4
 
 def planner_style(name: str) -> PlannerStyle:
     """The style of a planner; a plain style for planners that are not in `PLANNER_STYLES`."""
-    return PLANNER_STYLES.get(name, _other_style(name, 0))
+    return planner_styles([name])[name]
 
 
 def present_classes(terrain: UInt8[np.ndarray, "*cells"]) -> list[int]:
