@@ -16,18 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.loops import repeated, until
-from dc2g_jax.grid.poses import (
-    FORWARD_ACTION,
-    HEADINGS,
-    LEFT_ACTION,
-    RIGHT_ACTION,
-    Pose,
-    PoseSet,
-    moved,
-    moved_forward,
-    only,
-    turned,
-)
+from dc2g_jax.grid.poses import ACTION_LETTERS, FORWARD_ACTION, HEADINGS, Pose, PoseSet, moved, one_action_on, only
 from dc2g_jax.grid.shifting import shifted
 
 #: Wavefront steps between checks for growth. Most searches end before the first check.
@@ -95,16 +84,6 @@ def _search(
     return until(lambda search: ~jnp.any(search.active), grow_for_a_while, first, most=_pose_count(free) + 1)
 
 
-def _predecessors(reached: PoseSet) -> PoseSet:
-    """Poses from which one action leads into the set."""
-    return moved_forward(reached, -1) | turned(reached)
-
-
-def _successors(reached: PoseSet) -> PoseSet:
-    """Poses that one action reaches from the set."""
-    return moved_forward(reached) | turned(reached)
-
-
 @struct.dataclass
 class FirstAction:
     """The first action of a shortest plan.
@@ -134,16 +113,15 @@ def first_action(pose: Pose, targets: PoseSet, free: Board) -> FirstAction:
     """
     start = targets & free
     columns, height = free.shape[0] * bitboard.WORD_BITS, free.shape[1]
-    next_poses = [
-        moved(pose, jnp.int32(action), height, columns) for action in (FORWARD_ACTION, LEFT_ACTION, RIGHT_ACTION)
-    ]
+    next_poses = [moved(pose, jnp.int32(action), height, columns) for action in range(len(ACTION_LETTERS))]
 
     def closer(reached: PoseSet) -> Bool[Array, "action *batch"]:
         return jnp.stack([poses.contains(reached, next_pose) for next_pose in next_poses])
 
     there = poses.contains(start, pose)
     active = ~there & bitboard.contains(free, pose.x, pose.y) & ~poses.is_empty(start)
-    search = _search(start, active, free, _predecessors, lambda reached: jnp.any(closer(reached), axis=0))
+    one_action_before = functools.partial(one_action_on, forward=-1)
+    search = _search(start, active, free, one_action_before, lambda reached: jnp.any(closer(reached), axis=0))
     actions = closer(search.reached) & active
     on_the_way = jnp.any(actions, axis=0)
     return FirstAction(
@@ -170,7 +148,7 @@ def first_headings(
 
     start = only(pose, *free.shape[:2]) & free
     active = bitboard.contains(free, pose.x, pose.y) & bitboard.contains(free, x, y)
-    search = _search(start, active, free, _successors, lambda reached: jnp.any(there(reached), axis=0))
+    search = _search(start, active, free, one_action_on, lambda reached: jnp.any(there(reached), axis=0))
     return there(search.reached)
 
 
@@ -211,7 +189,7 @@ def _count(pose: Pose, free: Board) -> _Counts:
 
     def grow(number: Array, carry: tuple[PoseSet, Array]) -> tuple[PoseSet, Array]:
         reached, low = carry
-        reached = reached | (_successors(reached) & free)
+        reached = reached | (one_action_on(reached) & free)
         return reached, flipped(low, trailing_ones(number), ~reached)
 
     def grow_a_round(carry: tuple[PoseSet, Array, Array, Array, Array]) -> tuple[PoseSet, Array, Array, Array, Array]:
