@@ -8,16 +8,16 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, UInt8
+from jaxtyping import Array
 
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.estimation.estimators import Estimator, extent_of
-from dc2g_jax.grid import gridworld
+from dc2g_jax.grid import bitboard, gridworld
 from dc2g_jax.grid.gridworld import Belief, belief_from_map
 from dc2g_jax.grid.ground import connected_to_goal
 from dc2g_jax.grid.poses import ACTION_LETTERS, HEADINGS, Pose, every_heading, make_pose
 from dc2g_jax.grid.sensing import Kernel
-from dc2g_jax.grid.terrain import DRIVEWAY, FRONT_DOOR, GRASS, HOUSE, PATH, ROAD, SIDEWALK, TRAVERSABLE, UNKNOWN
+from dc2g_jax.grid.terrain import DRIVEWAY, FRONT_DOOR, GRASS, HOUSE, PATH, ROAD, SIDEWALK, UNKNOWN
 from dc2g_jax.grid.world import World, world_from_terrain
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, Plan, Planner
 from dc2g_jax.planning.rules import complete_rules
@@ -44,20 +44,18 @@ _ROUNDING = 1e-3
 _ARRAYS = (jax.Array, np.ndarray, np.generic, int, float)
 
 
-def _maps() -> UInt8[np.ndarray, "h w worlds"]:
-    """A street with a house and a side street, its mirror image, and the street with the door walled in."""
+def _robots() -> tuple[World, Episodes]:
+    """The worlds, and episodes in each of them. In the mirror image, robots start on the mirrored columns.
+
+    A street with a house and a side street, its mirror image, and the street with the door walled in.
+    """
     street = np.full((12, 40), GRASS, np.uint8)
     street[6], street[7], street[8:, 5] = SIDEWALK, ROAD, DRIVEWAY
     street[1, 32:38], street[2:6, 35] = HOUSE, PATH
     street[1, 35] = FRONT_DOOR
     shut = street.copy()
     shut[2, 35] = HOUSE
-    return np.stack([street, street[:, ::-1], shut], axis=-1)
-
-
-def _robots() -> tuple[World, Episodes]:
-    """The worlds, and episodes in each of them. In the mirror image, robots start on the mirrored columns."""
-    maps = _maps()
+    maps = np.stack([street, street[:, ::-1], shut], axis=-1)
     width, n_worlds = maps.shape[1:]
     x, y, heading = np.tile(np.array(_STARTS).T, n_worlds)
     world = np.repeat(np.arange(n_worlds, dtype=np.int32), len(_STARTS))
@@ -294,11 +292,11 @@ def check_planner(planner: Planner) -> None:
         _check_plan(who, of, planner, belief, state)
 
     alone = _Alone(who, planner, sensing)
-    ground = np.sum(TRAVERSABLE[_maps()], axis=(0, 1))
+    ground = bitboard.count(worlds.traversable).tolist()
     acted = []
     for number, index in enumerate(episodes.world.tolist()):
         world, start = _one(worlds, index), _one(episodes.start, number)
-        acted.append(alone.actions(f"episode {number}", world, start, int(ground[index])))
+        acted.append(alone.actions(f"episode {number}", world, start, ground[index]))
     done = rollout(
         planner,
         worlds,
