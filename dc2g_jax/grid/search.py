@@ -152,29 +152,19 @@ def first_headings(
     return there(search.reached)
 
 
-class _Counts(NamedTuple):
-    """Bit-sliced distances of poses.
-
-    Attributes:
-      start: the pose at distance 0.
-      reached: poses with a distance.
-      planes: distance minus one in Gray code, highest bit first. Each plane holds the poses whose code has that bit.
-    """
-
-    start: PoseSet
-    reached: PoseSet
-    planes: UInt32[Array, "bit heading n_words h *batch"]
-
-
 #: Base-2 logarithm of the wavefront steps between changes of the high planes.
 _LOW_BITS = 4
 
 
-def _count(pose: Pose, free: Board) -> _Counts:
-    """Distances from a pose in actions, counted while the wavefront grows.
+def _count(pose: Pose, free: Board) -> tuple[PoseSet, PoseSet, UInt32[Array, "bit heading n_words h *batch"]]:
+    """Bit-sliced distances from a pose in actions, counted while the wavefront grows.
 
     A step adds one to the count of every pose not yet reached. Consecutive numbers differ in one bit of Gray code, so
     adding one is an exclusive or with one plane: usually a low plane, now and then a high plane.
+
+    Returns:
+      The pose at distance 0; the poses with a distance; and the distance minus one in Gray code, highest bit first.
+      Each plane holds the poses whose code has that bit.
     """
     n_words, height = free.shape[:2]
     start = only(pose, n_words, height) & free
@@ -202,12 +192,12 @@ def _count(pose: Pose, free: Board) -> _Counts:
     low, high = (jnp.zeros((bits, *start.shape), jnp.uint32) for bits in (_LOW_BITS, high_bits))
     first = start, low, high, jnp.int32(0), jnp.bool_(True)
     reached, low, high, _, _ = until(lambda carry: ~carry[-1], grow_a_round, first, most=_pose_count(free) + 1)
-    return _Counts(start, reached, jnp.concatenate([low, high])[::-1])
+    return start, reached, jnp.concatenate([low, high])[::-1]
 
 
 def distances(pose: Pose, free: Board, width: int) -> Int[Array, "heading h w *batch"]:
     """Length in actions of a shortest plan from `pose` to every pose over free cells, -1 for unreachable poses."""
-    counts = _count(pose, free)
+    start, reached, planes = _count(pose, free)
 
     def read(carry: tuple[Array, Array], plane: PoseSet) -> tuple[tuple[Array, Array], None]:
         lengths, binary = carry
@@ -215,9 +205,9 @@ def distances(pose: Pose, free: Board, width: int) -> Int[Array, "heading h w *b
         return (2 * lengths + poses.unpack(binary, width), binary), None
 
     zero = jnp.zeros((HEADINGS, free.shape[1], width, *free.shape[2:]), jnp.int32)
-    (lengths, _), _ = jax.lax.scan(read, (zero, jnp.zeros_like(counts.start)), counts.planes)
-    lengths = jnp.where(poses.unpack(counts.start, width), 0, lengths + 1)
-    return jnp.where(poses.unpack(counts.reached, width), lengths, -1)
+    (lengths, _), _ = jax.lax.scan(read, (zero, jnp.zeros_like(start)), planes)
+    lengths = jnp.where(poses.unpack(start, width), 0, lengths + 1)
+    return jnp.where(poses.unpack(reached, width), lengths, -1)
 
 
 def nearest_headings(
@@ -235,7 +225,7 @@ def nearest_headings(
       The nearest candidates of every cell, and their distance in actions. The distance is undefined on cells without
       candidates.
     """
-    counts = _count(pose, free)
+    _, reached, planes = _count(pose, free)
 
     def compare(carry: tuple[PoseSet, PoseSet], plane: PoseSet) -> tuple[tuple[PoseSet, PoseSet], Board]:
         nearest, binary = carry
@@ -245,10 +235,10 @@ def nearest_headings(
         some_without = poses.occupied(without)
         return (nearest & ~(binary & some_without), binary), ~some_without
 
-    start = (candidates & counts.reached, jnp.zeros_like(candidates))
+    start = (candidates & reached, jnp.zeros_like(candidates))
     (nearest, _), cell_planes = jax.lax.platform_dependent(
         start,
-        counts.planes,
+        planes,
         cpu=functools.partial(jax.lax.scan, compare),
         default=functools.partial(jax.lax.scan, compare, unroll=True),
     )
