@@ -16,11 +16,8 @@ import jax
 #: only so much memory: on a CPU, rollout programs of some 200 classes exhausted it.
 _KEPT = 64
 
-#: Classes of a tree's nodes, in depth-first order.
-NodeTypes = tuple[type, ...]
 
-
-def node_types(tree: Any) -> NodeTypes:
+def node_types(tree: Any) -> tuple[type, ...]:
     """Classes of all nodes of a tree, in depth-first order; leaves have none."""
     found: list[type] = []
     structures: list[Any] = [jax.tree.structure(tree)]
@@ -33,10 +30,11 @@ def node_types(tree: Any) -> NodeTypes:
     return tuple(found)
 
 
-class Program:
-    """A function that is compiled once for each structure, shape and dtype of its arguments, and for their classes.
+class jit:
+    """`jax.jit`, safe for classes of users: use it wherever a planner or anything else of theirs may be an argument.
 
-    A class that is defined again under its old name is another class.
+    The function is compiled once for each structure, shape and dtype of its arguments, and for their classes. A class
+    that is defined again under its old name is another class.
 
     Args:
       function: a pure function.
@@ -47,7 +45,7 @@ class Program:
         functools.update_wrapper(self, function)
         # JAX keeps what it traced by the function's identity, so a new `partial` shares nothing with the others.
         self._new = lambda: jax.jit(functools.partial(function), **options)
-        self._programs: dict[NodeTypes, Any] = {}
+        self._programs: dict[tuple[type, ...], Any] = {}
         self._lock = threading.Lock()
 
     def _of(self, args: Any, kwargs: Any) -> Any:
@@ -75,13 +73,3 @@ class Program:
     def compiled_count(self) -> int:
         """Number of compiled programs that are kept."""
         return sum(program._cache_size() for program in self._programs.values())
-
-
-def jit(function: Callable[..., Any], **options: Any) -> Program:
-    """`jax.jit`, safe for classes of users: use it wherever a planner or anything else of theirs may be an argument.
-
-    Args:
-      function: a pure function.
-      **options: those of `jax.jit`.
-    """
-    return Program(function, **options)

@@ -74,7 +74,7 @@ def main(options: Options) -> None:
     ran = EpisodeTable(out / "episodes.csv").published(dataset, both, network)
     frontier, ours = ([one for one in ran if one.planner == name] for name in ("frontier", options.planner))
     pairs = published.pair_up(published_episodes(), frontier, ours)
-    groups = {group: [pair for pair in pairs if group in (pair.group, "all")] for group in PUBLISHED_GROUPS}
+    groups = published.by_group(pairs)
     bootstrap = {"resamples": options.resamples, "seed": options.seed}
     tables = {group: published.compare(own, **bootstrap) for group, own in groups.items()}
     print_comparison(tables)

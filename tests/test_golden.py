@@ -11,7 +11,7 @@ from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import Start, published_episodes
 from dc2g_jax.estimation.estimators import ExactCostToGo
 from dc2g_jax.grid import bitboard, poses
-from dc2g_jax.grid.gridworld import Belief
+from dc2g_jax.grid.gridworld import belief_of
 from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax.grid.search import EIGHT_CONNECTED
 from dc2g_jax.grid.world import world_from_terrain
@@ -60,16 +60,8 @@ def test_every_recorded_moment_inside_an_episode(shared, golden_grids, sensing_r
     planner = Frontier(rules)
 
     def look(terrain, seen, x, y, heading):
-        world, board = world_from_terrain(terrain), bitboard.pack(seen)
-        belief = Belief(
-            pose=make_pose(x, y, heading),
-            steps=jnp.int32(0),
-            classes=world.classes & board,
-            seen=board,
-            traversable=world.traversable & board,
-            goals=world.goals & board,
-            width=world.width,
-        )
+        world = world_from_terrain(terrain)
+        belief = belief_of(world, make_pose(x, y, heading), jnp.int32(0), bitboard.pack(seen))
         plan, reachable = planner.plan(belief, planner.init(world))
         expanding = rules.frontier_expanding(belief, reachable)
         return plan.action, bitboard.unpack(reachable, 50), poses.unpack(expanding, 50)

@@ -119,25 +119,9 @@ def first(board: Board) -> tuple[Int[Array, "*batch"], Int[Array, "*batch"]]:
 
 def _shift_axis(board: Board, amount: int, axis: int) -> Board:
     """Move whole words (`axis=0`) or rows (`axis=1`) by `amount`, filling with zeros."""
-    size = board.shape[axis]
-    if amount == 0:
-        return board
-    if abs(amount) >= size:
-        return jnp.zeros_like(board)
-    kept = jax.lax.slice_in_dim(board, max(0, -amount), size - max(0, amount), axis=axis)
     padding = [(0, 0, 0)] * board.ndim
-    padding[axis] = (max(0, amount), max(0, -amount), 0)
-    return jax.lax.pad(kept, jnp.uint32(0), padding)
-
-
-def _shift_columns(board: Board, dx: int) -> Board:
-    """Move the set by `dx` columns. Cells moved past the last word vanish."""
-    words, bits = divmod(dx, WORD_BITS)
-    low = _shift_axis(board, words, 0)
-    if bits == 0:
-        return low
-    carried = _shift_axis(board, words + 1, 0)
-    return (low << jnp.uint32(bits)) | (carried >> jnp.uint32(WORD_BITS - bits))
+    padding[axis] = (amount, -amount, 0)
+    return jax.lax.pad(board, jnp.uint32(0), padding)
 
 
 def shift(board: Board, dx: int, dy: int) -> Board:
@@ -146,7 +130,12 @@ def shift(board: Board, dx: int, dy: int) -> Board:
     Cells moved off the map vanish; cells moved past column `w - 1` may lie in the padding until the result is
     intersected with a set of in-bounds cells.
     """
-    return _shift_axis(_shift_columns(board, dx), dy, 1)
+    words, bits = divmod(dx, WORD_BITS)
+    moved = _shift_axis(board, words, 0)
+    if bits:
+        carried = _shift_axis(board, words + 1, 0)
+        moved = (moved << jnp.uint32(bits)) | (carried >> jnp.uint32(WORD_BITS - bits))
+    return _shift_axis(moved, dy, 1)
 
 
 def neighbors(board: Board) -> Board:

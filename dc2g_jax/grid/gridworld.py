@@ -11,78 +11,56 @@ from flax import struct
 from jaxtyping import Array, Bool, Int, UInt8, UInt32
 
 from dc2g_jax.grid import bitboard
-from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.poses import Pose, moved
 from dc2g_jax.grid.sensing import Kernel
-from dc2g_jax.grid.world import World, opaque_cells, unpack_classes, world_from_terrain
+from dc2g_jax.grid.world import World, world_from_terrain
 
 
 @struct.dataclass
-class Belief:
-    """Everything the robot has observed since the episode began (the stand-in for a SLAM system), and its pose.
+class Belief(World):
+    """A world as far as a robot has observed it since the episode began (the stand-in for a SLAM system); and its pose.
 
     Attributes:
-      pose: pose of the robot.
-      steps: actions taken so far, int32.
       classes: bit planes of the observed class indices: plane `b` holds the cells whose index has bit `b`.
-      seen: board of observed cells.
       traversable: board of observed traversable cells.
       goals: board of observed goal cells.
       width: columns of the grid.
+      pose: pose of the robot.
+      steps: actions taken so far, int32.
+      seen: board of observed cells.
       outside: board of the cells that are not part of the map, if the grid is larger than the map. They are never
         observed and do not count as unobserved.
     """
 
     pose: Pose
     steps: Int[Array, "*batch"]
-    classes: UInt32[Array, "bit n_words h *batch"]
     seen: UInt32[Array, "n_words h *batch"]
-    traversable: UInt32[Array, "n_words h *batch"]
-    goals: UInt32[Array, "n_words h *batch"]
-    width: int = struct.field(pytree_node=False)
     outside: UInt32[Array, "n_words h *batch"] | None = None
 
-    @property
-    def height(self) -> int:
-        """Rows of the grid."""
-        return self.seen.shape[1]
 
-    @property
-    def terrain(self) -> UInt8[Array, "h w *batch"]:
-        """Observed class indices, 0 for unobserved cells."""
-        return unpack_classes(self.classes, self.width)
-
-    @property
-    def opaque(self) -> Board:
-        """Board of the observed cells that hide what is behind them."""
-        return opaque_cells(self.classes)
-
-
-def _observed(
-    world: World, pose: Pose, steps: Int[Array, "*batch"], seen: UInt32[Array, "n_words h *batch"], sensing: Kernel
-) -> Belief:
-    """The belief after an observation from `pose`; `seen` are the cells seen before."""
-    seen = seen | sensing.visible(pose, world.opaque, world.width)
+def belief_of(world: World, pose: Pose, steps: Int[Array, "*batch"], seen: UInt32[Array, "n_words h *batch"]) -> Belief:
+    """The belief of a robot that has observed these cells of a world."""
     return Belief(
-        pose=pose,
-        steps=steps,
         classes=world.classes & seen,
-        seen=seen,
         traversable=world.traversable & seen,
         goals=world.goals & seen,
         width=world.width,
+        pose=pose,
+        steps=steps,
+        seen=seen,
     )
 
 
 def reset(world: World, pose: Pose, sensing: Kernel) -> Belief:
     """The belief at the start of an episode, after the observation from the first pose."""
-    return _observed(world, pose, jnp.zeros_like(pose.x), jnp.zeros_like(world.goals), sensing)
+    return belief_of(world, pose, jnp.zeros_like(pose.x), sensing.visible(pose, world.opaque, world.width))
 
 
 def step(world: World, belief: Belief, action: Int[Array, "*batch"], sensing: Kernel) -> Belief:
     """Take one action, then observe. Shapes and dtypes of the belief do not change."""
     pose = moved(belief.pose, action, belief.height, belief.width)
-    return _observed(world, pose, belief.steps + 1, belief.seen, sensing)
+    seen = belief.seen | sensing.visible(pose, world.opaque, world.width)
+    return belief_of(world, pose, belief.steps + 1, seen)
 
 
 def at_goal(world: World, pose: Pose) -> Bool[Array, "*batch"]:
@@ -98,12 +76,4 @@ def belief_from_map(observed: UInt8[Array, "h w *batch"] | UInt8[np.ndarray, "h 
       pose: pose of the robot.
     """
     world = world_from_terrain(observed)
-    return Belief(
-        pose=pose,
-        steps=jnp.zeros_like(pose.x),
-        classes=world.classes,
-        seen=functools.reduce(jnp.bitwise_or, world.classes),
-        traversable=world.traversable,
-        goals=world.goals,
-        width=world.width,
-    )
+    return belief_of(world, pose, jnp.zeros_like(pose.x), functools.reduce(jnp.bitwise_or, world.classes))

@@ -99,14 +99,8 @@ def pack(poses: Bool[Array, "heading h w *batch"]) -> PoseSet:
     return jnp.stack([bitboard.pack(grid) for grid in poses])
 
 
-def moved_forward(poses: PoseSet, cells: int = 1) -> PoseSet:
-    """Every pose of the set moved `cells` forward along its own heading (backward if negative)."""
-    return jnp.stack(
-        [bitboard.shift(poses[heading], cells * dx, cells * dy) for heading, (dx, dy) in enumerate(FORWARD)]
-    )
-
-
-def turned(poses: PoseSet) -> PoseSet:
-    """The union of the set with every pose turned left and the set with every pose turned right."""
+def one_action_on(poses: PoseSet, forward: int = 1) -> PoseSet:
+    """The poses one action after those of the set, on any cells; or one action before them if `forward` is -1."""
+    ahead = jnp.stack([bitboard.shift(poses[i], forward * dx, forward * dy) for i, (dx, dy) in enumerate(FORWARD)])
     along_x, along_y = poses[0] | poses[2], poses[1] | poses[3]
-    return jnp.stack([along_y, along_x, along_y, along_x])
+    return ahead | jnp.stack([along_y, along_x, along_y, along_x])

@@ -13,11 +13,6 @@ ClassImage = npt.NDArray[np.uint8]
 Grid = TypeVar("Grid", np.ndarray, jax.Array)
 
 
-def nearest_pixels(pixels: int, samples: int) -> npt.NDArray[np.int64]:
-    """The pixel that each sample along an axis reads, int64 [samples]; see `nearest_pixel`."""
-    return nearest_pixel(np.arange(samples), pixels, samples)
-
-
 def nearest_pixel(index: Any, pixels: Any, samples: Any) -> Any:
     """The pixel along an axis that is nearest to the center of a sample. Exact ties are rounded down.
 
@@ -35,14 +30,15 @@ def nearest_pixel(index: Any, pixels: Any, samples: Any) -> Any:
 
 
 def resize_nearest(grid: Grid, height: int, width: int) -> Grid:
-    """Resize a grid `[h w ...]` to `[height width ...]` by nearest neighbor, see `nearest_pixels`."""
-    return grid[nearest_pixels(grid.shape[0], height)][:, nearest_pixels(grid.shape[1], width)]
+    """Resize a grid `[h w ...]` to `[height width ...]` by nearest neighbor, see `nearest_pixel`."""
+    rows = nearest_pixel(np.arange(height), grid.shape[0], height)
+    return grid[rows][:, nearest_pixel(np.arange(width), grid.shape[1], width)]
 
 
 def sample_grid(classes: ClassImage, cells: int | tuple[int, int] = 50) -> ClassImage:
     """Resample a class image of any aspect ratio to a grid.
 
-    Sampling is nearest neighbor, see `nearest_pixels`. `path` cells are then dilated by a 3x3 square over all other
+    Sampling is nearest neighbor, see `nearest_pixel`. `path` cells are then dilated by a 3x3 square over all other
     classes, so that thin paths stay connected, and `front_door` cells are restored on top.
 
     Args:

@@ -16,18 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.loops import repeated, until
-from dc2g_jax.grid.poses import (
-    FORWARD_ACTION,
-    HEADINGS,
-    LEFT_ACTION,
-    RIGHT_ACTION,
-    Pose,
-    PoseSet,
-    moved,
-    moved_forward,
-    only,
-    turned,
-)
+from dc2g_jax.grid.poses import ACTION_LETTERS, FORWARD_ACTION, HEADINGS, Pose, PoseSet, moved, one_action_on, only
 from dc2g_jax.grid.shifting import shifted
 
 #: Wavefront steps between checks for growth. Most searches end before the first check.
@@ -95,16 +84,6 @@ def _search(
     return until(lambda search: ~jnp.any(search.active), grow_for_a_while, first, most=_pose_count(free) + 1)
 
 
-def _predecessors(reached: PoseSet) -> PoseSet:
-    """Poses from which one action leads into the set."""
-    return moved_forward(reached, -1) | turned(reached)
-
-
-def _successors(reached: PoseSet) -> PoseSet:
-    """Poses that one action reaches from the set."""
-    return moved_forward(reached) | turned(reached)
-
-
 @struct.dataclass
 class FirstAction:
     """The first action of a shortest plan.
@@ -134,16 +113,15 @@ def first_action(pose: Pose, targets: PoseSet, free: Board) -> FirstAction:
     """
     start = targets & free
     columns, height = free.shape[0] * bitboard.WORD_BITS, free.shape[1]
-    next_poses = [
-        moved(pose, jnp.int32(action), height, columns) for action in (FORWARD_ACTION, LEFT_ACTION, RIGHT_ACTION)
-    ]
+    next_poses = [moved(pose, jnp.int32(action), height, columns) for action in range(len(ACTION_LETTERS))]
 
     def closer(reached: PoseSet) -> Bool[Array, "action *batch"]:
         return jnp.stack([poses.contains(reached, next_pose) for next_pose in next_poses])
 
     there = poses.contains(start, pose)
     active = ~there & bitboard.contains(free, pose.x, pose.y) & ~poses.is_empty(start)
-    search = _search(start, active, free, _predecessors, lambda reached: jnp.any(closer(reached), axis=0))
+    one_action_before = functools.partial(one_action_on, forward=-1)
+    search = _search(start, active, free, one_action_before, lambda reached: jnp.any(closer(reached), axis=0))
     actions = closer(search.reached) & active
     on_the_way = jnp.any(actions, axis=0)
     return FirstAction(
@@ -170,33 +148,23 @@ def first_headings(
 
     start = only(pose, *free.shape[:2]) & free
     active = bitboard.contains(free, pose.x, pose.y) & bitboard.contains(free, x, y)
-    search = _search(start, active, free, _successors, lambda reached: jnp.any(there(reached), axis=0))
+    search = _search(start, active, free, one_action_on, lambda reached: jnp.any(there(reached), axis=0))
     return there(search.reached)
-
-
-class _Counts(NamedTuple):
-    """Bit-sliced distances of poses.
-
-    Attributes:
-      start: the pose at distance 0.
-      reached: poses with a distance.
-      planes: distance minus one in Gray code, highest bit first. Each plane holds the poses whose code has that bit.
-    """
-
-    start: PoseSet
-    reached: PoseSet
-    planes: UInt32[Array, "bit heading n_words h *batch"]
 
 
 #: Base-2 logarithm of the wavefront steps between changes of the high planes.
 _LOW_BITS = 4
 
 
-def _count(pose: Pose, free: Board) -> _Counts:
-    """Distances from a pose in actions, counted while the wavefront grows.
+def _count(pose: Pose, free: Board) -> tuple[PoseSet, PoseSet, UInt32[Array, "bit heading n_words h *batch"]]:
+    """Bit-sliced distances from a pose in actions, counted while the wavefront grows.
 
     A step adds one to the count of every pose not yet reached. Consecutive numbers differ in one bit of Gray code, so
     adding one is an exclusive or with one plane: usually a low plane, now and then a high plane.
+
+    Returns:
+      The pose at distance 0; the poses with a distance; and the distance minus one in Gray code, highest bit first.
+      Each plane holds the poses whose code has that bit.
     """
     n_words, height = free.shape[:2]
     start = only(pose, n_words, height) & free
@@ -211,7 +179,7 @@ def _count(pose: Pose, free: Board) -> _Counts:
 
     def grow(number: Array, carry: tuple[PoseSet, Array]) -> tuple[PoseSet, Array]:
         reached, low = carry
-        reached = reached | (_successors(reached) & free)
+        reached = reached | (one_action_on(reached) & free)
         return reached, flipped(low, trailing_ones(number), ~reached)
 
     def grow_a_round(carry: tuple[PoseSet, Array, Array, Array, Array]) -> tuple[PoseSet, Array, Array, Array, Array]:
@@ -224,12 +192,12 @@ def _count(pose: Pose, free: Board) -> _Counts:
     low, high = (jnp.zeros((bits, *start.shape), jnp.uint32) for bits in (_LOW_BITS, high_bits))
     first = start, low, high, jnp.int32(0), jnp.bool_(True)
     reached, low, high, _, _ = until(lambda carry: ~carry[-1], grow_a_round, first, most=_pose_count(free) + 1)
-    return _Counts(start, reached, jnp.concatenate([low, high])[::-1])
+    return start, reached, jnp.concatenate([low, high])[::-1]
 
 
 def distances(pose: Pose, free: Board, width: int) -> Int[Array, "heading h w *batch"]:
     """Length in actions of a shortest plan from `pose` to every pose over free cells, -1 for unreachable poses."""
-    counts = _count(pose, free)
+    start, reached, planes = _count(pose, free)
 
     def read(carry: tuple[Array, Array], plane: PoseSet) -> tuple[tuple[Array, Array], None]:
         lengths, binary = carry
@@ -237,9 +205,9 @@ def distances(pose: Pose, free: Board, width: int) -> Int[Array, "heading h w *b
         return (2 * lengths + poses.unpack(binary, width), binary), None
 
     zero = jnp.zeros((HEADINGS, free.shape[1], width, *free.shape[2:]), jnp.int32)
-    (lengths, _), _ = jax.lax.scan(read, (zero, jnp.zeros_like(counts.start)), counts.planes)
-    lengths = jnp.where(poses.unpack(counts.start, width), 0, lengths + 1)
-    return jnp.where(poses.unpack(counts.reached, width), lengths, -1)
+    (lengths, _), _ = jax.lax.scan(read, (zero, jnp.zeros_like(start)), planes)
+    lengths = jnp.where(poses.unpack(start, width), 0, lengths + 1)
+    return jnp.where(poses.unpack(reached, width), lengths, -1)
 
 
 def nearest_headings(
@@ -257,7 +225,7 @@ def nearest_headings(
       The nearest candidates of every cell, and their distance in actions. The distance is undefined on cells without
       candidates.
     """
-    counts = _count(pose, free)
+    _, reached, planes = _count(pose, free)
 
     def compare(carry: tuple[PoseSet, PoseSet], plane: PoseSet) -> tuple[tuple[PoseSet, PoseSet], Board]:
         nearest, binary = carry
@@ -267,10 +235,10 @@ def nearest_headings(
         some_without = poses.occupied(without)
         return (nearest & ~(binary & some_without), binary), ~some_without
 
-    start = (candidates & counts.reached, jnp.zeros_like(candidates))
+    start = (candidates & reached, jnp.zeros_like(candidates))
     (nearest, _), cell_planes = jax.lax.platform_dependent(
         start,
-        counts.planes,
+        planes,
         cpu=functools.partial(jax.lax.scan, compare),
         default=functools.partial(jax.lax.scan, compare, unroll=True),
     )

@@ -51,12 +51,23 @@ class Kernel:
           opaque: cells that hide what is behind them. This kernel ignores them.
           width: columns of the grid.
         """
-        return visible(self, pose, opaque.shape[1], width)
+        n_words, height, n_rows = bitboard.word_count(width), opaque.shape[1], 2 * self.radius + 3
+        row = jax.lax.broadcasted_iota(jnp.int32, (height, *pose.x.shape), 0)
+        kernel_row = jnp.clip(row - pose.y + self.radius + 1, 0, n_rows - 1) + pose.heading * n_rows
+        word_start = WORD_BITS * jax.lax.broadcasted_iota(jnp.int32, (n_words, height, *pose.x.shape), 0)
+        covered = jnp.zeros(word_start.shape, jnp.uint32)
+        for bounds in _kernel_runs(self):
+            first, last = (
+                jnp.asarray(bound.reshape(-1)).at[kernel_row].get(mode="promise_in_bounds") for bound in bounds
+            )
+            end = jnp.minimum(pose.x + last + 1, width)
+            covered |= _bits_below(end - word_start) & ~_bits_below(pose.x + first - word_start)
+        return covered
 
     def poses_that_see(self, targets: Board, opaque: Board) -> PoseSet:
         """Poses from which at least one target cell is seen, see `visible`."""
         del opaque
-        return poses_that_see(targets, self)
+        return jnp.stack([bitboard.cells_that_see(targets, offsets) for offsets in self.offsets])
 
     def count_seen(self, targets: Board, opaque: Board, width: int) -> UInt[Array, "heading h w *batch"]:
         """Number of target cells that are seen from every pose, see `visible`.
@@ -82,16 +93,6 @@ class Kernel:
     def _count(self) -> type:
         """The integer type that can count the cells in view."""
         return jnp.uint8 if max(map(len, self.offsets)) < 256 else jnp.uint16
-
-    @classmethod
-    def from_array(cls, array: Bool[np.ndarray, "heading dy dx"]) -> "Kernel":
-        """The inverse of `as_array`."""
-        radius = array.shape[1] // 2
-        offsets = tuple(
-            tuple((int(column) - radius, int(row) - radius) for row, column in np.argwhere(array[heading]))
-            for heading in range(HEADINGS)
-        )
-        return cls(radius=radius, offsets=offsets)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -193,12 +194,11 @@ def _toward_the_robot(ahead: int, lateral: int) -> tuple[int, int]:
 
 def _turned(ahead_and_lateral: list[tuple[int, int]], radius: int) -> Kernel:
     """The kernel whose offsets are the given `(ahead, lateral)`, rotated to each of the four headings."""
-    array = np.zeros((HEADINGS, 2 * radius + 1, 2 * radius + 1), dtype=bool)
-    for heading, (ex, ey) in enumerate(FORWARD):
-        for ahead, lateral in ahead_and_lateral:
-            dx, dy = ahead * ex - lateral * ey, ahead * ey + lateral * ex
-            array[heading, dy + radius, dx + radius] = True
-    return Kernel.from_array(array)
+    offsets = (
+        {(ahead * ex - lateral * ey, ahead * ey + lateral * ex) for ahead, lateral in ahead_and_lateral}
+        for ex, ey in FORWARD
+    )
+    return Kernel(radius, tuple(tuple(sorted(own, key=lambda offset: offset[::-1])) for own in offsets))
 
 
 @functools.cache
@@ -279,26 +279,3 @@ def _bits_below(end: Int[Array, "..."]) -> UInt32[Array, "..."]:
     all_bits = jnp.uint32(0xFFFFFFFF)
     some = ~(all_bits << jnp.clip(end, 0, WORD_BITS - 1).astype(jnp.uint32))
     return jnp.where(end >= WORD_BITS, all_bits, some)
-
-
-def visible(kernel: Kernel, pose: Pose, height: int, width: int) -> Board:
-    """The in-bounds cells that the kernel covers from a pose.
-
-    Returns:
-      Board of an `height x width` grid.
-    """
-    n_words, n_rows = bitboard.word_count(width), 2 * kernel.radius + 3
-    row = jax.lax.broadcasted_iota(jnp.int32, (height, *pose.x.shape), 0)
-    kernel_row = jnp.clip(row - pose.y + kernel.radius + 1, 0, n_rows - 1) + pose.heading * n_rows
-    word_start = WORD_BITS * jax.lax.broadcasted_iota(jnp.int32, (n_words, height, *pose.x.shape), 0)
-    covered = jnp.zeros(word_start.shape, jnp.uint32)
-    for bounds in _kernel_runs(kernel):
-        first, last = (jnp.asarray(bound.reshape(-1)).at[kernel_row].get(mode="promise_in_bounds") for bound in bounds)
-        end = jnp.minimum(pose.x + last + 1, width)
-        covered |= _bits_below(end - word_start) & ~_bits_below(pose.x + first - word_start)
-    return covered
-
-
-def poses_that_see(targets: Board, kernel: Kernel) -> PoseSet:
-    """Poses from which the kernel covers at least one target cell."""
-    return jnp.stack([bitboard.cells_that_see(targets, offsets) for offsets in kernel.offsets])

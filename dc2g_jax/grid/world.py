@@ -35,29 +35,19 @@ class World:
     @property
     def terrain(self) -> UInt8[Array, "h w *batch"]:
         """Class index of every cell, see `dc2g_jax.grid.terrain`."""
-        return unpack_classes(self.classes, self.width)
+        indices = jnp.uint8(0)
+        for bit, plane in enumerate(self.classes):
+            indices |= bitboard.unpack(plane, self.width).astype(jnp.uint8) << jnp.uint8(bit)
+        return jnp.asarray(indices)
 
     @property
     def opaque(self) -> Board:
-        """Board of the cells that hide what is behind them."""
-        return opaque_cells(self.classes)
-
-
-def opaque_cells(classes: UInt32[Array, "bit n_words h *batch"]) -> Board:
-    """Board of the cells whose class hides what is behind it, from the bit planes of class indices."""
-    found = jnp.zeros_like(classes[0])
-    for index in np.flatnonzero(terrain.OPAQUE):
-        planes = [plane if index >> bit & 1 else ~plane for bit, plane in enumerate(classes)]
-        found = found | functools.reduce(jnp.bitwise_and, planes)
-    return found
-
-
-def unpack_classes(classes: UInt32[Array, "bit n_words h *batch"], width: int) -> UInt8[Array, "h w *batch"]:
-    """Class indices from their bit planes."""
-    indices = jnp.uint8(0)
-    for bit, plane in enumerate(classes):
-        indices |= bitboard.unpack(plane, width).astype(jnp.uint8) << jnp.uint8(bit)
-    return jnp.asarray(indices)
+        """Board of the cells whose class hides what is behind them."""
+        found = jnp.zeros_like(self.classes[0])
+        for index in np.flatnonzero(terrain.OPAQUE):
+            planes = [plane if index >> bit & 1 else ~plane for bit, plane in enumerate(self.classes)]
+            found = found | functools.reduce(jnp.bitwise_and, planes)
+        return found
 
 
 def world_from_terrain(classes: UInt8[Array, "h w *batch"] | UInt8[np.ndarray, "h w *batch"]) -> World:

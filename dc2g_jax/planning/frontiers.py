@@ -10,7 +10,7 @@ from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import PoseSet, only
-from dc2g_jax.grid.sensing import Kernel, poses_that_see
+from dc2g_jax.grid.sensing import Kernel
 
 
 def _beyond(belief: Belief, known: Board) -> Board:
@@ -60,7 +60,7 @@ def reference(belief: Belief, reachable: Board, expanding: Kernel) -> PoseSet:
       expanding: see `dc2g_jax.grid.sensing.expanding_kernel`.
     """
     frontier = belief.seen & bitboard.neighbors(unseen(belief))
-    return _reachable_but_here(poses_that_see(frontier, expanding), belief, reachable)
+    return _reachable_but_here(expanding.poses_that_see(frontier, belief.opaque), belief, reachable)
 
 
 def opening(belief: Belief, candidates: PoseSet, sensing: Kernel, rim_width: int) -> PoseSet:

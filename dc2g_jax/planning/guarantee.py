@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Int
 
-from dc2g_jax.grid import bitboard, poses, search
+from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import FORWARD_ACTION, Pose, every_heading, moved
@@ -30,6 +30,7 @@ from dc2g_jax.planning.planners import (
     MapRevisingPlanner,
     Plan,
     assess,
+    plan_to,
 )
 from dc2g_jax.planning.rules import Rules
 
@@ -178,21 +179,15 @@ class Guaranteed(AssessingPlanner):
         to_goal = wrapped.mode == TO_GOAL
         # Goals count whatever the wrapped planner says of them, or it could break the bound by changing its mind.
         subgoals = poses.only(target, *belief.goals.shape[:2]) | every_heading(belief.goals)
-        home = search.first_action(belief.pose, subgoals, belief.traversable)
-        back = Plan(
-            action=home.action,
-            mode=jnp.where(to_goal, TO_GOAL, EXPLORE).astype(jnp.int32),
-            length=home.length,
-            subgoals=subgoals,
-        )
+        back = plan_to(belief, subgoals, belief.traversable, jnp.where(to_goal, TO_GOAL, EXPLORE))
         slack = self.slack * (belief.height + belief.width)
-        left = self.factor * shadow.steps + slack - state.taken - jnp.where(there, 0, home.length)
+        left = self.factor * shadow.steps + slack - state.taken - jnp.where(there, 0, back.length)
         affordable = left >= 1 + jnp.where(wrapped.action == FORWARD_ACTION, _UNDO_FORWARD, _UNDO_TURN)
         led = ~affordable | (state.led & (left < _RENEWED * slack))
         ahead = _next_pose(belief, belief.pose, wrapped.action)
         possible = bitboard.contains(belief.traversable, ahead.x, ahead.y) & (wrapped.mode != GAVE_UP)
         free = possible & affordable & (~led | to_goal)
-        without_bound = (shadow.mode == GAVE_UP) | ~home.found
+        without_bound = (shadow.mode == GAVE_UP) | (back.mode == GAVE_UP)
         return _chosen(free | without_bound, wrapped, back), led
 
 

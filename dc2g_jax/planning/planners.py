@@ -23,7 +23,7 @@ from dc2g_jax.estimation.padding import PaddedNetwork, mirrored
 from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.gridworld import Belief
-from dc2g_jax.grid.poses import Pose, PoseSet, every_heading
+from dc2g_jax.grid.poses import PoseSet, every_heading
 from dc2g_jax.grid.terrain import OUTSIDE
 from dc2g_jax.grid.world import World
 from dc2g_jax.planning import frontiers
@@ -121,6 +121,13 @@ class MapRevisingPlanner(Planner, Protocol):
         ...
 
 
+def plan_to(belief: Belief, subgoals: PoseSet, ground: Board, mode: int | Int[Array, "*batch"]) -> Plan:
+    """A shortest plan over the ground to the nearest subgoal, in this mode; `GAVE_UP` if none can be reached."""
+    first = search.first_action(belief.pose, subgoals, ground)
+    mode = jnp.where(first.found, mode, GAVE_UP).astype(jnp.int32)
+    return Plan(action=first.action, mode=mode, length=first.length, subgoals=subgoals)
+
+
 @struct.dataclass
 class Oracle(AssessingPlanner):
     """Shortest plan to the nearest goal on the whole map: the lower bound for all planners."""
@@ -136,11 +143,8 @@ class Oracle(AssessingPlanner):
     def assess(self, belief: Belief, state: tuple[Board, Board]) -> tuple[Assessment, tuple[Board, Board]]:
         """Head for the nearest goal; give up if it is unreachable. There are no candidates."""
         traversable, goals = state
-        subgoals = every_heading(goals)
-        first = search.first_action(belief.pose, subgoals, traversable)
-        mode = jnp.where(first.found, TO_GOAL, GAVE_UP).astype(jnp.int32)
-        plan = Plan(action=first.action, mode=mode, length=first.length, subgoals=subgoals)
-        return Assessment(plan, traversable, candidates=jnp.zeros_like(subgoals)), state
+        plan = plan_to(belief, every_heading(goals), traversable, TO_GOAL)
+        return Assessment(plan, traversable, candidates=jnp.zeros_like(plan.subgoals)), state
 
     def revised(self, state: tuple[Board, Board], changed: Board) -> tuple[Board, Board]:
         """The whole state, which only depends on the world."""
@@ -191,9 +195,7 @@ def _explore_or_finish(belief: Belief, reachable: Board, subgoals: PoseSet, rule
     goals = reachable & belief.goals
     goal_reachable = ~bitboard.is_empty(goals)
     targets = jnp.where(goal_reachable, rules.goal_poses(belief, goals, reachable), subgoals)
-    first = search.first_action(belief.pose, targets, reachable)
-    mode = jnp.where(first.found, jnp.where(goal_reachable, TO_GOAL, EXPLORE), GAVE_UP).astype(jnp.int32)
-    return Plan(action=first.action, mode=mode, length=first.length, subgoals=targets)
+    return plan_to(belief, targets, reachable, jnp.where(goal_reachable, TO_GOAL, EXPLORE))
 
 
 @struct.dataclass
@@ -346,16 +348,6 @@ class DC2G(AssessingPlanner):
             )
         return self.selection.summary(costs)
 
-    def _estimate(
-        self, terrain: UInt8[Array, "h w *batch"], pose: Pose, before: Estimates, state: tuple[Array, Any]
-    ) -> Estimates:
-        """New estimates, given the number of the next view and the estimator's state."""
-        (view, estimator_state), extent = state, extent_of(self.estimator)
-        part = extent.part(terrain, pose)
-        ask = functools.partial(self._told, state=estimator_state)
-        answer = in_turn(ask, part, self.views, view) if self.memory else at_once(ask, part, self.views)
-        return extent.merged(answer, pose, before)
-
     def _candidates(self, belief: Belief, reachable: Board, revealing: PoseSet) -> PoseSet:
         """Candidate poses for the subgoal (Algorithm 2, lines 6 to 8), of those that reveal something."""
         preferred = self.rules.frontier_expanding(belief, reachable) & revealing
@@ -403,7 +395,7 @@ class DC2G(AssessingPlanner):
         belief, reachable, revealing, decided_near, estimator_state = inputs
         choice = self._estimated(belief, estimator_state, before)
         candidates, score, _ = self._scored(belief, reachable, revealing, choice.estimates, decided_near)
-        return choice._replace(subgoals=candidates & _lowest(score, poses.occupied(candidates), belief.width))
+        return choice._replace(subgoals=_lowest(score, candidates, belief.width))
 
     def _estimated(self, belief: Belief, estimator_state: Any, before: "Choice") -> "Choice":
         """A new estimate, with the subgoals of before."""
@@ -412,7 +404,10 @@ class DC2G(AssessingPlanner):
             terrain = jnp.where(bitboard.unpack(belief.outside, belief.width), jnp.uint8(OUTSIDE), terrain)
         # Without the barrier, XLA would unpack every cell again for each of a network's one-hot inputs.
         terrain = jax.lax.optimization_barrier(terrain)
-        latest = self._estimate(terrain, belief.pose, before.estimates[0], (before.view, estimator_state))[None]
+        extent, ask = extent_of(self.estimator), functools.partial(self._told, state=estimator_state)
+        part = extent.part(terrain, belief.pose)
+        answer = in_turn(ask, part, self.views, before.view) if self.memory else at_once(ask, part, self.views)
+        latest = extent.merged(answer, belief.pose, before.estimates[0])[None]
         first = bitboard.is_empty(before.estimated_from)
         # The first estimate stands for all views.
         estimates = jnp.where(first, latest, jnp.concatenate([latest, before.estimates[:-1]]))
@@ -444,10 +439,11 @@ class DC2G(AssessingPlanner):
             )
         candidates, score, penalty = self._scored(belief, reachable, revealing, choice.estimates, decided_near)
         if not self.memory:  # the choice is always new, so it is made from these scores
-            choice = choice._replace(subgoals=candidates & _lowest(score, poses.occupied(candidates), belief.width))
+            choice = choice._replace(subgoals=_lowest(score, candidates, belief.width))
         plan = _explore_or_finish(belief, reachable, choice.subgoals & revealing, self.rules)
+        cost_to_go = jnp.mean(choice.estimates, axis=(0, 1))
         state = ExplorationState(reachable, choice, decided_near, state.estimator)
-        return Assessment(plan, reachable, candidates, score, state.cost_to_go, penalty), state
+        return Assessment(plan, reachable, candidates, score, cost_to_go, penalty), state
 
     def revised(self, state: "ExplorationState", changed: Board) -> "ExplorationState":
         """The state without the ground, which can be lost. If observed cells changed, it is time for another choice."""
@@ -489,14 +485,9 @@ class ExplorationState(NamedTuple):
     decided_near: Int[Array, "h w *batch"]
     estimator: Any
 
-    @property
-    def cost_to_go(self) -> Float[Array, "h w *batch"]:
-        """The mean of the estimates, which the planner uses."""
-        return jnp.mean(self.choice.estimates, axis=(0, 1))
 
-
-def _lowest(score: Float[Array, "h w *batch"], cells: Board, width: int) -> Board:
-    """The cells of lowest score (Algorithm 2, line 11). Ties are all kept: the plan goes to the nearest."""
-    chosen_from = bitboard.unpack(cells, width)
+def _lowest(score: Float[Array, "h w *batch"], candidates: PoseSet, width: int) -> PoseSet:
+    """The poses on cells of lowest score (Algorithm 2, line 11). Ties are all kept: the plan goes to the nearest."""
+    chosen_from = bitboard.unpack(poses.occupied(candidates), width)
     score = jnp.where(chosen_from, score, jnp.inf)
-    return bitboard.pack(chosen_from & (score == jnp.min(score, axis=(0, 1))))
+    return candidates & bitboard.pack(chosen_from & (score == jnp.min(score, axis=(0, 1))))

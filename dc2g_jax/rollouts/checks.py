@@ -1,21 +1,23 @@
 """Checks that planners and estimators keep to their protocols, run on a few small built-in worlds."""
 
+import functools
+import itertools
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, UInt8
+from jaxtyping import Array
 
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.estimation.estimators import Estimator, extent_of
-from dc2g_jax.grid import gridworld
+from dc2g_jax.grid import bitboard, gridworld
 from dc2g_jax.grid.gridworld import Belief, belief_from_map
 from dc2g_jax.grid.ground import connected_to_goal
 from dc2g_jax.grid.poses import ACTION_LETTERS, HEADINGS, Pose, every_heading, make_pose
 from dc2g_jax.grid.sensing import Kernel
-from dc2g_jax.grid.terrain import DRIVEWAY, FRONT_DOOR, GRASS, HOUSE, PATH, ROAD, SIDEWALK, TRAVERSABLE, UNKNOWN
+from dc2g_jax.grid.terrain import DRIVEWAY, FRONT_DOOR, GRASS, HOUSE, PATH, ROAD, SIDEWALK, UNKNOWN
 from dc2g_jax.grid.world import World, world_from_terrain
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, Plan, Planner
 from dc2g_jax.planning.rules import complete_rules
@@ -42,20 +44,18 @@ _ROUNDING = 1e-3
 _ARRAYS = (jax.Array, np.ndarray, np.generic, int, float)
 
 
-def _maps() -> UInt8[np.ndarray, "h w worlds"]:
-    """A street with a house and a side street, its mirror image, and the street with the door walled in."""
+def _robots() -> tuple[World, Episodes]:
+    """The worlds, and episodes in each of them. In the mirror image, robots start on the mirrored columns.
+
+    A street with a house and a side street, its mirror image, and the street with the door walled in.
+    """
     street = np.full((12, 40), GRASS, np.uint8)
     street[6], street[7], street[8:, 5] = SIDEWALK, ROAD, DRIVEWAY
     street[1, 32:38], street[2:6, 35] = HOUSE, PATH
     street[1, 35] = FRONT_DOOR
     shut = street.copy()
     shut[2, 35] = HOUSE
-    return np.stack([street, street[:, ::-1], shut], axis=-1)
-
-
-def _robots() -> tuple[World, Episodes]:
-    """The worlds, and episodes in each of them. In the mirror image, robots start on the mirrored columns."""
-    maps = _maps()
+    maps = np.stack([street, street[:, ::-1], shut], axis=-1)
     width, n_worlds = maps.shape[1:]
     x, y, heading = np.tile(np.array(_STARTS).T, n_worlds)
     world = np.repeat(np.arange(n_worlds, dtype=np.int32), len(_STARTS))
@@ -71,8 +71,9 @@ def _one(tree: Any, index: Any) -> Any:
 # --- structure, shapes and dtypes ---------------------------------------------------------------------
 
 
-def _check_tree(who: str, tested: Any, *methods: str) -> None:
-    """Check that a planner or an estimator has its methods and can be an argument of compiled programs."""
+def _check_tree(kind: str, tested: Any, *methods: str) -> str:
+    """Check that a planner or an estimator has its methods and can be an argument of compiled programs; its name."""
+    who = f"{kind} {(tested if isinstance(tested, type) else type(tested)).__name__}"
     if isinstance(tested, type):
         raise InputError(f"{who}: is a class; expected an instance of it, such as {tested.__name__}(...)")
     for method in methods:
@@ -86,6 +87,7 @@ def _check_tree(who: str, tested: Any, *methods: str) -> None:
                 f"{who}: {_name(path)} is {short(leaf)}; expected an array, or a static field: "
                 "struct.field(pytree_node=False)"
             )
+    return who
 
 
 def _name(path: tuple[Any, ...]) -> str:
@@ -181,21 +183,20 @@ class _Alone:
     """Runs episodes of one robot without a batch, and checks every decision."""
 
     def __init__(self, who: str, planner: Planner, sensing: Kernel):
-        self._who, self._planner, self._sensing = who, planner, sensing
+        self._who, self._planner = who, planner
 
-        def decide(planner: Planner, belief: Belief, state: Any) -> tuple[Plan, Any]:
-            return planner.plan(belief, state)
+        def stepped(world: World, belief: Belief, action: Array) -> tuple[Belief, Array, Array]:
+            """The next belief, whether something was revealed, and whether the robot is at a goal."""
+            after = gridworld.step(world, belief, action, sensing)
+            return after, jnp.any(after.seen != belief.seen), gridworld.at_goal(world, after.pose)
 
         # Two programs: the second is traced anew.
-        self._decide, self._decide_again = jit(decide), jit(decide)
+        self._decide, self._decide_again = (
+            jit(lambda planner, belief, state: planner.plan(belief, state)) for _ in range(2)
+        )
         self._init = jit(lambda planner, world: planner.init(world))
         self._reset = jit(lambda world, pose: gridworld.reset(world, pose, sensing))
-        self._step = jit(self._stepped)
-
-    def _stepped(self, world: World, belief: Belief, action: Array) -> tuple[Belief, Array, Array]:
-        """The next belief, whether something was revealed, and whether the robot is at a goal."""
-        after = gridworld.step(world, belief, action, self._sensing)
-        return after, jnp.any(after.seen != belief.seen), gridworld.at_goal(world, after.pose)
+        self._step = jit(stepped)
 
     def actions(self, place: str, world: World, start: Pose, ground: int) -> str:
         """The actions of an episode as letters.
@@ -270,8 +271,7 @@ def check_planner(planner: Planner) -> None:
     Raises:
       InputError: the first of these that does not hold, with what was expected and what was found.
     """
-    who = f"planner {_class_name(planner)}"
-    _check_tree(who, planner, "init", "plan")
+    who = _check_tree("planner", planner, "init", "plan")
     for name in ("robots_a_core", "robots_on_large_maps"):
         number = getattr(planner, name, None)
         if not (isinstance(number, int) and number > 0):
@@ -292,11 +292,11 @@ def check_planner(planner: Planner) -> None:
         _check_plan(who, of, planner, belief, state)
 
     alone = _Alone(who, planner, sensing)
-    ground = np.sum(TRAVERSABLE[_maps()], axis=(0, 1))
+    ground = bitboard.count(worlds.traversable).tolist()
     acted = []
     for number, index in enumerate(episodes.world.tolist()):
         world, start = _one(worlds, index), _one(episodes.start, number)
-        acted.append(alone.actions(f"episode {number}", world, start, int(ground[index])))
+        acted.append(alone.actions(f"episode {number}", world, start, ground[index]))
     done = rollout(
         planner,
         worlds,
@@ -309,21 +309,12 @@ def check_planner(planner: Planner) -> None:
     for number, letters in enumerate(acted):
         in_batch = action_letters(done, number)
         if letters != in_batch:
-            same = len(_common_start(letters, in_batch))
+            pairs = enumerate(itertools.zip_longest(letters, in_batch, fillvalue="none"), start=1)
+            decision, (expected, found) = next(pair for pair in pairs if pair[1][0] != pair[1][1])
             raise InputError(
-                f"{who}: episode {number}, decision {same + 1}: in {many} the robot's action is "
-                f"{in_batch[same : same + 1] or 'none'}; expected {letters[same : same + 1] or 'none'}, as alone"
+                f"{who}: episode {number}, decision {decision}: in {many} the robot's action is {found}; expected "
+                f"{expected}, as alone"
             )
-
-
-def _common_start(one: str, other: str) -> str:
-    """The longest start that two texts share."""
-    lengths = range(min(len(one), len(other)) + 1)
-    return one[: max(length for length in lengths if one[:length] == other[:length])]
-
-
-def _class_name(tested: Any) -> str:
-    return tested.__name__ if isinstance(tested, type) else type(tested).__name__
 
 
 # --- estimators ---------------------------------------------------------------------------------------
@@ -353,8 +344,7 @@ def check_estimator(estimator: Estimator) -> None:
     Raises:
       InputError: the first of these that does not hold, with what was expected and what was found.
     """
-    who = f"estimator {_class_name(estimator)}"
-    _check_tree(who, estimator, "init", "estimate")
+    who = _check_tree("estimator", estimator, "init", "estimate")
     worlds, episodes = _robots()
     worlds = _one(worlds, episodes.world)
     count = len(episodes)
@@ -362,6 +352,7 @@ def check_estimator(estimator: Estimator) -> None:
     state = jit(lambda estimator, worlds: estimator.init(worlds))(estimator, worlds)
     # Two programs: the second is traced anew.
     estimate, again = (jit(lambda estimator, *arguments: estimator.estimate(*arguments)) for _ in range(2))
+    equal = functools.partial(np.allclose, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True)
     first_views = gridworld.reset(worlds, episodes.start, complete_rules(_SENSING_RANGE).sensing)
     for view, belief in (("first view", first_views), ("whole map", belief_from_map(worlds.terrain, episodes.start))):
         terrain = extent_of(estimator).part(belief.terrain, belief.pose)
@@ -374,20 +365,16 @@ def check_estimator(estimator: Estimator) -> None:
                     f"numbers [{expected}], with one outcome at least"
                 )
         costs = np.asarray(estimate(estimator, terrain, state))
-        if not _equal(costs, np.asarray(again(estimator, terrain, state))):
+        if not equal(costs, np.asarray(again(estimator, terrain, state))):
             raise InputError(f"{who}: estimates of the {view} differ between two calls with the same inputs")
         _check_numbers(who, view, estimator, costs, belief, worlds)
         for number in range(count):
             alone = np.asarray(estimate(estimator, *_one((terrain, state), number)))
-            if not _equal(costs[..., number], alone):
+            if not equal(costs[..., number], alone):
                 raise InputError(
                     f"{who}: {view} of episode {number}: in a batch of {count} the estimate differs by "
                     f"{np.nanmax(np.abs(costs[..., number] - alone)):.3g}; expected that of the map alone"
                 )
-
-
-def _equal(one: np.ndarray, other: np.ndarray) -> bool:
-    return np.allclose(one, other, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True)
 
 
 def _check_numbers(who: str, view: str, estimator: Estimator, costs: np.ndarray, belief: Belief, worlds: World) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from dc2g_jax.datasets.starts import PublishedEpisode, published_episodes
 from dc2g_jax.rollouts.evaluation import EpisodeResult
@@ -94,11 +95,15 @@ def pair_up(
     ]
 
 
+def by_group(pairs: Sequence[EpisodePair]) -> dict[str, list[EpisodePair]]:
+    """The pairs of each of `PUBLISHED_GROUPS`."""
+    return {group: [pair for pair in pairs if group in (pair.group, "all")] for group in PUBLISHED_GROUPS}
+
+
 def compare(pairs: Sequence[EpisodePair], *, resamples: int, seed: int) -> dict[str, Any]:
     """Statistics of one group of episodes, with 95 % bootstrap intervals from `resamples` samples of its houses."""
     houses = [pair.house for pair in pairs]
-    steps = np.array([(pair.dc2g, pair.authors_dc2g, pair.frontier, pair.authors_frontier) for pair in pairs], float)
-    ours, authors, frontier, authors_frontier = steps.T
+    ours, authors = np.array([(pair.dc2g, pair.authors_dc2g) for pair in pairs]).T
     extra = np.array([pair.extra for pair in pairs])
     authors_extra = np.array([pair.authors_extra for pair in pairs])
     shorter, longer = int(np.sum(ours < authors)), int(np.sum(ours > authors))
@@ -106,7 +111,7 @@ def compare(pairs: Sequence[EpisodePair], *, resamples: int, seed: int) -> dict[
     def interval(values: np.ndarray) -> list[float]:
         return [round(bound, 4) for bound in house_bootstrap(values, houses, resamples=resamples, seed=seed)]
 
-    faster, authors_faster = 100 * (frontier / ours - 1), 100 * (authors_frontier / authors - 1)
+    faster, authors_faster = _frontier_over_dc2g(pairs)
     return {
         "episodes": len(pairs),
         "houses": len(set(houses)),
@@ -138,31 +143,22 @@ def houses_where_frontier_is_shorter(pairs: Sequence[EpisodePair]) -> dict[str, 
     return {whose: sorted(house for house, steps in own.items() if steps > 0) for whose, own in more.items()}
 
 
-def frontier_over_dc2g(results: list[EpisodeResult]) -> dict[str, dict[str, float]]:
+def frontier_over_dc2g(results: Sequence[EpisodeResult]) -> dict[str, dict[str, float]]:
     """Mean of frontier steps / DC2G steps - 1, in percent, by group: the paper's "189 % faster".
 
     Empty if one of the two was not run.
     """
-    if not {"frontier", "dc2g"} <= {result.planner for result in results}:
+    frontier, dc2g = ([one for one in results if one.planner == planner] for planner in ("frontier", "dc2g"))
+    if not (frontier and dc2g):
         return {}
-    published = published_episodes()
-    steps = {planner: [r.steps for r in results if r.planner == planner] for planner in ("frontier", "dc2g")}
-    pairs = {
-        "ours": list(zip(steps["frontier"], steps["dc2g"], strict=True)),
-        "authors": [(episode.frontier, episode.dc2g) for episode in published],
-    }
-    return {
-        whose: {
-            group: float(
-                np.mean(
-                    [
-                        100 * (frontier / dc2g - 1)
-                        for (frontier, dc2g), episode in zip(both, published, strict=True)
-                        if group in (episode.group, "all")
-                    ]
-                )
-            )
-            for group in PUBLISHED_GROUPS
-        }
-        for whose, both in pairs.items()
-    }
+    groups = by_group(pair_up(published_episodes(), frontier, dc2g))
+    means = {group: [float(side.mean()) for side in _frontier_over_dc2g(own)] for group, own in groups.items()}
+    both = enumerate(("ours", "authors"))
+    return {whose: {group: mean[side] for group, mean in means.items()} for side, whose in both}
+
+
+def _frontier_over_dc2g(pairs: Sequence[EpisodePair]) -> Float[np.ndarray, "side episodes"]:
+    """Frontier steps / DC2G steps - 1, in percent: ours, and the authors'."""
+    steps = [[(one.frontier, one.dc2g), (one.authors_frontier, one.authors_dc2g)] for one in pairs]
+    frontier, dc2g = np.array(steps, float).T
+    return 100 * (frontier / dc2g - 1)

@@ -12,7 +12,7 @@ from dc2g_jax.estimation import compact_unet
 from dc2g_jax.grid import bitboard, search
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import PoseSet, every_heading, unpack
-from dc2g_jax.grid.sensing import expanding_kernel, visible
+from dc2g_jax.grid.sensing import expanding_kernel
 from dc2g_jax.planning import frontiers, planners
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import deal, mesh_of, on_each, replicate
@@ -35,13 +35,13 @@ def _own_kernels(bench: Bench, batch: int) -> dict[str, tuple[Callable[..., Any]
     """Name -> function and its arguments."""
     robots = bench.robots("frontier").batch(batch)
     belief, world = robots.belief, robots.world
-    height, width = belief.height, belief.width
+    width = belief.width
     sensing, expanding = bench.rules().sensing, expanding_kernel(SENSING_RANGE)
     reachable = jit(reachable_cells)(belief)
     subgoals: PoseSet = jit(functools.partial(frontiers.reference, expanding=expanding))(belief, reachable)
     cells = bitboard.unpack(world.traversable, width), bitboard.unpack(world.goals, width)
     return {
-        "field of view": (lambda pose: visible(sensing, pose, height, width), (belief.pose,)),
+        "field of view": (lambda pose: sensing.visible(pose, belief.seen, width), (belief.pose,)),
         "reachability": (reachable_cells, (belief,)),
         "frontier-expanding, reference": (
             functools.partial(frontiers.reference, expanding=expanding),

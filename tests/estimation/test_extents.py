@@ -12,7 +12,7 @@ from dc2g_jax.estimation.estimators import WHOLE_MAP, extent_of
 from dc2g_jax.estimation.extents import CroppedEstimator, Window, WindowedEstimator
 from dc2g_jax.grid import gridworld
 from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.grid.sampling import nearest_pixels
+from dc2g_jax.grid.sampling import nearest_pixel
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.planners import DC2G
 from dc2g_jax.planning.rules import complete_rules
@@ -50,7 +50,7 @@ def cropped(terrain: np.ndarray, box, side: int, margin: int) -> np.ndarray:
     top, bottom, left, right = box
     size = max(bottom - top, right - left) + 2 * margin
     top, left = top - (size - bottom + top) // 2, left - (size - right + left) // 2
-    read, back = nearest_pixels(size, side), nearest_pixels(side, size)
+    read, back = nearest_pixel(np.arange(side), size, side), nearest_pixel(np.arange(size), side, size)
     answer = np.zeros((2, *terrain.shape), np.float32)
     for row in range(terrain.shape[0]):
         for column in range(terrain.shape[1]):

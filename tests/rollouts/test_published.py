@@ -81,6 +81,10 @@ def test_frontier_over_dc2g_of_the_authors_is_the_papers():
     assert list(found["ours"]) == list(PUBLISHED_GROUPS)
     assert frontier_over_dc2g([*results("frontier"), *results("oracle")]) == {}
     assert frontier_over_dc2g([*results("frontier"), *results("dc2g"), *results("oracle")]) == found
+    first, *others = results("dc2g")
+    lost, late = (first._replace(success=False, steps=steps) for steps in (3, 500))
+    with_lost, with_late = (frontier_over_dc2g([*results("frontier"), one, *others]) for one in (lost, late))
+    assert with_lost == with_late != found  # an episode that gave up counts as many actions as the step limit
 
 
 def test_an_episode_that_gave_up_counts_as_many_actions_as_the_step_limit():

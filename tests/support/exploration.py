@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from dc2g_jax.grid import bitboard, poses, search
+from dc2g_jax.grid import bitboard, gridworld, poses, search
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.world import world_from_terrain
@@ -23,16 +23,8 @@ SENSING, EXPANDING = 4, 3
 
 def belief_of(terrain, seen, pose) -> Belief:
     """The belief of a robot that has seen these cells, by whatever way."""
-    world, board = world_from_terrain(terrain), bitboard.pack(jnp.asarray(seen))
-    return Belief(
-        pose=make_pose(*pose),
-        steps=jnp.int32(0),
-        classes=world.classes & board,
-        seen=board,
-        traversable=world.traversable & board,
-        goals=world.goals & board,
-        width=world.width,
-    )
+    seen = bitboard.pack(jnp.asarray(seen))
+    return gridworld.belief_of(world_from_terrain(terrain), make_pose(*pose), jnp.int32(0), seen)
 
 
 def random_moment(seed: int, shape: tuple[int, int], density: float):
