@@ -41,7 +41,9 @@ def fresh_weights(network: Callable[..., nnx.Module], architecture: Any, key: Ar
 @functools.cache  # a network is built anew in every trace of it
 def _structure(network: Callable[..., nnx.Module], architecture: Any) -> tuple[Any, Any]:
     """The graph of a network, and its weights' shapes and dtypes."""
-    return nnx.split(nnx.eval_shape(lambda: network(architecture, rngs=nnx.Rngs(0))))
+    graph, weights = nnx.split(nnx.eval_shape(lambda: network(architecture, rngs=nnx.Rngs(0))))
+    # Within a sharded program, shapes would belong to its mesh, and could not be used elsewhere.
+    return graph, jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), weights)
 
 
 def shapes_of_weights(network: Callable[..., nnx.Module], architecture: Any) -> dict[str, Any]:

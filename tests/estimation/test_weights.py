@@ -3,12 +3,15 @@
 import json
 import struct
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax.traverse_util import flatten_dict
+from jax.sharding import PartitionSpec as P
 
-from dc2g_jax.estimation.weights import read_safetensors, write_safetensors
+from dc2g_jax.estimation.compact_unet import Architecture, CompactUNet, multiply_accumulates
+from dc2g_jax.estimation.weights import read_safetensors, shapes_of_weights, write_safetensors
 from tests.support.refusals import refusal
 
 
@@ -79,3 +82,15 @@ def test_files_without_a_header_are_refused(tmp_path, content):
 def test_what_is_no_file_is_refused(tmp_path):
     refusal(lambda: read_safetensors(tmp_path / "missing"), tmp_path / "missing", "no such file")
     refusal(lambda: read_safetensors(tmp_path), tmp_path, "cannot be read")
+
+
+def test_shapes_found_inside_a_sharded_program_are_good_outside_of_it():
+    architecture = Architecture(widths=(2, 2, 2, 3))  # of no other test: structures are found once
+
+    def shapes_are_found(x):
+        shapes_of_weights(CompactUNet, architecture)
+        return x
+
+    mesh = jax.make_mesh((1,), ("one",), devices=jax.devices()[:1])
+    jax.jit(jax.shard_map(shapes_are_found, mesh=mesh, in_specs=P(), out_specs=P()))(jnp.zeros(1))
+    assert multiply_accumulates(architecture, 16, 16) > 0
