@@ -28,12 +28,12 @@ class Options(DatasetOptions, OutOptions):
 
     Attributes:
       episodes: the `episodes.csv` of an earlier run.
-      planner: planners to draw, by their names in that run.
+      planner: planners to draw, by their names in that run; all of them by default.
       house: houses to draw paths in, one figure per start.
     """
 
     episodes: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CSV")]
-    planner: PlannersOption = ("frontier", "dc2g")
+    planner: PlannersOption = ()
     house: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...", help_behavior_hint="")] = ()
 
 
@@ -45,7 +45,9 @@ def ranges_of(result: EpisodeResult) -> str:
 def main(options: Options) -> None:
     """Read the episodes and draw them."""
     dataset = open_dataset(options.dataset)
-    results = [result for result in read_rows(options.episodes, EpisodeResult) if result.planner in options.planner]
+    results = read_rows(options.episodes, EpisodeResult)
+    if options.planner:
+        results = [result for result in results if result.planner in options.planner]
     if not results:
         raise InputError(f"{options.episodes}: has no episode of {' or '.join(options.planner)}; give other --planner")
     compared = {one.planner for one in results} != {"oracle"}

@@ -6,8 +6,10 @@
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import tyro
 
 from dc2g_jax.cli.common import command_line
 from dc2g_jax.cli.options import DatasetOptions, OutOptions
@@ -29,7 +31,7 @@ class Options(DatasetOptions, OutOptions):
       network: folders of trained networks, of either kind, or hf://owner/name; the shipped one by default.
     """
 
-    network: tuple[str | Path, ...] = ()
+    network: Annotated[tuple[str | Path, ...], tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = ()
 
 
 def print_table(networks: dict[str, dict[str, dict[str, float]]]) -> None:

@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.typing import ColorType
 
+from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_COLORS
 from dc2g_jax.rollouts.evaluation import EpisodeResult
 from dc2g_jax.rollouts.statistics import Summary
@@ -51,11 +52,12 @@ PLANNER_STYLES = {
     "authors_dc2g": PlannerStyle("DC2G, authors' network", "#a9d3ee", hatch="///"),
     "dc2g": PlannerStyle("DC2G", "#0072b2"),
     "dc2g_uncertain": PlannerStyle("DC2G, averse to risk", "#cc79a7", hatch="...", marker="D"),
+    "dc2g_guarded": PlannerStyle("DC2G, guarded", "#56b4e9", hatch="---", marker="p"),
     "true_cost_to_go": PlannerStyle("DC2G, exact cost-to-go", "#009e73", hatch="xxx", marker="^"),
 }
 
 #: Colors, hatches and markers of other planners, each used in turn: bars repeat after 20 planners, lines after 28.
-_OTHER_COLORS = ("#777777", "#aaaaaa", "#4d4d4d", "#909090")
+_OTHER_COLORS = ("#332288", "#999933", "#882255", "#8c564b")
 _OTHER_HATCHES = ("", "\\\\\\", "...", "+++", "ooo")
 _OTHER_MARKERS = ("P", "X", "v", "h", "<", "p", ">")
 
@@ -143,11 +145,11 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], caption: str
       The files written: PNG, SVG and PDF.
 
     Raises:
-      ValueError: no planner but the oracle.
+      InputError: no planner but the oracle.
     """
     panels = {settings: table for settings, table in tables.items() if table.keys() - {"oracle"}}
     if not panels:
-        raise ValueError("no planner to compare with the oracle: give the table of another one as well")
+        raise InputError("no planner to compare with the oracle: give the table of another one as well")
     figure = Figure(figsize=(PAGE_WIDTH, 0.8 + 2.2 * len(panels)), layout="constrained")
     all_axes = figure.subplots(len(panels), 1, squeeze=False, sharey=True)[:, 0]
     styles = planner_styles(name for table in panels.values() for name in table if name != "oracle")
@@ -296,14 +298,14 @@ def plot_house_strips(
       The files written: PNG, SVG and PDF.
 
     Raises:
-      ValueError: no planner but the oracle.
+      InputError: no planner but the oracle.
     """
     extra: dict[str, dict[str, list[float]]] = {}
     for result in results:
         if result.planner != "oracle":
             extra.setdefault(result.house, {}).setdefault(result.planner, []).append(result.extra)
     if not extra:
-        raise ValueError("no planner to compare with the oracle: give episodes of another one as well")
+        raise InputError("no planner to compare with the oracle: give episodes of another one as well")
     styles = planner_styles(planner for by_planner in extra.values() for planner in by_planner)
     houses = sorted(extra, key=lambda house: (_group_place(group_by_house[house]), house))
     room = len(houses) if len(houses) <= _ONE_COLUMN else math.ceil(len(houses) / 2)
@@ -347,7 +349,7 @@ def plot_results(results: Iterable[EpisodeResult], path: str | Path) -> list[Pat
       The files written: PNG, SVG and PDF.
 
     Raises:
-      ValueError: no planner but the oracle.
+      InputError: no planner but the oracle.
     """
     results = list(results)
     return plot_house_strips(path, results, {result.house: "all" for result in results})

@@ -103,7 +103,9 @@ def _traced(who: str, what: str, function: Callable[..., Any], *arguments: Any) 
         raise
     except Exception as error:
         first_line = str(error).partition("\n")[0]
-        raise InputError(f"{who}: {what} raises {type(error).__name__}: {first_line}") from error
+        branches = isinstance(error, jax.errors.TracerBoolConversionError)
+        remedy = "; use jnp.where or jax.lax.cond instead of if, and, or" if branches else ""
+        raise InputError(f"{who}: {what} raises {type(error).__name__}: {first_line}{remedy}") from error
 
 
 def _unchanged(who: str, method: str) -> Callable[..., Any]:

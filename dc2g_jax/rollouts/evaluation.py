@@ -377,7 +377,7 @@ def evaluate(
       seed: seed of the sampled starts.
       settings: the rules, one of `dc2g_jax.SETTINGS` or its name.
       sensing_range: range of the field of view in cells, for starts without one; `None` for the settings' default.
-      network: network of `dc2g` and `dc2g_uncertain`: an estimator or the folder of a trained network; `None` for the
+      network: network of the planners that need one: an estimator or the folder of a trained network; `None` for the
         shipped network.
       step_limit: actions after which an episode ends without success; `None` for the default for the maps' size, see
         `Runner`.
@@ -391,7 +391,12 @@ def evaluate(
     if isinstance(planners, Mapping):
         named = planners
     else:
-        named = {name: name for name in ([planners] if isinstance(planners, str) else planners)}
+        one = isinstance(planners, str) or not isinstance(planners, Iterable)
+        given: list[Any] = [planners] if one else list(planners)
+        for name in given:
+            if not isinstance(name, str):
+                raise InputError(f"planner {short(name)}: is no name; give a mapping, such as {{'mine': MyPlanner}}")
+        named = {name: name for name in given}
     sources = [source for source in named.values() if isinstance(source, str)]
     check_names(sources)
     settings = named_settings(settings)
@@ -416,6 +421,9 @@ def _made(name: str, source: PlannerSource, estimator: Estimator | None, rules: 
         return make_planner(source, rules, estimator)
     ready = hasattr(source, "plan") and not isinstance(source, type)
     planner: Any = source if ready else source(rules)  # type: ignore[operator]
+    for needed in ("init", "plan", "robots_a_core", "robots_on_large_maps"):
+        if not hasattr(planner, needed):
+            raise InputError(f"planner {name!r}: has no {needed}; dc2g_jax.check_planner tells what a planner needs")
     sensing = getattr(planner, "rules", rules).sensing
     if sensing != rules.sensing:
         kind = "" if sensing.radius != rules.sensing.radius else " of another kind"

@@ -213,6 +213,7 @@ class Follows(Fair):
         (Restructures(), "the state of one robot has another structure after a step; expected that of init"),
         (Single(), "plan for a batch of 9 raises TypeError: cannot reshape array of shape (9,)"),
         (Branches(), "plan for one robot raises TracerBoolConversionError: Attempted boolean conversion"),
+        (Branches(), "use jnp.where or jax.lax.cond instead of if"),
         (InPlace(), "plan changes its arguments or itself; expected a pure function"),
         (Moody(), "episode 0, decision 1: [0].length differs between two calls with the same inputs"),
         (OtherMode(), "episode 0, decision 1: mode is 7; expected 0 to 2"),

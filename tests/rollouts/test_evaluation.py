@@ -175,6 +175,9 @@ def test_evaluate_refuses_before_anything_runs(dataset):
     refusal(lambda: evaluate(["fronteir"], dataset), "fronteir", "known: oracle")
     refusal(lambda: evaluate(["frontier"], dataset, settings="papers"), "papers", "published")
     refusal(lambda: evaluate(["frontier"], dataset, sensing_range=0), "sensing range 0")
+    for unnamed in (Frontier, [Frontier], make("frontier")):
+        refusal(lambda unnamed=unnamed: evaluate(unnamed, dataset), "is no name", "mapping, such as")
+    refusal(lambda: evaluate({"mine": lambda rules: rules}, dataset), "'mine'", "has no init", "check_planner")
 
 
 def test_results_are_summarized_and_saved(dataset, tmp_path):
