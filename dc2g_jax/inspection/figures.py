@@ -352,7 +352,7 @@ def plot_results(results: Iterable[EpisodeResult], path: str | Path) -> list[Pat
       InputError: no planner but the oracle.
     """
     results = list(results)
-    return plot_house_strips(path, results, {result.house: "all" for result in results})
+    return plot_house_strips(path, results, {result.house: "houses" for result in results})
 
 
 def _group_place(group: str) -> tuple[int, str]:
