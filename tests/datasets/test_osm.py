@@ -68,6 +68,13 @@ def test_what_is_mapped_is_where_it_is_mapped(tmp_path):
     assert abs(house.latitude - LATITUDE) < 30 / METERS_A_DEGREE
 
 
+def test_a_node_without_a_place_is_left_out(tmp_path):
+    text = hamlet().text()
+    placeless = '<node id="999" version="2"><tag k="natural" v="tree"/></node>'
+    extract = read(tmp_path, text.replace("<way", placeless + "<way", 1))
+    assert len(extract.spots) == len(read(tmp_path, text).spots)
+
+
 def test_doors_and_driveways_are_added_and_marked(tmp_path):
     extract = read(tmp_path, hamlet().text())
     before, added = maps_of(extract, only_mapped=True)["way2"], maps_of(extract)

@@ -195,7 +195,7 @@ class _Reader:
             return
         if element.is_node():
             point = self._runs(f"node {element.id}", [element.location])[0]
-            if self._in_reach(point):
+            if len(point) and self._in_reach(point):  # deleted nodes have no place
                 self.spots.append(Spot(tags, point[0]))
         elif element.is_way():
             runs = self._runs(f"way {element.id}", [node.location for node in element.nodes])
