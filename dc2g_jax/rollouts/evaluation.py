@@ -222,8 +222,12 @@ class Runner:
 
         Raises:
           KeyError: a start is in a house that the dataset does not have.
-          InputError: the planner gives up because its estimator estimates NaN.
+          InputError: the planner lacks a part of the protocol, or gives up because its estimator estimates NaN.
         """
+        for needed in ("init", "plan", "robots_a_core", "robots_on_large_maps"):
+            if not hasattr(planner, needed):
+                who = name or type(planner).__name__
+                raise InputError(f"planner {who!r}: has no {needed}; dc2g_jax.check_planner tells what a planner needs")
         episodes = episodes_from(starts, self._index)
         report = None
         if self._progress is not None:
@@ -421,9 +425,6 @@ def _made(name: str, source: PlannerSource, estimator: Estimator | None, rules: 
         return make_planner(source, rules, estimator)
     ready = hasattr(source, "plan") and not isinstance(source, type)
     planner: Any = source if ready else source(rules)  # type: ignore[operator]
-    for needed in ("init", "plan", "robots_a_core", "robots_on_large_maps"):
-        if not hasattr(planner, needed):
-            raise InputError(f"planner {name!r}: has no {needed}; dc2g_jax.check_planner tells what a planner needs")
     sensing = getattr(planner, "rules", rules).sensing
     if sensing != rules.sensing:
         kind = "" if sensing.radius != rules.sensing.radius else " of another kind"

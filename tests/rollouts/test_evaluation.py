@@ -178,6 +178,7 @@ def test_evaluate_refuses_before_anything_runs(dataset):
     for unnamed in (Frontier, [Frontier], make("frontier")):
         refusal(lambda unnamed=unnamed: evaluate(unnamed, dataset), "is no name", "mapping, such as")
     refusal(lambda: evaluate({"mine": lambda rules: rules}, dataset), "'mine'", "has no init", "check_planner")
+    refusal(lambda: evaluate("builtins:repr", dataset), "'builtins:repr'", "has no init", "check_planner")
 
 
 def test_results_are_summarized_and_saved(dataset, tmp_path):
