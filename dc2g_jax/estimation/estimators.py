@@ -76,14 +76,18 @@ def answers_in_cells(estimator: Estimator | None) -> bool:
     return getattr(estimator, "in_cells", True)
 
 
-#: Smallest batch of an estimator; for tiny ones, the last bits of a convolution may depend on the size.
-_FEWEST_MAPS = 4
+#: Smallest batch of an estimator, since the last bits of a convolution may depend on tiny sizes; and the largest.
+_FEWEST_MAPS, _MOST_MAPS = 4, 4096
+
+#: Robots from which on an estimator has two batch sizes: more would save little there and be compiled each.
+_MANY_ROBOTS = 256
 
 
 def _call_sizes(n_robots: int) -> list[int]:
-    """Batch sizes for an estimator: the four largest powers of two up to half the number of robots."""
-    largest = max(_FEWEST_MAPS, 1 << n_robots.bit_length() >> 2)
-    return [largest >> halvings for halvings in range(4) if largest >> halvings >= _FEWEST_MAPS]
+    """Batch sizes for an estimator: powers of two, the largest up to half the number of robots."""
+    largest = min(_MOST_MAPS, max(_FEWEST_MAPS, 1 << n_robots.bit_length() >> 2))
+    halvings = (0, 3) if n_robots > _MANY_ROBOTS else range(4)
+    return [largest >> times for times in halvings if largest >> times >= _FEWEST_MAPS]
 
 
 def for_some(function: Callable[[Any, Any], Any], wanted: Bool[Array, "*batch"], inputs: Any, before: Any) -> Any:

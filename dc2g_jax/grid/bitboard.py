@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int, UInt32
 
-from dc2g_jax.grid.loops import repeated, until
+from dc2g_jax.grid.loops import for_each_until, repeated, until
 
 WORD_BITS = 32
 
@@ -148,17 +148,28 @@ def flood(seed: Board, free: Board) -> Board:
 
     The flood is faster if the seed already holds a part of the result, such as the flood of the previous step.
     """
+    most = seed.shape[0] * seed.shape[1] * WORD_BITS + 1
 
-    def grow(_: Array, reached: Board) -> Board:
-        return reached | (neighbors(reached) & free)
+    def grown(steps: int, reached: Board, free: Board) -> Board:
+        return jax.lax.fori_loop(0, steps, lambda _, cells: cells | (neighbors(cells) & free), reached, unroll=True)
 
-    def grow_some(carry: tuple[Board, Array]) -> tuple[Board, Array]:
-        grown = repeated(_STEPS_PER_CHECK, grow, carry[0])
-        return grown, jnp.any(grown != carry[0])
+    def together(seed: Board, free: Board) -> Board:
+        def grow(carry: tuple[Board, Array]) -> tuple[Board, Array]:
+            # A complete board does not change while other boards of the batch still grow.
+            cells = repeated(_STEPS_PER_CHECK, lambda _, cells: grown(1, cells, free), carry[0])
+            return cells, jnp.any(cells != carry[0])
 
-    # A complete board does not change while other boards of the batch still grow.
-    cells = seed.shape[0] * seed.shape[1] * WORD_BITS
-    return until(lambda carry: ~carry[1], grow_some, (seed & free, jnp.bool_(True)), most=cells + 1)[0]
+        return until(lambda carry: ~carry[1], grow, (seed, jnp.bool_(True)), most=most)[0]
+
+    def each(seed: Board, free: Board) -> Board:
+        def grow(steps: int, carry: tuple[Board, Array], free: Board) -> tuple[Board, Array]:
+            cells = grown(steps, carry[0], free)
+            return cells, jnp.any(cells != carry[0], axis=(0, 1))
+
+        first = seed, jnp.ones(seed.shape[2:], bool)
+        return for_each_until(lambda carry: carry[1], grow, lambda carry, _: carry[0], first, free, most=most)
+
+    return jax.lax.platform_dependent(seed & free, free, cpu=together, default=each)
 
 
 def cells_that_see(targets: Board, offsets: Offsets) -> Board:

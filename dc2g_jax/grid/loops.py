@@ -2,13 +2,20 @@
 
 import functools
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 _Carry = TypeVar("_Carry")
+_Result = TypeVar("_Result")
+
+#: A batch shrinks to the members that go on as soon as one in so many does, unless fewer than so many would be left.
+_ONE_IN, _FEWEST_LEFT = 8, 512
+
+#: Steps between looks at which members go on: in a batch that shrinks, and in the last, small one.
+_STEPS_BETWEEN_LOOKS, _STEPS_BETWEEN_LAST_LOOKS = 2, 8
 
 
 def repeated(count: int, function: Callable[[Array, _Carry], _Carry], carry: _Carry) -> _Carry:
@@ -33,3 +40,44 @@ def until(
         return (counted[0] < most) & ~done(counted[1])
 
     return jax.lax.while_loop(go_on, lambda counted: (counted[0] + 1, function(counted[1])), (jnp.int32(0), carry))[1]
+
+
+def for_each_until(
+    going: Callable[[_Carry], Bool[Array, "*batch"]],
+    function: Callable[[int, _Carry, Any], _Carry],
+    result: Callable[[_Carry, Any], _Result],
+    carry: _Carry,
+    given: Any,
+    *,
+    most: int,
+) -> _Result:
+    """Repeat a function for every member of a batch on an accelerator, as long as each needs it.
+
+    There, thousands of members take a step together, while few need more than two or three. So those who go on are soon
+    gathered into a smaller batch, and later into a still smaller one.
+
+    Args:
+      going: which members go on.
+      function: `(steps, carry, given) ->` the carry after so many steps. Members that do not go on must not change.
+      result: `(carry, given) ->` what is asked for, once they do not go on.
+      carry: arrays with the batch axes last.
+      given: what does not change, likewise.
+      most: bound on the steps.
+    """
+    size = going(carry).size
+    left = size // _ONE_IN if going(carry).ndim == 1 and size >= _ONE_IN * _FEWEST_LEFT else 0
+    steps = _STEPS_BETWEEN_LOOKS if left else _STEPS_BETWEEN_LAST_LOOKS
+    carry = until(
+        lambda carry: jnp.sum(going(carry), dtype=jnp.int32) <= left,
+        lambda carry: function(steps, carry, given),
+        carry,
+        most=most,
+    )
+    of_all = result(carry, given)
+    if not left:
+        return of_all
+    # Places that are not needed hold another copy of the last member; nothing is written for them.
+    members = jnp.nonzero(going(carry), size=left, fill_value=size)[0]
+    rest = jax.tree.map(lambda leaf: leaf.at[..., members].get(mode="clip"), (carry, given))
+    of_rest = for_each_until(going, function, result, *rest, most=most)
+    return jax.tree.map(lambda leaf, own: leaf.at[..., members].set(own, mode="drop"), of_all, of_rest)

@@ -6,7 +6,7 @@ times the number of words in the map. Batch axes come last, see `dc2g_jax.grid.b
 
 import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,15 +15,12 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.bitboard import Board
-from dc2g_jax.grid.loops import repeated, until
+from dc2g_jax.grid.loops import for_each_until, repeated, until
 from dc2g_jax.grid.poses import ACTION_LETTERS, FORWARD_ACTION, HEADINGS, Pose, PoseSet, moved, one_action_on, only
 from dc2g_jax.grid.shifting import shifted
 
-#: Wavefront steps between checks for growth. Most searches end before the first check.
+#: Wavefront steps between checks for growth on a CPU. Most searches end before the first check.
 _STEPS_BETWEEN_LOOKS = 32
-
-#: The same on a GPU. There, every check makes the host wait, and one of thousands of searches always continues.
-_STEPS_BETWEEN_LOOKS_ON_GPU = 8
 
 
 def _pose_count(free: Board) -> int:
@@ -50,8 +47,9 @@ def _search(
     active: Bool[Array, "*batch"],
     free: Board,
     grown: Callable[[PoseSet], PoseSet],
-    arrived: Callable[[PoseSet], Bool[Array, "*batch"]],
-) -> _Search:
+    targets: Any,
+    reached_of: Callable[[PoseSet, Any], Bool[Array, "target *batch"]],
+) -> tuple[Bool[Array, "target *batch"], Int[Array, "*batch"]]:
     """Grow a wavefront over free cells until it arrives or stops growing.
 
     Args:
@@ -59,29 +57,48 @@ def _search(
       active: whether there is anything to search for.
       free: cells that the wavefront may cover.
       grown: maps a pose set to the poses one action after (or before) it.
-      arrived: whether the wavefront has reached its target.
+      targets: where to arrive; arrays with the batch axes last.
+      reached_of: `(pose set, targets) ->` which of the targets are in it. One is enough.
+
+    Returns:
+      Which targets were reached, and the steps of the wavefront.
     """
 
-    def grow(search: _Search) -> _Search:
+    def grow(search: _Search, free: Board, targets: Any) -> _Search:
         reached = search.reached | (grown(search.reached) & jnp.where(search.active, free, jnp.uint32(0)))
-        return _Search(reached, search.length + search.active, search.active & ~arrived(reached))
+        arrived = jnp.any(reached_of(reached, targets), axis=0)
+        return _Search(reached, search.length + search.active, search.active & ~arrived)
 
-    def until_all_have_arrived(search: _Search) -> _Search:
+    def still_growing(later: _Search, before: _Search) -> _Search:
+        return later._replace(active=later.active & ~poses.is_empty(later.reached ^ before.reached))
+
+    def grow_until_all_have_arrived(search: _Search) -> _Search:
         def go_on(carry: tuple[_Search, Array]) -> Bool[Array, ""]:
             return jnp.any(carry[0].active) & (carry[1] < _STEPS_BETWEEN_LOOKS)
 
-        return jax.lax.while_loop(go_on, lambda carry: (grow(carry[0]), carry[1] + 1), (search, jnp.int32(0)))[0]
+        def grow_once(carry: tuple[_Search, Array]) -> tuple[_Search, Array]:
+            return grow(carry[0], free, targets), carry[1] + 1
 
-    def without_a_look(search: _Search) -> _Search:
-        return jax.lax.fori_loop(0, _STEPS_BETWEEN_LOOKS_ON_GPU, lambda _, search: grow(search), search, unroll=True)
+        return still_growing(jax.lax.while_loop(go_on, grow_once, (search, jnp.int32(0)))[0], search)
 
-    def grow_for_a_while(search: _Search) -> _Search:
-        later = jax.lax.platform_dependent(search, cpu=until_all_have_arrived, default=without_a_look)
-        return later._replace(active=later.active & ~poses.is_empty(later.reached ^ search.reached))
+    def grow_some(steps: int, search: _Search, given: tuple[Board, Any]) -> _Search:
+        return still_growing(functools.reduce(lambda search, _: grow(search, *given), range(steps), search), search)
+
+    def result(search: _Search, given: tuple[Board, Any]) -> tuple[Array, Array]:
+        return reached_of(search.reached, given[1]), search.length
+
+    most = _pose_count(free) + 1
+
+    def together(first: _Search, given: tuple[Board, Any]) -> tuple[Array, Array]:
+        last = until(lambda search: ~jnp.any(search.active), grow_until_all_have_arrived, first, most=most)
+        return result(last, given)
+
+    def each(first: _Search, given: tuple[Board, Any]) -> tuple[Array, Array]:
+        return for_each_until(lambda search: search.active, grow_some, result, first, given, most=most)
 
     length = jnp.zeros(active.shape, jnp.int32)
-    first = _Search(start, length, active & ~arrived(start))
-    return until(lambda search: ~jnp.any(search.active), grow_for_a_while, first, most=_pose_count(free) + 1)
+    first = _Search(start, length, active & ~jnp.any(reached_of(start, targets), axis=0))
+    return jax.lax.platform_dependent(first, (free, targets), cpu=together, default=each)
 
 
 @struct.dataclass
@@ -115,18 +132,18 @@ def first_action(pose: Pose, targets: PoseSet, free: Board) -> FirstAction:
     columns, height = free.shape[0] * bitboard.WORD_BITS, free.shape[1]
     next_poses = [moved(pose, jnp.int32(action), height, columns) for action in range(len(ACTION_LETTERS))]
 
-    def closer(reached: PoseSet) -> Bool[Array, "action *batch"]:
+    def closer(reached: PoseSet, next_poses: list[Pose]) -> Bool[Array, "action *batch"]:
         return jnp.stack([poses.contains(reached, next_pose) for next_pose in next_poses])
 
     there = poses.contains(start, pose)
     active = ~there & bitboard.contains(free, pose.x, pose.y) & ~poses.is_empty(start)
     one_action_before = functools.partial(one_action_on, forward=-1)
-    search = _search(start, active, free, one_action_before, lambda reached: jnp.any(closer(reached), axis=0))
-    actions = closer(search.reached) & active
+    actions, length = _search(start, active, free, one_action_before, next_poses, closer)
+    actions &= active
     on_the_way = jnp.any(actions, axis=0)
     return FirstAction(
         action=jnp.where(on_the_way, jnp.argmax(actions, axis=0), FORWARD_ACTION).astype(jnp.int32),
-        length=jnp.where(on_the_way, search.length + 1, 0),
+        length=jnp.where(on_the_way, length + 1, 0),
         found=there | on_the_way,
     )
 
@@ -143,13 +160,12 @@ def first_headings(
       free: cells the robot may use.
     """
 
-    def there(reached: PoseSet) -> Bool[Array, "heading *batch"]:
-        return jnp.stack([bitboard.contains(reached[heading], x, y) for heading in range(HEADINGS)])
+    def there(reached: PoseSet, cell: tuple[Array, Array]) -> Bool[Array, "heading *batch"]:
+        return jnp.stack([bitboard.contains(reached[heading], *cell) for heading in range(HEADINGS)])
 
     start = only(pose, *free.shape[:2]) & free
     active = bitboard.contains(free, pose.x, pose.y) & bitboard.contains(free, x, y)
-    search = _search(start, active, free, one_action_on, lambda reached: jnp.any(there(reached), axis=0))
-    return there(search.reached)
+    return _search(start, active, free, one_action_on, (x, y), there)[0]
 
 
 #: Base-2 logarithm of the wavefront steps between changes of the high planes.

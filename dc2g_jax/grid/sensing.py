@@ -81,6 +81,8 @@ class Kernel:
         height, radius = targets.shape[1], self.radius
         frame = [(radius, radius), (radius, radius), *((0, 0) for _ in targets.shape[2:])]
         framed = jnp.pad(bitboard.unpack(targets, width).astype(self._count), frame)
+        # Without the barrier, a GPU would unpack every cell again for each offset. A CPU is faster without it.
+        framed = jax.lax.platform_dependent(framed, cpu=lambda cells: cells, default=jax.lax.optimization_barrier)
 
         def counted(offsets: tuple[tuple[int, int], ...]) -> Array:
             # Many small integers fit into a vector: this is faster than sharing work between neighboring cells.

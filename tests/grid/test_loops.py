@@ -2,9 +2,10 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
-from dc2g_jax.grid.loops import repeated, until
+from dc2g_jax.grid.loops import for_each_until, repeated, until
 
 
 @pytest.mark.parametrize(("start", "wanted"), [(0, 10), (7, 10), (10, 10), (12, 12)])
@@ -21,3 +22,30 @@ def test_a_loop_that_is_never_done_ends_too():
 def test_a_loop_of_known_length_counts_its_rounds():
     run = jax.jit(lambda number: repeated(5, lambda count, one: 10 * one + count, number))
     assert run(jnp.int32(9)) == 901234
+
+
+def test_members_that_go_on_are_gathered_into_smaller_batches():
+    wanted = np.random.default_rng(0).geometric(0.3, size=5000)
+    wanted[[0, -1]] = 40
+    sizes = []
+
+    def count(steps, carry, wanted):
+        sizes.append(len(wanted))
+        for _ in range(steps):
+            carry = carry + (carry < wanted)
+        return carry, carry < wanted
+
+    def run(wanted):
+        return for_each_until(
+            lambda carry: carry[1],
+            lambda steps, carry, wanted: count(steps, carry[0], wanted),
+            lambda carry, wanted: (carry[0], -wanted),
+            (jnp.zeros_like(wanted), jnp.ones(len(wanted), bool)),
+            wanted,
+            most=50,
+        )
+
+    counted, negative = jax.jit(run)(jnp.asarray(wanted))
+    np.testing.assert_array_equal(counted, wanted)
+    np.testing.assert_array_equal(negative, -wanted)
+    assert sorted(set(sizes)) == [625, 5000]

@@ -49,6 +49,14 @@ def assert_equal(one: Trajectories, other: Trajectories) -> None:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
 
 
+def test_finished_robots_that_wait_for_others_change_nothing(terrains, monkeypatch):
+    episodes = some_episodes(terrains, 3)
+    at_once = run(terrains, episodes)
+    monkeypatch.setattr(rollout_module, "platform", lambda mesh: "gpu")
+    monkeypatch.setattr(rollout_module, "_REFILLED_TOGETHER", 0.4)
+    assert_equal(run(terrains, episodes, slots=13), at_once)
+
+
 @pytest.mark.parametrize("slots", [1, 3, 128])
 def test_results_do_not_depend_on_the_number_of_slots(terrains, slots):
     episodes = some_episodes(terrains, 0)
