@@ -65,8 +65,7 @@ class Options(DatasetOptions, NetworkOptions, OutOptions):
 
     Attributes:
       accelerator: measure an accelerator instead, the most important parts first: the same episodes as on the CPU,
-        planners by batch size, Fig. 7, trainings, object goals, programs. Writes `accelerator.json` and
-        `accelerator.md`.
+        planners by batch size, Fig. 7, trainings, object goals. Writes `accelerator.json` and `accelerator.md`.
       minutes: with --accelerator, time limit; parts that exceed it are left out.
       robots: with --accelerator, largest number of robots side by side.
       runs: with --accelerator, number of training runs side by side.

@@ -13,7 +13,7 @@ import numpy as np
 from dc2g_jax.cli.searches import agent_with, open_costs
 from dc2g_jax.cli.translation import TranslationOptions
 from dc2g_jax.datasets.houses import HouseDataset
-from dc2g_jax.datasets.starts import Start, published_episodes, sample_starts
+from dc2g_jax.datasets.starts import published_episodes, sample_starts
 from dc2g_jax.objectnav.agent import Agent
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
@@ -28,16 +28,18 @@ from dc2g_jax.training.image_pairs import draw_image_pairs, image_set
 from dc2g_jax.training.translator import init_translator, translator_step
 
 from .bench import SENSING_RANGE, Bench, own
-from .compiling import program_rows
-from .planners import PLANNER_UNIT, own_episodes
+from .planners import PLANNER_UNIT, with_episodes
 from .rows import Row, attempt, growing
 from .sweeps import planner_batches
 from .timing import Measured, measure
 from .training import training_rows
 from .workload import Workload
 
-#: Numbers of robots side by side below the most, and optimizer steps in a call.
-_BATCHES, _STEPS = (64, 1024, 8192, 65536), 20
+#: Numbers of robots side by side.
+_BATCHES = {"frontier": (1024, 16384, 65536, 262144), "oracle": (65536, 262144), "dc2g": (16384, 65536)}
+
+#: Optimizer steps in a call.
+_STEPS = 20
 
 
 class _Part(NamedTuple):
@@ -56,46 +58,50 @@ class _Part(NamedTuple):
     rows: Callable[[], Iterator[Row]]
 
 
-def _up_to(most: int, sizes: Sequence[int]) -> list[int]:
-    return [*(size for size in sizes if size < most), most]
-
-
 def _once(call: Callable[[], Any]) -> Measured:
     """Time a long call: as few repeats as show it with everything compiled."""
     return measure(call, repeats=1, shortest_repeat=0.0)
 
 
 def _compared(bench: Bench, row: Row, workload: Workload, planner: str, reach: int) -> Row:
-    """Whole episodes here and on the CPU.
+    """Whole episodes here, and some of them on the CPU: all, or every tenth where a network is asked.
 
     SHA-256 of all actions is compared, 52 bits of it are the checksum. Networks round differently on other machines, so
     for `dc2g` it is the share of equal episodes that counts.
     """
-    row, actions = own_episodes(bench, row, workload, planner, sensing_range=reach)
-    on_cpu = rollout(
-        bench.planner(planner, reach),
-        workload.worlds,
-        workload.episodes,
-        sensing=bench.rules(reach).sensing,
-        devices=jax.devices("cpu"),
-    ).actions
-    here, there = (hashlib.sha256(each.tobytes()).hexdigest() for each in (actions, on_cpu))
-    equal = {"equal episodes": float(np.mean(np.all(actions == on_cpu, axis=1)))}
-    agreement = equal if planner == "dc2g" else {"same actions": float(here == there)}
-    return dataclasses.replace(row, checksum=int(here[:13], 16), facts=row.facts | agreement)
+    run = functools.partial(
+        rollout, bench.planner(planner, reach), workload.worlds, sensing=bench.rules(reach).sensing
+    )  # fmt: skip
+    measured = _once(lambda: run(workload.episodes))
+    every = 10 if planner == "dc2g" else 1
+    some = jax.tree.map(lambda leaf: leaf[::every], workload.episodes)
+    here, there = measured.output.actions[::every], run(some, devices=jax.devices("cpu")).actions
+    equal = float(np.mean(np.all(here == there, axis=1)))
+    agreement = {"equal episodes": equal} if planner == "dc2g" else {"same actions": float(equal == 1)}
+    row = with_episodes(row, measured)
+    digest = int(hashlib.sha256(measured.output.actions.tobytes()).hexdigest()[:13], 16)
+    return dataclasses.replace(row, checksum=digest, facts=row.facts | agreement)
+
+
+def _is_published(bench: Bench, dataset: HouseDataset) -> bool:
+    return dataset.source == "published" and not bench.quick
 
 
 def _golden(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
-    """Episodes on the CPU too: sampled ones, and the published ones where the houses are the published."""
-    cases = {"": (bench.workload, SENSING_RANGE)}
-    if dataset.source == "published" and not bench.quick:
+    """The published episodes where the houses are the published, else sampled ones; on the CPU too."""
+    what, workload, reach = "", bench.workload, SENSING_RANGE
+    if _is_published(bench, dataset):
         starts = tuple(episode.start for episode in published_episodes())
         houses = tuple(dataset.house(name) for name in dict.fromkeys(start.house for start in starts))
-        cases[", published starts"] = (Workload(dataset.name, houses, starts), 5)
-    for what, (workload, reach) in cases.items():
-        for planner in ("frontier",) if bench.quick else ("oracle", "frontier", "dc2g"):
-            row = own("golden", planner + what, PLANNER_UNIT, cells=workload.cells, sensing_range=reach)
-            yield attempt(row, functools.partial(_compared, bench, row, workload, planner, reach))
+        what, workload, reach = ", published starts", Workload(dataset.name, houses, starts), 5
+    for planner in ("frontier",) if bench.quick else ("oracle", "frontier", "dc2g"):
+        row = own("golden", planner + what, PLANNER_UNIT, cells=workload.cells, sensing_range=reach)
+        yield attempt(row, functools.partial(_compared, bench, row, workload, planner, reach))
+
+
+def _batches(bench: Bench, robots: int) -> Iterator[Row]:
+    for planner, sizes in ({"frontier": (4,)} if bench.quick else _BATCHES).items():
+        yield from planner_batches(bench, [planner], sorted({min(size, robots) for size in sizes}))
 
 
 def _steps_of_all(row: Row, run: Callable[[], Sequence[EpisodeResult]]) -> Row:
@@ -105,18 +111,18 @@ def _steps_of_all(row: Row, run: Callable[[], Sequence[EpisodeResult]]) -> Row:
 
 def _fig7(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
     """All episodes of Fig. 7 with all its planners, from the starts to the results; nothing is drawn or written."""
-    cases = {"paper": sample_starts(dataset.split("test")[: 2 if bench.quick else None], 10, seed=0)}
-    if dataset.source == "published" and not bench.quick:
-        cases = {"published": [episode.start for episode in published_episodes()]} | cases
     planners = ("oracle",) if bench.quick else FIGURE_PLANNERS
-    for settings, starts in cases.items():
-        row = own("fig7", f"{settings}: {len(starts)} episodes x {len(planners)} planners", "episodes")
+    if _is_published(bench, dataset):
+        settings, starts = "published", [episode.start for episode in published_episodes()]
+    else:
+        settings, starts = "paper", sample_starts(dataset.split("test")[: 2 if bench.quick else None], 10, seed=0)
+    row = own("fig7", f"{settings}: {len(starts)} episodes x {len(planners)} planners", "episodes")
 
-        def run(settings: str = settings, starts: Sequence[Start] = starts) -> list[EpisodeResult]:
-            # A runner keeps what the oracle did, so each call has a new one.
-            return Runner(dataset, SETTINGS[settings]).run(starts, planners, bench.network)
+    def run() -> list[EpisodeResult]:
+        # A runner keeps what the oracle did, so each call has a new one.
+        return Runner(dataset, SETTINGS[settings]).run(starts, planners, bench.network)
 
-        yield attempt(row, functools.partial(_steps_of_all, row, run))
+    yield attempt(row, functools.partial(_steps_of_all, row, run))
 
 
 def _training(bench: Bench, runs: Sequence[int]) -> Iterator[Row]:
@@ -162,7 +168,7 @@ def _searched(bench: Bench, agent: Agent, houses: Sequence[IndoorHouse], row: Ro
 def _searches(bench: Bench, robots: int) -> Iterator[Row]:
     """Searches for objects in procedural houses, by how many at once."""
     houses = indoor_houses(split="val", count=1 if bench.quick else 8, cell_size=IndoorMapSettings.cell_size)
-    batches = (1,) if bench.quick else _up_to(min(robots, 4096), (320,))
+    batches = (1,) if bench.quick else (min(robots, 1024),)
     for name in ("frontier",) if bench.quick else ("frontier", "promising"):
         searched = functools.partial(_searched, bench, agent_with(name, open_costs(None)), houses)
         yield from growing(batches, own("searches", name, "control periods"), searched)
@@ -180,18 +186,15 @@ def accelerator_rows(
       runs: sizes of the sweeps of training runs; the default training is measured before them.
       until: when to stop, as `time.monotonic` has it.
     """
-    batches = (4,) if bench.quick else _up_to(robots, _BATCHES)
-    planners = ("frontier",) if bench.quick else ("frontier", "oracle", "dc2g")
     sweeps = [2] if bench.quick else runs
     parts = [
-        _Part("golden", 60, "--starts-per-house", lambda: _golden(bench, dataset)),
-        _Part("batch", 90, "--robots", lambda: planner_batches(bench, planners, batches)),
-        _Part("fig7", 60, "", lambda: _fig7(bench, dataset)),
+        _Part("golden", 60, "", lambda: _golden(bench, dataset)),
+        _Part("batch", 90, "--robots", lambda: _batches(bench, robots)),
+        _Part("fig7", 90, "", lambda: _fig7(bench, dataset)),
         _Part("training", 30, "", lambda: _training(bench, [1])),
-        _Part("translator", 40, "", lambda: _translator(bench, dataset)),
         _Part("training", 60, "--runs", lambda: _training(bench, sweeps)),
-        _Part("searches", 90, "--robots", lambda: _searches(bench, robots)),
-        _Part("programs", 90, "", lambda: program_rows(bench)),
+        _Part("translator", 60, "", lambda: _translator(bench, dataset)),
+        _Part("searches", 60, "--robots", lambda: _searches(bench, robots)),
     ]
     if bench.quick:
         parts = [part._replace(seconds=0) for part in parts]

@@ -15,7 +15,7 @@ from .machine import BANDWIDTH, WORD_ARITHMETIC
 from .rows import Row
 from .timing import Measured, Timing, measure
 from .work import count_work
-from .workload import Robots, Workload, active_robots, taken_over
+from .workload import Robots, Workload, active_robots
 
 #: Robots in the middle of their episodes that batches are made of.
 _POOL = 2048
@@ -52,22 +52,17 @@ class Bench:
         return make_planner(name, self.rules(sensing_range), self.network)
 
     @functools.cached_property
-    def _pools(self) -> dict[str, Robots]:
-        return {}
+    def _led_by_frontier(self) -> Robots:
+        count = 64 if self.quick else _POOL
+        return active_robots(self.workload, self.planner("frontier"), self.rules().sensing, count)
 
     def robots(self, planner: str) -> Robots:
-        """Robots in the middle of their episodes: led by `frontier`, and taken over by the planner for its first step.
+        """Robots in the middle of their episodes, led by `frontier`: all planners are measured in the same places.
 
-        So all planners are measured in the same places.
+        The others' states are those of a first step.
         """
-        sensing = self.rules().sensing
-        if planner not in self._pools:
-            if planner == "frontier":
-                count = 64 if self.quick else _POOL
-                self._pools[planner] = active_robots(self.workload, self.planner(planner), sensing, count)
-            else:
-                self._pools[planner] = taken_over(self.robots("frontier"), self.planner(planner), sensing)
-        return self._pools[planner]
+        led = self._led_by_frontier
+        return led if planner == "frontier" else led._replace(state=self.planner(planner).init(led.world))
 
     def shares(self, timing: Timing, function: Callable[..., Any], *arguments: Any) -> dict[str, float]:
         """What part of the machine's bandwidth and arithmetic a kernel reaches, from its counted work."""

@@ -65,7 +65,7 @@ def measure(call: Callable[[], Any], *, repeats: int, shortest_repeat: float = _
     Args:
       call: what to time.
       repeats: how many times.
-      shortest_repeat: a repeat calls so often that it takes these seconds at least.
+      shortest_repeat: a repeat calls so often that it takes these seconds at least; 0 for one call.
     """
     held = held_memory()
 
@@ -75,8 +75,8 @@ def measure(call: Callable[[], Any], *, repeats: int, shortest_repeat: float = _
             output = jax.block_until_ready(call())
         return (time.perf_counter() - start) / calls, output
 
-    first, _ = seconds(1)
-    once, output = seconds(1)
+    first, output = seconds(1)
+    once = seconds(1)[0] if shortest_repeat else 1.0
     calls = max(1, min(10_000, round(shortest_repeat / max(once, 1e-9))))
     taken = []
     for _ in range(repeats):

@@ -184,13 +184,3 @@ def active_robots(workload: Workload, leader: Planner, sensing: Kernel, count: i
         return jax.lax.fori_loop(0, _MOST_ACTIONS, lambda _, robots: advance(robots), first)
 
     return run(world, pose, moments)
-
-
-def taken_over(robots: Robots, planner: Planner, sensing: Kernel) -> Robots:
-    """The robots a step later, led by another planner from now on."""
-
-    @jit
-    def run(robots: Robots) -> Robots:
-        return cycle(planner, sensing, Robots(robots.world, robots.belief, planner.init(robots.world)))
-
-    return run(robots)
