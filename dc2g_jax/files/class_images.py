@@ -113,7 +113,7 @@ def read_class_image(png_path: Path, palette: Palette, *, size: tuple[int, int] 
         if pixels[..., 3].min() < 255:
             raise InputError(f"{png_path}: has pixels that are not opaque; export it without transparency")
         classes[rows] = palette.classes(pixels)
-        if classes[rows].max() >= _FOREIGN_CLASS:
+        if np.max(classes[rows]) >= _FOREIGN_CLASS:
             raise InputError(f"{png_path}: {_explain_color(palette, pixels[..., :3], classes[rows], rows.start)}")
     return classes
 

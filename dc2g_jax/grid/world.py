@@ -44,7 +44,7 @@ class World:
     def opaque(self) -> Board:
         """Board of the cells whose class hides what is behind them."""
         found = jnp.zeros_like(self.classes[0])
-        for index in np.flatnonzero(terrain.OPAQUE):
+        for index in np.flatnonzero(terrain.OPAQUE).tolist():
             planes = [plane if index >> bit & 1 else ~plane for bit, plane in enumerate(self.classes)]
             found = found | functools.reduce(jnp.bitwise_and, planes)
         return found

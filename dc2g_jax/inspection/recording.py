@@ -61,7 +61,7 @@ def _send_candidates(stream: rr.RecordingStream, entity: str, score: Float[np.nd
     """Send the candidates of the planner with their scores, colored by rank within a step."""
     frame, row, column = np.nonzero(~np.isnan(score))
     finite = np.where(np.isfinite(score), score, np.nan)
-    lowest, highest = (of_all.reduce(finite, axis=(1, 2)) for of_all in (np.fmin, np.fmax))
+    lowest, highest = (of_all.reduce(finite, axis=(1, 2), keepdims=True).ravel() for of_all in (np.fmin, np.fmax))
     scores = score[frame, row, column]
     rank = (scores - lowest[frame]) / np.maximum(highest - lowest, 1e-6)[frame]
     counts = np.bincount(frame, minlength=len(score))
@@ -121,7 +121,7 @@ def _status(result: EpisodeResult, frames: Frames) -> list[str]:
     extra = running_extra_steps(frames)
     last = len(frames) - 1
     counts = np.sum(~np.isnan(frames.score), axis=(1, 2)).tolist()
-    least = np.fmin.reduce(frames.score, axis=(1, 2)).tolist()
+    least = np.fmin.reduce(frames.score, axis=(1, 2), keepdims=True).ravel().tolist()
     lines = []
     for step, (mode, length) in enumerate(zip(frames.mode.tolist(), frames.length.tolist(), strict=True)):
         plan = {

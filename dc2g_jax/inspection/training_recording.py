@@ -225,7 +225,7 @@ class TrainingRecording:
         self._predicted = step
         predicted = np.asarray(_expected_cost(network, self._terrain))
         difference = np.where(self._counts, predicted - np.where(self._counts, self._exact, 0), 0)
-        self._add(step, {"error": float(np.abs(difference).sum() / self._counts.sum())})
+        self._add(step, {"error": float(np.sum(np.abs(difference)) / np.sum(self._counts))})
         predictions = {
             "predicted": self._scale.classes(predicted, self._counts),
             "difference": legend.difference_classes(difference, self._counts),

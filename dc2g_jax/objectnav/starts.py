@@ -44,7 +44,7 @@ def largest_region(world: IndoorWorld) -> Bool[np.ndarray, "h w"]:
     region = _regions(world)
     sizes = np.bincount(region.ravel())
     sizes[0] = 0
-    return (region == sizes.argmax()) & (region > 0)
+    return (region == np.argmax(sizes)) & (region > 0)
 
 
 def approaches(world: IndoorWorld, goal: int) -> Bool[np.ndarray, "h w"]:

@@ -198,7 +198,7 @@ def view_around(
     high = turned.max(axis=0) + rng.uniform(*margins, 2)
     extent = high - low
     longest = 1.25 + 1.15 * uniform(rng, (0, 1)) ** 1.5
-    missing = np.maximum(extent.max() / longest - extent, 0)
+    missing = np.maximum(np.max(extent) / longest - extent, 0)
     corner, extent = low - missing * rng.uniform(0, 1, 2), extent + missing
     scale = uniform(rng, pixels_per_meter)
     scale = min(max(scale, 205 / extent.min()), 925 / extent.max())

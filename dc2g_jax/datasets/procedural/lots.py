@@ -74,7 +74,7 @@ class Lot:
 
 def front_at(blocks: list[Points], x: float) -> float:
     """The foremost (smallest) y of the blocks that extend over x, meters."""
-    return min(float(b[:, 1].min()) for b in blocks if b[:, 0].min() <= x <= b[:, 0].max())
+    return min(float(np.min(b[:, 1])) for b in blocks if np.min(b[:, 0]) <= x <= np.max(b[:, 0]))
 
 
 def build_house(rng: np.random.Generator, suburb: Suburb) -> HouseOutline:
@@ -323,9 +323,9 @@ def door_outline(rng: np.random.Generator, door: tuple[float, float], size: floa
 
 def _add_side_door(rng: np.random.Generator, lot: Lot, house: HouseOutline, stand: Placement, width: float) -> None:
     """Add a second door or a patio at the side of the house, with a walkway around the corner."""
-    depth = max(float(block[:, 1].max()) for block in house.blocks[:1])
+    depth = max(float(np.max(block[:, 1])) for block in house.blocks[:1])
     beside, side_y = house.right + width * uniform(rng, (0.6, 1.2)), uniform(rng, (0.3, 0.8)) * depth
-    front = min(float(block[:, 1].min()) for block in house.blocks) - width * uniform(rng, (0.5, 1.2))
+    front = min(float(np.min(block[:, 1])) for block in house.blocks) - width * uniform(rng, (0.5, 1.2))
     corner = [(house.door[0], front), (beside, front), (beside, side_y)]
     line = resample(smooth(corner, int(rng.integers(0, 2))), 0.9)
     lot.shapes["path"] += stand.place_all(stroke(line, width * 0.9))
