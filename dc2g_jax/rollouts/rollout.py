@@ -34,8 +34,8 @@ _FIRST_STEPS = 16
 #: The action recorded after the end of an episode.
 NO_ACTION = -1
 
-#: Number of robots simulated side by side on an accelerator.
-_ACCELERATOR_SLOTS = 16384
+#: Words in one board of every robot on an accelerator: those of 65,536 robots on maps of 50 x 50 cells.
+_ACCELERATOR_WORDS = 65536 * 100
 
 #: On an accelerator, where refilling takes as long as a step, finished robots wait until so large a part has finished.
 _REFILLED_TOGETHER = 1 / 32
@@ -276,9 +276,9 @@ def _first_states(
 
 def _default_slots(planner: Planner, worlds: World, platform: str) -> int:
     """The default number of slots of a device."""
-    if platform != "cpu":
-        return _ACCELERATOR_SLOTS
     n_words, height = worlds.goals.shape[:2]
+    if platform != "cpu":
+        return max(1, 1 << (_ACCELERATOR_WORDS // (n_words * height)).bit_length() >> 1)
     cached = n_words * height <= _LARGEST_CACHED_BOARD
     return planner.robots_a_core if cached else planner.robots_on_large_maps
 
