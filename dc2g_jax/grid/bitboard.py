@@ -24,7 +24,7 @@ from dc2g_jax.grid.loops import for_each_until, repeated, until
 
 WORD_BITS = 32
 
-#: Steps of a flood between checks for growth: a check costs more than a step.
+#: Steps of a flood between checks for growth on a CPU: a check costs more than a step.
 _STEPS_PER_CHECK = 4
 
 Board = UInt32[Array, "n_words h *batch"]
@@ -150,13 +150,13 @@ def flood(seed: Board, free: Board) -> Board:
     """
     most = seed.shape[0] * seed.shape[1] * WORD_BITS + 1
 
-    def grown(steps: int, reached: Board, free: Board) -> Board:
-        return jax.lax.fori_loop(0, steps, lambda _, cells: cells | (neighbors(cells) & free), reached, unroll=True)
+    def grown(steps: int, cells: Board, free: Board) -> Board:
+        return repeated(steps, lambda _, cells: cells | (neighbors(cells) & free), cells)
 
     def together(seed: Board, free: Board) -> Board:
         def grow(carry: tuple[Board, Array]) -> tuple[Board, Array]:
             # A complete board does not change while other boards of the batch still grow.
-            cells = repeated(_STEPS_PER_CHECK, lambda _, cells: grown(1, cells, free), carry[0])
+            cells = grown(_STEPS_PER_CHECK, carry[0], free)
             return cells, jnp.any(cells != carry[0])
 
         return until(lambda carry: ~carry[1], grow, (seed, jnp.bool_(True)), most=most)[0]

@@ -60,7 +60,7 @@ def for_each_until(
       going: which members go on.
       function: `(steps, carry, given) ->` the carry after so many steps. Members that do not go on must not change.
       result: `(carry, given) ->` what is asked for, once they do not go on.
-      carry: arrays with the batch axes last.
+      carry: arrays with the batch axes last. Only a batch with one axis shrinks.
       given: what does not change, likewise.
       most: bound on the steps.
     """
@@ -76,8 +76,8 @@ def for_each_until(
     of_all = result(carry, given)
     if not left:
         return of_all
-    # Places that are not needed hold another copy of the last member; nothing is written for them.
-    members = jnp.nonzero(going(carry), size=left, fill_value=size)[0]
-    rest = jax.tree.map(lambda leaf: leaf.at[..., members].get(mode="clip"), (carry, given))
+    # Spare places hold a member that does not go on: a copy of one that does would count as another that does.
+    members = jnp.nonzero(going(carry), size=left, fill_value=jnp.argmin(going(carry)))[0]
+    rest = jax.tree.map(lambda leaf: leaf.at[..., members].get(mode="promise_in_bounds"), (carry, given))
     of_rest = for_each_until(going, function, result, *rest, most=most)
-    return jax.tree.map(lambda leaf, own: leaf.at[..., members].set(own, mode="drop"), of_all, of_rest)
+    return jax.tree.map(lambda leaf, own: leaf.at[..., members].set(own, mode="promise_in_bounds"), of_all, of_rest)

@@ -82,7 +82,8 @@ def _search(
         return still_growing(jax.lax.while_loop(go_on, grow_once, (search, jnp.int32(0)))[0], search)
 
     def grow_some(steps: int, search: _Search, given: tuple[Board, Any]) -> _Search:
-        return still_growing(functools.reduce(lambda search, _: grow(search, *given), range(steps), search), search)
+        later = jax.lax.fori_loop(0, steps, lambda _, search: grow(search, *given), search, unroll=True)
+        return still_growing(later, search)
 
     def result(search: _Search, given: tuple[Board, Any]) -> tuple[Array, Array]:
         return reached_of(search.reached, given[1]), search.length
