@@ -79,7 +79,7 @@ def answers_in_cells(estimator: Estimator | None) -> bool:
 #: Smallest batch of an estimator, since the last bits of a convolution may depend on tiny sizes; and the largest.
 _FEWEST_MAPS, _MOST_MAPS = 4, 4096
 
-#: Robots from which on an estimator has two batch sizes: more would save little there and be compiled each.
+#: For more robots than these, an estimator has two batch sizes: more would save little there and be compiled each.
 _MANY_ROBOTS = 256
 
 

@@ -66,12 +66,10 @@ def _once(call: Callable[[], Any]) -> Measured:
 def _compared(bench: Bench, row: Row, workload: Workload, planner: str, reach: int) -> Row:
     """Whole episodes here, and some of them on the CPU: all, or every tenth where a network is asked.
 
-    SHA-256 of all actions is compared, 52 bits of it are the checksum. Networks round differently on other machines, so
-    for `dc2g` it is the share of equal episodes that counts.
+    Networks round differently on other machines, so for `dc2g` it is the share of equal episodes that counts. The
+    checksum is 52 bits of the SHA-256 of all actions here.
     """
-    run = functools.partial(
-        rollout, bench.planner(planner, reach), workload.worlds, sensing=bench.rules(reach).sensing
-    )  # fmt: skip
+    run = functools.partial(rollout, bench.planner(planner, reach), workload.worlds, sensing=bench.rules(reach).sensing)
     measured = _once(lambda: run(workload.episodes))
     every = 10 if planner == "dc2g" else 1
     some = jax.tree.map(lambda leaf: leaf[::every], workload.episodes)
