@@ -66,6 +66,7 @@ def test_programs_for_accelerators_give_the_same(monkeypatch):
             lambda: (
                 bitboard.flood(bitboard.single(x, y, *free.shape[:2]), free),
                 search.first_action(pose, goals, free),
+                search.first_headings(pose, x[::-1], y[::-1], free),
                 search.nearest_headings(pose, candidates, free, shape[1]),
             )
         )()
