@@ -14,7 +14,7 @@ from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax.cli.options import DatasetOptions, OutOptions, ResumeOptions
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
-from dc2g_jax.datasets.starts import sample_starts
+from dc2g_jax.datasets.starts import sample_starts, usable_houses
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import SHIPPED_NOISY_NETWORK
 from dc2g_jax.estimation.estimators import Estimator
@@ -69,10 +69,8 @@ def main(options: Options) -> None:
     dataset = open_dataset(options.dataset)
     clean, noisy = load(options.network), load(options.noisy_network or resource(SHIPPED_NOISY_NETWORK))
     networks: dict[str, Estimator] = {"clean": clean, "noisy": noisy}
-    houses = dataset.split(options.split)
+    houses = usable_houses(dataset, options.split, instead="give another --split")
     starts = sample_starts(houses, options.starts_per_house, seed=options.seed)
-    if not starts:
-        raise InputError(f"{dataset.name}: no episode can be run in its {options.split} houses; give another --split")
     out = output_folder(options, "noisy_mapping", inputs=digests(dataset, network=clean, noisy_network=noisy))
     results: dict[str, dict[str, float]] = {}
     for settings in ("paper", "occluded"):

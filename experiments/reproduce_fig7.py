@@ -18,8 +18,8 @@ from dc2g_jax.cli.common import PlannersOption, check_planners, command_line, di
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax.cli.outputs import output_folder
-from dc2g_jax.datasets.houses import House, HouseDataset, group_of, open_dataset, tell_on_stderr
-from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
+from dc2g_jax.datasets.houses import HouseDataset, group_of, open_dataset, tell_on_stderr
+from dc2g_jax.datasets.starts import Start, sample_starts, usable_houses, why_no_episode
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.files.atomic import write_json
@@ -68,12 +68,7 @@ def sampled_episodes(dataset: HouseDataset, options: Options) -> tuple[Runner, l
     Raises:
       InputError: there are no starts, or the houses cannot be run together.
     """
-    houses: tuple[House, ...] = dataset.split("test")
-    if not houses:
-        raise InputError(f"{dataset.name}: has no test houses; list some in testing_houses.csv")
-    starts = sample_starts(houses, options.starts_per_house, seed=options.seed)
-    if not starts:
-        raise InputError(f"{dataset.name}: no episode can be run in any of its test houses; add a front door and roads")
+    starts = sample_starts(usable_houses(dataset, "test"), options.starts_per_house, seed=options.seed)
     return Runner(dataset, SETTINGS["paper"], step_limit=options.step_limit, progress=EpisodeProgress()), starts
 
 

@@ -11,7 +11,7 @@ from dc2g_jax.cli.map_options import start_in
 from dc2g_jax.cli.one_start import OneStartOptions, run_one_start
 from dc2g_jax.cli.options import DatasetOptions
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
-from dc2g_jax.datasets.starts import Start, sample_starts
+from dc2g_jax.datasets.starts import Start, sample_starts, usable_houses
 from dc2g_jax.errors import InputError
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import Runner
@@ -40,9 +40,7 @@ def median_start(dataset: HouseDataset, seed: int) -> Start:
     Raises:
       InputError: no episode can be run in any test house.
     """
-    starts = sample_starts(dataset.split("test"), 1, seed=seed)
-    if not starts:
-        raise InputError(f"{dataset.name}: no episode can be run in any of its test houses; name another --house")
+    starts = sample_starts(usable_houses(dataset, "test", instead="name another --house"), 1, seed=seed)
     results = Runner(dataset, SETTINGS["paper"], progress=EpisodeProgress()).run(starts, ("oracle",))
     order = sorted(range(len(starts)), key=lambda number: (results[number].steps, starts[number].house))
     return starts[order[(len(order) - 1) // 2]]

@@ -15,8 +15,8 @@ from dc2g_jax.cli.driving import SECONDS_LIMIT, DrivingOptions, equipment
 from dc2g_jax.cli.map_options import StartOption, start_in
 from dc2g_jax.cli.options import DatasetOptions, OutOptions
 from dc2g_jax.cli.outputs import output_folder
-from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
-from dc2g_jax.datasets.starts import why_no_episode
+from dc2g_jax.datasets.houses import open_dataset
+from dc2g_jax.datasets.starts import usable_houses
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import SHIPPED_NOISY_NETWORK
 from dc2g_jax.files.resources import resource
@@ -61,25 +61,16 @@ def record(file: Path, drive: list[Moment], robot: Equipment, name: str) -> None
             recording.add(MappedFrame(moment.frame, encoded.tobytes(), moment.robot.map, moment.robot.terrain))
 
 
-def first_house(dataset: HouseDataset) -> House:
-    """The first test house in which an episode can be run.
-
-    Raises:
-      InputError: there is none.
-    """
-    for house in dataset.split("test"):
-        if why_no_episode(house) is None:
-            return house
-    raise InputError(f"{dataset.name}: no episode can be run in any of its test houses; name another --house")
-
-
 def main(options: Options) -> None:
     """Drive; write the figure and the recording."""
     if not 0 <= options.noise < math.inf:
         raise InputError(f"--noise {options.noise:g}: give a number from 0 on")
     check_planners([options.planner])
     dataset = open_dataset(options.dataset)
-    house = first_house(dataset) if options.house is None else dataset.house(options.house)
+    if options.house is None:
+        house = usable_houses(dataset, "test", instead="name another --house")[0]
+    else:
+        house = dataset.house(options.house)
     start = start_in(house.name, house, options.start, options.seed)
     robot = equipment(
         options.planner,

@@ -18,7 +18,7 @@ from dc2g_jax.cli.outputs import output_folder, print_files
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
 from dc2g_jax.datasets.procedural import draw_neighborhood
 from dc2g_jax.datasets.procedural.suburbs import SUBURBS
-from dc2g_jax.datasets.starts import Start, sample_starts
+from dc2g_jax.datasets.starts import Start, sample_starts, usable_houses
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.estimation.extents import CroppedEstimator, Window, WindowedEstimator
@@ -29,7 +29,7 @@ from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import Runner
 from dc2g_jax.rollouts.statistics import summarize
-from dc2g_jax.training.cost_to_go_data import drawn_houses, usable
+from dc2g_jax.training.cost_to_go_data import drawn_houses
 
 from .benchmarks.decisions import milliseconds
 
@@ -103,7 +103,7 @@ def neighborhoods(options: Options, doors: int) -> Worlds:
 
 def all_worlds(options: Options, dataset: HouseDataset) -> dict[str, Worlds]:
     """All maps to compare planners on, by name."""
-    own = usable(dataset, options.split)
+    own = usable_houses(dataset, options.split, instead="give another --split")
     drawn = drawn_houses("v", options.split, options.drawn, SEEDS[options.split], own[0].terrain.shape[0])
     worlds = {
         "houses": Worlds(own, sample_starts(own, options.starts_per_house, seed=options.seed)),

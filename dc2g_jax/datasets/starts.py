@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from dc2g_jax.datasets.houses import House, HouseDataset
+from dc2g_jax.datasets.houses import SPLIT_FILES, House, HouseDataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.resources import resource
 from dc2g_jax.files.tables import table_lines, whole_cell
@@ -88,6 +88,28 @@ def why_no_episode(house: House) -> str | None:
     if not np.any(start_cells(house.terrain)):
         return "no front door can be reached from any of its road cells"
     return None
+
+
+def usable_houses(dataset: HouseDataset, split: str, *, instead: str = "give another dataset") -> list[House]:
+    """Houses of a split in which an episode can be run, see `why_no_episode`.
+
+    Args:
+      dataset: the dataset.
+      split: `train`, `val` or `test`.
+      instead: for the message, what else the user can do than add maps.
+
+    Raises:
+      InputError: there are none.
+    """
+    given = dataset.split(split)
+    houses = [house for house in given if why_no_episode(house) is None]
+    if not houses:
+        raise InputError(
+            f"{dataset.name}: no episode can be run in any of its {len(given)} {split} houses; {instead}, or put maps "
+            f"with a path from a road to a front door into its folder {split}/ (in the published layout: list such "
+            f"houses in {SPLIT_FILES[split]})"
+        )
+    return houses
 
 
 def sample_starts(houses: Iterable[House], per_house: int, *, seed: int) -> list[Start]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Int
 
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
-from dc2g_jax.datasets.starts import why_no_episode
+from dc2g_jax.datasets.starts import usable_houses, why_no_episode
 from dc2g_jax.environments.functional import SENSING_RANGE, FrontDoor, Params, front_door, whole_number
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.ground import connected_to_goal
@@ -51,16 +51,7 @@ class FrontDoorTask:
         if not isinstance(dataset, HouseDataset):
             dataset = open_dataset(dataset, cells=whole_number("cells", cells, 2))
         self._dataset, self._split = dataset, split
-        of_split = dataset.split(split)
-        houses = [house for house in of_split if why_no_episode(house) is None]
-        if not of_split:
-            raise InputError(f"{dataset.name}: no house is in split {split!r}; use another")
-        if not houses:
-            rows, columns = of_split[0].terrain.shape
-            raise InputError(
-                f"{dataset.name}: none of the {len(of_split)} houses of split {split!r} keeps a path to its door in "
-                f"{columns} x {rows} cells; raise cells, or use another split"
-            )
+        houses = usable_houses(dataset, split, instead="raise cells or use another split")
         environment, self.params = front_door(houses, sensing_range=sensing_range, step_limit=step_limit)
         self.environment = FrontDoor(environment.sensing)
         self.names = np.array([house.name for house in houses], object)

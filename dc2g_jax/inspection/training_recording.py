@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, UInt8
 
 from dc2g_jax.datasets.houses import HouseDataset, stack_worlds
 from dc2g_jax.datasets.pairs import Pair, make_pair
-from dc2g_jax.datasets.starts import sample_starts
+from dc2g_jax.datasets.starts import sample_starts, usable_houses
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import compact_unet
 from dc2g_jax.estimation.estimators import NetworkCostToGo
@@ -28,7 +28,7 @@ from dc2g_jax.planning.rules import complete_rules
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.evaluation import episodes_from
 from dc2g_jax.training.cost_to_go import TrainingConfig, learning_rates
-from dc2g_jax.training.cost_to_go_data import training_set, usable
+from dc2g_jax.training.cost_to_go_data import training_set
 from dc2g_jax.training.mask_collection import Masks, collect_masks
 
 #: Gap between two maps side by side, columns.
@@ -75,7 +75,7 @@ def maps_to_watch(dataset: HouseDataset, count: int) -> Pair:
     Raises:
       InputError: there are no such maps.
     """
-    houses = usable(dataset, "val")
+    houses = usable_houses(dataset, "val")
     rules = complete_rules(_SENSING_RANGE)
     starts = sample_starts(houses, -(-count // len(houses)), seed=0)
     masks = collect_masks(

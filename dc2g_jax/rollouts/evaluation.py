@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Int, UInt8
 
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset, stack_worlds
-from dc2g_jax.datasets.starts import Start, sample_starts
+from dc2g_jax.datasets.starts import Start, sample_starts, usable_houses
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.estimation.estimators import Estimator, extent_of
 from dc2g_jax.grid import gridworld
@@ -409,9 +409,8 @@ def evaluate(
     if not isinstance(dataset, HouseDataset):
         dataset = open_dataset(dataset)
     if starts is None:
-        starts = sample_starts(dataset.split(split), starts_per_house, seed=seed)
-        if not starts:
-            raise InputError(f"{dataset.name}: no episode can be run in any house of split {split!r}; use another")
+        houses = usable_houses(dataset, split, instead="use another split")
+        starts = sample_starts(houses, starts_per_house, seed=seed)
     if sensing_range is not None:
         starts = [start._replace(sensing_range=start.sensing_range or sensing_range) for start in starts]
     own = {name: functools.partial(_made, name, source, estimator) for name, source in named.items() if source != name}

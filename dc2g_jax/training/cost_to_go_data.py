@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, UInt8
 
-from dc2g_jax.datasets.houses import SPLIT_FILES, House, HouseDataset, stack_worlds
+from dc2g_jax.datasets.houses import House, HouseDataset, stack_worlds
 from dc2g_jax.datasets.pairs import Pair, TrainingSet, draw_pairs
 from dc2g_jax.datasets.procedural import procedural_training_houses
-from dc2g_jax.datasets.starts import Start, sample_starts, why_no_episode
+from dc2g_jax.datasets.starts import Start, sample_starts, usable_houses
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, world_cost_to_go
 from dc2g_jax.grid import bitboard
@@ -112,24 +112,6 @@ def drawn_houses(prefix: str, split: str, count: int, seed: int, cells: int) -> 
     return [House(f"{prefix}{index:05d}", split, sample_grid(image, cells)) for index, image in enumerate(images)]
 
 
-def usable(dataset: HouseDataset, split: str) -> list[House]:
-    """Houses of a split in which an episode can be run.
-
-    Raises:
-      InputError: there are none.
-    """
-    given = dataset.split(split)
-    if not given:
-        raise InputError(
-            f"{dataset.name}: has no {split} houses, and training needs one at least; put maps into its folder "
-            f"{split}/, or in the published layout name houses in {SPLIT_FILES[split]}"
-        )
-    houses = [house for house in given if why_no_episode(house) is None]
-    if not houses:
-        raise InputError(f"{dataset.name}: no episode can be run in any {split} house; training needs one at least")
-    return houses
-
-
 def _require_squares(own: list[House], drawn: int) -> None:
     """Check that procedural houses, if there are any, can be combined with a dataset's."""
     height, width = own[0].terrain.shape
@@ -153,9 +135,9 @@ def check_houses(dataset: HouseDataset, *, extra: int, drawn: bool, validated: b
     Raises:
       InputError: no episode can be run in the houses of a split, or procedural houses cannot be combined with them.
     """
-    _require_squares(usable(dataset, "train"), extra)
+    _require_squares(usable_houses(dataset, "train"), extra)
     if validated:
-        _require_squares(usable(dataset, "val"), int(drawn))
+        _require_squares(usable_houses(dataset, "val"), int(drawn))
 
 
 def _with_drawn(own: list[House], prefix: str, count: int, seed: int) -> list[House]:
@@ -176,7 +158,7 @@ def _with_drawn(own: list[House], prefix: str, count: int, seed: int) -> list[Ho
 
 def training_houses(dataset: HouseDataset, config: DataConfig) -> tuple[list[House], int]:
     """The dataset's training houses followed by procedural ones of the same size; and the number of the former."""
-    own = usable(dataset, "train")
+    own = usable_houses(dataset, "train")
     return _with_drawn(own, "e", config.extra_houses, config.data_seed), len(own)
 
 
@@ -288,7 +270,7 @@ def validation_pairs(dataset: HouseDataset, *, count: int, edge_weight: float) -
       count: number of pairs.
       edge_weight: see `dc2g_jax.datasets.pairs.make_pair`.
     """
-    own = usable(dataset, "val")
+    own = usable_houses(dataset, "val")
     height, width = own[0].terrain.shape
     houses = _with_drawn(own, "v", 32 if height == width else 0, _VALIDATION_SEED)
     config = DataConfig(ranges=(5, 8), starts_per_house=8)
@@ -312,7 +294,7 @@ class Validation:
     """
 
     def __init__(self, dataset: HouseDataset, drawn: int = 64):
-        own = usable(dataset, "val")
+        own = usable_houses(dataset, "val")
         houses = HouseDataset("validation", "folder", tuple(_with_drawn(own, "v", drawn, _VALIDATION_SEED)))
         self._runners = {name: Runner(houses, SETTINGS[name]) for name in ("published", "paper")}
         self._starts: Mapping[str, list[Start]] = {

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
 
 from dc2g_jax.datasets.drawn_masks import drawn_masks
 from dc2g_jax.datasets.houses import House, HouseDataset, stack_worlds
-from dc2g_jax.datasets.starts import sample_starts, why_no_episode
+from dc2g_jax.datasets.starts import sample_starts, usable_houses
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.images import cost_to_go_image, largest_cost, semantic_image
 from dc2g_jax.grid import bitboard, search
@@ -186,8 +186,7 @@ def image_set(dataset: HouseDataset, split: str, *, size: int, masks: MaskKind, 
     if masks == "paper":
         return all_pairs(houses, drawn_masks(per_house, size, seed=MASK_SEEDS[split]))
     grids = [House(house.name, split, sample_grid(house.terrain, GRID_CELLS)) for house in houses]
-    if all(why_no_episode(house) for house in grids):
-        raise InputError(f"{dataset.name}: no episode can be run in any {split} house; use --masks paper")
+    usable_houses(HouseDataset(dataset.name, dataset.source, tuple(grids)), split, instead="use --masks paper")
     collected = rollout_masks(grids, per_house, seed=MASK_SEEDS[split])
     terrain, cost = labeled_maps((house.terrain for house in houses), size)
     return ImageSet(

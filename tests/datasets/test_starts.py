@@ -10,6 +10,7 @@ from dc2g_jax.datasets.starts import (
     read_starts,
     sample_starts,
     start_cells,
+    usable_houses,
     why_no_episode,
 )
 from dc2g_jax.errors import InputError
@@ -71,6 +72,13 @@ def test_why_no_episode(dataset):
     assert why_no_episode(dataset.house("street")) is None
     assert why_no_episode(dataset.house("doorless")) == "it has no front door"
     assert "reached" in why_no_episode(dataset.house("island"))
+
+
+def test_a_split_without_episodes_is_refused_by_name(dataset):
+    assert usable_houses(dataset, "test") == [dataset.house("street")]
+    folder = ("val/", "validation_houses.csv")
+    refusal(lambda: usable_houses(dataset, "val"), "toys: ", "its 1 val houses", "give another dataset", *folder)
+    refusal(lambda: usable_houses(dataset, "train", instead="raise cells"), "its 0 train houses; raise cells", "train/")
 
 
 def test_published_houses_without_episodes(published_dataset):

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from dc2g_jax.cli.driving import DriveResult, DrivingOptions, equipment
-from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.estimation.estimators import ExactCostToGo
 from dc2g_jax.planning.planners import DC2G, Frontier
 from dc2g_jax.planning.selection import ENDLESS
 from dc2g_jax.rollouts.results import ResumableTable
 from experiments import noisy_mapping, reproduce_fig9
 from tests.support.refusals import refusal
-from tests.support.streets import STREET, WALLED
+from tests.support.streets import STREET
 
 #: Images small enough to be rendered quickly.
 IMAGE = (64, 48)
@@ -79,13 +78,6 @@ def test_options_of_no_use_are_refused(street, tmp_path, options, mentions):
     refusal(
         lambda: noisy_mapping.main(noisy_mapping.Options(dataset=street, out=tmp_path / "out", **options)), *mentions
     )
-
-
-def test_figure_9_shows_the_first_test_house_with_a_way_to_its_door():
-    walled, street = House("walled", "test", WALLED), House("street", "test", STREET)
-    assert reproduce_fig9.first_house(HouseDataset("two", "folder", (walled, street))) is street
-    none = HouseDataset("one", "folder", (walled,))
-    refusal(lambda: reproduce_fig9.first_house(none), "one", "no episode can be run", "name another --house")
 
 
 DRIVE = "street,9,2,2,4.0,arrived,0.0,0.0"

@@ -6,7 +6,7 @@ import pytest
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import world_cost_to_go
-from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD
+from dc2g_jax.grid.terrain import FRONT_DOOR, ROAD
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.training.cost_to_go_data import (
     DataConfig,
@@ -14,7 +14,6 @@ from dc2g_jax.training.cost_to_go_data import (
     observation_masks,
     training_houses,
     training_set,
-    usable,
 )
 from dc2g_jax.training.mask_collection import Masks
 from tests.support.refusals import refusal
@@ -45,13 +44,6 @@ def houses(street) -> list[House]:
 def test_data_that_cannot_be_made_is_refused(options, mention):
     with pytest.raises(InputError, match=mention):
         DataConfig(**options)
-
-
-@pytest.mark.parametrize("split", ["train", "val"])
-def test_an_empty_split_is_refused_by_name(split, street):
-    refusal(lambda: usable(HouseDataset("mine", "folder", ()), split), f"mine: has no {split} houses", f"{split}/")
-    doorless = House("shut", split, np.where(street == FRONT_DOOR, GRASS, street))
-    refusal(lambda: usable(HouseDataset("mine", "folder", (doorless,)), split), f"any {split} house")
 
 
 def test_houses_in_which_nothing_is_to_be_looked_for_are_refused():
