@@ -19,10 +19,10 @@ from dc2g_jax.cli.outputs import WHERE, command_written, commit, output_folder
 from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import CARD, TrainingCheckpoints, newest_step, save_network
+from dc2g_jax.estimation.checkpoints import CARD, TrainingCheckpoints, load_network, newest_step, save_network
 from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.hub import load, local_folder
+from dc2g_jax.estimation.hub import local_folder
 from dc2g_jax.files.reading import read_object
 from dc2g_jax.inspection.columns import viewer_sink
 from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_watch, next_file, prediction_picture
@@ -101,18 +101,19 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
         )
 
 
-def compact_network(place: str | Path, architecture: Architecture) -> NetworkCostToGo:
-    """A trained network of this architecture.
+def compact_network(place: str | Path, architecture: Architecture) -> tuple[NetworkCostToGo, dict[str, Any]]:
+    """A trained network of this architecture, and its card.
 
     Raises:
       InputError: the network has another architecture.
     """
-    network = load(place)
+    folder = local_folder(place)
+    network = load_network(folder)
     if not isinstance(network, NetworkCostToGo) or network.architecture != architecture:
         raise InputError(
             f"{place}: is a network of another architecture; give --widths and --quantiles as it was trained with"
         )
-    return network
+    return network, read_object(folder / CARD, "give another network")
 
 
 def model_card(
@@ -157,10 +158,10 @@ def training_task(
     config: TrainingConfig,
     dataset: HouseDataset,
     network: NetworkCostToGo | None,
+    after: dict[str, Any] | None,
     recording: TrainingRecording | None,
 ) -> Task[TrainingState]:
-    """The training task. It starts from `network` if given. Each validation saves the network."""
-    after = None if options.after is None else read_object(local_folder(options.after) / CARD, "give another network")
+    """The training task. It starts from `network`, if given, with the card `after`. Validations save the network."""
     recipe, hyperparameters, draw = config.recipe, config.hyperparameters, options.data.draw_batch
     validation = Validation(dataset) if options.validate_every else None  # raises before minutes of data collection
     data = replicate(open_training_set(options.out, dataset, options.data, network), mesh_of())
@@ -211,7 +212,7 @@ def main(options: Options) -> None:
     options.check_pauses()
     dataset = open_dataset(options.dataset)
     config = options.training(max(dataset.houses[0].terrain.shape))
-    network = None if options.after is None else compact_network(options.after, config.architecture)
+    network, after = (None, None) if options.after is None else compact_network(options.after, config.architecture)
     if options.connect is not None:
         viewer_sink(options.connect)  # an invalid address raises before anything is written
     watched = options.validate_every > 0 or options.record or options.connect is not None or options.track is not None
@@ -225,7 +226,7 @@ def main(options: Options) -> None:
     facts |= {"dataset": dataset.name, "parts": config.parts}
     recording = open_recording(options, config, dataset) if newest_step(options.out) < config.steps else None
     with contextlib.closing(recording) if recording else contextlib.nullcontext():
-        task = training_task(options, config, dataset, network, recording)
+        task = training_task(options, config, dataset, network, after, recording)
         checkpoints = TrainingCheckpoints(options.out, config, facts, first_state=first_state)
         train(task, options.out, checkpoints, options, options.track)
     print(f"Trained: {options.out / 'network'}")
