@@ -25,7 +25,7 @@ from dc2g_jax.grid.terrain import (
     TREE,
     UNKNOWN,
 )  # fmt: skip
-from tests.support.hamlet import LATITUDE, LONGITUDE, METERS_A_DEGREE, hamlet, with_tags
+from tests.support.hamlet import LATITUDE, LONGITUDE, METERS_A_DEGREE, Drawing, hamlet, with_tags
 from tests.support.refusals import refusal
 
 
@@ -130,17 +130,32 @@ def test_narrow_things_appear_on_coarse_grids(tmp_path):
     assert {FENCE, TREE, SIDEWALK, PATH} <= set(np.unique(house))
 
 
-def test_courtyards_are_open(tmp_path):
+def courtyard(way_tags: str) -> Drawing:
+    """A building around a courtyard, as a relation, whose outer way may have tags too."""
     drawing = hamlet()
-    drawing.box(7, 30, -34, 60, -10, "")
+    drawing.box(7, 30, -34, 60, -10, way_tags)
     drawing.box(8, 38, -28, 52, -18, "")
     drawing.elements.append(
         '<relation id="9" version="1"><member type="way" ref="7" role="outer"/><member type="way" ref="8" '
         f'role="inner"/>{with_tags("type=multipolygon building=apartments")}</relation>'
     )
-    extract = read(tmp_path, drawing.text())
+    return drawing
+
+
+def test_courtyards_are_open(tmp_path):
+    extract = read(tmp_path, courtyard("").text())
     drawn = maps_of(extract)["relation9"]
     assert classes_at(drawn, extract, [(45, -23), (34, -23), (45, -31)]) == ["grass", "house", "house"]
+
+
+def test_a_building_on_a_relation_and_its_outer_way_is_one(tmp_path):
+    """The map is that of the relation, whose courtyard is open, with the address of the way."""
+    extract = read(tmp_path, courtyard("building=yes addr:housenumber=5").text())
+    assert set(maps_of(extract)) == {"way2", "way4", "relation9"}
+    (building,) = [building for building in extract.buildings if building.name == "relation9"]
+    assert building.tags == {"building": "apartments", "addr:housenumber": "5"}
+    alone = read(tmp_path, courtyard("").text())
+    assert np.array_equal(maps_of(extract)["relation9"].classes, maps_of(alone)["relation9"].classes)
 
 
 def test_what_is_underground_or_indoors_is_not_drawn(tmp_path):

@@ -263,11 +263,23 @@ def _projected(reader: _Reader, around: tuple[float, float] | None) -> Extract:
         lines=[replace(line, points=meters(line.points)) for line in reader.lines],
         areas=[
             replace(area, outer=list(map(meters, area.outer)), inner=list(map(meters, area.inner)))
-            for area in reader.areas
+            for area in _buildings_once(reader.areas)
         ],
         spots=[replace(spot, point=meters(spot.point)) for spot in reader.spots],
         incomplete=reader.incomplete,
     )
+
+
+def _buildings_once(areas: Iterable[Area]) -> list[Area]:
+    """Areas, without ways whose buildings are relations too. These, which have the courtyards, get the ways' tags."""
+    found: dict[object, Area] = {}
+    for area in areas:
+        outline = frozenset(map(tuple, area.corners)) if "building" in area.tags else area.name
+        if outline in found:
+            other, area = sorted((found[outline], area), key=lambda one: one.name.startswith("relation"))
+            area = replace(area, tags={**other.tags, **area.tags})
+        found[outline] = area
+    return list(found.values())
 
 
 def _in_the_open(tags: Tags) -> bool:
