@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -89,10 +90,18 @@ def planner_styles(planners: Iterable[str]) -> dict[str, PlannerStyle]:
     return styles
 
 
+def _rounded(value: float) -> str:
+    """A number of percent, as below bars."""
+    return f"{value:.0f}" if value >= 10 else f"{value:.1f}"
+
+
 def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, PlannerStyle]) -> None:
-    """Draw grouped bars of the mean with its interval, and a line at the median."""
+    """Draw grouped bars of the mean with its interval, and a line at the median. Below each bar is its mean."""
     planners = [planner for planner in styles if planner in table]
     width = 0.92 / len(planners)
+    means = [table[planner][group].mean_extra for planner in planners for group in groups]
+    longest = max(len(_rounded(mean)) for mean in means)
+    upright = 0.9 * 72 * PAGE_WIDTH * width / len(groups) < 4.7 * longest  # too wide to be side by side
     for place, planner in enumerate(planners):
         _, color, hatch, _ = styles[planner]
         x = np.arange(len(groups)) + (place - (len(planners) - 1) / 2) * width
@@ -103,20 +112,22 @@ def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, 
         axes.vlines(x, low, high, color="white", linewidth=2.2)
         axes.hlines(median, x - width * 0.46, x + width * 0.46, color="black", linewidth=1.4)
         axes.vlines(x, low, high, color="#333333", linewidth=1.0)
-        for position, value, tick in zip(x, mean, np.fmax(median, high), strict=True):
+        for position, value in zip(x, mean, strict=True):
             axes.annotate(
-                f"{value:.0f}" if value >= 10 else f"{value:.1f}",
-                (position, max(value, tick)),
-                xytext=(0, 2),
+                _rounded(value),
+                (position, 0),
+                xycoords=("data", "axes fraction"),
+                xytext=(0, -3),
                 textcoords="offset points",
                 ha="center",
+                va="top",
+                rotation=90 if upright else 0,
                 fontsize=7,
             )
     axes.set_xticks(np.arange(len(groups)), [_GROUP_LABELS.get(group, group) for group in groups])
     axes.set_xlim(-0.5, len(groups) - 0.5)
-    axes.margins(y=0.09)
     plain_axes(axes, grid="y", label_size=7.5)
-    axes.tick_params(axis="x", length=0)
+    axes.tick_params(axis="x", length=0, pad=8 + 4.5 * longest if upright else 13)
 
 
 def save_figure(figure: Figure, path: str | Path, dpi: int = 160) -> list[Path]:
@@ -163,8 +174,8 @@ def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], caption: str
     ]
     columns = 2 if len(styles) == 4 else min(len(styles), 3)
     figure.legend(handles=patches, loc="outside upper center", ncols=columns, frameon=False, fontsize=7.5)
-    note = "Bars: mean, with its 95 % interval over houses; black lines: median."
-    figure.supxlabel(f"{note} {caption}", fontsize=7, color="#555555")
+    note = "Bars, numbers: mean, with its 95 % interval over houses; black lines: median."
+    figure.supxlabel(textwrap.fill(f"{note} {caption}", 140), fontsize=7, color="#555555")
     return save_figure(figure, path, dpi=300)
 
 

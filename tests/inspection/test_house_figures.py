@@ -1,8 +1,11 @@
 """Figures of many houses: strips of extra steps, and contact sheets."""
 
+import itertools
+
 import cv2
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.text import Text
 
@@ -151,3 +154,20 @@ def test_figures_are_a_page_wide_and_their_text_has_7_points_or_more(monkeypatch
     fills = [(patch.get_hatch(), patch.get_facecolor()) for patch in drawn[0].legends[0].get_patches()]
     assert len(set(fills)) == len(planners) - 1
     assert [hatch for hatch, _ in fills].count("") == 3
+
+
+@pytest.mark.parametrize("count", [2, 6, 9])
+def test_means_stand_below_their_bars_side_by_side(count, monkeypatch, tmp_path):
+    drawn = []
+    monkeypatch.setattr(figures, "save_figure", lambda figure, path, dpi: drawn.append(figure) or [])
+    row = dict.fromkeys(
+        ("train", "val", "urban", "all", "test"), Summary(333.0, 200.0, 1.0, 900.0, 1.0, 30, 1.0, 999.0)
+    )
+    figures.plot_extra_steps(tmp_path / "fig7", {"paper": {f"planner {n}": row for n in range(count)}}, "toy")
+    FigureCanvasAgg(drawn[0]).draw()
+    (axes,) = drawn[0].axes
+    boxes = [text.get_window_extent() for text in axes.texts]
+    labels = [label.get_window_extent() for label in axes.get_xticklabels()]
+    assert [text.get_text() for text in axes.texts] == ["333"] * 5 * count
+    assert all(max(label.y1 for label in labels) < box.y0 < box.y1 < axes.get_window_extent().y0 for box in boxes)
+    assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
