@@ -142,6 +142,8 @@ def plot_training(
 def plot_by_similarity(path: str | Path, networks: Mapping[str, HouseMetrics], caption: str) -> list[Path]:
     """Draw Fig. 6: each metric by house over the house's distance from training, with one line per network.
 
+    A share that is nowhere below 1 has no panel. The axes of others begin at their lowest value.
+
     Args:
       path: output path without ending.
       networks: name -> points.
@@ -150,9 +152,13 @@ def plot_by_similarity(path: str | Path, networks: Mapping[str, HouseMetrics], c
     Returns:
       The files written: PNG, SVG and PDF.
     """
-    figure = Figure(figsize=(PAGE_WIDTH, 9.2), layout="constrained")
-    panels = figure.subplots(len(METRIC_LABELS), 1, sharex=True)
-    for axes, (metric, label) in zip(panels, METRIC_LABELS.items(), strict=True):
+    values = {metric: np.ravel([points.metrics[metric] for points in networks.values()]) for metric in METRIC_LABELS}
+    drawn = [metric for metric in METRIC_LABELS if metric == "l1" or np.any(values[metric] < 1)]
+    if left_out := [label.replace("\n", " ") for metric, label in METRIC_LABELS.items() if metric not in drawn]:
+        caption += f"\nNot drawn, as nowhere below 1: {'; '.join(left_out)}."
+    figure = Figure(figsize=(PAGE_WIDTH, 1.2 + 1.6 * len(drawn)), layout="constrained")
+    panels = figure.subplots(len(drawn), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, metric in zip(panels, drawn, strict=True):
         for number, (name, points) in enumerate(networks.items()):
             color, marker, line = (kinds[number % len(kinds)] for kinds in (_COLORS, _MARKERS, _LINES))
             axes.scatter(
@@ -163,8 +169,11 @@ def plot_by_similarity(path: str | Path, networks: Mapping[str, HouseMetrics], c
                 slope, intercept = points.fits[metric]
                 ends = np.array([min(points.distance), max(points.distance)])
                 axes.plot(ends, slope * ends + intercept, color=color, linestyle=line, linewidth=1.5)
-        axes.set_ylabel(label, fontsize=9)
+        axes.set_ylabel(METRIC_LABELS[metric], fontsize=9)
         _plain(axes, metric)
+        if metric != "l1":
+            span = max(0.02, 1 - np.nanmin(values[metric]))
+            axes.set_ylim(1 - 1.08 * span, 1 + 0.08 * span)
     panels[-1].set_xlabel(
         "distance from the most similar training house (0: same words, 1: no word in common)", fontsize=9
     )

@@ -45,3 +45,18 @@ def test_figure_6(tmp_path):
         "other": HouseMetrics([0.1, 0.1, 0.1], metrics, {}),
     }
     check(image_figures.plot_by_similarity(tmp_path / "fig6", networks, "caption"))
+
+
+def test_figure_6_has_no_panels_without_news(monkeypatch, tmp_path):
+    drawn = []
+    monkeypatch.setattr(image_figures, "save_figure", lambda figure, path: drawn.append(figure) or [])
+    shares = {name: [np.nan, 1.0] for name in METRIC_LABELS} | {"low_recall": [0.8, 1.0], "low_precision": [np.nan] * 2}
+    image_figures.plot_by_similarity(tmp_path / "fig6", {"one": HouseMetrics([0.1, 0.2], shares, {})}, "caption")
+    error, recall = drawn[0].axes
+    assert (error.get_ylabel(), recall.get_ylabel()) == (METRIC_LABELS["l1"], METRIC_LABELS["low_recall"])
+    assert 0.75 < recall.get_ylim()[0] < 0.8
+    assert (
+        drawn[0]
+        .get_supxlabel()
+        .endswith("nowhere below 1: precision, low cost-to-go; precision, traversable; recall, traversable.")
+    )
