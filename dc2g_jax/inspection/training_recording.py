@@ -12,6 +12,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import Array, Float, UInt8
+from PIL import Image, ImageDraw
 
 from dc2g_jax.datasets.houses import HouseDataset, stack_worlds
 from dc2g_jax.datasets.pairs import Pair, make_pair
@@ -34,8 +35,8 @@ from dc2g_jax.training.mask_collection import Masks, collect_masks
 #: Gap between two maps side by side, columns.
 _GAP = 2
 
-#: Side of a cell in pictures, pixels.
-_PIXELS_A_CELL = 3
+#: Side of a cell in pictures, and height of the names of rows, pixels.
+_PIXELS_A_CELL, _CAPTION = 3, 18
 
 #: Range of the field of view of the robots whose maps are shown, cells.
 _SENSING_RANGE = 8
@@ -134,16 +135,25 @@ def _layout(shape: tuple[int, int], steps: int) -> rrb.Blueprint:
 
 
 def prediction_picture(network: NetworkCostToGo, maps: Pair) -> UInt8[np.ndarray, "h w 3"]:
-    """Observed maps, and below them the predicted and the exact cost-to-go, in the colors of the recording."""
+    """Observed maps, and below them the predicted and the exact cost-to-go, in the colors of the recording.
+
+    Each of the three has its name above it.
+    """
     exact, counts = np.asarray(maps.target), np.asarray(maps.weight) > 0
     scale = CostScale.of(exact)
     costs = np.stack(
         [scale.classes(np.asarray(cost), counts) for cost in (_expected_cost(network, maps.terrain), exact)]
     )
     tiles = np.concatenate([FIGURE_RGB[np.asarray(maps.terrain)][None], scale.colors()[costs]])
-    apart = np.pad(tiles, [(0, 0), (0, 0), (0, _GAP), (0, _GAP), (0, 0)], constant_values=255)
-    picture = np.concatenate([np.concatenate(list(row), axis=1) for row in apart])[:-_GAP, :-_GAP]
-    return picture.repeat(_PIXELS_A_CELL, axis=0).repeat(_PIXELS_A_CELL, axis=1)
+    apart = np.pad(tiles, [(0, 0), (0, 0), (0, 0), (0, _GAP), (0, 0)], constant_values=255)
+    parts = []
+    for name, row in zip(_ROWS.values(), apart, strict=False):
+        cells = np.concatenate(list(row), axis=1)[:, :-_GAP]
+        pixels = cells.repeat(_PIXELS_A_CELL, axis=0).repeat(_PIXELS_A_CELL, axis=1)
+        caption = Image.new("RGB", (pixels.shape[1], _CAPTION), "white")
+        ImageDraw.Draw(caption).text((2, 2), name, fill="black", font_size=_CAPTION - 6)
+        parts += [np.asarray(caption), pixels]
+    return np.concatenate(parts)
 
 
 class TrainingRecording:

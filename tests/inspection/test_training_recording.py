@@ -116,18 +116,17 @@ def test_a_picture_shows_the_maps_and_their_costs_in_the_colors_of_the_viewer():
     maps, network = _maps(), _network(1)
     picture = prediction_picture(network, maps)
     count, height, width = maps.terrain.shape
-    assert picture.shape == (3 * (3 * (height + 2) - 2), 3 * (count * (width + 2) - 2), 3)
-    cells = picture[::3, ::3]
-    assert np.all(cells[height : height + 2] == 255)
-    known, _, exact = (cells[first : first + height, :width] for first in (0, height + 2, 2 * (height + 2)))
+    assert picture.shape == (3 * (18 + 3 * height), 3 * (count * (width + 2) - 2), 3)
+    rows = picture.reshape(3, 18 + 3 * height, -1, 3)
+    assert all((row[:18] == 0).any() and (row[:18] == 255).mean() > 0.5 for row in rows)  # names
+    known, _, exact = rows[:, 18::3, ::3][:, :, :width]
     np.testing.assert_array_equal(known, FIGURE_RGB[maps.terrain[0]])
     counts, scale = maps.weight[0] > 0, CostScale.of(maps.target)
     np.testing.assert_array_equal(exact, scale.colors()[scale.classes(maps.target[0], counts)])
     assert len(np.unique(exact[counts], axis=0)) > 10
-    other = prediction_picture(network, dataclasses.replace(maps, target=maps.target + 5))
-    rows, below = slice(3 * (height + 2), 6 * (height + 1)), slice(6 * (height + 2), None)
-    assert np.any(prediction_picture(_network(2), maps)[rows] != picture[rows])
-    assert np.any(other[below] != picture[below])
+    other = prediction_picture(network, dataclasses.replace(maps, target=maps.target + 5)).reshape(rows.shape)
+    assert np.any(prediction_picture(_network(2), maps).reshape(rows.shape)[1] != rows[1])
+    assert np.any(other[2] != rows[2])
 
 
 def test_differences_are_named_and_signed():
