@@ -14,6 +14,7 @@ import numpy as np
 import tyro
 
 from dc2g_jax.cli.common import command_line, digests
+from dc2g_jax.cli.episodes import EpisodeProgress
 from dc2g_jax.cli.options import DatasetOptions, TrainingOptions
 from dc2g_jax.cli.outputs import number_or_null, output_folder
 from dc2g_jax.cli.training_sets import open_training_set
@@ -235,7 +236,7 @@ def main(options: Options) -> None:
     facts = {"data": dataclasses.asdict(options.data), "dataset": dataset.name}
     # These raise for unsuitable houses before minutes of data collection.
     pairs = validation_pairs(dataset, count=_PAIRS, edge_weight=options.data.edge_weight)
-    validation = Validation(dataset, drawn=16) if options.episodes else None
+    validation = Validation(dataset, drawn=16, progress=EpisodeProgress(leave=False)) if options.episodes else None
     data = replicate(open_training_set(options.out, dataset, options.data), mesh_of())
     log = Log(options.out)
     print(f"runs: {len(runs)}; shapes of networks: {len(groups)}; turns: {len(turns)}")

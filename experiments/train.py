@@ -14,6 +14,7 @@ import numpy as np
 import tyro
 
 from dc2g_jax.cli.common import NetworkOption, command_line, digests
+from dc2g_jax.cli.episodes import EpisodeProgress
 from dc2g_jax.cli.options import DatasetOptions, TrainingOptions
 from dc2g_jax.cli.outputs import WHERE, command_written, commit, output_folder
 from dc2g_jax.cli.training_sets import open_training_set
@@ -163,7 +164,8 @@ def training_task(
 ) -> Task[TrainingState]:
     """The training task. It starts from `network`, if given, with the card `after`. Validations save the network."""
     recipe, hyperparameters, draw = config.recipe, config.hyperparameters, options.data.draw_batch
-    validation = Validation(dataset) if options.validate_every else None  # raises before minutes of data collection
+    # Raises before minutes of data collection.
+    validation = Validation(dataset, progress=EpisodeProgress(leave=False)) if options.validate_every else None
     data = replicate(open_training_set(options.out, dataset, options.data, network), mesh_of())
     rates, maps = learning_rates(config), maps_to_watch(dataset, _MAPS_SHOWN) if options.track else None
 

@@ -20,15 +20,20 @@ EPISODES_A_SHARD = 65_536
 
 
 class EpisodeProgress:
-    """One progress bar per planner, for `dc2g_jax.rollouts.evaluation.Runner`."""
+    """One progress bar per planner, for `dc2g_jax.rollouts.evaluation.Runner`.
 
-    def __init__(self) -> None:
+    Args:
+      leave: whether bars stay when they are finished.
+    """
+
+    def __init__(self, *, leave: bool = True) -> None:
+        self._leave = leave
         self._bar: tqdm | None = None
 
     def __call__(self, planner: str, finished: int, episodes: int) -> None:
         """Show the number of finished episodes of a planner."""
         if self._bar is None:
-            self._bar = tqdm(total=episodes, desc=f"{planner:>16}", unit="episode", file=sys.stderr)
+            self._bar = tqdm(total=episodes, desc=f"{planner:>16}", unit="episode", leave=self._leave, file=sys.stderr)
         self._bar.update(finished - self._bar.n)
         if finished >= episodes:
             self._bar.close()

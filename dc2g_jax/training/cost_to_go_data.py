@@ -287,16 +287,17 @@ class Validation:
     Args:
       dataset: dataset of the validation houses.
       drawn: number of procedural houses.
+      progress: see `dc2g_jax.rollouts.evaluation.Runner`.
 
     Raises:
       InputError: no episode can be run in any validation house, the oracle exceeds the step limit in one, or procedural
         houses cannot be combined with the dataset's.
     """
 
-    def __init__(self, dataset: HouseDataset, drawn: int = 64):
+    def __init__(self, dataset: HouseDataset, drawn: int = 64, progress: Callable[[str, int, int], None] | None = None):
         own = usable_houses(dataset, "val")
         houses = HouseDataset("validation", "folder", tuple(_with_drawn(own, "v", drawn, _VALIDATION_SEED)))
-        self._runners = {name: Runner(houses, SETTINGS[name]) for name in ("published", "paper")}
+        self._runners = {name: Runner(houses, SETTINGS[name], progress=progress) for name in ("published", "paper")}
         self._starts: Mapping[str, list[Start]] = {
             "own": sample_starts(own, 20, seed=0),
             "procedural": sample_starts(houses.houses[len(own) :], 3, seed=0),
