@@ -103,7 +103,7 @@ def fake_training_set(houses, n_own, masks) -> TrainingSet:
 class FakeValidation:
     """Stands in for `Validation`, whose figures depend on the weights."""
 
-    def __init__(self, dataset, drawn=0):
+    def __init__(self, dataset, drawn=0, progress=None):
         pass
 
     def figures(self, estimator) -> dict[str, float]:
