@@ -76,15 +76,15 @@ def answers_in_cells(estimator: Estimator | None) -> bool:
     return getattr(estimator, "in_cells", True)
 
 
-#: Smallest batch of an estimator, since the last bits of a convolution may depend on tiny sizes; and the largest.
+#: Smallest and largest batch of an estimator. In tiny batches the last bits of a convolution may depend on the size.
 _FEWEST_MAPS, _MOST_MAPS = 4, 4096
 
-#: For more robots than these, an estimator has two batch sizes: more would save little there and be compiled each.
+#: With more robots than this, an estimator has only two batch sizes: more would save little, and each is compiled.
 _MANY_ROBOTS = 256
 
 
 def _call_sizes(n_robots: int) -> list[int]:
-    """Batch sizes for an estimator: powers of two, the largest up to half the number of robots."""
+    """Batch sizes for an estimator, descending powers of two: at most half the number of robots, within the limits."""
     largest = min(_MOST_MAPS, max(_FEWEST_MAPS, 1 << n_robots.bit_length() >> 2))
     halvings = (0, 3) if n_robots > _MANY_ROBOTS else range(4)
     return [largest >> times for times in halvings if largest >> times >= _FEWEST_MAPS]

@@ -146,7 +146,7 @@ def neighbors(board: Board) -> Board:
 def flood(seed: Board, free: Board) -> Board:
     """Cells of `free` that are 4-connected to `seed` through `free`, including `seed & free`.
 
-    The flood is faster if the seed already holds a part of the result, such as the flood of the previous step.
+    The flood is faster if the seed already holds part of the result, such as the flood of the previous step.
     """
     most = seed.shape[0] * seed.shape[1] * WORD_BITS + 1
 

@@ -1,4 +1,4 @@
-"""Loops that end: short ones, unrolled depending on the device, and those until a condition, bounded."""
+"""Loops that end: short ones, unrolled depending on the device, and bounded ones that run until a condition."""
 
 import functools
 from collections.abc import Callable
@@ -11,10 +11,10 @@ from jaxtyping import Array, Bool
 _Carry = TypeVar("_Carry")
 _Result = TypeVar("_Result")
 
-#: A batch shrinks to the members that go on as soon as one in so many does, unless fewer than so many would be left.
+#: A batch shrinks to one place in so many once they suffice, unless fewer than so many places would be left.
 _ONE_IN, _FEWEST_LEFT = 8, 512
 
-#: Steps between looks at which members go on: in a batch that shrinks, and in the last, small one.
+#: Steps between checks for members that are done: in a batch that shrinks, and in the last, small one.
 _STEPS_BETWEEN_LOOKS, _STEPS_BETWEEN_LAST_LOOKS = 2, 8
 
 
@@ -51,18 +51,21 @@ def for_each_until(
     *,
     most: int,
 ) -> _Result:
-    """Repeat a function for every member of a batch on an accelerator, as long as each needs it.
+    """Repeat a function on an accelerator, for each member of a batch until that member is done.
 
-    There, thousands of members take a step together, while few need more than two or three. So those who go on are soon
-    gathered into a smaller batch, and later into a still smaller one.
+    Thousands of members take each step together, but few need more than two or three steps. So those that go on are
+    gathered into a smaller batch, and later into an even smaller one.
 
     Args:
-      going: which members go on.
-      function: `(steps, carry, given) ->` the carry after so many steps. Members that do not go on must not change.
-      result: `(carry, given) ->` what is asked for, once they do not go on.
+      going: `carry ->` which members go on.
+      function: `(steps, carry, given) ->` the carry after so many more steps. Members that are done must not change.
+      result: `(carry, given) ->` the result of members that are done, batch axes last.
       carry: arrays with the batch axes last. Only a batch with one axis shrinks.
-      given: what does not change, likewise.
-      most: bound on the steps.
+      given: constants of each member, likewise.
+      most: bound on the calls of `function` for one size of the batch.
+
+    Returns:
+      The result of every member.
     """
     size = going(carry).size
     left = size // _ONE_IN if going(carry).ndim == 1 and size >= _ONE_IN * _FEWEST_LEFT else 0
@@ -76,7 +79,7 @@ def for_each_until(
     of_all = result(carry, given)
     if not left:
         return of_all
-    # Spare places hold a member that does not go on: a copy of one that does would count as another that does.
+    # Spare places hold a member that is done: a copy of one that goes on would count as another one going on.
     members = jnp.nonzero(going(carry), size=left, fill_value=jnp.argmin(going(carry)))[0]
     rest = jax.tree.map(lambda leaf: leaf.at[..., members].get(mode="promise_in_bounds"), (carry, given))
     of_rest = for_each_until(going, function, result, *rest, most=most)

@@ -52,16 +52,18 @@ def _search(
 ) -> tuple[Bool[Array, "target *batch"], Int[Array, "*batch"]]:
     """Grow a wavefront over free cells until it arrives or stops growing.
 
+    On a CPU, the searches of a batch run until the last one ends. Elsewhere, the batch shrinks as searches end.
+
     Args:
       start: first poses of the wavefront.
       active: whether there is anything to search for.
       free: cells that the wavefront may cover.
       grown: maps a pose set to the poses one action after (or before) it.
       targets: where to arrive; arrays with the batch axes last.
-      reached_of: `(pose set, targets) ->` which of the targets are in it. One is enough.
+      reached_of: `(pose set, targets) ->` which of the targets are in the set. A search ends once any of them is.
 
     Returns:
-      Which targets were reached, and the steps of the wavefront.
+      Which targets were reached, and the number of steps of the wavefront.
     """
 
     def grow(search: _Search, free: Board, targets: Any) -> _Search:

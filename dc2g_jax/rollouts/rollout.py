@@ -34,13 +34,13 @@ _FIRST_STEPS = 16
 #: The action recorded after the end of an episode.
 NO_ACTION = -1
 
-#: Words in one board of every robot on an accelerator: those of 65,536 robots on maps of 50 x 50 cells.
+#: Words of one board of each of an accelerator's robots, in all: those of 65,536 robots on maps of 50 x 50 cells.
 _ACCELERATOR_WORDS = 65536 * 100
 
-#: On an accelerator, where refilling takes as long as a step, finished robots wait until so large a part has finished.
+#: Share of an accelerator's slots that are refilled together. Refilling takes as long as a step there, so slots wait.
 _REFILLED_TOGETHER = 1 / 32
 
-#: Words of a board of 85 x 85 cells: the boards of many robots on larger maps do not fit into a core's caches.
+#: Words of a board of 85 x 85 cells. On larger maps, the boards of many robots do not fit into a core's caches.
 _LARGEST_CACHED_BOARD = 256
 
 
@@ -101,8 +101,8 @@ class _Slots:
 
     Attributes:
       episode: index of the slot's episode.
-      active: whether the slot has an episode. The world of an idle slot is empty, so that no search runs in it.
-      finished: whether the episode has ended, and waits for its results to be stored.
+      active: whether the slot has an episode. The world of an idle slot is empty, so no search runs in it.
+      finished: whether the episode has ended and its results are not stored yet.
       success: whether it ended on a goal.
       mode: mode of the last plan.
       world: world of the robot.

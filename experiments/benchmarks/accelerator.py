@@ -1,4 +1,4 @@
-"""What is worth knowing of an accelerator, in the few minutes that one may be lent for, the most important first."""
+"""Speed of an accelerator and its agreement with the CPU, in a few minutes, the most important figures first."""
 
 import dataclasses
 import functools
@@ -43,13 +43,13 @@ _STEPS = 20
 
 
 class _Part(NamedTuple):
-    """A part of what is measured.
+    """A part of the report.
 
     Attributes:
-      section: where its rows stand in the report.
-      seconds: it is left out where fewer are left; the compiler's are most of them.
-      lower: the option to lower where memory does not suffice; '' for none.
-      rows: measures.
+      section: section of its rows.
+      seconds: it is left out if less time is left; most of it is compilation.
+      lower: the option to lower if memory runs out; '' for none.
+      rows: measures its rows.
     """
 
     section: str
@@ -59,15 +59,15 @@ class _Part(NamedTuple):
 
 
 def _once(call: Callable[[], Any]) -> Measured:
-    """Time a long call: as few repeats as show it with everything compiled."""
+    """Time one long call, after a first one that compiles."""
     return measure(call, repeats=1, shortest_repeat=0.0)
 
 
 def _compared(bench: Bench, row: Row, workload: Workload, planner: str, reach: int) -> Row:
-    """Whole episodes here, and some of them on the CPU: all, or every tenth where a network is asked.
+    """Run whole episodes here, and all of them on the CPU too, or every tenth for a planner with a network.
 
-    Networks round differently on other machines, so for `dc2g` it is the share of equal episodes that counts. The
-    checksum is 52 bits of the SHA-256 of all actions here.
+    Networks round differently on other devices, so for `dc2g` the row gives the share of equal episodes. The checksum
+    is 52 bits of the SHA-256 of all actions here.
     """
     run = functools.partial(rollout, bench.planner(planner, reach), workload.worlds, sensing=bench.rules(reach).sensing)
     measured = _once(lambda: run(workload.episodes))
@@ -86,7 +86,7 @@ def _is_published(bench: Bench, dataset: HouseDataset) -> bool:
 
 
 def _golden(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
-    """The published episodes where the houses are the published, else sampled ones; on the CPU too."""
+    """The published episodes if the houses are the published ones, otherwise sampled episodes; compared with a CPU."""
     what, workload, reach = "", bench.workload, SENSING_RANGE
     if _is_published(bench, dataset):
         starts = tuple(episode.start for episode in published_episodes())
@@ -108,7 +108,7 @@ def _steps_of_all(row: Row, run: Callable[[], Sequence[EpisodeResult]]) -> Row:
 
 
 def _fig7(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
-    """All episodes of Fig. 7 with all its planners, from the starts to the results; nothing is drawn or written."""
+    """All episodes of Fig. 7 with all its planners, from starts to results, without figures and files."""
     planners = ("oracle",) if bench.quick else FIGURE_PLANNERS
     if _is_published(bench, dataset):
         settings, starts = "published", [episode.start for episode in published_episodes()]
@@ -117,14 +117,14 @@ def _fig7(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
     row = own("fig7", f"{settings}: {len(starts)} episodes x {len(planners)} planners", "episodes")
 
     def run() -> list[EpisodeResult]:
-        # A runner keeps what the oracle did, so each call has a new one.
+        # A runner keeps the oracle's results, so each call needs a new one.
         return Runner(dataset, SETTINGS[settings]).run(starts, planners, bench.network)
 
     yield attempt(row, functools.partial(_steps_of_all, row, run))
 
 
 def _training(bench: Bench, runs: Sequence[int]) -> Iterator[Row]:
-    """One run is the default training."""
+    """Training steps by number of runs at once; one run is the default training."""
     for count in runs:
         way = "together" if count > 1 else "one after another"
         (row,) = training_rows(bench, count, [way], steps=2 if bench.quick else _STEPS)
@@ -164,7 +164,7 @@ def _searched(bench: Bench, agent: Agent, houses: Sequence[IndoorHouse], row: Ro
 
 
 def _searches(bench: Bench, robots: int) -> Iterator[Row]:
-    """Searches for objects in procedural houses, by how many at once."""
+    """Searches for objects in procedural houses, by number of searches at once."""
     houses = indoor_houses(split="val", count=1 if bench.quick else 8, cell_size=IndoorMapSettings.cell_size)
     batches = (1,) if bench.quick else (min(robots, 1024),)
     for name in ("frontier",) if bench.quick else ("frontier", "promising"):
@@ -175,14 +175,14 @@ def _searches(bench: Bench, robots: int) -> Iterator[Row]:
 def accelerator_rows(
     bench: Bench, dataset: HouseDataset, *, robots: int, runs: Sequence[int], until: float
 ) -> Iterator[Row]:
-    """Rows as they come. What fails, or no longer fits into the time, is a row that says so.
+    """Rows as they are measured. A failure, and a part left out for lack of time, is a row that says so.
 
     Args:
       bench: what to measure with.
       dataset: the houses.
       robots: most robots side by side.
       runs: sizes of the sweeps of training runs; the default training is measured before them.
-      until: when to stop, as `time.monotonic` has it.
+      until: when to stop, on the clock of `time.monotonic`.
     """
     sweeps = [2] if bench.quick else runs
     parts = [
