@@ -28,6 +28,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import Phase, settings
 
 import tests.conftest  # noqa: F401  checks of types, and how programs are compiled
 from tests.mutation.mutants import Mutant, mutants
@@ -39,6 +40,10 @@ EQUIVALENT = Path(__file__).with_name("equivalent.csv")
 #: Seconds of CPU time after which no more tests of a mutant are begun, and after which one is in an endless loop; bytes
 #: of memory of its own.
 _BUDGET, _ENDLESS, _BYTES = 20, 60, 10 * 2**30
+
+# That an example fails is enough: to shrink it takes longer than all other tests together.
+settings.register_profile("mutation", settings.get_profile("tests"), phases=[Phase.explicit, Phase.generate])
+settings.load_profile("mutation")
 
 
 def tests_of(path: str) -> list[str]:
