@@ -4,8 +4,8 @@
 
 draws 50 mutants of these rooms, and runs the tests that import the changed module until one of them fails. It prints
 the mutants that no test noticed, and the share that one did. Results are kept in `--out`, and continued: tests that
-have found mutants of a module come first, then the quick ones. `equivalent.csv` lists mutants that change nothing that
-a caller could notice, with the reason; they are not run.
+have found mutants of a module come first, then its own tests, then those of its room. `equivalent.csv` lists mutants
+that change nothing that a caller could notice, with the reason; they are not run.
 
 Each mutant is a fork of a process that has imported the package, with the code of a function exchanged, or with the
 package imported anew where the change is in no function. No file is changed.
@@ -56,18 +56,25 @@ def tests_of(path: str) -> list[str]:
 
 
 class Order:
-    """A plugin of pytest: tests that found mutants come first, then quick ones; none is begun beyond the budget.
+    """A plugin of pytest: tests that found mutants come first, then the module's own, then the room's, each by time.
+
+    None is begun beyond the budget.
 
     Attributes:
       seen: (test, seconds, whether it failed), for each test that ran.
     """
 
-    def __init__(self, seconds: dict[str, float], kills: collections.Counter[str]):
+    def __init__(self, path: str, seconds: dict[str, float], kills: collections.Counter[str]):
         self.seen: list[tuple[str, float, bool]] = []
-        self._seconds, self._kills = seconds, kills
+        self._path, self._seconds, self._kills = Path(path), seconds, kills
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        items.sort(key=lambda item: (-self._kills[item.nodeid], self._seconds.get(item.nodeid, 0.0)))
+        def order(item: pytest.Item) -> tuple[int, int, float]:
+            elsewhere = item.path.parent.name != self._path.parent.name
+            distance = 2 * elsewhere + (item.path.stem != f"test_{self._path.stem}")
+            return -self._kills[item.nodeid], distance, self._seconds.get(item.nodeid, 0.0)
+
+        items.sort(key=order)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.when == "call" or report.failed:
@@ -189,7 +196,7 @@ def main() -> None:
         note(line)
     for number, mutant in enumerate(chosen, start=1):
         if mutant.key not in found:
-            line = json.dumps([*mutant.key, *outcome(mutant, Order(seconds, kills[mutant.path]))])
+            line = json.dumps([*mutant.key, *outcome(mutant, Order(mutant.path, seconds, kills[mutant.path]))])
             note(line)
             with options.out.open("a") as file:
                 file.write(line + "\n")
