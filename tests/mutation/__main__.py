@@ -39,7 +39,7 @@ EQUIVALENT = Path(__file__).with_name("equivalent.csv")
 
 #: Seconds of CPU time after which no more tests of a mutant are begun, and after which one is in an endless loop; bytes
 #: of memory of its own.
-_BUDGET, _ENDLESS, _BYTES = 20, 60, 10 * 2**30
+_BUDGET, _ENDLESS, _BYTES = 40, 90, 10 * 2**30
 
 # That an example fails is enough: to shrink it takes longer than all other tests together.
 settings.register_profile("mutation", settings.get_profile("tests"), phases=[Phase.explicit, Phase.generate])
