@@ -363,6 +363,7 @@ def test_lists_and_tuples_become_a_map():
     grid = MetricMap(ROOM.tolist(), PIXEL, (1, 2, 0))
     np.testing.assert_array_equal(grid.cells, ROOM)
     assert grid.origin == MapFrame(1.0, 2.0, 0.0)
+    assert MetricMap(ROOM, PIXEL, (1e7, -1e7, 0)).origin == MapFrame(1e7, -1e7, 0.0)  # as far away as a map may be
 
 
 @pytest.mark.parametrize(
