@@ -249,6 +249,16 @@ def test_cost_to_go_in_a_winding_corridor(moves):
     np.testing.assert_allclose(costs, dijkstra(free, goals, moves), rtol=1e-6)
 
 
+def test_costs_to_go_on_many_maps_at_once_are_those_on_each():
+    ground, goals = (
+        np.stack([maps.random_cells(seed, (7, 33), share) for seed in range(3)], -1) for share in (0.7, 0.02)
+    )
+    together = costing(EIGHT_CONNECTED)(ground, goals)
+    for number in range(3):
+        alone = costing(EIGHT_CONNECTED)(ground[..., number], goals[..., number])
+        np.testing.assert_array_equal(together[..., number], alone)
+
+
 def test_a_goal_that_touches_no_ground_grows_until_it_does(buried):
     traversable, goals = np.isin(buried, oracle.TRAVERSABLE_CLASSES), buried == oracle.FRONT_DOOR
     costs = np.asarray(costing(EIGHT_CONNECTED)(traversable, goals))
