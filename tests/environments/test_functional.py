@@ -263,6 +263,14 @@ def test_a_training_loop_for_five_values_and_flat_observations():
     assert max(leaf.size for leaf in jax.tree.leaves(info)) == done.size
 
 
+def test_flat_observations_are_drawn_evenly_between_zero_and_one():
+    space = FlattenObservation(ENVIRONMENT).observation_space()
+    drawn = space.sample(jax.random.key(0))
+    assert drawn.shape == (17**2 * (OUTSIDE + 1),)
+    assert space.contains(drawn)
+    np.testing.assert_allclose([drawn.mean(), drawn.std()], [1 / 2, 12**-0.5], atol=0.02)
+
+
 def test_refusals():
     refusal(lambda: front_door([]), "give at least one")
     refusal(
@@ -271,3 +279,4 @@ def test_refusals():
     refusal(lambda: front_door([*HOUSES, house("narrow", STREET[:, :9])]), "narrow", "street")
     refusal(lambda: front_door(HOUSES, sensing_range=0), "sensing_range is 0", "from 1 to")
     refusal(lambda: front_door(HOUSES, step_limit=0), "step_limit is 0", "from 1 to")
+    refusal(lambda: front_door(HOUSES, step_limit=2**31), "step_limit is 2147483648", "from 1 to 2147483647")

@@ -1,5 +1,6 @@
 """The Gymnasium environments: registration, episodes, autoreset, pictures and refusals."""
 
+import inspect
 import subprocess
 import sys
 import textwrap
@@ -16,10 +17,11 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
 
 from dc2g_jax.datasets.houses import HouseDataset, save_dataset  # noqa: E402
 from dc2g_jax.environments.functional import egocentric, observe  # noqa: E402
-from dc2g_jax.environments.gymnasium_env import RENDERED_ROBOT_COLOR, FrontDoorEnv, FrontDoorVectorEnv  # noqa: E402
+from dc2g_jax.environments.gymnasium_env import RENDERED_ROBOT_COLOR, FrontDoorEnv, FrontDoorVectorEnv, frame  # noqa: E402
 from dc2g_jax.environments.gymnasium_wrappers import EgocentricObservation, EgocentricVectorObservation  # noqa: E402
 from dc2g_jax.environments.registration import GYMNASIUM_ID  # noqa: E402
-from dc2g_jax.grid.terrain import FIGURE_RGB, OUTSIDE  # noqa: E402
+from dc2g_jax.environments.task import FrontDoorTask, make_env  # noqa: E402
+from dc2g_jax.grid.terrain import FIGURE_RGB, OUTSIDE, ROAD  # noqa: E402
 from experiments.baselines import numpy_gridworld as oracle  # noqa: E402
 from tests.support.houses import DATASET, STREET, WALLED, YARD, house, start_poses  # noqa: E402
 from tests.support.refusals import refusal  # noqa: E402
@@ -228,6 +230,31 @@ def test_pictures_show_what_is_observed_and_the_robot():
     pictures.reset(options=TO_THE_DOOR)
     for one in pictures.render():
         np.testing.assert_array_equal(one, picture)
+
+
+def test_pictures_of_large_maps_keep_cells_and_robot_visible():
+    picture = frame(np.zeros((150, 200), np.uint8), np.array([100, 75, 0]))
+    assert picture.shape == (4 * 150, 4 * 200, 3)
+    robot = np.argwhere(np.any(picture != FIGURE_RGB[0], axis=-1))
+    # Its tip is nine pixels ahead of the middle of its cell.
+    assert robot[:, 1].max() == 4 * 100 + 2 + 9
+    assert FrontDoorEnv.metadata["render_fps"] == 10
+
+
+def test_episodes_start_in_every_corner_of_a_map():
+    terrain = np.full((8, 10), ROAD, np.uint8)
+    terrain[4, 5] = oracle.FRONT_DOOR
+    env = make(dataset=HouseDataset("square", "folder", (house("square", terrain),)))
+    for x, y in ((0, 0), (9, 0), (0, 7), (9, 7)):
+        observation, _ = env.reset(options={"house": "square", "x": x, "y": y, "heading": 0})
+        assert observation["pose"].tolist() == [x, y, 0]
+
+
+def test_defaults_are_the_same_wherever_an_environment_is_made():
+    names = ("dataset", "split", "sensing_range", "step_limit", "cells")
+    for made in (FrontDoorTask, make_env):
+        defaults = inspect.signature(made).parameters
+        assert [defaults[name].default for name in names] == [None, "train", 8, 500, 50]
 
 
 def test_egocentric_observations():

@@ -100,10 +100,15 @@ def test_a_robot_on_its_target_has_a_plan_of_no_actions():
     assert int(first.length) == 0
 
 
-def test_the_longest_way_in_a_winding_corridor():
+def winding_corridor() -> np.ndarray:
     free = np.zeros((33, 33), bool)
     free[::2] = True
     free[1::4, -1] = free[3::4, 0] = True
+    return free
+
+
+def test_the_longest_way_in_a_winding_corridor():
+    free = winding_corridor()
     targets = np.zeros((4, 33, 33), bool)
     targets[:, -1, -1] = True
     first, distances = searching((33, 33))(0, 0, 2, free, targets)
@@ -234,6 +239,25 @@ def test_cost_to_go_equals_dijkstra(shape, moves, seed, density, goals, goals_on
     assert costs.dtype == np.float32
     wanted = dijkstra(traversable, grown(traversable, goal_cells), moves)
     np.testing.assert_allclose(costs, wanted, rtol=1e-6)
+
+
+@pytest.mark.parametrize("moves", [EIGHT_CONNECTED, FOUR_CONNECTED], ids=["eight", "four"])
+def test_cost_to_go_in_a_winding_corridor(moves):
+    free, goals = winding_corridor(), np.zeros((33, 33), bool)
+    goals[0, 0] = True
+    costs = costing(moves)(free, goals)
+    assert costs[-1, -1] > 500
+    np.testing.assert_allclose(costs, dijkstra(free, goals, moves), rtol=1e-6)
+
+
+def test_costs_to_go_on_many_maps_at_once_are_those_on_each():
+    ground, goals = (
+        np.stack([maps.random_cells(seed, (7, 33), share) for seed in range(3)], -1) for share in (0.7, 0.02)
+    )
+    together = costing(EIGHT_CONNECTED)(ground, goals)
+    for number in range(3):
+        alone = costing(EIGHT_CONNECTED)(ground[..., number], goals[..., number])
+        np.testing.assert_array_equal(together[..., number], alone)
 
 
 def test_a_goal_that_touches_no_ground_grows_until_it_does(buried):

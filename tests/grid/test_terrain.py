@@ -86,3 +86,11 @@ def test_the_first_class_is_unknown_and_black():
 
 def test_every_class_has_a_color_of_its_own():
     assert len(np.unique(terrain.CLASS_COLORS, axis=0)) == len(terrain.CLASS_NAMES) == len(terrain.CLASS_COLORS)
+
+
+def test_colors_are_those_of_the_published_images():
+    """PASCAL VOC's: the bits of the index, dealt out to red, green and blue, the lowest to the highest bit of each."""
+    for index, color in enumerate(terrain.CLASS_COLORS[:-1]):
+        bits = [[(index >> (3 * place + channel)) & 1 for place in range(3)] for channel in range(3)]
+        assert color.tolist() == [sum(bit << (7 - place) for place, bit in enumerate(own)) for own in bits]
+    assert terrain.CLASS_COLORS[-1].tolist() == [255, 255, 255]

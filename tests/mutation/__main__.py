@@ -4,8 +4,8 @@
 
 draws 50 mutants of these rooms, and runs the tests that import the changed module until one of them fails. It prints
 the mutants that no test noticed, and the share that one did. Results are kept in `--out`, and continued: tests that
-have found mutants of a module come first, then the quick ones. `equivalent.csv` lists mutants that change nothing that
-a caller could notice, with the reason; they are not run.
+have found mutants of a module come first, then its own tests, then those of its room. `equivalent.csv` lists mutants
+that change nothing that a caller could notice, with the reason; they are not run.
 
 Each mutant is a fork of a process that has imported the package, with the code of a function exchanged, or with the
 package imported anew where the change is in no function. No file is changed.
@@ -28,6 +28,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from beartype import beartype
+from hypothesis import Phase, settings
 
 import tests.conftest  # noqa: F401  checks of types, and how programs are compiled
 from tests.mutation.mutants import Mutant, mutants
@@ -40,29 +42,40 @@ EQUIVALENT = Path(__file__).with_name("equivalent.csv")
 #: of memory of its own.
 _BUDGET, _ENDLESS, _BYTES = 20, 60, 10 * 2**30
 
+# That an example fails is enough: to shrink it takes longer than all other tests together.
+settings.register_profile("mutation", settings.get_profile("tests"), phases=[Phase.explicit, Phase.generate])
+settings.load_profile("mutation")
+
 
 def tests_of(path: str) -> list[str]:
-    """The test files of these rooms that import a module, its own first; of all rooms where it has none of its own."""
+    """The test files of these rooms that import a module, its own first; of all rooms where these have none."""
     _, room, name = path.removesuffix(".py").split("/", 2)
     own, imports = ROOT / "tests" / room / f"test_{name}.py", rf"dc2g_jax\.{room}(\.{name}| import .*\b{name})\b"
     files = [file for file in sorted((ROOT / "tests").rglob("test_*.py")) if re.search(imports, file.read_text())]
     near = [file for file in files if file.parent.name in ROOMS]
-    return [str(file) for file in (dict.fromkeys([own, *near]) if own.exists() else files)]
+    return [str(file) for file in dict.fromkeys([own, *near] if own.exists() else near or files)]
 
 
 class Order:
-    """A plugin of pytest: tests that found mutants come first, then quick ones; none is begun beyond the budget.
+    """A plugin of pytest: tests that found mutants come first, then the module's own, then the room's, each by time.
+
+    None is begun beyond the budget.
 
     Attributes:
       seen: (test, seconds, whether it failed), for each test that ran.
     """
 
-    def __init__(self, seconds: dict[str, float], kills: collections.Counter[str]):
+    def __init__(self, path: str, seconds: dict[str, float], kills: collections.Counter[str]):
         self.seen: list[tuple[str, float, bool]] = []
-        self._seconds, self._kills = seconds, kills
+        self._path, self._seconds, self._kills = Path(path), seconds, kills
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        items.sort(key=lambda item: (-self._kills[item.nodeid], self._seconds.get(item.nodeid, 0.0)))
+        def order(item: pytest.Item) -> tuple[int, int, float]:
+            elsewhere = item.path.parent.name != self._path.parent.name
+            distance = 2 * elsewhere + (item.path.stem != f"test_{self._path.stem}")
+            return -self._kills[item.nodeid], distance, self._seconds.get(item.nodeid, 0.0)
+
+        items.sort(key=order)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.when == "call" or report.failed:
@@ -111,6 +124,9 @@ def load_mutant(mutant: Mutant) -> None:
     loader.get_data = mutated  # type: ignore[method-assign]
     for name in [name for name in sys.modules if name.split(".")[0] == "dc2g_jax"]:
         del sys.modules[name]
+    # beartype keeps hints by their text, and would reject the new classes. A class that comes again makes it forget.
+    for _ in range(2):
+        beartype(type("Again", (), {}))
 
 
 def run_tests(mutant: Mutant, order: Order) -> int:
@@ -184,7 +200,7 @@ def main() -> None:
         note(line)
     for number, mutant in enumerate(chosen, start=1):
         if mutant.key not in found:
-            line = json.dumps([*mutant.key, *outcome(mutant, Order(seconds, kills[mutant.path]))])
+            line = json.dumps([*mutant.key, *outcome(mutant, Order(mutant.path, seconds, kills[mutant.path]))])
             note(line)
             with options.out.open("a") as file:
                 file.write(line + "\n")

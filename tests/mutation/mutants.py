@@ -24,6 +24,9 @@ _NAMES = dict(
     for pair in ((one, other), (other, one))
 )  # fmt: skip
 
+#: Functions of two arguments that may be exchanged.
+_SYMMETRIC = {"min", "max", "minimum", "maximum", "logical_and", "logical_or", "hypot", "gcd"}
+
 
 class Mutant(NamedTuple):
     """A module with one change: its path, the line before and after, and its whole text."""
@@ -57,7 +60,7 @@ def changes(node: ast.AST) -> Iterator[ast.AST]:
         yield other(value=node.value + 1)
     elif isinstance(node, ast.Attribute) and node.attr in _NAMES:
         yield other(attr=_NAMES[node.attr])
-    elif isinstance(node, ast.Call) and len(node.args) > 1:
+    elif isinstance(node, ast.Call) and len(node.args) > 1 and ast.unparse(node.func).split(".")[-1] not in _SYMMETRIC:
         args = [*node.args[:-2], node.args[-1], node.args[-2]]
         yield other(args=args)
 

@@ -133,6 +133,24 @@ def test_a_robot_that_cannot_reach_the_door_is_left_to_the_wrapped_planner(islan
     assert done.mode[0] == GAVE_UP
 
 
+def test_the_shadow_explores_as_frontier_does_by_so_many_actions_a_decision(street):
+    virtual_steps = 3
+    world, start = world_from_terrain(street), make_pose(8, 4, 2)
+    alone = gridworld.reset(world, start, COMPLETE.sensing)
+    reachable, at = Frontier(COMPLETE).init(world), [start]
+    planner = Guaranteed(Frontier(COMPLETE), COMPLETE, 1.0, np.inf, virtual_steps)
+    state, everything = planner.init(world), gridworld.belief_from_map(street, start)
+    decide, explore = jax.jit(planner.plan), jax.jit(Frontier(COMPLETE).plan)
+    for number in range(1, 3):
+        _, state = decide(everything, state)
+        assert int(state.shadow.steps) == number * virtual_steps - 1
+        while len(at) < number * virtual_steps:
+            plan, reachable = explore(alone, reachable)
+            alone = gridworld.step(world, alone, plan.action, COMPLETE.sensing)
+            at.append(alone.pose)
+        jax.tree.map(np.testing.assert_array_equal, state.shadow.pose, at[-1])
+
+
 def test_the_assessment_describes_the_plan_that_is_carried_out(street):
     planner = Guaranteed(LowestColumn(COMPLETE), COMPLETE, 1.0, 0.0)
     world = world_from_terrain(street)

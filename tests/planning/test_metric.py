@@ -308,6 +308,17 @@ def test_what_was_set_aside_counts_again_when_it_is_known():
     assert planner.plan(grid_of(world), place(1, 1, 0)).mode == "explore"
 
 
+def test_nothing_is_set_aside_from_beyond_the_map():
+    world = np.pad(np.full((1, 8), FREE), 1, constant_values=OCCUPIED)
+    world[1, 8] = UNKNOWN
+    planner = planner_of()
+    before = planner.plan(grid_of(world), place(1, 1, 0))
+    for column, row in ((30, 1), (-30, 1), (1, 30), (1, -30)):
+        planner.set_aside(place(column, row))
+    assert before.mode == "explore"
+    assert planner.plan(grid_of(world), place(1, 1, 0)) == before
+
+
 # --- doors and classes ------------------------------------------------------------------------------------------------
 
 
@@ -363,6 +374,7 @@ def test_lists_and_tuples_become_a_map():
     grid = MetricMap(ROOM.tolist(), PIXEL, (1, 2, 0))
     np.testing.assert_array_equal(grid.cells, ROOM)
     assert grid.origin == MapFrame(1.0, 2.0, 0.0)
+    assert MetricMap(ROOM, PIXEL, (1e7, -1e7, 0)).origin == MapFrame(1e7, -1e7, 0.0)  # as far away as a map may be
 
 
 @pytest.mark.parametrize(

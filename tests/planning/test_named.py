@@ -1,14 +1,18 @@
 """Planners by name."""
 
+import dataclasses
+
 import pytest
 
 from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.extents import CroppedEstimator, WindowedEstimator
 from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
+from dc2g_jax.planning.guarantee import Guaranteed
 from dc2g_jax.planning.named import NETWORK_PLANNERS, check_names, make, make_planner
 from dc2g_jax.planning.planners import DC2G, Frontier, Oracle
 from dc2g_jax.planning.rules import SETTINGS, complete_rules
+from dc2g_jax.planning.selection import ExpectedCost, QuantileCost
 from tests.support.refusals import refusal
 
 RULES = complete_rules(4)
@@ -24,6 +28,14 @@ def test_make_planner():
     # Pictures have no scale that a distance could be added to.
     translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
     assert make_planner("dc2g", RULES, translator) == DC2G(translator, RULES)
+
+
+def test_planners_on_a_network_have_the_parameters_that_were_chosen():
+    dc2g, uncertain, guarded = (on_network(ExactCostToGo(), RULES) for on_network in NETWORK_PLANNERS.values())
+    assert dc2g.selection == ExpectedCost(distance_weight=0.5)
+    assert uncertain == dataclasses.replace(dc2g, selection=QuantileCost(level=0.7, distance_weight=0.5))
+    assert guarded == Guaranteed(dc2g, dc2g.rules, factor=2.0, slack=3.0)
+    assert (dc2g.rim_width, dc2g.views, dc2g.gain_weight, dc2g.enough_news) == (1, ((), (1,)), 3.0, 0.25)
 
 
 def test_planners_on_a_network_head_for_the_nearest_door_whatever_the_rules():

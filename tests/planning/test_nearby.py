@@ -1,13 +1,16 @@
 """What is decided from the ground around a robot is what the whole map gives."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.grid import gridworld
+from dc2g_jax.grid import bitboard, gridworld
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.sensing import line_of_sight
+from dc2g_jax.grid.terrain import ROAD
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.nearby import nearby
 from dc2g_jax.planning.planners import EXPLORE, Frontier
@@ -42,3 +45,43 @@ def test_a_certain_decision_is_that_of_the_whole_map(rules):
     assert same[certain].all()
     exploring = mode == EXPLORE
     assert 0.2 < certain[exploring].mean() < 1
+
+
+def with_few_unseen(shape: tuple[int, int], pose: np.ndarray, offsets: np.ndarray):
+    """Beliefs of robots on open ground who have seen all but cells at these offsets, int [xy unseen robot]."""
+    robots = offsets.shape[-1]
+    seen = np.ones((*shape, robots), bool)
+    x, y = (np.clip(pose[axis] + offsets[axis], 0, shape[1 - axis] - 1) for axis in (0, 1))
+    seen[y, x, np.arange(robots)] = False
+    road = world_from_terrain(np.full(seen.shape, ROAD, np.uint8))
+    seen = bitboard.pack(jnp.asarray(seen))
+    return gridworld.belief_of(road, make_pose(*pose), jnp.zeros(robots, jnp.int32), seen)
+
+
+def decided_nearby(belief, rules):
+    """Each robot's decision from the ground around it: whether it is certain, its first action, and its length."""
+
+    def alone(one):
+        near = nearby(one, one.seen, rules)
+        return near.certain, near.first.action[0], near.first.length[0]
+
+    each = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0)[..., None], belief)
+    return map(np.asarray, jax.jit(functools.partial(jax.lax.map, alone))(each))
+
+
+def test_what_is_unseen_beyond_any_side_of_the_window_counts():
+    shape, rules, rng = (50, 150), complete_rules(2), np.random.default_rng(0)
+    pose = rng.integers(0, [[shape[1]], [shape[0]], [4]], (3, 500))
+    belief = with_few_unseen(shape, pose, rng.integers(-30, 31, (2, 3, 500)))
+    plan, _ = jax.jit(Frontier(rules).plan)(belief, belief.seen)
+    certain, action, length = decided_nearby(belief, rules)
+    assert 0.1 < certain.mean() < 0.9
+    np.testing.assert_array_equal(action[certain], plan.action[certain])
+    np.testing.assert_array_equal(length[certain], plan.length[certain])
+
+
+def test_nothing_is_beyond_the_border_of_the_map():
+    x, y = np.array([[0, 89, 0, 89], [0, 0, 109, 109]])
+    inward = np.array([np.where(x == 0, 5, -5), np.where(y == 0, 5, -5)])[:, None]
+    certain, _, _ = decided_nearby(with_few_unseen((110, 90), np.array([x, y, range(4)]), inward), complete_rules(2))
+    assert certain.all()

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import inspect
 import re
 
 import jax
@@ -19,6 +20,7 @@ from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning import online
 from dc2g_jax.planning.decisions import Candidate, Decision, RobotPose, explain
+from dc2g_jax.planning.metric import MetricPlanner
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.online import OnlinePlanner
 from dc2g_jax.planning.planners import MODE_NAMES, Frontier
@@ -379,6 +381,11 @@ def test_no_size_of_map_compiles_anything(name):
         corner[-1, -1] = 0 if height * width > 1 else 3
         planner.plan(corner, (0, 0, 0))
     assert online._look.compiled_count() == compiled
+
+
+def test_maps_of_up_to_100_by_100_cells_are_expected():
+    for planner in (OnlinePlanner, MetricPlanner):
+        assert inspect.signature(planner).parameters["largest"].default == (100, 100)
 
 
 def test_cells_may_change_between_calls():

@@ -220,7 +220,7 @@ class Follows(Fair):
         (OtherAction(), "episode 0, decision 1: action is 3; expected 0 to 2"),
         (Spins(), "the last 357 actions explored and revealed nothing; expected something new within 356"),
         (Spins(TO_GOAL), "episode 0 has not ended after 500 actions (mode to_goal); expected a goal or giving up"),
-        (Follows(), "in a batch of 9 the robot's action is"),
+        (Follows(), "episode 1, decision 17: in a batch of 9 the robot's action is F; expected L, as alone"),
     ],
     ids=name_of,
 )

@@ -3,6 +3,7 @@
 import socket
 import subprocess
 import sys
+import types
 
 import jax
 import numpy as np
@@ -20,7 +21,10 @@ from dc2g_jax.rollouts.devices import (
     mesh_of,
     not_repeated,
     on_each,
+    require_memory,
+    settle,
     use_cores,
+    use_devices,
 )
 from tests.support.places import ROOT
 from tests.support.refusals import refusal
@@ -59,6 +63,29 @@ def test_processes_are_named_completely_or_not_at_all(given):
 
 def test_the_number_of_a_process_is_checked():
     refusal(lambda: join_processes("host:1", 2, 2), "--process-id 2", "0 to 1")
+
+
+def test_what_jax_is_told(monkeypatch):
+    told = {}
+    monkeypatch.setattr(jax.config, "update", told.__setitem__)
+    monkeypatch.setattr(jax.distributed, "initialize", lambda *given, **options: told.update(processes=given))
+    join_processes("host:1", 2, 0)
+    assert told["processes"] == ("host:1", 2, 0)
+    use_devices(2)
+    assert (told["jax_cuda_visible_devices"], told["jax_num_cpu_devices"]) == ("0,1", 2)
+    refusal(lambda: use_devices(1), "--devices 1: there are 2")
+    assert (told["jax_cuda_visible_devices"], told["jax_num_cpu_devices"]) == ("0", 1)
+
+
+def test_memory_that_is_surely_needed():
+    require_memory(1e6, "--slots 1")
+    refusal(lambda: require_memory(1e18, "--slots 9"), "--slots 9: needs more than 1e+09 GB of memory", "lower it")
+
+
+def test_settle_waits_where_several_cores_are_devices():
+    waited = []
+    settle([types.SimpleNamespace(block_until_ready=lambda: waited.append(True))])
+    assert waited
 
 
 def test_the_table_is_the_same_on_any_number_of_devices_and_processes(tmp_path):

@@ -14,7 +14,7 @@ from dc2g_jax.grid.terrain import FRONT_DOOR, HOUSE, ROAD
 from dc2g_jax.planning.named import make
 from dc2g_jax.planning.planners import DC2G, Frontier
 from dc2g_jax.planning.rules import SETTINGS, complete_rules
-from dc2g_jax.rollouts.evaluation import Results, Runner, episodes_from, evaluate
+from dc2g_jax.rollouts.evaluation import EpisodeResult, Results, Runner, episodes_from, evaluate
 from experiments.baselines import numpy_gridworld as oracle
 from tests.support.refusals import refusal, refusal_of
 
@@ -160,7 +160,8 @@ def test_evaluate_is_what_the_runner_gives_for_names_classes_and_planners(datase
 def test_evaluate_samples_starts_in_the_houses_of_a_split(dataset):
     results = evaluate(["oracle"], dataset, split="val", starts_per_house=3, seed=1)
     assert {result.house for result in results} == {"right"}
-    assert results != evaluate(["oracle"], dataset, split="val", starts_per_house=3, seed=2)
+    others = [evaluate(["oracle"], dataset, split="val", starts_per_house=3, **seed) for seed in ({}, {"seed": 0})]
+    assert results != others[0] == others[1]
     refusal(lambda: evaluate(["oracle"], dataset, split="train"), "toys", "train")
 
 
@@ -192,3 +193,15 @@ def test_results_are_summarized_and_saved(dataset, tmp_path):
     assert {len(line) for line in lines} == {len(header)}
     results.save(tmp_path / "episodes.csv")
     assert len((tmp_path / "episodes.csv").read_text().splitlines()) == 1 + len(results)
+
+
+def test_values_of_a_row_that_contradict_each_other_are_refused():
+    row = EpisodeResult("left", 0, 0, 0, 1, None, "frontier", False, 0, 4, -100.0, "gave_up")
+    row.check()
+    row._replace(heading=3, steps=6, extra=50.0, actions="FFLRFF").check()
+    wrong = {"x": -1, "y": -1, "heading": 4, "range": -1, "steps": 3, "actions": "F", "extra": 0.0}
+    for name, value in wrong.items():
+        with pytest.raises(ValueError, match=name):
+            row._replace(**{name: value}).check()
+    with pytest.raises(ValueError, match="letters F, L, R"):
+        row._replace(steps=1, extra=-75.0, actions="X").check()

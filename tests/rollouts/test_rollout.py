@@ -87,6 +87,7 @@ def test_types_of_the_results(terrains):
     assert (done.actions.dtype, done.steps.dtype, done.success.dtype) == (np.int8, np.int32, bool)
     assert all(isinstance(leaf, np.ndarray) for leaf in jax.tree.leaves(done))
     assert set(np.unique(done.mode)) <= {EXPLORE, TO_GOAL, GAVE_UP}
+    assert set(np.unique(done.actions)) == {-1, 0, 1, 2}
 
 
 def test_no_episodes(terrains):
