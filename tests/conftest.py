@@ -28,13 +28,10 @@ jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 # Most tests spend their time on compiling programs that run but briefly: these do without most optimizations, and
-# their fusions are compiled by XLA's older and quicker emitters where it still has them: it aborts on unknown flags.
-# What runs for longer, or is compared with recorded episodes, takes `optimized`. (Users' programs are optimized:
-# `.ci/run` runs the main job as they do.)
-OLD_EMITTERS = jax.__version_info__ < (0, 11)
+# their fusions are compiled by XLA's older and quicker emitters. What runs for longer, or is compared with recorded
+# episodes, takes `optimized`. (Users' programs are optimized: `.ci/run` runs the main job as they do.)
 os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
-if OLD_EMITTERS:
-    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_use_fusion_emitters=false"
+os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_use_fusion_emitters=false"
 jax.config.update("jax_disable_most_optimizations", True)
 
 # Work is divided among two devices, so that every test of it covers the division.
@@ -61,8 +58,7 @@ def optimized():
     default_options = compiler.get_compile_options
 
     def options_of_users(*args, env_options_overrides=None, **kwargs):
-        overrides = {"xla_cpu_use_fusion_emitters": True} if OLD_EMITTERS else {}
-        overrides |= env_options_overrides or {}
+        overrides = {"xla_cpu_use_fusion_emitters": True, **(env_options_overrides or {})}
         return default_options(*args, env_options_overrides=overrides, **kwargs)
 
     with pytest.MonkeyPatch.context() as patch:

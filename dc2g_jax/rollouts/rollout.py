@@ -263,8 +263,7 @@ def _first_states(
         queue = _Queue(worlds=worlds, planner_states=planner.init(worlds), episodes=episodes, length=length)
         rows = len(episodes)
         results = _Results(
-            # One column at least: with none, XLA of jax 0.11 crashes on several CPU devices.
-            actions=jnp.full((rows, max(1, kept_steps)), NO_ACTION, jnp.int8),
+            actions=jnp.full((rows, kept_steps), NO_ACTION, jnp.int8),
             steps=jnp.zeros(rows, jnp.int32),
             success=jnp.zeros(rows, bool),
             mode=jnp.full(rows, EXPLORE, jnp.int32),
@@ -330,5 +329,4 @@ def rollout(
     )
     go_on = functools.partial(_run, queues=queues, planner=planner, mesh=mesh, sensing=sensing, step_limit=step_limit)
     states = serve_paced(states, go_on, _finished, n_episodes, on_progress, first_steps=_FIRST_STEPS)
-    actions, *others = jax.tree.leaves(gather(states.results, n_episodes))
-    return Trajectories(actions[:, :kept_steps], *others)
+    return Trajectories(*jax.tree.leaves(gather(states.results, n_episodes)))
