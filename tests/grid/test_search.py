@@ -118,6 +118,18 @@ def test_the_longest_way_in_a_winding_corridor():
     np.testing.assert_array_equal(distances, oracle.distances_from(free, (0, 0, 2)))
 
 
+def test_a_search_ends_when_its_wavefront_grows_no_more():
+    free, targets = np.zeros((8, 32), bool), np.zeros((4, 8, 32), bool)
+    free[0, :4] = free[7, 31] = targets[:, 7, 31] = True
+    board = bitboard.pack(jnp.asarray(free))
+    found, steps = search._search(
+        poses.only(make_pose(0, 0, 0), *board.shape), jnp.bool_(True), board, poses.one_action_on,
+        poses.pack(jnp.asarray(targets)), lambda reached, targets: ~poses.is_empty(reached & targets)[None],
+    )  # fmt: skip
+    assert not found.any()
+    assert steps <= 2 * search._STEPS_BETWEEN_LOOKS
+
+
 @functools.cache
 def comparing(shape: tuple[int, int]):
     """Everything about one robot, or about a batch of them."""

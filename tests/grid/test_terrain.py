@@ -13,7 +13,7 @@ import dc2g_jax.grid.world
 import dc2g_jax.mapping.semantic_map
 import dc2g_jax.objectnav.classes
 import dc2g_jax.objectnav.mapping
-from dc2g_jax.grid import terrain
+from dc2g_jax.grid import bitboard, terrain
 from dc2g_jax.mapping.camera import Frame, level_camera
 from tests.support.frames import CAMERA, SETTINGS
 
@@ -64,6 +64,8 @@ def test_a_world_holds_every_class(number, monkeypatch):
     classes = np.arange(number, dtype=np.uint8)[None]
     world = loaded(dc2g_jax.grid.world, monkeypatch).world_from_terrain(classes)
     np.testing.assert_array_equal(world.terrain, classes)
+    opaque = np.isin(classes, np.flatnonzero(terrain.OPAQUE))
+    np.testing.assert_array_equal(bitboard.unpack(world.opaque, number), opaque)
 
 
 def test_more_classes_than_fit_into_a_byte_are_refused(monkeypatch):

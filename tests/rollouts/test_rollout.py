@@ -116,11 +116,12 @@ def test_the_step_limit_ends_an_episode(terrains):
 def test_progress_grows_and_ends_at_the_number_of_episodes(terrains, monkeypatch):
     monkeypatch.setattr(devices, "_SECONDS_PER_CALL", 0)
     reports: list[int] = []
-    run(terrains, some_episodes(terrains, 2), slots=1, on_progress=reports.append)
+    done = run(terrains, some_episodes(terrains, 2), slots=1, on_progress=reports.append)
     assert len(reports) > 3
     assert reports == sorted(reports)
     assert reports[-1] == N_EPISODES
     assert 0 <= reports[0] < N_EPISODES
+    assert_equal(done, run(terrains, some_episodes(terrains, 2)))
 
 
 def test_an_error_in_the_progress_report_ends_the_rollout(terrains):
