@@ -29,10 +29,11 @@ _STEP_LIMIT = 100
 def _planner_steps(bench: Bench, planner: str, row: Row, batch: int) -> Row:
     """A few planner steps of robots in the middle of their episodes, in one program."""
     # Small batches follow one another, so that no single robot stands for all.
-    batches = [bench.robots(planner).batch(batch, number) for number in range(max(1, _FEWEST_ROBOTS // batch))]
+    robots = bench.robots(planner)
+    batches = [robots.batch(batch, number) for number in range(max(1, _FEWEST_ROBOTS // batch))]
     program = compile_program(cycles(bench.planner(planner), bench.rules().sensing, _CYCLES), batches[0])
-    batches = [program.call(robots) for robots in batches]  # no planner's first steps, where it may do more
-    measured = bench.measure(lambda: [program.call(robots) for robots in batches])
+    batches = [program.call(each) for each in batches]  # no planner's first steps, where it may do more
+    measured = bench.measure(lambda: [program.call(each) for each in batches])
     units = float(_CYCLES * batch * len(batches))
     return row.with_figures(measured, units, facts={"program, MiB": program.memory / 2**20})
 

@@ -323,7 +323,7 @@ def door_outline(rng: np.random.Generator, door: tuple[float, float], size: floa
 
 def _add_side_door(rng: np.random.Generator, lot: Lot, house: HouseOutline, stand: Placement, width: float) -> None:
     """Add a second door or a patio at the side of the house, with a walkway around the corner."""
-    depth = max(float(np.max(block[:, 1])) for block in house.blocks[:1])
+    depth = float(np.max(house.blocks[0][:, 1]))
     beside, side_y = house.right + width * uniform(rng, (0.6, 1.2)), uniform(rng, (0.3, 0.8)) * depth
     front = min(float(np.min(block[:, 1])) for block in house.blocks) - width * uniform(rng, (0.5, 1.2))
     corner = [(house.door[0], front), (beside, front), (beside, side_y)]
