@@ -28,10 +28,13 @@ jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 # Most tests spend their time on compiling programs that run but briefly: these do without most optimizations, and
-# their fusions are compiled by XLA's older and quicker emitters. What runs for longer, or is compared with recorded
-# episodes, takes `optimized`. (Users' programs are optimized: `.ci/run` runs the main job as they do.)
+# their fusions are compiled by XLA's older and quicker emitters, which jax 0.11 no longer has. What runs for longer, or
+# is compared with recorded episodes, takes `optimized`. (Users' programs are optimized: `.ci/run` runs the main job as
+# they do.)
+OLDER_EMITTERS = jax.__version_info__ < (0, 11)
 os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
-os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_use_fusion_emitters=false"
+if OLDER_EMITTERS:
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_use_fusion_emitters=false"
 jax.config.update("jax_disable_most_optimizations", True)
 
 # Work is divided among two devices, so that every test of it covers the division.
@@ -58,7 +61,8 @@ def optimized():
     default_options = compiler.get_compile_options
 
     def options_of_users(*args, env_options_overrides=None, **kwargs):
-        overrides = {"xla_cpu_use_fusion_emitters": True, **(env_options_overrides or {})}
+        newer_emitters = {"xla_cpu_use_fusion_emitters": True} if OLDER_EMITTERS else {}
+        overrides = newer_emitters | (env_options_overrides or {})
         return default_options(*args, env_options_overrides=overrides, **kwargs)
 
     with pytest.MonkeyPatch.context() as patch:

@@ -122,9 +122,12 @@ class _Slots:
 
 @struct.dataclass
 class _Results:
-    """Results so far, one row per episode of the padded queue."""
+    """Results so far, one row per episode of the padded queue.
 
-    actions: Int8[Array, "rows kept_steps"]
+    Actions that are not kept are `None`: on several CPU devices, jax 0.11 crashes on arrays without elements.
+    """
+
+    actions: Int8[Array, "rows step_limit"] | None
     steps: Int[Array, "rows"]
     success: Bool[Array, "rows"]
     mode: Int[Array, "rows"]
@@ -181,9 +184,11 @@ def _advance(state: _State, planner: Planner, sensing: Kernel, step_limit: int) 
     belief = gridworld.step(slots.world, slots.belief, plan.action, sensing)
     belief = dataclasses.replace(belief, steps=slots.belief.steps + acts)
     arrives = acts & gridworld.at_goal(slots.world, belief.pose)
-    # Robots that do not act write out of bounds, so the write is dropped.
-    row = jnp.where(acts, slots.episode, results.actions.shape[0])
-    action = plan.action.astype(jnp.int8)
+    if results.actions is not None:
+        # Robots that do not act write out of bounds, so the write is dropped.
+        row = jnp.where(acts, slots.episode, len(results.steps))
+        kept = results.actions.at[row, slots.belief.steps].set(plan.action.astype(jnp.int8), mode="drop")
+        results = dataclasses.replace(results, actions=kept)
     slots = dataclasses.replace(
         slots,
         finished=slots.finished | goes_on & (arrives | ~acts | (belief.steps >= step_limit)),
@@ -192,8 +197,7 @@ def _advance(state: _State, planner: Planner, sensing: Kernel, step_limit: int) 
         belief=belief,
         planner_state=planner_state,
     )
-    actions = results.actions.at[row, slots.belief.steps - 1].set(action, mode="drop")
-    return dataclasses.replace(state, slots=slots, results=dataclasses.replace(results, actions=actions))
+    return dataclasses.replace(state, slots=slots, results=results)
 
 
 def _record(state: _State) -> _State:
@@ -254,7 +258,7 @@ def _finished(states: _State) -> Int[Array, "devices"]:
 @functools.partial(jit, static_argnames=("mesh", "sensing", "n_slots", "kept_steps"))
 def _first_states(
     planner: Planner, worlds: World, episodes: Episodes, lengths: Int[Array, "devices"],
-    *, mesh: Mesh, sensing: Kernel, n_slots: int, kept_steps: int,
+    *, mesh: Mesh, sensing: Kernel, n_slots: int, kept_steps: int | None,
 ) -> tuple[_Queue, _State]:  # fmt: skip
     """The queue of each device, and its slots with the first episodes."""
 
@@ -263,7 +267,7 @@ def _first_states(
         queue = _Queue(worlds=worlds, planner_states=planner.init(worlds), episodes=episodes, length=length)
         rows = len(episodes)
         results = _Results(
-            actions=jnp.full((rows, kept_steps), NO_ACTION, jnp.int8),
+            actions=None if kept_steps is None else jnp.full((rows, kept_steps), NO_ACTION, jnp.int8),
             steps=jnp.zeros(rows, jnp.int32),
             success=jnp.zeros(rows, bool),
             mode=jnp.full(rows, EXPLORE, jnp.int32),
@@ -311,11 +315,10 @@ def rollout(
     Returns:
       Results in the order of the episodes, as NumPy arrays.
     """
-    kept_steps = step_limit if keep_actions else 0
     n_episodes = len(episodes)
     if n_episodes == 0:
         empty = np.zeros(0, np.int32)
-        return Trajectories(np.zeros((0, kept_steps), np.int8), empty, empty.astype(bool), empty)
+        return Trajectories(np.zeros((0, step_limit if keep_actions else 0), np.int8), empty, empty.astype(bool), empty)
     mesh = mesh_of(devices)
     # Rounding up to a power of two lets many numbers of episodes share a compiled program.
     capacity = 1 << (-(-n_episodes // mesh.size) - 1).bit_length()
@@ -325,8 +328,11 @@ def rollout(
     planner, worlds = replicate((planner, worlds), mesh)
     dealt, lengths = deal(episodes, n_episodes, mesh, capacity), dealt_counts(n_episodes, mesh)
     queues, states = _first_states(
-        planner, worlds, dealt, lengths, mesh=mesh, sensing=sensing, n_slots=slots, kept_steps=kept_steps
-    )
+        planner, worlds, dealt, lengths, mesh=mesh, sensing=sensing, n_slots=slots,
+        kept_steps=step_limit if keep_actions else None,
+    )  # fmt: skip
     go_on = functools.partial(_run, queues=queues, planner=planner, mesh=mesh, sensing=sensing, step_limit=step_limit)
     states = serve_paced(states, go_on, _finished, n_episodes, on_progress, first_steps=_FIRST_STEPS)
-    return Trajectories(*jax.tree.leaves(gather(states.results, n_episodes)))
+    results = gather(states.results, n_episodes)
+    actions = results.actions if keep_actions else np.zeros((n_episodes, 0), np.int8)
+    return Trajectories(actions, results.steps, results.success, results.mode)

@@ -71,7 +71,8 @@ def place(key: Array, sidewalks: Ground, count: int, away_from: Float[Array, "2"
     Args:
       key: random key.
       sidewalks: walkable cells. If none is far enough from the start, pedestrians are at `NOWHERE`.
-      count: number of pedestrians.
+      count: number of pedestrians. If it is 0, there is one at `NOWHERE`: on several CPU devices, jax 0.11 crashes on
+        arrays without elements.
       away_from: start of the vehicle, meters. The distance to the centers of cells counts.
     """
     of_cell, of_side = jax.random.split(key)
@@ -79,7 +80,8 @@ def place(key: Array, sidewalks: Ground, count: int, away_from: Float[Array, "2"
     column, row = jnp.meshgrid(jnp.arange(width), jnp.arange(height))
     every_cell = jnp.stack([column.ravel(), row.ravel()], axis=-1)
     distance = jnp.linalg.norm(cell_centers(every_cell, sidewalks.cell_size) - away_from, axis=-1)
-    free = sidewalks.cells.ravel() & (distance > 3)
+    free = sidewalks.cells.ravel() & (distance > 3) & (count > 0)
+    count = max(count, 1)
     drawn = jax.random.categorical(of_cell, jnp.where(free, 0.0, -jnp.inf), shape=(count,))
     cells = jnp.where(jnp.any(free), every_cell[drawn], int(NOWHERE / sidewalks.cell_size))
     room = max(sidewalks.cell_size / 2 - PERSON_RADIUS - 0.01, 0)
