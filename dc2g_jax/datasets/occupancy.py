@@ -14,7 +14,7 @@ from dc2g_jax.files.png import MOST_PIXELS, bands, read_png
 from dc2g_jax.files.reading import finite_number, read_bytes, read_yaml
 from dc2g_jax.grid.map_frame import MapFrame
 from dc2g_jax.grid.sampling import sample_conservatively
-from dc2g_jax.grid.terrain import HOUSE, ROAD, UNKNOWN
+from dc2g_jax.grid.terrain import FREE, OCCUPIED, UNKNOWN
 
 #: File endings of occupancy maps.
 YAML_ENDINGS = (".yaml", ".yml")
@@ -63,13 +63,13 @@ class OccupancyMap:
     doubts: tuple[str, ...]
 
     def terrain(self, columns: int, rows: int) -> UInt8[np.ndarray, "{rows} {columns}"]:
-        """The map as terrain: road where free, house where occupied, unknown elsewhere.
+        """The map as terrain: `FREE`, `OCCUPIED` or `UNKNOWN`, see `dc2g_jax.grid.terrain`.
 
-        The trained network of the package knows these classes. A cell is free only if all of its pixels are free, and
-        occupied if any of its pixels is, so that no wall is lost on a coarser grid.
+        A cell is free only if all of its pixels are free, and occupied if any of its pixels is, so that no wall is lost
+        on a coarser grid.
         """
-        road, house, unknown = np.array([ROAD, HOUSE, UNKNOWN], np.uint8)
-        pixels = np.where(self.free, road, np.where(self.occupied, house, unknown))
+        free, occupied, unknown = np.array([FREE, OCCUPIED, UNKNOWN], np.uint8)
+        pixels = np.where(self.free, free, np.where(self.occupied, occupied, unknown))
         return sample_conservatively(pixels, columns, rows)
 
     def cell(self, x: float, y: float, columns: int, rows: int) -> tuple[int, int] | None:

@@ -15,6 +15,7 @@ from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax.grid import bitboard, search
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.sampling import resize_nearest
+from dc2g_jax.grid.terrain import FREE, OCCUPIED, OUTSIDE, UNKNOWN
 from dc2g_jax.grid.world import World
 
 #: Estimates as stored by a planner.
@@ -134,6 +135,10 @@ def for_some(function: Callable[[Any, Any], Any], wanted: Bool[Array, "*batch"],
     return jax.tree.map(lambda leaf, own: own.reshape(leaf.shape), before, carry[1])
 
 
+#: Classes from which nothing can be predicted: those of occupancy maps.
+_WITHOUT_MEANING = (UNKNOWN, FREE, OCCUPIED, OUTSIDE)
+
+
 @struct.dataclass
 class NetworkCostToGo:
     """The estimate of a trained network.
@@ -156,6 +161,9 @@ class NetworkCostToGo:
 
         Maps that are larger than those of the training are resampled to their size, so that a house looks to the
         network as it did in training, however small the cells are.
+
+        While only free and occupied cells have been observed, as in an occupancy map, there is nothing to predict from,
+        and the estimate is 0 everywhere. A planner then goes by distance and by what it would see.
         """
         del state
         height, width, *batch = terrain.shape
@@ -164,7 +172,9 @@ class NetworkCostToGo:
         shrunk = resize_nearest(terrain, rows, columns).reshape(rows, columns, -1)
         answers = compact_unet.apply(self.architecture, self.weights, jnp.moveaxis(shrunk, -1, 0))
         cells = jnp.moveaxis(answers, (-1, 0), (2, -1)).reshape(rows, columns, -1, *batch)
-        return longest / self.architecture.side * jnp.moveaxis(resize_nearest(cells, height, width), 2, 0)
+        costs = longest / self.architecture.side * jnp.moveaxis(resize_nearest(cells, height, width), 2, 0)
+        tells_nothing = functools.reduce(jnp.logical_or, [terrain == kind for kind in _WITHOUT_MEANING])
+        return jnp.where(jnp.all(tells_nothing, axis=(0, 1)), 0.0, costs)
 
 
 @struct.dataclass

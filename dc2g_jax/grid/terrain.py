@@ -77,6 +77,8 @@ FENCE = CLASS_NAMES.index("fence")
 TREE = CLASS_NAMES.index("tree")
 BUSH = CLASS_NAMES.index("bush")
 NOTHING = CLASS_NAMES.index("nothing")
+#: Free and occupied cells of a map without classes, such as an occupancy map.
+FREE, OCCUPIED = CLASS_NAMES.index("traversable"), HOUSE
 
 _TRAVERSABLE_NAMES = ("front_door", "road", "driveway", "path", "sidewalk", "traversable")
 

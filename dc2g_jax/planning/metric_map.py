@@ -13,7 +13,7 @@ from dc2g_jax.errors import InputError, short
 from dc2g_jax.grid.map_frame import MapFrame
 from dc2g_jax.grid.poses import HEADINGS
 from dc2g_jax.grid.sampling import sample_conservatively
-from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, HOUSE, NOTHING, ROAD, TRAVERSABLE, UNKNOWN
+from dc2g_jax.grid.terrain import CLASS_NAMES, FREE, FRONT_DOOR, NOTHING, OCCUPIED, TRAVERSABLE, UNKNOWN
 from dc2g_jax.planning.decisions import RobotPose
 
 #: An occupancy grid's cell is free up to the first value, occupied from the second, in percent, and unknown between.
@@ -138,8 +138,8 @@ def class_of_values(labels: Mapping[int, str] | None) -> UInt8[np.ndarray, "valu
     classes = np.full(_MOST + 2, _NO_CLASS, np.uint8)
     if labels is None:
         classes[: _OCCUPIED + 1] = UNKNOWN
-        classes[: FREE_AT_MOST + 1] = ROAD
-        classes[OCCUPIED_FROM : _OCCUPIED + 1] = HOUSE
+        classes[: FREE_AT_MOST + 1] = FREE
+        classes[OCCUPIED_FROM : _OCCUPIED + 1] = OCCUPIED
     for value, name in (labels or {}).items():
         if name not in CLASS_NAMES or not 0 <= value <= _MOST:
             raise InputError(f"labels: {short(value)} is {short(name)}; give 0 to {_MOST}, and one of {CLASS_NAMES}")

@@ -8,7 +8,7 @@ from PIL import Image
 
 from dc2g_jax.datasets.maps import Goal, draw_map, read_map
 from dc2g_jax.datasets.occupancy import read_occupancy_map
-from dc2g_jax.grid.terrain import FRONT_DOOR, HOUSE, ROAD, UNKNOWN
+from dc2g_jax.grid.terrain import FREE, FRONT_DOOR, OCCUPIED, UNKNOWN
 from tests.support.occupancy import save
 from tests.support.refusals import refusal
 
@@ -25,7 +25,7 @@ def test_thresholds_are_map_servers(tmp_path, negate, thresholds):
     terrain = draw_map(path)
     for gray, found in zip(grays.ravel(), terrain.ravel(), strict=True):
         occupancy = int(gray) / 255 if negate else (255 - int(gray)) / 255
-        wanted = HOUSE if occupancy > thresholds[1] else ROAD if occupancy < thresholds[0] else UNKNOWN
+        wanted = OCCUPIED if occupancy > thresholds[1] else FREE if occupancy < thresholds[0] else UNKNOWN
         assert found == wanted
 
 
@@ -67,7 +67,7 @@ def test_a_coarser_cell_is_free_only_if_all_it_touches_is(tmp_path, grid):
                 math.floor(row * height / rows + 1e-9) : math.ceil((row + 1) * height / rows - 1e-9),
                 math.floor(column * width / columns + 1e-9) : math.ceil((column + 1) * width / columns - 1e-9),
             ]
-            wanted = ROAD if np.all(touched == ROAD) else HOUSE if np.any(touched == HOUSE) else UNKNOWN
+            wanted = FREE if np.all(touched == FREE) else OCCUPIED if np.any(touched == OCCUPIED) else UNKNOWN
             assert coarse[row, column] == wanted
 
 
@@ -251,4 +251,4 @@ def test_real_maps(shared_files):
     files = shared_files("datasets/ros_maps", "*.yaml")
     assert len(files) == 8
     for file in files:
-        assert np.any(draw_map(file) == ROAD), file
+        assert np.any(draw_map(file) == FREE), file

@@ -8,14 +8,17 @@ import numpy as np
 import pytest
 from flax import struct
 
+from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.estimation.estimators import for_some
 from dc2g_jax.grid import gridworld
 from dc2g_jax.grid.gridworld import belief_from_map
 from dc2g_jax.grid.poses import make_pose
+from dc2g_jax.grid.terrain import FREE, OCCUPIED, OUTSIDE, ROAD, UNKNOWN
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.planners import DC2G, EXPLORE, TO_GOAL
 from dc2g_jax.planning.rules import complete_rules
 from tests.support import maps
+from tests.support.networks import random_network
 
 SHAPE = (7, 33)
 asked: list[int] = []
@@ -91,3 +94,12 @@ def test_nobody_asks_on_the_way_to_a_goal_in_reach(street):
     jax.effects_barrier()
     assert int(decision.mode) == TO_GOAL
     assert not asked
+
+
+def test_a_network_predicts_nothing_from_free_and_occupied_cells():
+    rng = np.random.default_rng(0)
+    plain = rng.choice(np.array([UNKNOWN, FREE, OCCUPIED, OUTSIDE], np.uint8), (*SHAPE, 3))
+    plain[4, 20, 1] = ROAD
+    costs = random_network(Architecture(widths=(4, 4, 4, 4))).estimate(jnp.asarray(plain), ())
+    assert costs.shape == (5, *SHAPE, 3)
+    assert [bool(jnp.any(costs[..., robot])) for robot in range(3)] == [False, True, False]
