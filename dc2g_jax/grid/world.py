@@ -9,6 +9,7 @@ from jaxtyping import Array, UInt8, UInt32
 
 from dc2g_jax.grid import bitboard, terrain
 from dc2g_jax.grid.bitboard import Board
+from dc2g_jax.programs import jit
 
 
 @struct.dataclass
@@ -50,6 +51,7 @@ class World:
         return found
 
 
+@jit
 def world_from_terrain(classes: UInt8[Array, "h w *batch"] | UInt8[np.ndarray, "h w *batch"]) -> World:
     """The world of a grid of class indices; every front door cell is a goal.
 
