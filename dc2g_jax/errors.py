@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 #: Longest message of an `InputError`, in characters. Of longer ones the middle is left out.
-LONGEST_MESSAGE = 300
+LONGEST_MESSAGE = 400
 
 #: Characters that are kept of the end of a longer message, where the remedy is.
 _KEPT_END = 110

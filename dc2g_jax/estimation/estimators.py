@@ -135,8 +135,12 @@ def for_some(function: Callable[[Any, Any], Any], wanted: Bool[Array, "*batch"],
     return jax.tree.map(lambda leaf, own: own.reshape(leaf.shape), before, carry[1])
 
 
-#: Classes from which nothing can be predicted: those of occupancy maps.
-_WITHOUT_MEANING = (UNKNOWN, FREE, OCCUPIED, OUTSIDE)
+def where_classes_tell(
+    terrain: UInt8[Array, "h w *batch"], costs: Float[Array, "outcomes h w *batch"]
+) -> Float[Array, "outcomes h w *batch"]:
+    """A network's costs; 0 for maps of nothing but free and occupied cells, from which nothing can be predicted."""
+    tells_nothing = functools.reduce(jnp.logical_or, [terrain == kind for kind in (UNKNOWN, FREE, OCCUPIED, OUTSIDE)])
+    return jnp.where(jnp.all(tells_nothing, axis=(0, 1)), 0.0, costs)
 
 
 @struct.dataclass
@@ -173,8 +177,7 @@ class NetworkCostToGo:
         answers = compact_unet.apply(self.architecture, self.weights, jnp.moveaxis(shrunk, -1, 0))
         cells = jnp.moveaxis(answers, (-1, 0), (2, -1)).reshape(rows, columns, -1, *batch)
         costs = longest / self.architecture.side * jnp.moveaxis(resize_nearest(cells, height, width), 2, 0)
-        tells_nothing = functools.reduce(jnp.logical_or, [terrain == kind for kind in _WITHOUT_MEANING])
-        return jnp.where(jnp.all(tells_nothing, axis=(0, 1)), 0.0, costs)
+        return where_classes_tell(terrain, costs)
 
 
 @struct.dataclass

@@ -306,7 +306,7 @@ def test_a_file_other_than_the_published_one(fetch, server, source, tmp_path, na
     server.script = {name: ["changed"] * 9}
     data = (source / name).read_bytes()
     right, wrong = (hashlib.sha256(d).hexdigest() for d in (data, data[:-1] + bytes([data[-1] ^ 1])))
-    refusal_of(InputError, fetch, name, right, wrong, "--dataset", "Try again")
+    refusal_of(InputError, fetch, name, right, wrong, "--dataset", "try again")
     assert only_whole_files(tmp_path / "cache", source)
 
 
