@@ -24,7 +24,7 @@ class Training:
         self.interrupt_step, self.interrupt_validation, self.interrupts = -1, -1, 1
 
     def step(self, state):
-        if int(state.step) == self.interrupt_step:
+        if int(jnp.copy(state.step)) == self.interrupt_step:  # with a view of it, jax 0.11 would not use the state up
             self.interrupt_step = -1
             done = count_step(state)
             for _ in range(self.interrupts):
