@@ -170,8 +170,8 @@ def _download(
             f"{folder}: the download broke off ({_words(error)}); {kept} of {len(entries)} files are kept: run again "
             f"to fetch the others, or {_REMEDY}"
         ) from None
-    except ValueError as error:  # pooch found a wrong checksum, which its message ends with
-        found = re.findall("[0-9a-f]{64}", str(error))[-1]
+    except ValueError as error:  # pooch found a wrong checksum, which it names last
+        *_, found = re.findall("[0-9a-f]{64}", str(error)) or [str(error)]
         raise InputError(
             f"{name}: SHA-256 is {found}, expected {entries[name]}; try again later, or {_REMEDY}"
         ) from None

@@ -15,7 +15,7 @@ from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax.grid import bitboard, search
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.sampling import resize_nearest
-from dc2g_jax.grid.terrain import FREE, OCCUPIED, OUTSIDE, UNKNOWN
+from dc2g_jax.grid.terrain import FREE, FRONT_DOOR, NOTHING, OCCUPIED, OUTSIDE, UNKNOWN
 from dc2g_jax.grid.world import World
 
 #: Estimates as stored by a planner.
@@ -135,12 +135,16 @@ def for_some(function: Callable[[Any, Any], Any], wanted: Bool[Array, "*batch"],
     return jax.tree.map(lambda leaf, own: own.reshape(leaf.shape), before, carry[1])
 
 
-def where_classes_tell(
+#: Classes of maps without semantics: occupancy maps, their doors, and cells set aside.
+_PLAIN = (UNKNOWN, FREE, OCCUPIED, FRONT_DOOR, NOTHING, OUTSIDE)
+
+
+def zero_without_classes(
     terrain: UInt8[Array, "h w *batch"], costs: Float[Array, "outcomes h w *batch"]
 ) -> Float[Array, "outcomes h w *batch"]:
-    """A network's costs; 0 for maps of nothing but free and occupied cells, from which nothing can be predicted."""
-    tells_nothing = functools.reduce(jnp.logical_or, [terrain == kind for kind in (UNKNOWN, FREE, OCCUPIED, OUTSIDE)])
-    return jnp.where(jnp.all(tells_nothing, axis=(0, 1)), 0.0, costs)
+    """A network's costs; 0 everywhere for a map without semantics, from which nothing can be predicted."""
+    plain = functools.reduce(jnp.logical_or, [terrain == kind for kind in _PLAIN])
+    return jnp.where(jnp.all(plain, axis=(0, 1)), 0.0, costs)
 
 
 @struct.dataclass
@@ -166,8 +170,8 @@ class NetworkCostToGo:
         Maps that are larger than those of the training are resampled to their size, so that a house looks to the
         network as it did in training, however small the cells are.
 
-        While only free and occupied cells have been observed, as in an occupancy map, there is nothing to predict from,
-        and the estimate is 0 everywhere. A planner then goes by distance and by what it would see.
+        While nothing but free and occupied cells and doors has been observed, as in an occupancy map, there is nothing
+        to predict from, and the estimate is 0 everywhere. A planner then goes by distance and by what it would see.
         """
         del state
         height, width, *batch = terrain.shape
@@ -177,7 +181,7 @@ class NetworkCostToGo:
         answers = compact_unet.apply(self.architecture, self.weights, jnp.moveaxis(shrunk, -1, 0))
         cells = jnp.moveaxis(answers, (-1, 0), (2, -1)).reshape(rows, columns, -1, *batch)
         costs = longest / self.architecture.side * jnp.moveaxis(resize_nearest(cells, height, width), 2, 0)
-        return where_classes_tell(terrain, costs)
+        return zero_without_classes(terrain, costs)
 
 
 @struct.dataclass

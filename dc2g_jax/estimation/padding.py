@@ -14,7 +14,7 @@ from flax import nnx, struct
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt8
 
 from dc2g_jax.estimation import compact_unet
-from dc2g_jax.estimation.estimators import NetworkCostToGo, where_classes_tell
+from dc2g_jax.estimation.estimators import NetworkCostToGo, zero_without_classes
 from dc2g_jax.grid.sampling import nearest_pixel
 from dc2g_jax.grid.terrain import OUTSIDE
 from dc2g_jax.grid.world import World
@@ -78,7 +78,7 @@ class PaddedNetwork:
             if isinstance(module, nnx.Conv):
                 module.conv_general_dilated = functools.partial(_convolved, map_shape, shrunk.shape)
         answer = cell_side * network(shrunk[None])[0][cells]
-        return where_classes_tell(terrain, jnp.moveaxis(answer, -1, 0).reshape(-1, *terrain.shape))
+        return zero_without_classes(terrain, jnp.moveaxis(answer, -1, 0).reshape(-1, *terrain.shape))
 
 
 def _shrunk(

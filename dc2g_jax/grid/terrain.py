@@ -45,7 +45,7 @@ FIGURE_COLORS = {
     "bush": "#a3bb55",
     "garage door": "#a6611a",
     "nothing": "#111111",
-    "traversable": "#fffdf5",
+    "traversable": "#d9ead3",
 }
 
 #: Class index -> RGB color in figures, uint8 [class 3].

@@ -96,8 +96,8 @@ class MetricPlanner:
     Subgoals are centers of free cells, so walls are at least half a cell away: half of `smallest_cell` at worst.
 
     Args:
-      planner: see `OnlinePlanner`; `None` for `dc2g` on semantic maps and `frontier` on occupancy maps, whose two
-        classes tell the trained network too little. The rules of one of your own keep their sensing range in cells,
+      planner: see `OnlinePlanner`; `None` for `dc2g` on semantic maps and `frontier` on occupancy maps, from
+        which the network predicts nothing. The rules of one of your own keep their sensing range in cells,
         whatever the side of a cell.
       cell_size: side of the planner's cells, in meters: about the robot's diameter, and at most half as wide as the
         narrowest passage, so that a cell fits into it.

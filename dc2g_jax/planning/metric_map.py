@@ -30,7 +30,6 @@ _NO_CLASS = 255
 _FARTHEST = 1e7
 
 _QUARTER = 2 * math.pi / HEADINGS
-_GROUND = CLASS_NAMES.index("traversable")
 
 
 class MetricPose(NamedTuple):
@@ -195,7 +194,7 @@ def draw(
     rows, columns = _indices(aside, terrain, left, top)
     terrain[rows, columns] = np.where(terrain[rows, columns] == UNKNOWN, NOTHING, terrain[rows, columns])
     if not TRAVERSABLE[terrain[here.y - top, here.x - left]]:
-        terrain[here.y - top, here.x - left] = _GROUND
+        terrain[here.y - top, here.x - left] = FREE
     at_doors = (cells.pose_in(MetricPose(x, y, 0.0))[:2] for x, y in doors)
     terrain[_indices(at_doors, terrain, left, top)] = FRONT_DOOR
     rows, columns = (np.flatnonzero(np.any(terrain != UNKNOWN, axis=axis)) for axis in (1, 0))

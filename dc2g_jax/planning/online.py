@@ -24,7 +24,7 @@ from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.gridworld import Belief, belief_from_map
 from dc2g_jax.grid.poses import HEADINGS, Pose
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
-from dc2g_jax.grid.terrain import CLASS_NAMES, OUTSIDE, TRAVERSABLE, UNKNOWN
+from dc2g_jax.grid.terrain import CLASS_NAMES, FREE, OUTSIDE, TRAVERSABLE, UNKNOWN
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.decisions import Decision, RobotPose, View, decide
 from dc2g_jax.planning.named import make
@@ -134,7 +134,7 @@ class OnlinePlanner:
         self._shapes = shapes if self._pads_maps else shapes[-1:]
         for shape in self._shapes:
             terrain = np.full(shape, UNKNOWN, np.uint8)
-            terrain[0, 0] = CLASS_NAMES.index("traversable")
+            terrain[0, 0] = FREE
             self._view(terrain, RobotPose(0, 0, 0))
 
     def plan(self, grid: npt.ArrayLike, pose: npt.ArrayLike, *, origin: npt.ArrayLike = (0, 0)) -> Decision:

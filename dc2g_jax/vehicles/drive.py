@@ -357,7 +357,7 @@ def _drive(robot: Robot, site: Site, equipment: Equipment) -> Robot:
     people = walk(walk_key, robot.people, sidewalks, robot.vehicle, limits.radius)
     drivable = Ground(jnp.asarray(TRAVERSABLE)[site.terrain], cell_size)
     clear = clearance(after.position, surroundings(drivable, after.position, 2 * limits.radius))
-    nearest = jnp.min(jnp.linalg.norm(people.position - after.position, axis=-1), initial=jnp.inf)
+    nearest = jnp.min(jnp.linalg.norm(people.position - after.position, axis=-1))
     column, row = _cell(after, equipment)
     turned = jnp.abs(after.turn_rate) * CONTROL_PERIOD / (2 * jnp.pi / HEADINGS)
     return dataclasses.replace(

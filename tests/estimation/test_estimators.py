@@ -13,7 +13,7 @@ from dc2g_jax.estimation.estimators import for_some
 from dc2g_jax.grid import gridworld
 from dc2g_jax.grid.gridworld import belief_from_map
 from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.grid.terrain import FREE, OCCUPIED, OUTSIDE, ROAD, UNKNOWN
+from dc2g_jax.grid.terrain import FREE, FRONT_DOOR, NOTHING, OCCUPIED, OUTSIDE, ROAD, UNKNOWN
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.planners import DC2G, EXPLORE, TO_GOAL
 from dc2g_jax.planning.rules import complete_rules
@@ -96,9 +96,9 @@ def test_nobody_asks_on_the_way_to_a_goal_in_reach(street):
     assert not asked
 
 
-def test_a_network_predicts_nothing_from_free_and_occupied_cells():
-    rng = np.random.default_rng(0)
-    plain = rng.choice(np.array([UNKNOWN, FREE, OCCUPIED, OUTSIDE], np.uint8), (*SHAPE, 3))
+def test_a_network_predicts_nothing_without_classes():
+    kinds = np.array([UNKNOWN, FREE, OCCUPIED, FRONT_DOOR, NOTHING, OUTSIDE], np.uint8)
+    plain = np.random.default_rng(0).choice(kinds, (*SHAPE, 3))
     plain[4, 20, 1] = ROAD
     costs = random_network(Architecture(widths=(4, 4, 4, 4))).estimate(jnp.asarray(plain), ())
     assert costs.shape == (5, *SHAPE, 3)

@@ -355,6 +355,18 @@ def test_thresholds_are_those_of_map_saver():
         assert planner_of().plan(grid_of(world), place(1, 1)).mode == mode, value
 
 
+def test_a_network_predicts_nothing_from_an_occupancy_map():
+    """Neither from cells that were set aside nor from a door behind a wall."""
+    cells, robot = random_moment(4, free=0.95)
+    cells[:2, :3] = OCCUPIED
+    planner = planner_of(planner="dc2g", network=random_network(Architecture(widths=(4, 4, 4, 4))))
+    for doors in ([], [place(1, 0)[:2]]):
+        decision = planner.plan(grid_of(cells), place(*robot), doors=doors)
+        assert decision.mode == "explore"
+        assert {each.cost_to_go for each in decision.candidates} == {0.0}
+        planner.set_aside(decision.subgoal)
+
+
 def test_the_planner_goes_by_a_network_where_there_are_classes():
     cells, robot = random_moment(4, free=0.95)
     network = random_network(Architecture(widths=(4, 4, 4, 4)))

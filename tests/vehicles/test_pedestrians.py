@@ -79,6 +79,14 @@ def test_people_begin_on_sidewalks_away_from_the_vehicle(people, sidewalks):
     assert len(np.unique(people.heads_for, axis=0)) > 5
 
 
+def test_of_nobody_there_is_one_who_is_nowhere(placed, walks_once, sidewalks):
+    nobody = placed(jax.random.key(0), sidewalks, 0, jnp.zeros(2))
+    later = walks_once(jax.random.key(1), nobody, sidewalks, FAR_AWAY)
+    for people in (nobody, later):
+        assert people.position.shape == (1, 2)
+        assert np.abs(people.position).min() > NOWHERE / 2
+
+
 def test_people_walk_all_over_the_sidewalks_and_never_off_them(walks, people, sidewalks):
     walked = jax.device_get(walks(jax.random.key(1), people, FAR_AWAY))
     free = np.asarray(sidewalks.cells)
