@@ -121,7 +121,7 @@ def _draw_robot(axes: Axes, frames: Frames, frame: int) -> None:
     axes.plot(x[-1:], y[-1:], marker=marker, **_scaled(axes, _ROBOT))
 
 
-def _draw_way(axes: Axes, house: House, way: Pose) -> None:
+def _draw_path(axes: Axes, house: House, way: Pose) -> None:
     """Draw the whole map and a path on it, colored from start to end."""
     _draw_map(axes, house.terrain, np.ones(house.terrain.shape, bool), (int(way.x[-1]), int(way.y[-1])))
     points = np.stack([way.x, way.y], axis=-1).astype(float)
@@ -136,9 +136,9 @@ def _draw_way(axes: Axes, house: House, way: Pose) -> None:
     axes.plot(way.x[-1:], way.y[-1:], marker=marker, **_scaled(axes, _ROBOT))
 
 
-def _way_bar(sheet: Sheet, place: float) -> None:
+def _path_bar(sheet: Sheet, place: float) -> None:
     colors = ScalarMappable(Normalize(0, 1), _WAY_COLORS)
-    sheet.bar(place, colors, "the way", ticks=[0, 1], format=lambda value, _: ("start", "end")[int(value)])
+    sheet.bar(place, colors, "path", ticks=[0, 1], format=lambda value, _: ("start", "end")[int(value)])
 
 
 def _draw_cost(axes: Axes, share: Float[np.ndarray, "h w"], shown: np.ndarray, blocked: np.ndarray) -> None:
@@ -212,7 +212,7 @@ def plot_episode(
         exact = exact_cost_to_go(house)
         high = highest_cost(house, frames_by_planner, exact)
         sheet.bar(0, ScalarMappable(Normalize(0, high), COST_COLORS), "cost-to-go (cells)", extend="max")
-    _way_bar(sheet, 1 if estimates else 0.5)
+    _path_bar(sheet, 1 if estimates else 0.5)
     row = 0
     for planner, frames in frames_by_planner.items():
         chosen = moments(frames, count)
@@ -224,7 +224,7 @@ def plot_episode(
             robot = int(frames.pose.x[frame]), int(frames.pose.y[frame])
             _draw_map(axes, house.terrain, frames.seen[frame], robot)
             _draw_robot(axes, frames, frame)
-        _draw_way(sheet.panel(row, count, titles[planner][-1]), house, frames.pose)
+        _draw_path(sheet.panel(row, count, titles[planner][-1]), house, frames.pose)
         row += 1
         if frames.cost_to_go is not None:
             _draw_costs([sheet.panel(row, column) for column in range(len(chosen))], house, frames, chosen, high)
@@ -278,6 +278,6 @@ def plot_trajectories(
     sheet = empty_sheet(house.terrain.shape, rows, columns, entries, list(titles.values()))
     for number, (planner, result) in enumerate(result_by_planner.items()):
         axes = sheet.panel(*divmod(number, columns), titles[planner], planner_style(planner).color)
-        _draw_way(axes, house, poses_along(result, house))
-    _way_bar(sheet, 0.5)
+        _draw_path(axes, house, poses_along(result, house))
+    _path_bar(sheet, 0.5)
     return save_figure(sheet.figure, path, dpi=DPI)

@@ -154,7 +154,7 @@ def _draw_distance(axes: Axes, terrain: UInt8[np.ndarray, "h w"], cost_to_go: Fl
     axes.add_collection(LineCollection(cell_rim(leading), colors="#444444", linewidths=0.5), autolim=False)
     _draw_goals(axes, terrain)
     if not np.any(leading):
-        axes.text(0.5, 0.5, "no way to a goal", transform=axes.transAxes, ha="center", va="center", fontsize=10)
+        axes.text(0.5, 0.5, "no path to a goal", transform=axes.transAxes, ha="center", va="center", fontsize=10)
         return
     width, height = axes.bbox.width / axes.figure.dpi, axes.bbox.height / axes.figure.dpi
     length = max(width, _LEGEND_WIDTH) * 0.7

@@ -39,12 +39,12 @@ class Frames:
       field_of_view: cells in view from the pose.
       reachable: observed traversable cells connected to the robot.
       candidates: frontier-expanding poses by the rules, whether or not the planner asks for them.
-      subgoals: poses the plan leads into: of `Plan.subgoals` those nearest to the robot; all where there is no way.
+      subgoals: poses the plan leads into: of `Plan.subgoals` those nearest to the robot; all where there is no path.
       mode: plan mode, see `dc2g_jax.planning.planners`.
       action: what the planner decides here. Equal to the action taken where planner and rules are those of the
         episode; without meaning in the last frame.
       length: actions from the robot to the subgoal.
-      to_goal: actions an oracle needs from here to the nearest goal, -1 where there is no way.
+      to_goal: actions an oracle needs from here to the nearest goal, -1 where there is no path.
       cost_to_go: the planner's estimate of the cost-to-go, as its selection rule takes it: most often the mean of its
         outcomes. Where it does not explore, the last one it went by. `None` if it makes none or never explores.
       frontier: frontier cells, whatever the rules count: reachable, with an unobserved 4-neighbor (paper, section
@@ -53,7 +53,7 @@ class Frames:
         weighted distance, patience lost, less information to be gained, or the distance alone for one that has no
         score. NaN on all other cells.
       path: the plan as poses from the robot's own to the subgoal, both included: columns, rows, headings; none where
-        there is no way.
+        there is no path.
       in_cells: is `cost_to_go` in cells? Otherwise in parts of the highest cost, 0 to 1.
     """
 
@@ -191,7 +191,7 @@ def actions_from_letters(letters: str) -> Int8[np.ndarray, "actions"]:
 def running_extra_steps(frames: Frames) -> Float[np.ndarray, "t"]:
     """Extra steps made so far in percent of the oracle's: 100 (steps + steps left - oracle's) / oracle's.
 
-    Never falls, and ends at the episode's extra steps where the goal is reached. NaN where there is no way to a goal,
+    Never falls, and ends at the episode's extra steps where the goal is reached. NaN where there is no path to a goal,
     or the robot starts on one.
     """
     steps = np.arange(len(frames))

@@ -33,7 +33,7 @@ def cost_to_go_skimage(traversable: Cells, goals: Cells) -> CostGrid:
       goals: goal cells, bool [h w], one at least.
 
     Returns:
-      Costs in cells, infinity where there is no way.
+      Costs in cells, infinity where there is no path.
     """
     from skimage.graph import MCP_Geometric
 

@@ -229,7 +229,7 @@ def shortest_actions(free: Array, pose: Pose, is_target: Array) -> list[int] | N
 
 
 def distances_from(free: Array, pose: Pose) -> Array:
-    """Actions needed from a pose to every other: int [4 h w], -1 where there is no way."""
+    """Actions needed from a pose to every other: int [4 h w], -1 where there is no path."""
     distances = np.full((4, *free.shape), -1)
     parents: dict[Pose, tuple[Pose, int] | None] = {}
     for x, y, heading in _breadth_first(free, pose, parents):
@@ -245,7 +245,7 @@ def _grown(cells: Array) -> Array:
 
 
 def cost_to_go(traversable: Array, goals: Array) -> Array:
-    """Least travel cost to the nearest goal, 8-connected: float64 [h w]; inf where there is no way.
+    """Least travel cost to the nearest goal, 8-connected: float64 [h w]; inf where there is no path.
 
     While no goal cell is traversable, the goal is grown by a 3x3 square; then its traversable cells cost 0.
     """
