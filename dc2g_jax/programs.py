@@ -8,13 +8,16 @@ compiled here or in the commands goes through `jit` below, which also looks at t
 import functools
 import threading
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
+from jax.experimental.xla_metadata import set_xla_metadata
 
 #: Programs that each function keeps, by the classes they were traced for; the oldest one is dropped. A process can map
 #: only so much memory: on a CPU, rollout programs of some 200 classes exhausted it.
 _KEPT = 64
+
+_Result = TypeVar("_Result")
 
 
 def node_types(tree: Any) -> tuple[type, ...]:
@@ -73,3 +76,20 @@ class jit:
     def compiled_count(self) -> int:
         """Number of compiled programs that are kept."""
         return sum(program._cache_size() for program in self._programs.values())
+
+
+def apart(function: Callable[..., _Result], *args: Any) -> _Result:
+    """`function(*args)` within a program, compiled by itself on a CPU.
+
+    Its arguments are computed once. Fused with the function, they may be computed again for each of its elements.
+
+    Args:
+      function: a pure function.
+      *args: its arguments.
+    """
+    program = jit(function)
+
+    def call(*args: Any) -> _Result:
+        return jax.tree.map(functools.partial(set_xla_metadata, inlineable="false"), program(*args))
+
+    return jax.lax.platform_dependent(*args, cpu=call, default=program)

@@ -64,9 +64,7 @@ def full(height: int, width: int) -> UInt32[np.ndarray, "n_words h"]:
 
 def complement(board: Board, width: int) -> Board:
     """The in-bounds cells that are not in the set, of a grid of `width` columns."""
-    n_words, height, *batch = board.shape
-    in_bounds = full(height, width).reshape(n_words, height, *(1 for _ in batch))
-    return ~board & in_bounds
+    return ~board & full(1, width).reshape(-1, *(1 for _ in board.shape[1:]))
 
 
 def single(x: Int[Array, "*batch"], y: Int[Array, "*batch"], n_words: int, height: int) -> Board:

@@ -17,6 +17,7 @@ from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.search import FirstAction
 from dc2g_jax.planning.rules import Rules
+from dc2g_jax.programs import apart
 
 #: Words and rows of a window: 15 cells or more on either side of the robot.
 _WORDS, _ROWS = 2, 32
@@ -85,13 +86,17 @@ def nearby(belief: Belief, before: Board, rules: Rules) -> Nearby | None:
         outside=cut(outside if belief.outside is None else outside | belief.outside),
         **{name: cut(getattr(belief, name)) for name in ("classes", "seen", "traversable", "goals")},
     )
-    robot = bitboard.single(part.pose.x, part.pose.y, _WORDS, _ROWS)
-    ground = bitboard.flood(robot | cut(before), part.traversable)
+
+    def decide(part: Belief, before: Board) -> tuple[Board, FirstAction]:
+        robot = bitboard.single(part.pose.x, part.pose.y, _WORDS, _ROWS)
+        ground = bitboard.flood(robot | before, part.traversable)
+        return ground, search.first_action(part.pose, rules.frontier_expanding(part, ground), ground)
+
+    ground, first = apart(decide, part, cut(before))
     reachable = jax.lax.dynamic_update_slice(before, ground, (word, row, 0))
-    first = search.first_action(part.pose, rules.frontier_expanding(part, ground), ground)
     # These cells are connected to the robot. If no step leads out of them, they are all that is reachable.
-    complete = ~bitboard.intersects(bitboard.neighbors(reachable) & ~reachable, belief.traversable)
-    explores = first.found & ~bitboard.intersects(reachable, belief.goals)
+    leads_out = bitboard.neighbors(reachable) & ~reachable & belief.traversable
+    explores = first.found & bitboard.is_empty(leads_out | (reachable & belief.goals))
     # Poses no farther away than the nearest one found have all that they depend on within the window.
     within = first.length + rules.reach <= _margin((word, row), part.pose, n_words, height)
-    return Nearby((complete & explores & within)[0], reachable, first)
+    return Nearby((explores & within)[0], reachable, first)
