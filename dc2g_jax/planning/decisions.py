@@ -195,7 +195,7 @@ def _sum(best: Candidate, away: str) -> str:
         return f": {away} away"
     for_distance = best.score - best.cost_to_go - best.penalty
     others = (for_distance, away), (best.penalty, "what it reveals" if best.penalty < 0 else "decisions near it")
-    shown = [f"{best.cost_to_go:.1f} predicted cost-to-go" if best.cost_to_go else "nothing predicted"]
+    shown = [f"{best.cost_to_go:.1f} predicted cost-to-go"]
     shown += [f"{'-' if value < 0 else '+'} {abs(value):.1f} for {what}" for value, what in others if abs(value) > 0.05]
     return f" = {' '.join(shown)}" + ("" if abs(for_distance) > 0.05 else f", {away} away")
 
