@@ -22,7 +22,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int8, Int32, UInt, UInt8
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.grid.terrain import CLASS_BITS, CLASS_NAMES, UNKNOWN
+from dc2g_jax.grid.terrain import CLASS_BITS, CLASS_NAMES, NOTHING, UNKNOWN
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, check_shapes, points, rays
 
 #: Log-odds are stored as integers in this unit.
@@ -40,9 +40,6 @@ MOST_CONFIDENT = 15
 
 #: Largest number of voxels in a map: as many as 32-bit integers can count for each class.
 MOST_VOXELS = 2 ** (31 - CLASS_BITS) - 1
-
-#: Class of an obstacle without label.
-_UNLABELED_OBSTACLE = CLASS_NAMES.index("nothing")
 
 _CONFIDENCE_BITS = MOST_CONFIDENT.bit_length()
 
@@ -184,7 +181,7 @@ def terrain_map(semantic_map: SemanticMap, settings: MapSettings) -> UInt8[Array
     )
     obstacle, labeled = _winner(counts)
     ground = jnp.where(semantic_map.occupied[0], semantic_map.classes[0], jnp.uint8(UNKNOWN))
-    obstacle = jnp.where(labeled, obstacle, jnp.uint8(_UNLABELED_OBSTACLE))
+    obstacle = jnp.where(labeled, obstacle, jnp.uint8(NOTHING))
     return jnp.where(jnp.any(standing, axis=0), obstacle, ground)
 
 

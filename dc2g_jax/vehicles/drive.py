@@ -26,7 +26,7 @@ from dc2g_jax.grid import bitboard, search
 from dc2g_jax.grid.gridworld import Belief, belief_from_map
 from dc2g_jax.grid.poses import HEADINGS, Pose, PoseSet, moved
 from dc2g_jax.grid.sensing import Kernel
-from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE, UNKNOWN
+from dc2g_jax.grid.terrain import FREE, FRONT_DOOR, NOTHING, TRAVERSABLE, UNKNOWN
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, level_camera
 from dc2g_jax.mapping.noise import NoiseLevels, PoseDrift, drift_on, drifted, no_drift, noisy_frame
@@ -59,8 +59,6 @@ _NEW_MAPS = 3
 
 #: The robot has turned to a yaw if it differs by less, radians.
 _TURNED = 0.1
-
-_NOTHING, _GROUND = CLASS_NAMES.index("nothing"), CLASS_NAMES.index("traversable")
 
 
 @struct.dataclass
@@ -244,12 +242,12 @@ def sensed(robot: Robot, site: Site, equipment: Equipment) -> tuple[Frame, Robot
 def _with_terrain(robot: Robot, equipment: Equipment) -> Robot:
     """Update the terrain from the map and the corrections."""
     terrain = jnp.where(robot.prior != UNKNOWN, robot.prior, terrain_map(robot.map, equipment.mapping))
-    terrain = jnp.where(robot.missed & (terrain == UNKNOWN), jnp.uint8(_NOTHING), terrain)
-    terrain = jnp.where(robot.no_door & (terrain == FRONT_DOOR), jnp.uint8(_GROUND), terrain)
+    terrain = jnp.where(robot.missed & (terrain == UNKNOWN), jnp.uint8(NOTHING), terrain)
+    terrain = jnp.where(robot.no_door & (terrain == FRONT_DOOR), jnp.uint8(FREE), terrain)
     # The robot is on traversable ground.
     column, row = _cell(believed(robot), equipment)
     here = terrain[row, column]
-    here = jnp.where(jnp.asarray(TRAVERSABLE)[here], here, jnp.uint8(_GROUND))
+    here = jnp.where(jnp.asarray(TRAVERSABLE)[here], here, jnp.uint8(FREE))
     return dataclasses.replace(robot, terrain=terrain.at[row, column].set(here))
 
 
