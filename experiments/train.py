@@ -53,7 +53,9 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
       after: folder of a trained network, or hf://owner/name, to start from: training begins with its weights, and masks
         of robots that it leads are added to the others (DAgger).
       loss: quantile, l1, l2, huber or log, or a weighted sum of them such as quantile=1,log=0.5.
-      widths: channels of the network at 1/2, 1/4, 1/8 and 1/16 of the map's resolution, such as 16 32 64 128.
+      patch: side of the patches that the network splits a map into, in cells.
+      embedding: hidden features of each patch; 0 for none.
+      widths: channels of the network at each scale, from the finest; each has half the resolution of the one before.
       quantiles: levels of the predicted quantiles: the middles of equal parts of the distribution, since planners treat
         the predictions as equally likely.
       steps: optimizer steps.
@@ -68,13 +70,15 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
     data: tyro.conf.OmitArgPrefixes[DataConfig] = dataclasses.field(default_factory=DataConfig)
     after: NetworkOption = None
     loss: str = "quantile"
+    patch: int = Architecture.patch
+    embedding: int = Architecture.embedding
     widths: tuple[int, ...] = Architecture.widths
     quantiles: tuple[float, ...] = Architecture.quantiles
     steps: int = TrainingConfig.steps
     batch_size: int = TrainingConfig.batch_size
     learning_rate: float = TrainingConfig.learning_rate
     seed: int = 0
-    validate_every: int = 4000
+    validate_every: int = 16000
     minutes_per_checkpoint: float = 2.0
     record: bool = False
     connect: Annotated[str | None, tyro.conf.arg(metavar="URL")] = None
@@ -93,7 +97,9 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
                 f"give the middles of equal parts, such as {' '.join(map(str, middles))}"
             )
         return TrainingConfig(
-            architecture=Architecture(widths=self.widths, quantiles=self.quantiles, side=side),
+            architecture=Architecture(
+                self.widths, self.quantiles, side=side, patch=self.patch, embedding=self.embedding
+            ),
             steps=self.steps,
             batch_size=self.batch_size,
             losses=parse_losses(self.loss),
@@ -112,7 +118,8 @@ def compact_network(place: str | Path, architecture: Architecture) -> tuple[Netw
     network = load_network(folder)
     if not isinstance(network, NetworkCostToGo) or network.architecture != architecture:
         raise InputError(
-            f"{place}: is a network of another architecture; give --widths and --quantiles as it was trained with"
+            f"{place}: is a network of another architecture; give --patch, --embedding, --widths and --quantiles as it "
+            "was trained with"
         )
     return network, read_object(folder / CARD, "give another network")
 

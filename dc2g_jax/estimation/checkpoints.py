@@ -54,6 +54,8 @@ def _read_compact(facts: Any) -> Architecture:
         quantiles=tuple(map(number, facts["quantiles"])),
         cost_scale=number(facts["cost_scale"]),
         side=whole_number(facts.get("side", Architecture.side)),
+        patch=whole_number(facts.get("patch", 2)),  # not said by networks of version 0.1
+        embedding=whole_number(facts.get("embedding", 0)),
     )
 
 

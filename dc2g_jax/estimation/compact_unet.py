@@ -14,8 +14,8 @@ from dc2g_jax.estimation.weights import fresh_weights, shapes_of_weights, with_w
 from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.programs import jit
 
-#: Number of times that the network halves the resolution.
-_HALVINGS = 4
+#: Largest side of a patch, in cells, and most scales.
+_LARGEST_PATCH, _MOST_SCALES = 64, 16
 
 #: Largest number of channels.
 _WIDEST = 4096
@@ -29,25 +29,30 @@ class Architecture:
     """Architecture of a `CompactUNet`.
 
     Attributes:
-      widths: channels at 1/2, 1/4, 1/8 and 1/16 of the map's resolution.
+      widths: channels at each scale, from the finest; each scale has half the resolution of the one before.
       quantiles: levels of the predicted quantiles of the cost-to-go, ascending, each between 0 and 1. Evenly spaced
         ones, (i + 1/2) / n, are equally likely outcomes.
       cost_scale: cells of cost-to-go per unit of the last layer's output.
       side: longer side of the training maps, in cells. A planner's larger maps are resampled to it.
+      patch: side of the square patches of cells that are the finest scale, in cells.
+      embedding: hidden features of each patch, which the first scale and the output are computed from. 0 for none: the
+        first scale is linear in the cells of a patch, and the output in the last features.
 
     Raises:
-      InputError: widths, quantiles, the scale of costs or the side are invalid.
+      InputError: a number is invalid.
     """
 
-    widths: tuple[int, ...] = (16, 32, 64, 128)
+    widths: tuple[int, ...] = (16, 32, 64)
     quantiles: tuple[float, ...] = (0.1, 0.3, 0.5, 0.7, 0.9)
     cost_scale: float = 32.0
     side: int = 50
+    patch: int = 5
+    embedding: int = 64
 
     def __post_init__(self) -> None:
-        if len(self.widths) != _HALVINGS or not 1 <= min(self.widths) <= max(self.widths) <= _WIDEST:
+        if not 2 <= len(self.widths) <= _MOST_SCALES or not 1 <= min(self.widths) <= max(self.widths) <= _WIDEST:
             raise InputError(
-                f"widths {short(self.widths)}: the network has {_HALVINGS} scales; give each a width of 1 to {_WIDEST}"
+                f"widths {short(self.widths)}: give 2 to {_MOST_SCALES} scales, each with a width of 1 to {_WIDEST}"
             )
         levels = self.quantiles
         if not levels or list(levels) != sorted(set(levels)) or not 0 < levels[0] <= levels[-1] < 1:
@@ -56,6 +61,10 @@ class Architecture:
             raise InputError(f"cost_scale {short(self.cost_scale)}: give cells, a number above 0")
         if not 1 <= self.side <= _LONGEST_SIDE:
             raise InputError(f"side {short(self.side)}: give 1 to {_LONGEST_SIDE} cells")
+        if not 1 <= self.patch <= _LARGEST_PATCH:
+            raise InputError(f"patch {short(self.patch)}: give 1 to {_LARGEST_PATCH} cells")
+        if not 0 <= self.embedding <= _WIDEST:
+            raise InputError(f"embedding {short(self.embedding)}: give 1 to {_WIDEST} features, or 0 for none")
 
 
 def patches(grid: Shaped[Array, "b h w c"], side: int) -> Shaped[Array, "b h2 w2 c2"]:
@@ -117,34 +126,41 @@ class CompactUNet(nnx.Module):
     """A small U-Net from classes to quantiles of the cost-to-go, in cells.
 
     Classes are one-hot, so an unobserved cell (class 0) differs from a cell outside the map (all zeros). The input is
-    split into 2x2 patches, so all convolutions work at half the map's resolution or less.
+    split into patches, so all convolutions work at the resolution of patches or less.
     """
 
     def __init__(self, architecture: Architecture, *, rngs: nnx.Rngs):
-        widths, levels = architecture.widths, architecture.quantiles
+        widths, area, embedding = architecture.widths, architecture.patch**2, architecture.embedding
+        scales = range(1, len(widths))
         self.architecture = architecture
-        self.embed = nnx.Linear(4 * len(CLASS_NAMES), widths[0], rngs=rngs)
+        self.embed = nnx.Linear(area * len(CLASS_NAMES), embedding or widths[0], rngs=rngs)
+        if embedding:
+            self.narrow = nnx.Linear(embedding, widths[0], rngs=rngs)
+            self.mix = nnx.Linear(widths[0] + embedding, embedding, rngs=rngs)
         self.local = Residual(widths[0], rngs=rngs)
-        self.down1 = Down(widths[0], widths[1], rngs=rngs)
-        self.down2 = Down(widths[1], widths[2], rngs=rngs)
-        self.down3 = Down(widths[2], widths[3], rngs=rngs)
-        self.context = Residual(widths[3], rngs=rngs)
-        self.up3 = Up(widths[3], widths[2], rngs=rngs)
-        self.up2 = Up(widths[2], widths[1], rngs=rngs)
-        self.up1 = Up(widths[1], widths[0], rngs=rngs)
-        self.head = nnx.Linear(widths[0], 4 * len(levels), rngs=rngs)
+        for scale in scales:
+            setattr(self, f"down{scale}", Down(widths[scale - 1], widths[scale], rngs=rngs))
+        self.context = Residual(widths[-1], rngs=rngs)
+        for scale in reversed(scales):
+            setattr(self, f"up{scale}", Up(widths[scale], widths[scale - 1], rngs=rngs))
+        self.head = nnx.Linear(embedding or widths[0], area * len(architecture.quantiles), rngs=rngs)
 
     def __call__(self, terrain: UInt8[Array, "b h w"]) -> Float[Array, "b h w quantiles"]:
         """Quantiles of every cell's cost-to-go, in cells, from observed class indices (0 = not observed)."""
         height, width = terrain.shape[1:]
+        patch, scales = self.architecture.patch, range(1, len(self.architecture.widths))
         classes = jax.nn.one_hot(terrain, len(CLASS_NAMES))
-        classes = jnp.pad(classes, ((0, 0), (0, height % 2), (0, width % 2), (0, 0)))
-        at2 = self.local(self.embed(patches(classes, 2)))
-        at4 = self.down1(at2)
-        at8 = self.down2(at4)
-        at16 = self.context(self.down3(at8))
-        features = self.up1(self.up2(self.up3(at16, at8), at4), at2)
-        cells = unpatched(self.head(nnx.relu(features)), 2)[:, :height, :width]
+        classes = jnp.pad(classes, ((0, 0), (0, -height % patch), (0, -width % patch), (0, 0)))
+        embedded = self.embed(patches(classes, patch))
+        encoded = [self.local(self.narrow(nnx.relu(embedded)) if self.architecture.embedding else embedded)]
+        for scale in scales:
+            encoded.append(getattr(self, f"down{scale}")(encoded[-1]))
+        features = self.context(encoded[-1])
+        for scale in reversed(scales):
+            features = getattr(self, f"up{scale}")(features, encoded[scale - 1])
+        if self.architecture.embedding:
+            features = self.mix(nnx.relu(jnp.concatenate([features, embedded], axis=-1)))
+        cells = unpatched(self.head(nnx.relu(features)), patch)[:, :height, :width]
         return self.architecture.cost_scale * (1 + cells)
 
 

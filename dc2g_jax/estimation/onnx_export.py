@@ -74,17 +74,23 @@ class _Graph:
 def _add_network(graph: _Graph, network: NetworkCostToGo) -> str:
     """Add the nodes of `dc2g_jax.estimation.compact_unet.CompactUNet`, from `classes` to the quantiles in cells."""
     weights, count = jax.tree.map(np.asarray, network.weights), len(CLASS_NAMES)
+    patch, scales = network.architecture.patch, range(1, len(network.architecture.widths))
     indices = graph.add("Cast", "classes", to=onnx.TensorProto.INT64)
     classes = graph.add("OneHot", indices, np.int64(count), np.array([0, 1], np.float32), axis=1)
-    # A linear map of 2x2 patches is a convolution with stride 2.
-    embed = weights["embed"]["kernel"].reshape(2, 2, count, -1)
-    at2 = graph.residual(graph.conv(classes, embed, weights["embed"]["bias"], stride=2), weights["local"])
-    at4 = graph.down(at2, weights["down1"])
-    at8 = graph.down(at4, weights["down2"])
-    features = graph.residual(graph.down(at8, weights["down3"]), weights["context"])
-    for skipped, name in ((at8, "up3"), (at4, "up2"), (at2, "up1")):
-        features = graph.up(features, skipped, weights[name])
-    cells = graph.add("DepthToSpace", graph.linear(features, weights["head"]), blocksize=2, mode="DCR")
+    # A linear map of patches is a convolution with their side as the stride.
+    kernel = np.transpose(weights["embed"]["kernel"].reshape(patch, patch, count, -1), (3, 2, 0, 1))
+    strides, pads = [patch, patch], [0, 0, patch - 1, patch - 1]
+    embedded = graph.add("Conv", classes, kernel, weights["embed"]["bias"], strides=strides, pads=pads)
+    finest = graph.linear(embedded, weights["narrow"]) if network.architecture.embedding else embedded
+    encoded = [graph.residual(finest, weights["local"])]
+    for scale in scales:
+        encoded.append(graph.down(encoded[-1], weights[f"down{scale}"]))
+    features = graph.residual(encoded[-1], weights["context"])
+    for scale in reversed(scales):
+        features = graph.up(features, encoded[scale - 1], weights[f"up{scale}"])
+    if network.architecture.embedding:
+        features = graph.linear(graph.add("Concat", features, embedded, axis=1), weights["mix"])
+    cells = graph.add("DepthToSpace", graph.linear(features, weights["head"]), blocksize=patch, mode="DCR")
     scaled = graph.add("Mul", graph.add("Add", cells, np.float32(1)), np.float32(network.architecture.cost_scale))
     return graph.cropped(scaled, graph.add("Shape", "classes", start=1))
 

@@ -21,7 +21,7 @@ from dc2g_jax.grid.world import World
 
 
 def _convolved(
-    map_shape: tuple[Int[Array, ""], Int[Array, ""]],
+    map_shape: tuple[Int[Array, ""], ...],
     grid_shape: tuple[int, ...],
     features: Float[Array, "1 h w c"],
     kernel: Float[Array, "3 3 c d"],
@@ -31,7 +31,7 @@ def _convolved(
 ) -> Float[Array, "1 h2 w2 d"]:
     """`jax.lax.conv_general_dilated` with padding `SAME`, applied to the map's part of the features.
 
-    The shape of the features tells how often the grid was halved; the map was halved as often.
+    Shapes are in patches. That of the features tells how often the grid was halved; the map was halved as often.
     """
     del padding
     stride, shape = strides[0], features.shape[1:3]
@@ -74,9 +74,11 @@ class PaddedNetwork:
         architecture = self.network.architecture
         shrunk, map_shape, cells, cell_side = _shrunk(grid, architecture.side)
         network = compact_unet.build(architecture, self.network.weights)
+        map_patches = tuple(-(-size // architecture.patch) for size in map_shape)
+        grid_patches = tuple(-(-size // architecture.patch) for size in shrunk.shape)
         for _, module in nnx.iter_modules(network):
             if isinstance(module, nnx.Conv):
-                module.conv_general_dilated = functools.partial(_convolved, map_shape, shrunk.shape)
+                module.conv_general_dilated = functools.partial(_convolved, map_patches, grid_patches)
         answer = cell_side * network(shrunk[None])[0][cells]
         return zero_without_classes(terrain, jnp.moveaxis(answer, -1, 0).reshape(-1, *terrain.shape))
 

@@ -67,7 +67,7 @@ class TrainingConfig:
     """
 
     architecture: Architecture = dataclasses.field(default_factory=Architecture)
-    steps: int = 12000
+    steps: int = 48000
     batch_size: int = 64
     losses: tuple[tuple[str, float], ...] = (("quantile", 1.0),)
     learning_rate: float = 2e-3

@@ -17,7 +17,7 @@ from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.grid.world import world_from_terrain
 from tests.support import maps
 
-SMALL = Architecture(widths=(4, 4, 6, 8), quantiles=(0.25, 0.5, 0.75), cost_scale=10.0)
+SMALL = Architecture(widths=(4, 4, 6), quantiles=(0.25, 0.5, 0.75), cost_scale=10.0, patch=3, embedding=5)
 apply = jax.jit(functools.partial(compact_unet.apply, SMALL))
 
 
@@ -68,9 +68,17 @@ def test_the_pure_function_is_the_module():
     np.testing.assert_allclose(apply(weights, terrain), module(terrain), rtol=1e-5, atol=1e-5)
 
 
-def test_another_number_of_scales_is_refused():
-    with pytest.raises(InputError, match=r"widths \(4, 4\).*4 scales"):
-        Architecture(widths=(4, 4))
+@pytest.mark.parametrize(
+    ("facts", "message"),
+    [
+        ({"widths": (4,)}, r"widths \(4,\): give 2"),
+        ({"patch": 0}, "patch 0: give 1"),
+        ({"embedding": -1}, "embedding -1"),
+    ],
+)
+def test_invalid_architectures_are_refused(facts, message):
+    with pytest.raises(InputError, match=message):
+        Architecture(**facts)
 
 
 @pytest.mark.parametrize("levels", [(), (0.5, 0.1), (0.5, 0.5), (0.0, 0.5), (0.5, 1.0)])
@@ -121,18 +129,23 @@ def test_the_exact_estimator_knows_the_hidden_map(street):
     np.testing.assert_allclose(wrong.estimate(nothing, wrong.init(world)), estimate * np.exp(error), rtol=1e-6)
 
 
-@pytest.mark.parametrize("widths", [(4, 8, 16, 32), (16, 32, 64, 128)])
-def test_multiply_accumulates(widths):
-    """Counted layer by layer, for maps whose sides halve four times without rest."""
-    a, b, c, d = widths
-    cells = {halvings: (48 // 2**halvings) ** 2 for halvings in (1, 2, 3, 4)}
-    residual = {width: 2 * 9 * width * width for width in widths}
-    by_hand = (
-        cells[1] * (4 * len(CLASS_NAMES) * a + 2 * residual[a] + a * 4 * 5)
-        + cells[2] * (9 * a * b + 2 * residual[b] + b * a)
-        + cells[3] * (9 * b * c + 2 * residual[c] + c * b)
-        + cells[4] * (9 * c * d + 2 * residual[d] + d * c)
-    )
-    # Where a kernel hangs over the map's edge nothing is multiplied.
-    counted = compact_unet.multiply_accumulates(Architecture(widths=widths), 48, 48)
-    assert 0.75 * by_hand < counted < by_hand
+@pytest.mark.parametrize(
+    "architecture",
+    [Architecture(), Architecture(widths=(4, 8, 16, 32), patch=3, embedding=0), Architecture((8, 16), patch=4)],
+)
+def test_multiply_accumulates(architecture):
+    """Counted layer by layer, for maps whose patches halve without rest."""
+    widths, area, embedding = architecture.widths, architecture.patch**2, architecture.embedding
+    side = architecture.patch * 32
+    cells = [(32 >> scale) ** 2 for scale in range(len(widths))]
+    residual = [2 * 9 * width * width for width in widths]
+    finest = embedding or widths[0]
+    linear = area * len(CLASS_NAMES) * finest + finest * area * len(architecture.quantiles)
+    linear += embedding * widths[0] + (widths[0] + embedding) * embedding
+    by_hand = cells[0] * (linear + 2 * residual[0])
+    for scale in range(1, len(widths)):
+        wider, narrower = widths[scale], widths[scale - 1]
+        by_hand += cells[scale] * (9 * narrower * wider + 2 * residual[scale] + wider * narrower)
+    # Where a kernel hangs over the map's edge nothing is multiplied. Additions and the like count too.
+    counted = compact_unet.multiply_accumulates(architecture, side, side)
+    assert 0.75 * by_hand < counted < 1.02 * by_hand
