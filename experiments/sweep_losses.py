@@ -60,7 +60,7 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
       data: houses and masks.
       losses: losses to try: quantile, l1, l2, huber, log, or weighted sums of them such as quantile=1,log=0.5.
       learning_rates: peak learning rates to try.
-      widths: networks to try, each given by its channels at four scales: 16,32,64,128 8,16,32,64 are two.
+      widths: networks to try, each given by its channels at each scale: 24,48,96 and 16,32,64,128 are two.
       seeds: seeds to try.
       steps: optimizer steps of each run.
       batch_size: pairs per step of each run.
@@ -90,7 +90,7 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
         try:
             widths = [tuple(int(width) for width in text.split(",")) for text in self.widths]
         except ValueError:
-            raise InputError(f"widths: {' '.join(self.widths)}; give whole numbers such as 16,32,64,128") from None
+            raise InputError(f"widths: {' '.join(self.widths)}; give whole numbers such as 24,48,96") from None
         return sweeps.runs_of_grid(
             TrainingConfig(Architecture(side=side), steps=self.steps, batch_size=self.batch_size),
             losses=self.losses,

@@ -146,6 +146,7 @@ def model_card(
         "loss": options.loss,
         "command": command_written(),
         "commit": commit(),
+        "devices": f"{jax.device_count()} x {jax.devices()[0].device_kind}",
         "seed": options.seed,
         "steps": step,
         "validation": figures,

@@ -42,7 +42,7 @@ class Architecture:
       InputError: a number is invalid.
     """
 
-    widths: tuple[int, ...] = (16, 32, 64)
+    widths: tuple[int, ...] = (24, 48, 96)
     quantiles: tuple[float, ...] = (0.1, 0.3, 0.5, 0.7, 0.9)
     cost_scale: float = 32.0
     side: int = 50
