@@ -60,7 +60,7 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
       data: houses and masks.
       losses: losses to try: quantile, l1, l2, huber, log, or weighted sums of them such as quantile=1,log=0.5.
       learning_rates: peak learning rates to try.
-      widths: networks to try, each given by its channels at each scale: 24,48,96 and 16,32,64,128 are two.
+      widths: networks to try, each given by its channels from the finest scale: 24,48,96 16,32,64,128 are two.
       seeds: seeds to try.
       steps: optimizer steps of each run.
       batch_size: pairs per step of each run.

@@ -54,7 +54,7 @@ def _read_compact(facts: Any) -> Architecture:
         quantiles=tuple(map(number, facts["quantiles"])),
         cost_scale=number(facts["cost_scale"]),
         side=whole_number(facts.get("side", Architecture.side)),
-        patch=whole_number(facts.get("patch", 2)),  # not said by networks of version 0.1
+        patch=whole_number(facts.get("patch", 2)),  # absent from the cards of version 0.1, as is embedding
         embedding=whole_number(facts.get("embedding", 0)),
     )
 

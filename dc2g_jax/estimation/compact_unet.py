@@ -14,7 +14,7 @@ from dc2g_jax.estimation.weights import fresh_weights, shapes_of_weights, with_w
 from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.programs import jit
 
-#: Largest side of a patch, in cells, and most scales.
+#: Largest side of a patch in cells, and largest number of scales.
 _LARGEST_PATCH, _MOST_SCALES = 64, 16
 
 #: Largest number of channels.
@@ -34,12 +34,12 @@ class Architecture:
         ones, (i + 1/2) / n, are equally likely outcomes.
       cost_scale: cells of cost-to-go per unit of the last layer's output.
       side: longer side of the training maps, in cells. A planner's larger maps are resampled to it.
-      patch: side of the square patches of cells that are the finest scale, in cells.
-      embedding: hidden features of each patch, which the first scale and the output are computed from. 0 for none: the
-        first scale is linear in the cells of a patch, and the output in the last features.
+      patch: side of a square patch, in cells. The finest scale has one position for each patch.
+      embedding: number of hidden features of each patch, from which the first scale and the output are computed. With 0
+        there are none: the first scale is linear in the cells of a patch, and the output uses the scales alone.
 
     Raises:
-      InputError: a number is invalid.
+      InputError: an attribute is out of its range.
     """
 
     widths: tuple[int, ...] = (24, 48, 96)
@@ -126,7 +126,7 @@ class CompactUNet(nnx.Module):
     """A small U-Net from classes to quantiles of the cost-to-go, in cells.
 
     Classes are one-hot, so an unobserved cell (class 0) differs from a cell outside the map (all zeros). The input is
-    split into patches, so all convolutions work at the resolution of patches or less.
+    split into patches, so all convolutions work at the resolution of the patches or less.
     """
 
     def __init__(self, architecture: Architecture, *, rngs: nnx.Rngs):

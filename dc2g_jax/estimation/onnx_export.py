@@ -77,7 +77,7 @@ def _add_network(graph: _Graph, network: NetworkCostToGo) -> str:
     patch, scales = network.architecture.patch, range(1, len(network.architecture.widths))
     indices = graph.add("Cast", "classes", to=onnx.TensorProto.INT64)
     classes = graph.add("OneHot", indices, np.int64(count), np.array([0, 1], np.float32), axis=1)
-    # A linear map of patches is a convolution with their side as the stride.
+    # A linear map of each patch is a convolution whose kernel and stride are the patch's side.
     kernel = np.transpose(weights["embed"]["kernel"].reshape(patch, patch, count, -1), (3, 2, 0, 1))
     strides, pads = [patch, patch], [0, 0, patch - 1, patch - 1]
     embedded = graph.add("Conv", classes, kernel, weights["embed"]["bias"], strides=strides, pads=pads)

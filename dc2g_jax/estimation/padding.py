@@ -31,7 +31,7 @@ def _convolved(
 ) -> Float[Array, "1 h2 w2 d"]:
     """`jax.lax.conv_general_dilated` with padding `SAME`, applied to the map's part of the features.
 
-    Shapes are in patches. That of the features tells how often the grid was halved; the map was halved as often.
+    Both shapes are in patches. The features' shape tells how often the grid was halved; the map was halved as often.
     """
     del padding
     stride, shape = strides[0], features.shape[1:3]
