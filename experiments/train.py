@@ -119,7 +119,7 @@ def compact_network(place: str | Path, architecture: Architecture) -> tuple[Netw
     if not isinstance(network, NetworkCostToGo) or network.architecture != architecture:
         raise InputError(
             f"{place}: is a network of another architecture; give --patch, --embedding, --widths and --quantiles as it "
-            "was trained with"
+            "was trained with, and maps of its size"
         )
     return network, read_object(folder / CARD, "give another network")
 

@@ -45,7 +45,9 @@ def check_numbers(learning_rate: float, **counts: int) -> None:
 
 def least_memory(config: "TrainingConfig", height: int, width: int) -> float:
     """Bytes that a step surely needs for maps of this size: the pairs, and the features of the first layer."""
-    return config.batch_size * height * width * (9.0 + config.architecture.widths[0])
+    architecture = config.architecture
+    features = (architecture.embedding or architecture.widths[0]) / architecture.patch**2
+    return config.batch_size * height * width * (9.0 + 4 * features)
 
 
 @dataclasses.dataclass(frozen=True)

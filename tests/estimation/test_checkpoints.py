@@ -19,6 +19,7 @@ from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.grid.terrain import CLASS_NAMES
+from tests.support.networks import random_network
 
 N_SCALES = len(Architecture().widths)
 
@@ -265,6 +266,16 @@ def test_a_network_of_version_0_1_is_loaded_and_replaced(orbax_folder):
     assert_equal(load_network(orbax_folder), network())
     save_network(orbax_folder, network(seed=3))
     assert_equal(load_network(orbax_folder), network(seed=3))
+
+
+def test_a_card_of_version_0_1_does_not_tell_the_patch(tmp_path):
+    before = random_network(Architecture(widths=(4, 6), patch=2, embedding=0))
+    folder = save_network(tmp_path, before)
+    card = json.loads((folder / "network.json").read_text())
+    for name in ("side", "patch", "embedding"):
+        del card["architecture"][name]
+    (folder / "network.json").write_text(json.dumps(card))
+    assert load_network(folder).architecture == before.architecture
 
 
 def test_weights_of_another_architecture_in_version_0_1(orbax_folder, tmp_path):

@@ -23,9 +23,11 @@ from dc2g_jax.estimation.onnx_export import export_onnx  # noqa: E402
 from experiments.export_network import Options, main  # noqa: E402
 
 
-def random_network(widths: tuple[int, ...], quantiles: tuple[float, ...]) -> NetworkCostToGo:
+def random_network(
+    widths: tuple[int, ...], quantiles: tuple[float, ...], patch: int = 5, embedding: int = 6
+) -> NetworkCostToGo:
     """A network whose weights are all random: fresh ones are zero in many layers."""
-    architecture = Architecture(widths=widths, quantiles=quantiles, cost_scale=7.0)
+    architecture = Architecture(widths, quantiles, cost_scale=7.0, patch=patch, embedding=embedding)
     leaves, structure = jax.tree.flatten(init_weights(architecture, jax.random.key(0)))
     rng = np.random.default_rng(1)
     weights = [jnp.asarray(rng.normal(0, 0.3, leaf.shape), jnp.float32) for leaf in leaves]
@@ -53,8 +55,9 @@ def test_the_shipped_network_answers_alike(tmp_path, shape):
     assert wanted.std() > 1
 
 
-def test_every_layer_counts(tmp_path):
-    network = random_network((3, 5, 4, 6), (0.25, 0.75))
+@pytest.mark.parametrize(("patch", "embedding"), [(2, 0), (5, 6)])
+def test_every_layer_counts(tmp_path, patch, embedding):
+    network = random_network((3, 5, 4, 6), (0.25, 0.75), patch, embedding)
     export_onnx(network, tmp_path / "network.onnx")
     classes = np.random.default_rng(2).integers(0, len(CLASS_NAMES), (2, 19, 22)).astype(np.uint8)
     wanted = wanted_of(network, classes)

@@ -287,7 +287,7 @@ def test_help_may_be_cut_off():
         assert cut_off.returncode == 141
 
 
-def test_commands_refuse_what_they_cannot_use(few_houses, tmp_path):
+def test_commands_refuse_what_they_cannot_use(few_houses, tmp_path, compact_network):
     """As above, without a process for each."""
     out = tmp_path / "out"
     starts = tmp_path / "starts.csv"
@@ -309,6 +309,7 @@ def test_commands_refuse_what_they_cannot_use(few_houses, tmp_path):
     refused(head_to_head, "published houses")
     refused(train, "known losses: quantile, l1", loss="l9")
     refused(train, "--quantiles 0.5 0.9", "equally likely", "0.25 0.75", quantiles=(0.5, 0.9))
+    refused(train, "another architecture", "--widths", after=str(compact_network))
     refused(sweep_losses, "'none'", losses=("l1=none",))
     refused(run_episodes, "--planner dc2g dc2g", "once", starts=starts, planner=("dc2g", "dc2g"))
     refused(reproduce_fig5, "each once", seeds=(0, 0))
