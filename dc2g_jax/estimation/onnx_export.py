@@ -42,10 +42,11 @@ class _Graph:
         self.nodes.append(onnx.helper.make_node(operator, names, [name], name=name, **attributes))
         return name
 
-    def conv(self, features: str, kernel: Any, bias: Any, stride: int = 1) -> str:
-        """A convolution with a kernel [rows, columns, in, out], padded as Flax pads."""
+    def conv(self, features: str, kernel: Any, bias: Any, stride: int = 1, **padding: Any) -> str:
+        """A convolution with a kernel [rows, columns, in, out], padded as Flax pads unless `padding` says otherwise."""
         kernel = np.transpose(kernel, (3, 2, 0, 1))
-        return self.add("Conv", features, kernel, bias, strides=[stride, stride], auto_pad="SAME_UPPER")
+        padding = padding or {"auto_pad": "SAME_UPPER"}
+        return self.add("Conv", features, kernel, bias, strides=[stride, stride], **padding)
 
     def linear(self, features: str, weights: Mapping[str, Any]) -> str:
         return self.conv(self.add("Relu", features), weights["kernel"][None, None], weights["bias"])
@@ -78,9 +79,8 @@ def _add_network(graph: _Graph, network: NetworkCostToGo) -> str:
     indices = graph.add("Cast", "classes", to=onnx.TensorProto.INT64)
     classes = graph.add("OneHot", indices, np.int64(count), np.array([0, 1], np.float32), axis=1)
     # A linear map of each patch is a convolution whose kernel and stride are the patch's side.
-    kernel = np.transpose(weights["embed"]["kernel"].reshape(patch, patch, count, -1), (3, 2, 0, 1))
-    strides, pads = [patch, patch], [0, 0, patch - 1, patch - 1]
-    embedded = graph.add("Conv", classes, kernel, weights["embed"]["bias"], strides=strides, pads=pads)
+    kernel, pads = weights["embed"]["kernel"].reshape(patch, patch, count, -1), [0, 0, patch - 1, patch - 1]
+    embedded = graph.conv(classes, kernel, weights["embed"]["bias"], stride=patch, pads=pads)
     finest = graph.linear(embedded, weights["narrow"]) if network.architecture.embedding else embedded
     encoded = [graph.residual(finest, weights["local"])]
     for scale in scales:

@@ -17,7 +17,6 @@ SMALL = [
 ]
 
 alone = jax.jit(lambda network, terrain: network.estimate(terrain, ()))
-padded = jax.jit(lambda network, grid: PaddedNetwork(network).estimate(grid, ()))
 
 
 @pytest.fixture(scope="module", params=SMALL, ids=lambda architecture: f"patch {architecture.patch}")
@@ -25,19 +24,25 @@ def network(request) -> NetworkCostToGo:
     return random_network(request.param)
 
 
+@pytest.fixture(scope="module")
+def padded(network):
+    return jax.jit(lambda grid: PaddedNetwork(network).estimate(grid, ()))
+
+
 # Odd and even numbers of cells after none to four halvings; one that fills the grid; two that are resampled.
 @pytest.mark.parametrize(
     "shape", [(1, 1), (2, 3), (17, 32), (25, 26), (40, 50), (37, 61), (64, 9)], ids="{0[0]}x{0[1]}".format
 )
-def test_the_answer_is_that_to_the_map_alone(network, shape):
+def test_the_answer_is_that_to_the_map_alone(network, padded, shape):
     terrain = maps.random_terrain(sum(shape), shape, 0.6)
     terrain[maps.random_cells(sum(shape), shape, 0.5)] = 0
     wanted = np.asarray(alone(network, terrain))
     for grid_shape in ((64, 64), (70, 96)):
         grid = np.full(grid_shape, OUTSIDE, np.uint8)
         grid[: shape[0], : shape[1]] = terrain
-        answer = np.asarray(padded(network, grid))[:, : shape[0], : shape[1]]
+        answer = np.asarray(padded(grid))[:, : shape[0], : shape[1]]
         np.testing.assert_allclose(answer, wanted, rtol=1e-4, atol=1e-4)
+    assert padded._cache_size() <= 2
 
 
 @pytest.mark.parametrize("grid_shape", [(4, 64), (64, 3), (1, 20)], ids="{0[0]}x{0[1]}".format)
@@ -50,9 +55,9 @@ def test_a_grid_that_is_halved_to_one_row_before_its_columns_are(network, grid_s
     np.testing.assert_allclose(answer, np.asarray(alone(network, terrain)), rtol=1e-4, atol=1e-4)
 
 
-def test_where_the_map_ends_makes_a_difference(network):
+def test_where_the_map_ends_makes_a_difference(padded):
     grid = np.full((32, 32), OUTSIDE, np.uint8)
     grid[:20, :20] = 3
     beyond = np.where(grid == OUTSIDE, 0, grid).astype(np.uint8)
-    answer, other = (np.asarray(padded(network, each))[:, :20, :20] for each in (grid, beyond))
+    answer, other = (np.asarray(padded(each))[:, :20, :20] for each in (grid, beyond))
     assert np.abs(answer - other).max() > 1e-2

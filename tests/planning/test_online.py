@@ -48,7 +48,7 @@ OPEN_ENDED = (16, 16)
 @functools.cache
 def network() -> NetworkCostToGo:
     """A tiny network that has learned nothing."""
-    return random_network(Architecture(widths=(4, 4, 4, 4)))
+    return random_network(Architecture(widths=(4, 4, 4, 4), patch=2, embedding=0))
 
 
 @struct.dataclass
@@ -203,7 +203,7 @@ def check_ranking(decision: Decision, cells, distance, costs, score, gain) -> No
 def shown_sum(why: str) -> float:
     """The sum of the terms that a reason shows, each rounded to a tenth."""
     terms = re.search(
-        r" = (-?[\d.]+) predicted cost-to-go(?: \+ ([\d.]+) for \d+ actions?)?(?: - ([\d.]+) for what)?", why
+        r" = ([\d.]+) predicted cost-to-go(?: \+ ([\d.]+) for \d+ actions?)?(?: - ([\d.]+) for what)?", why
     )
     cost, distance, gain = (float(term or 0) for term in terms.groups())
     return cost + distance - gain
