@@ -6,6 +6,7 @@ convolutions see nothing beyond the map's edge, and larger maps than those of th
 
 import functools
 import itertools
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import jax
@@ -63,6 +64,10 @@ class PaddedNetwork:
     def init(self, world: World) -> tuple[()]:
         """Return the empty state."""
         return self.network.init(world)
+
+    def summarized(self, summary: Callable[[Array], Array]) -> "PaddedNetwork":
+        """See `NetworkCostToGo.summarized`."""
+        return PaddedNetwork(self.network.summarized(summary))
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "outcomes h w *batch"]:
         """The network's estimate for the map in a grid, in cells; undefined for `OUTSIDE` cells.

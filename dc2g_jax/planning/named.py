@@ -36,7 +36,7 @@ def _on_network(selection: Selection, estimator: Estimator, rules: Rules, patien
         gain_weight=3.0,
         headings=facing_most,
         patience=patience,
-        enough_news=0.25,
+        enough_news=1 / 3,
     )
 
 

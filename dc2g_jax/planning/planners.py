@@ -323,7 +323,7 @@ class DC2G(AssessingPlanner):
         told = jax.eval_shape(self._told, world.terrain, estimator_state)
         prior = extent_of(self.estimator).prior
         choice = Choice(
-            estimates=jnp.full((len(self.views), *told.shape), prior, jnp.float32),
+            estimates=tuple(jnp.full(told.shape, prior, jnp.float32) for _ in self.views),
             estimated_from=nothing,
             view=jnp.zeros(nothing.shape[2:], jnp.int32),
             subgoals=every_heading(nothing),
@@ -340,13 +340,16 @@ class DC2G(AssessingPlanner):
         Raises:
           ValueError: the estimate does not have the shape `[outcomes, *shape of the map]`.
         """
-        costs = self.estimator.estimate(terrain, state)
+        estimator, summary = self.estimator, self.selection.summary
+        if getattr(summary, "linear", False) and hasattr(estimator, "summarized"):
+            estimator = estimator.summarized(summary)
+        costs = estimator.estimate(terrain, state)
         if costs.shape[1:] != terrain.shape:
             raise ValueError(
                 f"{type(self.estimator).__name__} answers with {list(costs.shape)} for a map of {list(terrain.shape)}; "
                 "give [outcomes, *shape of the map], with one outcome at least"
             )
-        return self.selection.summary(costs)
+        return summary(costs)
 
     def _candidates(self, belief: Belief, reachable: Board, revealing: PoseSet) -> PoseSet:
         """Candidate poses for the subgoal (Algorithm 2, lines 6 to 8), of those that reveal something."""
@@ -375,7 +378,7 @@ class DC2G(AssessingPlanner):
         belief: Belief,
         reachable: Board,
         revealing: PoseSet,
-        estimates: Float[Array, "views kept h w *batch"],
+        estimates: tuple[Estimates, ...],
         decided_near: Int[Array, "h w *batch"],
     ) -> tuple[PoseSet, Float[Array, "h w *batch"], Float[Array, "h w *batch"]]:
         """The candidates, the score of each cell with one, and the penalty in it (Algorithm 2, lines 6 to 10)."""
@@ -384,7 +387,7 @@ class DC2G(AssessingPlanner):
         if self.selection.distance_weight:
             nearest, lengths = search.nearest_headings(belief.pose, candidates, reachable, belief.width)
             nearest = self.headings(belief, nearest)
-        cost = self.selection(jnp.mean(estimates, axis=0), lengths)
+        cost = self.selection(sum(estimates[1:], estimates[0]) / len(estimates), lengths)
         penalty = self._penalty(belief, candidates, decided_near)
         return nearest, cost + penalty, penalty
 
@@ -407,10 +410,10 @@ class DC2G(AssessingPlanner):
         extent, ask = extent_of(self.estimator), functools.partial(self._told, state=estimator_state)
         part = extent.part(terrain, belief.pose)
         answer = in_turn(ask, part, self.views, before.view) if self.memory else at_once(ask, part, self.views)
-        latest = extent.merged(answer, belief.pose, before.estimates[0])[None]
+        latest = extent.merged(answer, belief.pose, before.estimates[0])
         first = bitboard.is_empty(before.estimated_from)
         # The first estimate stands for all views.
-        estimates = jnp.where(first, latest, jnp.concatenate([latest, before.estimates[:-1]]))
+        estimates = (latest, *(jnp.where(first, latest, older) for older in before.estimates[:-1]))
         return before._replace(
             estimates=estimates, estimated_from=belief.seen, view=(before.view + 1) % len(self.views)
         )
@@ -441,7 +444,7 @@ class DC2G(AssessingPlanner):
         if not self.memory:  # the choice is always new, so it is made from these scores
             choice = choice._replace(subgoals=_lowest(score, candidates, belief.width))
         plan = _explore_or_finish(belief, reachable, choice.subgoals & revealing, self.rules)
-        cost_to_go = jnp.mean(choice.estimates, axis=(0, 1))
+        cost_to_go = jnp.mean(jnp.stack(choice.estimates), axis=(0, 1))
         state = ExplorationState(reachable, choice, decided_near, state.estimator)
         return Assessment(plan, reachable, candidates, score, cost_to_go, penalty), state
 
@@ -464,7 +467,7 @@ class Choice(NamedTuple):
       subgoals: poses of lowest score; the plan goes to the nearest.
     """
 
-    estimates: Float[Array, "views kept h w *batch"]
+    estimates: tuple[Estimates, ...]
     estimated_from: Board
     view: Int[Array, "*batch"]
     subgoals: PoseSet

@@ -1,7 +1,7 @@
 """Rules that select a subgoal from estimated costs (Algorithm 2, line 11, and alternatives)."""
 
 import dataclasses
-from typing import Protocol
+from typing import Any, Protocol
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -40,6 +40,12 @@ class Selection(Protocol):
           distance: actions from the robot to every cell; arbitrary if `distance_weight` is 0.
         """
         ...
+
+
+def linear(summary: Any) -> Any:
+    """Mark a `Selection.summary` that is linear in the costs: a network computes it in its last layer."""
+    summary.linear = True
+    return summary
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,6 +107,7 @@ class ExpectedCost(_OneCost):
 
     distance_weight: float
 
+    @linear
     def summary(self, costs: Float[Array, "outcomes h w *batch"]) -> Float[Array, "kept h w *batch"]:
         """The mean."""
         return jnp.mean(costs, axis=0, keepdims=True)
@@ -119,6 +126,7 @@ class QuantileCost(_OneCost):
     level: float
     distance_weight: float
 
+    @linear
     def summary(self, costs: Float[Array, "outcomes h w *batch"]) -> Float[Array, "kept h w *batch"]:
         """The quantile."""
         return costs[int(self.level * len(costs))][None]

@@ -15,6 +15,7 @@ from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, world
 from dc2g_jax.grid.search import EIGHT_CONNECTED
 from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.planning.selection import ExpectedCost, QuantileCost
 from tests.support import maps
 
 SMALL = Architecture(widths=(4, 4, 6), quantiles=(0.25, 0.5, 0.75), cost_scale=10.0, patch=3, embedding=5)
@@ -107,6 +108,15 @@ def test_estimates_of_a_batch_are_those_of_its_maps(weights):
     for index in range(4):
         alone = network.estimate(jnp.asarray(terrain[..., index]), ())
         np.testing.assert_allclose(together[..., index], alone, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("rule", [ExpectedCost(0.5), QuantileCost(level=0.7, distance_weight=0.5)])
+def test_a_summarized_network_estimates_the_summary(weights, rule):
+    terrain = jnp.asarray(maps.random_terrain(0, (9, 20), 0.7))
+    rounded = jax.tree.map(lambda leaf: leaf.astype(jnp.bfloat16).astype(leaf.dtype), weights["embed"])
+    all_outcomes = NetworkCostToGo(weights | {"embed": rounded}, SMALL).estimate(terrain, ())
+    summarized = NetworkCostToGo(weights, SMALL).summarized(rule.summary)
+    np.testing.assert_allclose(summarized.estimate(terrain, ()), rule.summary(all_outcomes), rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("levels", [(), (0.5, 0.5), (0.7, 0.3), (0.0, 0.5), (0.5, 1.0)])

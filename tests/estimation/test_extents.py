@@ -140,6 +140,6 @@ def test_a_planner_keeps_what_has_left_the_window(street):
         # The planner keeps the mean of the outcomes.
         latest = np.where(np.isnan(part[0]), wanted[0], part.mean(axis=0))
         wanted = np.stack([latest, latest if turn == 0 else wanted[0]])
-        np.testing.assert_allclose(state.choice.estimates[:, 0], wanted)
+        np.testing.assert_allclose(np.stack(state.choice.estimates)[:, 0], wanted)
         belief = step(world, belief, jnp.int32(0))
     assert len(np.unique(wanted[0] == 77)) == 2
