@@ -133,8 +133,7 @@ class CompactUNet(nnx.Module):
         widths, area, embedding = architecture.widths, architecture.patch**2, architecture.embedding
         scales = range(1, len(widths))
         self.architecture = architecture
-        inputs, features = area * len(CLASS_NAMES), embedding or widths[0]
-        self.embed = nnx.Linear(inputs, features, preferred_element_type=jnp.float32, rngs=rngs)
+        self.embed = nnx.Linear(area * len(CLASS_NAMES), embedding or widths[0], rngs=rngs)
         if embedding:
             self.narrow = nnx.Linear(embedding, widths[0], rngs=rngs)
             self.mix = nnx.Linear(widths[0] + embedding, embedding, rngs=rngs)
@@ -150,7 +149,7 @@ class CompactUNet(nnx.Module):
         """Quantiles of every cell's cost-to-go, in cells, from observed class indices (0 = not observed)."""
         height, width = terrain.shape[1:]
         patch, scales = self.architecture.patch, range(1, len(self.architecture.widths))
-        classes = jax.nn.one_hot(terrain, len(CLASS_NAMES), dtype=self.embed.kernel.dtype)
+        classes = jax.nn.one_hot(terrain, len(CLASS_NAMES))
         classes = jnp.pad(classes, ((0, 0), (0, -height % patch), (0, -width % patch), (0, 0)))
         embedded = self.embed(patches(classes, patch))
         encoded = [self.local(self.narrow(nnx.relu(embedded)) if self.architecture.embedding else embedded)]

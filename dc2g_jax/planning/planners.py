@@ -342,14 +342,14 @@ class DC2G(AssessingPlanner):
         """
         estimator, summary = self.estimator, self.selection.summary
         if getattr(summary, "linear", False) and hasattr(estimator, "summarized"):
-            estimator = estimator.summarized(summary)
+            estimator, summary = estimator.summarized(summary), lambda costs: costs
         costs = estimator.estimate(terrain, state)
         if costs.shape[1:] != terrain.shape:
             raise ValueError(
                 f"{type(self.estimator).__name__} answers with {list(costs.shape)} for a map of {list(terrain.shape)}; "
                 "give [outcomes, *shape of the map], with one outcome at least"
             )
-        return summary(costs)
+        return summary(costs).astype(jnp.float32)
 
     def _candidates(self, belief: Belief, reachable: Board, revealing: PoseSet) -> PoseSet:
         """Candidate poses for the subgoal (Algorithm 2, lines 6 to 8), of those that reveal something."""
@@ -378,7 +378,7 @@ class DC2G(AssessingPlanner):
         belief: Belief,
         reachable: Board,
         revealing: PoseSet,
-        estimates: tuple[Estimates, ...],
+        estimate: Estimates,
         decided_near: Int[Array, "h w *batch"],
     ) -> tuple[PoseSet, Float[Array, "h w *batch"], Float[Array, "h w *batch"]]:
         """The candidates, the score of each cell with one, and the penalty in it (Algorithm 2, lines 6 to 10)."""
@@ -387,7 +387,7 @@ class DC2G(AssessingPlanner):
         if self.selection.distance_weight:
             nearest, lengths = search.nearest_headings(belief.pose, candidates, reachable, belief.width)
             nearest = self.headings(belief, nearest)
-        cost = self.selection(sum(estimates[1:], estimates[0]) / len(estimates), lengths)
+        cost = self.selection(estimate, lengths)
         penalty = self._penalty(belief, candidates, decided_near)
         return nearest, cost + penalty, penalty
 
@@ -397,7 +397,7 @@ class DC2G(AssessingPlanner):
         """A new estimate, and the subgoals of lowest score with it (Algorithm 2, lines 6 to 11)."""
         belief, reachable, revealing, decided_near, estimator_state = inputs
         choice = self._estimated(belief, estimator_state, before)
-        candidates, score, _ = self._scored(belief, reachable, revealing, choice.estimates, decided_near)
+        candidates, score, _ = self._scored(belief, reachable, revealing, choice.estimate, decided_near)
         return choice._replace(subgoals=_lowest(score, candidates, belief.width))
 
     def _estimated(self, belief: Belief, estimator_state: Any, before: "Choice") -> "Choice":
@@ -440,11 +440,11 @@ class DC2G(AssessingPlanner):
             choice = jax.lax.cond(
                 outdated, lambda: self._estimated(belief, state.estimator, state.choice), lambda: state.choice
             )
-        candidates, score, penalty = self._scored(belief, reachable, revealing, choice.estimates, decided_near)
+        candidates, score, penalty = self._scored(belief, reachable, revealing, choice.estimate, decided_near)
         if not self.memory:  # the choice is always new, so it is made from these scores
             choice = choice._replace(subgoals=_lowest(score, candidates, belief.width))
         plan = _explore_or_finish(belief, reachable, choice.subgoals & revealing, self.rules)
-        cost_to_go = jnp.mean(jnp.stack(choice.estimates), axis=(0, 1))
+        cost_to_go = jnp.mean(choice.estimate, axis=0)
         state = ExplorationState(reachable, choice, decided_near, state.estimator)
         return Assessment(plan, reachable, candidates, score, cost_to_go, penalty), state
 
@@ -471,6 +471,11 @@ class Choice(NamedTuple):
     estimated_from: Board
     view: Int[Array, "*batch"]
     subgoals: PoseSet
+
+    @property
+    def estimate(self) -> Estimates:
+        """The mean of the views' estimates."""
+        return sum(self.estimates[1:], self.estimates[0]) / len(self.estimates)
 
 
 class ExplorationState(NamedTuple):

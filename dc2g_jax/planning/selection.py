@@ -1,12 +1,15 @@
 """Rules that select a subgoal from estimated costs (Algorithm 2, line 11, and alternatives)."""
 
 import dataclasses
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Any, Protocol, TypeVar
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from dc2g_jax.grid.poses import Pose
+
+_Summary = TypeVar("_Summary", bound=Callable[..., Any])
 
 
 class Selection(Protocol):
@@ -42,9 +45,12 @@ class Selection(Protocol):
         ...
 
 
-def linear(summary: Any) -> Any:
-    """Mark a `Selection.summary` that is linear in the costs: a network computes it in its last layer."""
-    summary.linear = True
+def linear(summary: _Summary) -> _Summary:
+    """Mark a `Selection.summary` that is a weighted sum of the outcomes, with the same weights for every cell.
+
+    A network then computes the sum in its last layer, which is faster.
+    """
+    summary.linear = True  # type: ignore[attr-defined]
     return summary
 
 

@@ -182,13 +182,14 @@ def network_row(bench: Bench, section: str, batch: int) -> Row:
 
 @functools.cache
 def network_pace_row(bench: Bench) -> Row:
-    """The network alone, asked by every core at once as rollouts do: the pace it sets for a planner."""
+    """The network alone, asked by every core at once as rollouts of `dc2g` do: the pace it sets for them."""
     batch, mesh = 4 if bench.quick else 64, mesh_of()
     belief = bench.robots("frontier").batch(batch).belief
     terrain = np.repeat(np.moveaxis(np.asarray(belief.terrain), -1, 0), mesh.size, axis=0)
-    apply = functools.partial(compact_unet.apply, bench.network.architecture)
+    network = bench.network.summarized(functools.partial(jnp.mean, axis=0, keepdims=True))
+    apply = functools.partial(compact_unet.apply, network.architecture)
     program = jit(lambda weights, terrain: on_each(lambda own, weights: apply(weights, own), mesh, terrain, weights))
-    inputs = (replicate(bench.network.weights, mesh), deal(terrain, len(terrain), mesh))
+    inputs = (replicate(network.weights, mesh), deal(terrain, len(terrain), mesh))
     measured = bench.measure(lambda: jax.block_until_ready(program(*inputs)))
     row = own("network", "network, every core at once", KERNEL_UNIT, batch=len(terrain), cells=bench.workload.cells)
     return row.with_figures(measured, float(len(terrain)))

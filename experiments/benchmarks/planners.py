@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from dc2g_jax.estimation.estimators import Estimator
+from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.grid.world import World
 from dc2g_jax.inspection.replay import actions_from_letters
 from dc2g_jax.planning.named import make_planner
@@ -121,14 +121,18 @@ def _in_numpy(bench: Bench, row: Row, planner: numpy_gridworld.PlannerName, refe
 
 @struct.dataclass
 class _Counting:
-    """An estimator that tells how many maps it is asked for."""
+    """A network that tells how many maps it is asked for."""
 
-    estimator: Estimator
+    estimator: NetworkCostToGo
     tell: Callable[[Any], None] = struct.field(pytree_node=False)
 
     def init(self, world: World) -> Any:
         """The estimator's own state."""
         return self.estimator.init(world)
+
+    def summarized(self, summary: Callable[[jax.Array], jax.Array]) -> "_Counting":
+        """The same, of a network that computes a summary."""
+        return _Counting(self.estimator.summarized(summary), self.tell)
 
     def estimate(self, terrain: jax.Array, state: Any) -> jax.Array:
         """The estimator's own answer."""

@@ -17,7 +17,7 @@ from dc2g_jax.grid.terrain import FREE, FRONT_DOOR, NOTHING, OCCUPIED, OUTSIDE, 
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.planners import DC2G, EXPLORE, TO_GOAL
 from dc2g_jax.planning.rules import complete_rules
-from dc2g_jax.planning.selection import ExpectedCost
+from dc2g_jax.planning.selection import ExpectedCost, linear
 from tests.support import maps
 from tests.support.networks import random_network
 
@@ -98,20 +98,28 @@ def test_nobody_asks_on_the_way_to_a_goal_in_reach(street):
 
 
 class Worst(ExpectedCost):
-    """Scores by the highest cost, which is not linear in the costs."""
+    """Scores by the highest cost, which is no weighted sum."""
 
     def summary(self, costs):
         return jnp.max(costs, axis=0, keepdims=True)
 
 
-def test_only_a_linear_summary_is_left_to_the_network(street):
+class Spread(ExpectedCost):
+    """Scores by how far the outcomes lie apart."""
+
+    @linear
+    def summary(self, costs):
+        return costs[-1:] - costs[:1]
+
+
+@pytest.mark.parametrize("rule", [ExpectedCost(0.0), Worst(0.0), Spread(0.0)])
+def test_a_planner_goes_by_the_summary(street, rule):
     network, world = random_network(Architecture(widths=(4, 4, 4, 4))), world_from_terrain(street)
     belief = gridworld.reset(world, make_pose(4, 5, 1), complete_rules(3).sensing)
-    for rule, asked_network in ((Worst(0.0), network), (ExpectedCost(0.0), network.summarized(lambda costs: costs))):
-        planner = DC2G(network, complete_rules(3), rule)
-        estimate = planner.assess(belief, planner.init(world))[0].cost_to_go
-        wanted = rule.summary(asked_network.estimate(belief.terrain, ()))[0]
-        np.testing.assert_allclose(estimate, wanted, rtol=1e-4, atol=1e-4)
+    planner = DC2G(network, complete_rules(3), rule)
+    estimate = planner.assess(belief, planner.init(world))[0].cost_to_go
+    wanted = rule.summary(network.estimate(belief.terrain, ()))[0]
+    np.testing.assert_allclose(estimate, wanted, rtol=1e-4, atol=1e-4)
 
 
 def test_a_network_predicts_nothing_without_classes():

@@ -1,6 +1,9 @@
 """The network on a grid larger than the map answers as it does to the map alone."""
 
+import functools
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -53,6 +56,13 @@ def test_a_grid_that_is_halved_to_one_row_before_its_columns_are(network, grid_s
     grid[: shape[0], : shape[1]] = terrain
     answer = np.asarray(jax.jit(PaddedNetwork(network).estimate)(grid, ()))[:, : shape[0], : shape[1]]
     np.testing.assert_allclose(answer, np.asarray(alone(network, terrain)), rtol=1e-4, atol=1e-4)
+
+
+def test_a_summarized_network_computes_the_mean(network, padded):
+    terrain = maps.random_terrain(2, (17, 32), 0.6)
+    mean = PaddedNetwork(network).summarized(functools.partial(jnp.mean, axis=0, keepdims=True))
+    answer = np.asarray(jax.jit(mean.estimate)(terrain, ()))
+    np.testing.assert_allclose(answer, np.mean(padded(terrain), axis=0, keepdims=True), rtol=1e-4, atol=1e-4)
 
 
 def test_where_the_map_ends_makes_a_difference(padded):

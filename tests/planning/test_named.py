@@ -35,7 +35,7 @@ def test_planners_on_a_network_have_the_parameters_that_were_chosen():
     assert dc2g.selection == ExpectedCost(distance_weight=0.5)
     assert uncertain == dataclasses.replace(dc2g, selection=QuantileCost(level=0.7, distance_weight=0.5))
     assert guarded == Guaranteed(dc2g, dc2g.rules, factor=2.0, slack=3.0)
-    assert (dc2g.rim_width, dc2g.views, dc2g.gain_weight, dc2g.enough_news) == (1, ((), (1,)), 3.0, 0.25)
+    assert (dc2g.rim_width, dc2g.views, dc2g.gain_weight, dc2g.enough_news) == (1, ((), (1,)), 3.0, 1 / 3)
 
 
 def test_planners_on_a_network_head_for_the_nearest_door_whatever_the_rules():
