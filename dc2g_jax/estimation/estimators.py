@@ -184,10 +184,10 @@ class NetworkCostToGo:
         return zero_without_classes(terrain, costs)
 
     def summarized(self, summary: Callable[[Array], Array]) -> "NetworkCostToGo":
-        """A network that only computes a weighted sum of this one's outcomes, such as their mean, and is faster.
+        """A faster network that computes only a weighted sum of this one's outcomes, such as their mean.
 
-        Its last layer computes the sum, since outcomes are linear in the weights of that layer. It is for planners; its
-        architecture still lists this network's quantiles.
+        Its last layer computes the sum, since outcomes are linear in the weights of that layer. It is for planners. Its
+        architecture still lists the quantiles of this network.
 
         Args:
           summary: the sum, see `dc2g_jax.planning.selection.linear`.
