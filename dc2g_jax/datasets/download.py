@@ -33,6 +33,8 @@ OTHER_URLS = (
 )
 
 FOLDER_NAME = "driveways_bing_iros19"
+#: Where the authors keep it.
+ORIGIN = f"data/datasets/{FOLDER_NAME} from github.com/mit-acl/dc2g"
 MANIFEST_NAME = "driveways_bing_iros19.sha256"
 
 TIMEOUT_SECONDS = 10.0

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dc2g_jax.datasets.download import FOLDER_NAME, NetworkUnavailable, fetch_dataset, matches_published
+from dc2g_jax.datasets.download import ORIGIN, NetworkUnavailable, fetch_dataset, matches_published
 from dc2g_jax.datasets.maps import CELLS_FILE, MAP_ENDINGS, SPLITS, map_files, read_map_folder, sampled
 from dc2g_jax.datasets.procedural import procedural_houses
 from dc2g_jax.errors import InputError
@@ -278,7 +278,7 @@ def open_dataset(
         log(
             f"The published dataset is not here and cannot be downloaded ({reason}): using the "
             "procedural houses instead. To use the published houses, pass --dataset FOLDER or set DC2G_DATA: a copy of "
-            f"data/datasets/{FOLDER_NAME} from github.com/mit-acl/dc2g."
+            f"{ORIGIN}."
         )
         return procedural_dataset(cells=cells)
     return load_dataset(folder, cells=cells)

@@ -14,6 +14,7 @@ from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import PoseSet, every_heading, unpack
 from dc2g_jax.grid.sensing import expanding_kernel
 from dc2g_jax.planning import frontiers, planners
+from dc2g_jax.planning.selection import ExpectedCost
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import deal, mesh_of, on_each, replicate
 
@@ -186,7 +187,7 @@ def network_pace_row(bench: Bench) -> Row:
     batch, mesh = 4 if bench.quick else 64, mesh_of()
     belief = bench.robots("frontier").batch(batch).belief
     terrain = np.repeat(np.moveaxis(np.asarray(belief.terrain), -1, 0), mesh.size, axis=0)
-    network = bench.network.summarized(functools.partial(jnp.mean, axis=0, keepdims=True))
+    network = bench.network.summarized(ExpectedCost(distance_weight=0.0).summary)
     apply = functools.partial(compact_unet.apply, network.architecture)
     program = jit(lambda weights, terrain: on_each(lambda own, weights: apply(weights, own), mesh, terrain, weights))
     inputs = (replicate(network.weights, mesh), deal(terrain, len(terrain), mesh))

@@ -9,11 +9,12 @@ import pytest
 
 import dc2g_jax as dc2g
 from dc2g_jax.estimation import pix2pix
-from dc2g_jax.estimation.compact_unet import Architecture, apply, init_weights
+from dc2g_jax.estimation.compact_unet import Architecture, apply
 from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax.files.digests import arrays_sha256
 from dc2g_jax.grid.terrain import CLASS_NAMES
+from tests.support.networks import random_network
 from tests.support.refusals import refusal
 
 onnx = pytest.importorskip("onnx")
@@ -21,17 +22,6 @@ onnxruntime = pytest.importorskip("onnxruntime")
 
 from dc2g_jax.estimation.onnx_export import export_onnx  # noqa: E402
 from experiments.export_network import Options, main  # noqa: E402
-
-
-def random_network(
-    widths: tuple[int, ...], quantiles: tuple[float, ...], patch: int = 5, embedding: int = 6
-) -> NetworkCostToGo:
-    """A network whose weights are all random: fresh ones are zero in many layers."""
-    architecture = Architecture(widths, quantiles, cost_scale=7.0, patch=patch, embedding=embedding)
-    leaves, structure = jax.tree.flatten(init_weights(architecture, jax.random.key(0)))
-    rng = np.random.default_rng(1)
-    weights = [jnp.asarray(rng.normal(0, 0.3, leaf.shape), jnp.float32) for leaf in leaves]
-    return NetworkCostToGo(weights=jax.tree.unflatten(structure, weights), architecture=architecture)
 
 
 def wanted_of(network: NetworkCostToGo, classes: np.ndarray) -> np.ndarray:
@@ -57,7 +47,7 @@ def test_the_shipped_network_answers_alike(tmp_path, shape):
 
 @pytest.mark.parametrize(("patch", "embedding"), [(2, 0), (5, 6)])
 def test_every_layer_counts(tmp_path, patch, embedding):
-    network = random_network((3, 5, 4, 6), (0.25, 0.75), patch, embedding)
+    network = random_network(Architecture((3, 5, 4, 6), (0.25, 0.75), cost_scale=7.0, patch=patch, embedding=embedding))
     export_onnx(network, tmp_path / "network.onnx")
     classes = np.random.default_rng(2).integers(0, len(CLASS_NAMES), (2, 19, 22)).astype(np.uint8)
     wanted = wanted_of(network, classes)
@@ -66,7 +56,7 @@ def test_every_layer_counts(tmp_path, patch, embedding):
 
 
 def test_the_file_says_what_it_is(tmp_path):
-    network = random_network((4, 4, 4, 4), (0.5,))
+    network = random_network(Architecture((4, 4, 4, 4), (0.5,), cost_scale=7.0, embedding=6))
     export_onnx(network, tmp_path / "network.onnx")
     model = onnx.load(tmp_path / "network.onnx")
     assert {entry.key: json.loads(entry.value) for entry in model.metadata_props} == {
