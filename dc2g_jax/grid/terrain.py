@@ -2,51 +2,35 @@
 
 import numpy as np
 
-#: Class -> RGB color in the published dataset's palette, in the order of the indices.
-_PALETTE = {
-    "__ignore__": (0, 0, 0),
-    "front_door": (128, 0, 0),
-    "grass": (0, 128, 0),
-    "road": (128, 128, 0),
-    "driveway": (0, 0, 128),
-    "car": (128, 0, 128),
-    "path": (0, 128, 128),
-    "house": (128, 128, 128),
-    "sidewalk": (64, 0, 0),
-    "fence": (192, 0, 0),
-    "tree": (64, 128, 0),
-    "mailbox": (192, 128, 0),
-    "bush": (64, 0, 128),
-    "garage door": (192, 0, 128),
-    "nothing": (64, 128, 128),
-    "traversable": (255, 255, 255),
+#: Class -> RGB color in the published dataset's palette, and color in figures, in the order of the indices. In figures,
+#: ground is pale and the rest dark, so that they differ in grayscale; unknown is in between.
+_COLORS = {
+    "__ignore__": ((0, 0, 0), "#a79bb5"),
+    "front_door": ((128, 0, 0), "#d55e00"),
+    "grass": ((0, 128, 0), "#4f9d69"),
+    "road": ((128, 128, 0), "#d5d8dc"),
+    "driveway": ((0, 0, 128), "#9ecae9"),
+    "car": ((128, 0, 128), "#b5446e"),
+    "path": ((0, 128, 128), "#f0d589"),
+    "house": ((128, 128, 128), "#2f3144"),
+    "sidewalk": ((64, 0, 0), "#f4ece1"),
+    "fence": ((192, 0, 0), "#7b5ea7"),
+    "tree": ((64, 128, 0), "#1b5e3c"),
+    "mailbox": ((192, 128, 0), "#b8860b"),
+    "bush": ((64, 0, 128), "#a3bb55"),
+    "garage door": ((192, 0, 128), "#a6611a"),
+    "nothing": ((64, 128, 128), "#111111"),
+    "traversable": ((255, 255, 255), "#d9ead3"),
 }
 
 #: Class index -> name. Index 0 stands for "unknown or not observed".
-CLASS_NAMES: tuple[str, ...] = tuple(_PALETTE)
+CLASS_NAMES: tuple[str, ...] = tuple(_COLORS)
 
 #: Class index -> RGB color, uint8 [class 3].
-CLASS_COLORS = np.array(list(_PALETTE.values()), np.uint8)
+CLASS_COLORS = np.array([rgb for rgb, _ in _COLORS.values()], np.uint8)
 
-#: Class -> color in figures. Ground is pale and the rest dark, so that they differ in grayscale; unknown is in between.
-FIGURE_COLORS = {
-    "__ignore__": "#a79bb5",
-    "front_door": "#d55e00",
-    "grass": "#4f9d69",
-    "road": "#d5d8dc",
-    "driveway": "#9ecae9",
-    "car": "#b5446e",
-    "path": "#f0d589",
-    "house": "#2f3144",
-    "sidewalk": "#f4ece1",
-    "fence": "#7b5ea7",
-    "tree": "#1b5e3c",
-    "mailbox": "#b8860b",
-    "bush": "#a3bb55",
-    "garage door": "#a6611a",
-    "nothing": "#111111",
-    "traversable": "#d9ead3",
-}
+#: Class -> color in figures.
+FIGURE_COLORS = {name: color for name, (_, color) in _COLORS.items()}
 
 #: Class index -> RGB color in figures, uint8 [class 3].
 FIGURE_RGB = np.array([list(bytes.fromhex(color[1:])) for color in FIGURE_COLORS.values()], np.uint8)

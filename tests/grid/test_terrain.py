@@ -33,7 +33,8 @@ def loaded(module: ModuleType, monkeypatch, replace: tuple[str, str] = ("", ""))
 
 def with_classes(number: int, monkeypatch) -> ModuleType:
     """The terrain classes and more, so many in all."""
-    more = "".join(f'    "class {index}": (1, 2, {index}),\n' for index in range(len(terrain.CLASS_NAMES), number))
+    numbers = range(len(terrain.CLASS_NAMES), number)
+    more = "".join(f'    "class {index}": ((1, 2, {index}), "#000000"),\n' for index in numbers)
     return loaded(terrain, monkeypatch, ("}\n\n#: Class index -> name", more + "}\n\n#: Class index -> name"))
 
 
