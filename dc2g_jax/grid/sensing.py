@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int, Shaped, UInt, UInt32
+from scipy import ndimage
 
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.bitboard import WORD_BITS, Board
@@ -175,14 +176,13 @@ class OccludedKernel(Kernel):
 
     def _tree(self) -> tuple[Int[np.ndarray, "heading offsets"], ...]:
         """Columns, rows and parents' indices of the offsets; the robot's own cell first, parents before children."""
-        dx, dy, parents = [], [], []
-        for heading, (ex, ey) in enumerate(FORWARD):
-            ahead_and_lateral = sorted((dx * ex + dy * ey, dy * ex - dx * ey) for dx, dy in self.offsets[heading])
-            number = {offset: index for index, offset in enumerate(ahead_and_lateral)}
-            dx.append([ahead * ex - lateral * ey for ahead, lateral in ahead_and_lateral])
-            dy.append([ahead * ey + lateral * ex for ahead, lateral in ahead_and_lateral])
-            parents.append([number[_toward_the_robot(*offset)] for offset in ahead_and_lateral])
-        return tuple(np.array(table, np.int32) for table in (dx, dy, parents))
+        # Heading 0 looks along x: its offsets are cells ahead and aside. The other headings have them turned.
+        offsets = sorted(self.offsets[0])
+        number = {offset: index for index, offset in enumerate(offsets)}
+        parents = np.array([number[_toward_the_robot(*offset)] for offset in offsets], np.int32)
+        ahead, lateral = np.array(offsets, np.int32).T
+        ex, ey = np.array(FORWARD, np.int32).T[..., None]
+        return ahead * ex - lateral * ey, ahead * ey + lateral * ex, np.tile(parents, (HEADINGS, 1))
 
 
 def _toward_the_robot(ahead: int, lateral: int) -> tuple[int, int]:
@@ -194,13 +194,17 @@ def _toward_the_robot(ahead: int, lateral: int) -> tuple[int, int]:
     return ahead - 1, beside if lateral > 0 else -beside
 
 
-def _turned(ahead_and_lateral: list[tuple[int, int]], radius: int) -> Kernel:
-    """The kernel whose offsets are the given `(ahead, lateral)`, rotated to each of the four headings."""
-    offsets = (
-        {(ahead * ex - lateral * ey, ahead * ey + lateral * ex) for ahead, lateral in ahead_and_lateral}
-        for ex, ey in FORWARD
-    )
-    return Kernel(radius, tuple(tuple(sorted(own, key=lambda offset: offset[::-1])) for own in offsets))
+def _window(radius: int) -> tuple[Bool[np.ndarray, "lateral ahead"], Int[np.ndarray, "lateral ahead"]]:
+    """Which cells around the robot are less than 45 degrees off the heading, and their squared distances."""
+    lateral, ahead = np.mgrid[-radius : radius + 1, -radius : radius + 1]
+    return np.abs(lateral) < ahead, ahead**2 + lateral**2
+
+
+def _turned(cells: Bool[np.ndarray, "lateral ahead"]) -> Kernel:
+    """The kernel of these cells around the robot, turned to each of the four headings."""
+    radius = len(cells) // 2
+    headings = (np.argwhere(np.rot90(cells, -heading))[:, ::-1] - radius for heading in range(HEADINGS))
+    return Kernel(radius, tuple(tuple((dx, dy) for dx, dy in offsets.tolist()) for offsets in headings))
 
 
 @functools.cache
@@ -215,13 +219,8 @@ def field_of_view(radius: int) -> Kernel:
     """
     if radius < 1:
         raise ValueError(f"sensing range {radius} is less than one cell; give a whole number of at least 1")
-    wedge = [
-        (ahead, lateral)
-        for ahead in range(1, radius + 1)
-        for lateral in range(1 - ahead, ahead)
-        if ahead**2 + lateral**2 <= radius**2
-    ]
-    return _turned([(0, 0), *wedge], radius)
+    wedge, squared = _window(radius)
+    return _turned((wedge & (squared <= radius**2)) | (squared == 0))
 
 
 @functools.cache
@@ -245,16 +244,11 @@ def expanding_kernel(radius: int) -> Kernel:
     """
     if radius < 2:
         raise ValueError(f"expanding range {radius} is less than two cells; give a whole number of at least 2")
-    size = 2 * radius + 1
-    wedge = np.zeros((size, size), dtype=bool)  # [lateral, ahead]
-    for ahead in range(1, radius + 1):
-        for lateral in range(1 - ahead, ahead):
-            wedge[lateral + radius, ahead + radius] = ahead**2 + lateral**2 < radius**2
-    # Outside the window counts as inside the wedge: the authors' erosion ignores cells beyond the border.
-    padded = np.pad(wedge, 1, constant_values=True)
-    eroded = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).all(axis=(2, 3))
-    kept = [(int(ahead) - radius, int(lateral) - radius) for lateral, ahead in np.argwhere(eroded)]
-    return _turned([*kept, (0, 0), (1, 0), (2, 0)], radius)
+    wedge, squared = _window(radius)
+    # The border counts as inside the wedge: the authors' erosion ignores cells beyond the window.
+    cells = ndimage.binary_erosion(wedge & (squared < radius**2), np.ones((3, 3)), border_value=1)
+    cells[radius, radius : radius + 3] = True
+    return _turned(cells)
 
 
 def _kernel_runs(kernel: Kernel) -> list[Int[np.ndarray, "bound heading dy"]]:
