@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.poses import Pose
-from dc2g_jax.mapping.scene import CELL_SIZE, scene_from_terrain
+from dc2g_jax.mapping.scene import scene_from_terrain
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import batched, deal, gather, mesh_of, on_each, replicate
 from dc2g_jax.rollouts.rollout import Episodes
@@ -27,10 +27,10 @@ _FIRST_PERIODS = 10
 
 @struct.dataclass
 class Drives:
-    """What came of it, in the order of the episodes.
+    """Results of the drives, in the order of the episodes.
 
     Attributes:
-      seconds: that the episode took.
+      seconds: duration of the episode.
       status: how it ended, see `dc2g_jax.vehicles.drive`; `DRIVING` where time was up.
       off_ground: seconds for which the footprint touched ground where it should not be.
       touched: seconds for which it touched a pedestrian.
@@ -43,16 +43,12 @@ class Drives:
 
     @property
     def success(self) -> Bool[np.ndarray, "episodes"]:
-        """Did the robot get to a front door?"""
+        """Whether the robot reached a front door."""
         return self.status == ARRIVED
 
 
-def sites_of(terrains: Sequence[UInt8[np.ndarray, "h w"]], cell_size: float = CELL_SIZE) -> Site:
-    """Houses of one size in three dimensions, stacked along the first axis.
-
-    Args:
-      terrains: class index of every cell, house after house.
-      cell_size: side of a cell, meters.
+def sites_of(terrains: Sequence[UInt8[np.ndarray, "h w"]]) -> Site:
+    """Houses of one size in three dimensions, stacked along the first axis; with class indices, house after house.
 
     Raises:
       InputError: there is no house, or two differ in size.
@@ -61,7 +57,7 @@ def sites_of(terrains: Sequence[UInt8[np.ndarray, "h w"]], cell_size: float = CE
     if len(shapes) != 1:
         found = " and ".join(f"{width} x {height}" for height, width in shapes[:2])
         raise InputError(f"houses of {found or 'no'} cells: give one at least, all of one size")
-    sites = [Site(terrain=jnp.asarray(terrain), scene=scene_from_terrain(terrain, cell_size)) for terrain in terrains]
+    sites = [Site(terrain=jnp.asarray(terrain), scene=scene_from_terrain(terrain)) for terrain in terrains]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sites)
 
 
@@ -79,12 +75,12 @@ def drive_all(
     """Drive every episode to its end: a front door, nothing left to explore, or the time limit.
 
     Args:
-      equipment: what the robots are made of.
+      equipment: components of the robots.
       sites: houses, stacked along the first axis.
       episodes: index of the house and first pose of each episode, at least one.
-      seed: of noise and pedestrians.
-      pedestrians: how many people walk around in each.
-      knows_map: do the robots know the map beforehand?
+      seed: seed of noise and pedestrians.
+      pedestrians: number of pedestrians in each episode.
+      knows_map: whether the robots know the map beforehand.
       time_limit: seconds after which an episode ends without success.
       on_progress: called now and then with the number of episodes that have ended.
     """
