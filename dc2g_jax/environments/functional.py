@@ -42,7 +42,7 @@ STEP_REWARD = -1.0
 #: Default range of the field of view in cells, as in the paper.
 SENSING_RANGE = 8
 
-# The size of a field of view grows with the square of its range; steps are counted in 32 bits.
+#: Steps are counted in 32 bits.
 _MAX_STEP_LIMIT = 2**31 - 1
 
 

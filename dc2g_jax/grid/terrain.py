@@ -64,12 +64,8 @@ NOTHING = CLASS_NAMES.index("nothing")
 #: Free and occupied cells of a map without classes, such as an occupancy map.
 FREE, OCCUPIED = CLASS_NAMES.index("traversable"), HOUSE
 
-_TRAVERSABLE_NAMES = ("front_door", "road", "driveway", "path", "sidewalk", "traversable")
-
 #: Class index -> whether the robot may drive on it, bool [class].
-TRAVERSABLE = np.array([name in _TRAVERSABLE_NAMES for name in CLASS_NAMES])
-
-_OPAQUE_NAMES = ("car", "house", "fence", "tree", "bush", "garage door")
+TRAVERSABLE = np.isin(CLASS_NAMES, ["front_door", "road", "driveway", "path", "sidewalk", "traversable"])
 
 #: Class index -> whether it hides what is behind it from a camera one meter above the ground, bool [class].
-OPAQUE = np.array([name in _OPAQUE_NAMES for name in CLASS_NAMES])
+OPAQUE = np.isin(CLASS_NAMES, ["car", "house", "fence", "tree", "bush", "garage door"])
