@@ -125,13 +125,14 @@ def main(options: Options) -> None:
     dataset = open_dataset(options.dataset)
     worlds = all_worlds(options, dataset)
     out = output_folder(options, "unknown_dimensions", inputs=digests(dataset, network=network))
-    table, planners = EpisodeTable(out / "episodes.csv"), ("frontier", *estimators)
-    own = {name: functools.partial(make_planner, "dc2g", estimator=one) for name, one in estimators.items()}
+    table = EpisodeTable(out / "episodes.csv")
+    planners: dict[str, Any] = {"frontier": "frontier"}
+    planners |= {name: functools.partial(make_planner, "dc2g", estimator=one) for name, one in estimators.items()}
     facts: dict[str, dict[str, Any]] = {}
     for name, (houses, starts) in worlds.items():
         maps = HouseDataset(name, "folder", tuple(houses))
         runner = Runner(maps, SETTINGS["paper"], step_limit=options.step_limit, progress=EpisodeProgress())
-        results = table.run(runner, starts, planners, own=own)
+        results = table.run(runner, starts, planners)
         rows, columns = houses[0].terrain.shape
         print(f"\n{name}: {len(starts)} episodes in {len(houses)} maps of {columns} x {rows} cells, {options.split}")
         taken = milliseconds(estimators, houses[0])

@@ -12,7 +12,7 @@ from dc2g_jax.datasets.starts import Start, published_episodes
 from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.rollouts.evaluation import NO_PLANNERS, EpisodeResult, OwnPlanners, Runner
+from dc2g_jax.rollouts.evaluation import EpisodeResult, Planners, Runner, by_name
 from dc2g_jax.rollouts.results import ResumableTable
 
 #: Maximum number of episodes of a planner to run and write together. It limits memory, and the loss after a kill.
@@ -57,17 +57,15 @@ class EpisodeTable(ResumableTable[EpisodeResult]):
         self,
         runner: Runner,
         starts: Sequence[Start],
-        planners: Sequence[str],
+        planners: Planners,
         estimator: Estimator | None = None,
-        *,
-        own: OwnPlanners = NO_PLANNERS,
     ) -> list[EpisodeResult]:
         """The results of `Runner.run`. Each shard is saved when it finishes.
 
         Raises:
           InputError: the file holds other episodes; or see `Runner.run`.
         """
-        return [result for shard in self.shards(runner, starts, planners, estimator, own=own) for result in shard]
+        return [result for shard in self.shards(runner, starts, planners, estimator) for result in shard]
 
     def published(
         self, dataset: HouseDataset, planners: Sequence[str], network: TrainedNetwork | None
@@ -80,19 +78,17 @@ class EpisodeTable(ResumableTable[EpisodeResult]):
         self,
         runner: Runner,
         starts: Sequence[Start],
-        planners: Sequence[str],
+        planners: Planners,
         estimator: Estimator | None = None,
-        *,
-        own: OwnPlanners = NO_PLANNERS,
     ) -> Iterator[list[EpisodeResult]]:
         """The same in parts, for more episodes than fit in memory.
 
         Raises:
           InputError: as `run`.
         """
-        for planner in planners:
+        for planner, source in by_name(planners).items():
             for first in range(0, len(starts), EPISODES_A_SHARD):
                 part = starts[first : first + EPISODES_A_SHARD]
                 ranges = [(rules.sensing.radius, rules.expanding_range) for rules in map(runner.rules, part)]
                 asked = [(*start[:4], *both, planner) for start, both in zip(part, ranges, strict=True)]
-                yield self.next_results(asked, functools.partial(runner.run, part, [planner], estimator, own=own))
+                yield self.next_results(asked, functools.partial(runner.run, part, {planner: source}, estimator))

@@ -1,11 +1,9 @@
 """Evaluate planners from given starts in houses, relative to the oracle (paper, section IV-B)."""
 
 import collections
-import functools
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax
@@ -40,12 +38,11 @@ _STEPS_A_CELL_OF_WAY = 4
 #: Largest error of extra steps in a table, in percent: earlier versions wrote one or two digits.
 _ROUNDING = 0.1
 
-#: Planners besides those of the package: name -> function that makes the planner from the rules of an episode.
-OwnPlanners = Mapping[str, Callable[[Rules], Planner]]
-NO_PLANNERS: OwnPlanners = MappingProxyType({})
-
 #: A planner's name, a planner, or a class or function that makes one from the rules of an episode.
 PlannerSource = str | Planner | Callable[[Rules], Planner]
+
+#: Names for `make_planner`; or a mapping from a name of your choice to one of these, or to another source.
+Planners = Iterable[str] | Mapping[str, PlannerSource]
 
 
 class EpisodeResult(NamedTuple):
@@ -229,10 +226,11 @@ class Runner:
                 who = name or type(planner).__name__
                 raise InputError(f"planner {who!r}: has no {needed}; dc2g_jax.check_planner tells what a planner needs")
         episodes = episodes_from(starts, self._index)
-        report = None
-        if self._progress is not None:
-            progress = self._progress
-            report = lambda finished: progress(name, finished, len(starts))  # noqa: E731
+
+        def report(finished: int) -> None:
+            if self._progress is not None:
+                self._progress(name, finished, len(starts))
+
         done = rollout(
             planner,
             self._worlds,
@@ -270,32 +268,27 @@ class Runner:
         return oracle
 
     def run(
-        self,
-        starts: Sequence[Start],
-        planners: Iterable[str],
-        estimator: Estimator | None = None,
-        *,
-        own: OwnPlanners = NO_PLANNERS,
+        self, starts: Sequence[Start], planners: Planners, estimator: Estimator | None = None
     ) -> list[EpisodeResult]:
-        """Run planners by name from every start.
+        """Run planners from every start.
 
         Args:
           starts: first poses; each may have its own ranges.
-          planners: names for `make_planner`, or names in `own`.
-          estimator: network of `dc2g`.
-          own: further planners by name, made from the rules of an episode. They replace other planners of the same
-            name, except the oracle.
+          planners: see `Planners`. The name `oracle` is taken.
+          estimator: network of the planners that need one.
 
         Returns:
           Results, planner by planner in the given order, each in the order of the starts.
 
         Raises:
-          ValueError: a start is not on the map or is on a front door, or `own` has an `oracle`.
-          InputError: a planner is unknown, the oracle does not reach a goal from a start within the step limit, or a
-            start has an expanding range and the rules have no frontier-expanding kernel.
+          ValueError: a start is not on the map or is on a front door, or another planner is called `oracle`.
+          InputError: a planner is unknown or was made for another field of view, the oracle does not reach a goal from
+            a start within the step limit, or a start has an expanding range and the rules have no frontier-expanding
+            kernel.
         """
-        if "oracle" in own:
-            raise ValueError("own: holds an oracle, by which all are measured; give the planner another name")
+        named = by_name(planners)
+        if named.get("oracle", "oracle") != "oracle":
+            raise ValueError("planners: hold an oracle, by which all are measured; give the planner another name")
         for start in starts:
             terrain = self._dataset.house(start.house).terrain
             height, width = terrain.shape
@@ -308,24 +301,24 @@ class Runner:
         by_ranges: dict[tuple[int | None, int | None], list[int]] = collections.defaultdict(list)
         for number, start in enumerate(starts):
             by_ranges[start.sensing_range, start.expanding_range].append(number)
-        names = list(dict.fromkeys(planners))
         results: dict[tuple[str, int], EpisodeResult] = {}
         for numbers in by_ranges.values():
             chosen = [starts[number] for number in numbers]
             rules = self.rules(chosen[0])
             key = rules, tuple(chosen)
-            needed = "oracle" in names or key not in self._oracle_steps
-            oracle = self._oracle(rules, chosen) if needed else None
-            for name in names:
-                if name == "oracle" and oracle is not None:
-                    done = oracle
-                else:
-                    planner = own[name](rules) if name in own else make_planner(name, rules, estimator)
-                    done = self.trajectories(planner, rules, chosen, name)
+            needed = "oracle" in named or key not in self._oracle_steps
+            ran = {"oracle": self._oracle(rules, chosen)} if needed else {}
+            for name, source in named.items():
+                done = ran.get(name) or self.trajectories(_made(name, source, rules, estimator), rules, chosen, name)
                 oracle_steps = self._oracle_steps[key]
                 for row, number in enumerate(numbers):
                     results[name, number] = _result(chosen[row], rules, name, done, row, int(oracle_steps[row]))
-        return [results[name, number] for name in names for number in range(len(starts))]
+        return [results[name, number] for name in named for number in range(len(starts))]
+
+
+def by_name(planners: Planners) -> Mapping[str, PlannerSource]:
+    """Planners by the names that they have in results."""
+    return planners if isinstance(planners, Mapping) else {name: name for name in planners}
 
 
 def _result(
@@ -333,10 +326,7 @@ def _result(
 ) -> EpisodeResult:
     steps = int(trajectories.steps[row])
     return EpisodeResult(
-        house=start.house,
-        x=start.x,
-        y=start.y,
-        heading=start.heading,
+        *start[:4],
         range=rules.sensing.radius,
         expanding_range=rules.expanding_range,
         planner=name,
@@ -350,7 +340,7 @@ def _result(
 
 
 def evaluate(
-    planners: str | Iterable[str] | Mapping[str, PlannerSource],
+    planners: str | Planners,
     dataset: HouseDataset | str | os.PathLike[str] | None = None,
     *,
     split: str = "test",
@@ -391,16 +381,12 @@ def evaluate(
       InputError: an argument is invalid, no episode can be run in any house, or a planner was made for another field of
         view than that of the episodes.
     """
-    named: Mapping[str, PlannerSource]
-    if isinstance(planners, Mapping):
-        named = planners
-    else:
-        one = isinstance(planners, str) or not isinstance(planners, Iterable)
-        given: list[Any] = [planners] if one else list(planners)
-        for name in given:
-            if not isinstance(name, str):
-                raise InputError(f"planner {short(name)}: is no name; give a mapping, such as {{'mine': MyPlanner}}")
-        named = {name: name for name in given}
+    one = isinstance(planners, str) or not isinstance(planners, Iterable)
+    given: Any = [planners] if one else planners if isinstance(planners, Mapping) else list(planners)
+    for name in given:
+        if not isinstance(name, str):
+            raise InputError(f"planner {short(name)}: is no name; give a mapping, such as {{'mine': MyPlanner}}")
+    named = by_name(given)
     sources = [source for source in named.values() if isinstance(source, str)]
     check_names(sources)
     settings = named_settings(settings)
@@ -413,12 +399,11 @@ def evaluate(
         starts = sample_starts(houses, starts_per_house, seed=seed)
     if sensing_range is not None:
         starts = [start._replace(sensing_range=start.sensing_range or sensing_range) for start in starts]
-    own = {name: functools.partial(_made, name, source, estimator) for name, source in named.items() if source != name}
     runner = Runner(dataset, settings, step_limit=step_limit, progress=progress)
-    return Results(runner.run(starts, named, estimator, own=own))
+    return Results(runner.run(starts, named, estimator))
 
 
-def _made(name: str, source: PlannerSource, estimator: Estimator | None, rules: Rules) -> Planner:
+def _made(name: str, source: PlannerSource, rules: Rules, estimator: Estimator | None) -> Planner:
     """Make a planner and check that it uses the episodes' field of view."""
     if isinstance(source, str):
         return make_planner(source, rules, estimator)

@@ -76,10 +76,7 @@ def pair_up(
 
     return [
         EpisodePair(
-            house=theirs.start.house,
-            x=theirs.start.x,
-            y=theirs.start.y,
-            heading=theirs.start.heading,
+            *theirs.start[:4],
             group=theirs.group,
             oracle=ours.oracle_steps,
             authors_oracle=theirs.oracle,

@@ -24,11 +24,11 @@ class Interrupted(Runner):
         super().__init__(dataset, SETTINGS["reference"])
         self.at, self.asked = at, []
 
-    def run(self, starts, planners, estimator=None, **options):
+    def run(self, starts, planners, estimator=None):
         self.asked += planners
         if self.at in planners:
             raise KeyboardInterrupt
-        return super().run(starts, planners, estimator, **options)
+        return super().run(starts, planners, estimator)
 
 
 @pytest.fixture(scope="module")

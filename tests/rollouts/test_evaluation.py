@@ -104,13 +104,13 @@ def test_progress_names_the_planner(dataset):
 
 def test_planners_of_ones_own_are_run_beside_the_others(dataset):
     runner = Runner(dataset, SETTINGS["reference"])
-    results = runner.run(STARTS, ["mine", "frontier"], own={"mine": Frontier})
+    results = runner.run(STARTS, {"mine": Frontier, "frontier": "frontier"})
     assert [result._replace(planner="frontier") for result in results[: len(STARTS)]] == results[len(STARTS) :]
     assert {result.planner for result in results[: len(STARTS)]} == {"mine"}
     with pytest.raises(ValueError, match=r"no planner is called 'mine'; known: oracle, .*package\.module:Class"):
         runner.run(STARTS, ["mine"])
-    with pytest.raises(ValueError, match="own: holds an oracle"):
-        runner.run(STARTS, ["oracle"], own={"oracle": Frontier})
+    with pytest.raises(ValueError, match="planners: hold an oracle"):
+        runner.run(STARTS, {"oracle": Frontier})
 
 
 def test_no_starts_no_results(dataset):

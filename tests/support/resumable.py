@@ -69,7 +69,7 @@ def write_houses(folder: Path) -> None:
         np.save(folder / split / f"{split}.npy", np.pad(terrain, ((0, 2), (0, 0)), constant_values=GRASS))
 
 
-def fake_episodes(self, starts, planners, estimator=None, *, own=None) -> list[EpisodeResult]:
+def fake_episodes(self, starts, planners, estimator=None) -> list[EpisodeResult]:
     """Stands in for `Runner.run`: the farther right the start, the longer the episode."""
     return [
         EpisodeResult(
