@@ -5,7 +5,7 @@ import functools
 import secrets
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -24,56 +24,41 @@ _PROJECT = "dc2g_jax"
 Image = UInt8[np.ndarray, "h w 3"]
 
 
-class Tracker(Protocol):
-    """Shows the curves of one run."""
+class Tracker(NamedTuple):
+    """Shows the curves of one run.
 
-    def log(self, step: int, figures: Mapping[str, float]) -> None:
-        """Add a point to each of the curves, name -> value."""
-        ...
+    Attributes:
+      log: `(step, figures)` adds a point to each of the curves, name -> value.
+      image: `(step, name, array)` adds a picture, RGB.
+      close: sends or writes the rest.
+    """
 
-    def image(self, step: int, name: str, array: Image) -> None:
-        """Add a picture, RGB."""
-        ...
-
-    def close(self) -> None:
-        """Send or write the rest."""
-        ...
+    log: Callable[[int, Mapping[str, float]], None]
+    image: Callable[[int, str, Image], None]
+    close: Callable[[], None]
 
 
-class _TensorBoard:
+def _tensorboard(folder: Path, run: str, config: Mapping[str, Any]) -> Tracker:
     """Event files in `folder`. A resumed run adds a file, which TensorBoard shows with the first."""
+    from tensorboardX import SummaryWriter
 
-    def __init__(self, folder: Path, run: str, config: Mapping[str, Any]):
-        from tensorboardX import SummaryWriter
+    # A thread writes every second (two minutes by default), so a killed process loses little.
+    writer = SummaryWriter(str(folder / run), filename_suffix=f".{secrets.token_hex(4)}", flush_secs=1)
 
-        # A thread writes every second (two minutes by default), so a killed process loses little.
-        self._writer = SummaryWriter(str(folder / run), filename_suffix=f".{secrets.token_hex(4)}", flush_secs=1)
-
-    def log(self, step: int, figures: Mapping[str, float]) -> None:
+    def log(step: int, figures: Mapping[str, float]) -> None:
         for name, value in figures.items():
-            self._writer.add_scalar(name, value, step)
+            writer.add_scalar(name, value, step)
 
-    def image(self, step: int, name: str, array: Image) -> None:
-        self._writer.add_image(name, array, step, dataformats="HWC")
-
-    def close(self) -> None:
-        self._writer.close()
+    return Tracker(log, lambda step, name, array: writer.add_image(name, array, step, dataformats="HWC"), writer.close)
 
 
-class _Online:
+def _online(module: Any, run: Any) -> Tracker:
     """A run of wandb or trackio, whose interfaces are alike. A resumed run continues."""
-
-    def __init__(self, module: Any, run: Any):
-        self._module, self._run = module, run
-
-    def log(self, step: int, figures: Mapping[str, float]) -> None:
-        self._run.log(dict(figures), step=step)
-
-    def image(self, step: int, name: str, array: Image) -> None:
-        self._run.log({name: self._module.Image(array)}, step=step)
-
-    def close(self) -> None:
-        self._run.finish()
+    return Tracker(
+        log=lambda step, figures: run.log(dict(figures), step=step),
+        image=lambda step, name, array: run.log({name: module.Image(array)}, step=step),
+        close=run.finish,
+    )
 
 
 def _kept_id(folder: Path, run: str) -> str:
@@ -85,7 +70,7 @@ def _kept_id(folder: Path, run: str) -> str:
     return path.read_text()
 
 
-def _wandb(folder: Path, run: str, config: Mapping[str, Any]) -> _Online:
+def _wandb(folder: Path, run: str, config: Mapping[str, Any]) -> Tracker:
     import wandb
 
     out = folder.parent
@@ -102,10 +87,10 @@ def _wandb(folder: Path, run: str, config: Mapping[str, Any]) -> _Online:
         )
     except wandb.Error as error:
         raise InputError(f"--track wandb: {error}; log in with `wandb login`, or set WANDB_MODE=offline") from None
-    return _Online(wandb, begun)
+    return _online(wandb, begun)
 
 
-def _trackio(folder: Path, run: str, config: Mapping[str, Any]) -> _Online:
+def _trackio(folder: Path, run: str, config: Mapping[str, Any]) -> Tracker:
     import trackio
 
     out = folder.parent
@@ -120,12 +105,12 @@ def _trackio(folder: Path, run: str, config: Mapping[str, Any]) -> _Online:
         auto_log_gpu=False,
     )
     # In a separate context: trackio ends an earlier run that it finds in its own.
-    return _Online(trackio, contextvars.copy_context().run(begin))
+    return _online(trackio, contextvars.copy_context().run(begin))
 
 
 #: Open the tracker of a run, given its folder, the name of the run (empty for a single one) and its configuration.
 _TRACKERS: dict[TrackerName, Callable[[Path, str, Mapping[str, Any]], Tracker]] = {
-    "tensorboard": _TensorBoard,
+    "tensorboard": _tensorboard,
     "wandb": _wandb,
     "trackio": _trackio,
 }
