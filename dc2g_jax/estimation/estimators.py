@@ -9,9 +9,10 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, UInt8
 
-from dc2g_jax.estimation import compact_unet, images, pix2pix
+from dc2g_jax.estimation import compact_unet, images
 from dc2g_jax.estimation.compact_unet import Architecture
-from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
+from dc2g_jax.estimation.pix2pix import Generator, TranslatorArchitecture
+from dc2g_jax.estimation.weights import with_weights
 from dc2g_jax.grid import bitboard, search
 from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.sampling import resize_nearest
@@ -230,7 +231,8 @@ class TranslatorCostToGo:
 
     def answer(self, pictures: Float[Array, "b s s 3"]) -> Float[Array, "b s s 3"]:
         """Cost-to-go images, quantized to 8 bits, for images of partial maps of the network's size."""
-        return jax.vmap(images.in_eight_bits)(pix2pix.translate(self.architecture, self.weights, pictures))
+        generator = with_weights(Generator, self.architecture, self.weights)
+        return jax.vmap(images.in_eight_bits)(generator(pictures))
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "1 h w *batch"]:
         """1 - brightness of the network's image; 1 for pixels that are not traversable."""

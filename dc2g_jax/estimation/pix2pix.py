@@ -17,13 +17,12 @@ from flax import nnx
 from jaxtyping import Array, Float
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.weights import shapes_of_weights, with_weights
+from dc2g_jax.estimation.weights import shapes_of_weights
 from dc2g_jax.programs import jit
 
 _KERNEL = (4, 4)
 _SPREAD = 0.02
 _EPSILON = 1e-5
-_LEAK = 0.2
 
 #: Dropout rate of the first decoder levels, and the number of these levels.
 _DROPOUT, _DROPOUT_LEVELS = 0.5, 3
@@ -122,8 +121,7 @@ class _Layer(nnx.Module):
         return features if self.norm is None else self.norm(features)
 
 
-def _leaky(features: Array) -> Array:
-    return jax.nn.leaky_relu(features, _LEAK)
+_leaky = functools.partial(jax.nn.leaky_relu, negative_slope=0.2)
 
 
 def _dropped(features: Array, key: Array) -> Array:
@@ -146,7 +144,10 @@ class Generator(nnx.Module):
             setattr(self, f"up{level}", _Layer(double, below, normalize=level > 0))
 
     def __call__(self, images: Float[Array, "b s s 3"], key: Array | None = None) -> Float[Array, "b s s 3"]:
-        """Translate images. A key turns on dropout, as in training."""
+        """Translate images of maps to images of their cost-to-go, see `dc2g_jax.estimation.images`.
+
+        A key turns on dropout, as in training; without it, the output is deterministic.
+        """
         features, skipped = 2 * images - 1, []
         for level in range(self.levels):
             features = getattr(self, f"down{level}")(features if level == 0 else _leaky(features))
@@ -203,30 +204,3 @@ def init_weights(network: Network, architecture: TranslatorArchitecture, key: Ar
 
     weights = [weight(path, leaf, end) for (path, leaf), end in zip(leaves, ends.tolist(), strict=True)]
     return jax.tree_util.tree_unflatten(structure, weights)
-
-
-def translate(
-    architecture: TranslatorArchitecture,
-    weights: dict[str, Any],
-    images: Float[Array, "b s s 3"],
-    key: Array | None = None,
-) -> Float[Array, "b s s 3"]:
-    """Translate images of maps to images of their cost-to-go.
-
-    Args:
-      architecture: architecture of the networks.
-      weights: weights of the generator.
-      images: images of maps, see `dc2g_jax.estimation.images.semantic_image`.
-      key: key for dropout in training; without it, there is no dropout and the output is deterministic.
-    """
-    return with_weights(Generator, architecture, weights)(images, key)
-
-
-def discriminate(
-    architecture: TranslatorArchitecture,
-    weights: dict[str, Any],
-    images: Float[Array, "b s s 3"],
-    answers: Float[Array, "b s s 3"],
-) -> Float[Array, "b p q"]:
-    """Log-odds, for each patch, that `answers` are true images for `images`; `weights` are the discriminator's."""
-    return with_weights(Discriminator, architecture, weights)(images, answers)

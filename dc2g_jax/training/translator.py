@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,35 +13,19 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, UInt32
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation import pix2pix
-from dc2g_jax.estimation.pix2pix import Discriminator, Generator, TranslatorArchitecture
+from dc2g_jax.estimation.pix2pix import Discriminator, Generator, TranslatorArchitecture, init_weights
+from dc2g_jax.estimation.weights import with_weights
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import divide
 from dc2g_jax.training.cost_to_go import check_numbers, loss_or_nan
 from dc2g_jax.training.image_pairs import ImagePair
 
-
-class GeneratorLoss(NamedTuple):
-    """Weights of the generator's loss.
-
-    Attributes:
-      l1: weight of the mean absolute error.
-      gan: weight of the adversarial loss.
-    """
-
-    l1: float
-    gan: float
-
-
 #: pix2pix computes the absolute error of images from -1 to 1; here they are from 0 to 1.
 _L1_SCALE = 2.0
 
-#: The paper's three losses, by name; weights as in pix2pix.
-TRANSLATOR_LOSSES = {
-    "l1": GeneratorLoss(100.0, 0.0),
-    "gan": GeneratorLoss(0.0, 1.0),
-    "l1+gan": GeneratorLoss(100.0, 1.0),
-}
+#: The paper's three losses of the generator, by name: weights, as in pix2pix, of the mean absolute error and of the
+#: adversarial loss.
+TRANSLATOR_LOSSES = {"l1": (100.0, 0.0), "gan": (0.0, 1.0), "l1+gan": (100.0, 1.0)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,8 +93,8 @@ def init_translator(config: TranslatorConfig, *, seed: int) -> TranslatorState:
       seed: seed of weights, order of the pairs and dropout.
     """
     generator_key, discriminator_key, run_key = jax.random.split(jax.random.key(seed), 3)
-    generator = pix2pix.init_weights(Generator, config.architecture, generator_key)
-    discriminator = pix2pix.init_weights(Discriminator, config.architecture, discriminator_key)
+    generator = init_weights(Generator, config.architecture, generator_key)
+    discriminator = init_weights(Discriminator, config.architecture, discriminator_key)
     return TranslatorState(
         step=jnp.int32(0),
         key=jax.random.key_data(run_key),
@@ -125,9 +109,8 @@ def discriminator_loss(
     architecture: TranslatorArchitecture, weights: Any, batch: ImagePair, generated: Float[Array, "b s s 3"]
 ) -> Float[Array, ""]:
     """Cross-entropy of classifying patches as true or generated: the sum of the means of both classes."""
-    true, false = (
-        pix2pix.discriminate(architecture, weights, batch.image, answers) for answers in (batch.target, generated)
-    )
+    discriminate = with_weights(Discriminator, architecture, weights)
+    true, false = (discriminate(batch.image, answers) for answers in (batch.target, generated))
     return jnp.mean(jax.nn.softplus(-true)) + jnp.mean(jax.nn.softplus(false))
 
 
@@ -139,12 +122,12 @@ def generator_loss(
     The loss is the sum, weighted as in `TRANSLATOR_LOSSES`, of the mean absolute error of images from -1 to 1 and the
     cross-entropy of patches being classified as true.
     """
-    loss = TRANSLATOR_LOSSES[config.loss]
+    l1_weight, gan_weight = TRANSLATOR_LOSSES[config.loss]
     difference = jnp.mean(jnp.abs(generated - batch.target))
-    total = loss.l1 * _L1_SCALE * difference
-    if loss.gan:
-        odds = pix2pix.discriminate(config.architecture, discriminator, batch.image, generated)
-        total += loss.gan * jnp.mean(jax.nn.softplus(-odds))
+    total = l1_weight * _L1_SCALE * difference
+    if gan_weight:
+        odds = with_weights(Discriminator, config.architecture, discriminator)(batch.image, generated)
+        total += gan_weight * jnp.mean(jax.nn.softplus(-odds))
     return total, difference
 
 
@@ -171,19 +154,20 @@ def translator_step(
     batch = divide(draw_batch(batch_key, state.step, data), mesh)
     dropout_key = jax.random.fold_in(dropout_key, state.step)
     generated, backward = jax.vjp(
-        lambda weights: pix2pix.translate(architecture, weights, batch.image, dropout_key), state.generator
+        lambda weights: with_weights(Generator, architecture, weights)(batch.image, dropout_key), state.generator
     )
     discriminator, discriminator_optimizer = state.discriminator, state.discriminator_optimizer
-    if TRANSLATOR_LOSSES[config.loss].gan:
+    _, gan_weight = TRANSLATOR_LOSSES[config.loss]
+    if gan_weight:
         gradient = jax.grad(lambda weights: discriminator_loss(architecture, weights, batch, generated))(discriminator)
         discriminator, discriminator_optimizer = _updated(config, discriminator, gradient, discriminator_optimizer)
     loss_of = functools.partial(generator_loss, config, discriminator, batch)
     by_picture, difference = jax.grad(loss_of, has_aux=True)(generated)
     (gradient,) = backward(by_picture)
     generator, generator_optimizer = _updated(config, state.generator, gradient, state.generator_optimizer)
-    new = TranslatorState(
+    new = dataclasses.replace(
+        state,
         step=state.step + 1,
-        key=state.key,
         generator=generator,
         discriminator=discriminator,
         generator_optimizer=generator_optimizer,

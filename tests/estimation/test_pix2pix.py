@@ -10,7 +10,7 @@ import pytest
 from dc2g_jax.estimation import images, pix2pix
 from dc2g_jax.estimation.estimators import TranslatorCostToGo
 from dc2g_jax.estimation.pix2pix import Discriminator, Generator, TranslatorArchitecture, init_weights
-from dc2g_jax.estimation.weights import shapes_of_weights
+from dc2g_jax.estimation.weights import shapes_of_weights, with_weights
 from dc2g_jax.grid import gridworld
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.sampling import resize_nearest
@@ -19,7 +19,7 @@ from dc2g_jax.planning.planners import DC2G
 from dc2g_jax.planning.rules import complete_rules
 
 TINY = TranslatorArchitecture(size=32, base_filters=4)
-translate = jax.jit(functools.partial(pix2pix.translate, TINY))
+translate = jax.jit(lambda weights, *inputs: with_weights(Generator, TINY, weights)(*inputs))
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def test_the_full_size_is_that_of_pix2pix():
     assert count(jax.eval_shape(make, jax.random.key(0))) == 2_769_601
     picture = jax.ShapeDtypeStruct((1, 256, 256, 3), jnp.float32)
     odds = jax.eval_shape(
-        functools.partial(pix2pix.discriminate, full),
+        lambda weights, *pair: with_weights(Discriminator, full, weights)(*pair),
         jax.eval_shape(make, jax.random.key(0)),
         picture,
         picture,
@@ -101,7 +101,7 @@ def test_normalization_is_by_channel_and_picture():
 
 def test_bfloat16_answers_about_the_same(weights, pictures):
     half = TranslatorArchitecture(size=32, base_filters=4, compute_dtype="bfloat16")
-    answers = jax.jit(functools.partial(pix2pix.translate, half))(weights, pictures)
+    answers = jax.jit(with_weights(Generator, half, weights))(pictures)
     assert answers.dtype == jnp.float32
     np.testing.assert_allclose(answers, translate(weights, pictures), atol=0.1)
 

@@ -10,11 +10,11 @@ from flax import struct
 
 from dc2g_jax.datasets.drawn_masks import drawn_masks
 from dc2g_jax.datasets.houses import House
-from dc2g_jax.estimation import pix2pix
 from dc2g_jax.estimation.estimators import ExactCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.images import in_eight_bits
 from dc2g_jax.estimation.metrics import ImageMetrics, compare_images
-from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
+from dc2g_jax.estimation.pix2pix import Generator, TranslatorArchitecture, init_weights
+from dc2g_jax.estimation.weights import with_weights
 from dc2g_jax.grid.search import EIGHT_CONNECTED
 from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax.training.image_evaluation import (
@@ -42,7 +42,7 @@ IMAGES = [house_with_door(seed) for seed in range(3)]
 @pytest.fixture(scope="module")
 def network() -> TranslatorCostToGo:
     architecture = TranslatorArchitecture(size=32, base_filters=4)
-    weights = pix2pix.init_weights(pix2pix.Generator, architecture, jax.random.key(0))
+    weights = init_weights(Generator, architecture, jax.random.key(0))
     return TranslatorCostToGo(weights=weights, architecture=architecture)
 
 
@@ -57,7 +57,7 @@ def test_the_translator_is_judged_by_what_it_draws(network):
     assert terrain.shape == (32, 32)
     seen = drawn_masks(1, 64, seed=0)[0]
     metrics, image, predicted, true = compare(network, jnp.asarray(terrain), jnp.asarray(cost), jnp.asarray(seen))
-    drawn = pix2pix.translate(network.architecture, network.weights, image[None])[0]
+    drawn = with_weights(Generator, network.architecture, network.weights)(image[None])[0]
     np.testing.assert_allclose(predicted, in_eight_bits(drawn), atol=1.01 / 255)  # a rounding error counts one
     assert as_floats(metrics) == pytest.approx(
         as_floats(compare_images(predicted, true).metrics()), abs=1e-5, nan_ok=True
@@ -89,10 +89,10 @@ def test_exact_values_make_a_perfect_picture_of_a_partial_map(seed):
 def test_metrics_over_pairs_count_the_pixels_of_all(network):
     houses = [House(f"h{number}", "val", image) for number, image in enumerate(IMAGES)]
     data = all_pairs(houses, drawn_masks(2, 32, seed=0))
-    drawn, true = [], []
+    drawn, true, generator = [], [], with_weights(Generator, network.architecture, network.weights)
     for index in range(6):
         pair = masked_map(data, jnp.int32(index)).pictures()
-        drawn.append(in_eight_bits(pix2pix.translate(network.architecture, network.weights, pair.image[None])[0]))
+        drawn.append(in_eight_bits(generator(pair.image[None])[0]))
         true.append(pair.target)
     # One long picture has the pixels of all.
     together = compare_images(jnp.concatenate(drawn), jnp.concatenate(true)).metrics()

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation import pix2pix
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax.estimation.pix2pix import Discriminator
+from dc2g_jax.estimation.weights import with_weights
 from dc2g_jax.rollouts.devices import mesh_of, replicate
 from dc2g_jax.training.image_pairs import ImageSet
 from dc2g_jax.training.translator import (
@@ -92,9 +93,9 @@ def test_the_discriminator_loss_is_the_cross_entropy(data):
     batch = DRAW(jax.random.key(0), jnp.int32(0), data)
     generated = 1 - batch.target
     weights = init_translator(CONFIG, seed=0).discriminator
-    judge = jax.jit(functools.partial(pix2pix.discriminate, CONFIG.architecture))
+    judge = jax.jit(with_weights(Discriminator, CONFIG.architecture, weights))
     believed, doubted = (
-        1 / (1 + np.exp(-np.asarray(judge(weights, batch.image, answer)))) for answer in (batch.target, generated)
+        1 / (1 + np.exp(-np.asarray(judge(batch.image, answer)))) for answer in (batch.target, generated)
     )
     loss = jax.jit(functools.partial(discriminator_loss, CONFIG.architecture))(weights, batch, generated)
     assert float(loss) == pytest.approx(np.mean(-np.log(believed)) + np.mean(-np.log(1 - doubted)), rel=1e-5)
@@ -104,7 +105,7 @@ def test_the_discriminator_loss_is_the_cross_entropy(data):
 def test_the_generator_loss_is_that_of_pix2pix(data, loss, by_difference, by_doubt):
     batch = DRAW(jax.random.key(0), jnp.int32(0), data)
     generated, weights = 0.7 * batch.target, init_translator(CONFIG, seed=0).discriminator
-    odds = jax.jit(functools.partial(pix2pix.discriminate, CONFIG.architecture))(weights, batch.image, generated)
+    odds = jax.jit(with_weights(Discriminator, CONFIG.architecture, weights))(batch.image, generated)
     doubt = np.mean(-np.log(1 / (1 + np.exp(-np.asarray(odds, np.float64)))))
     # pix2pix takes pictures from -1 to 1.
     difference = np.mean(np.abs((2 * np.asarray(generated) - 1) - (2 * np.asarray(batch.target) - 1)))
