@@ -167,22 +167,16 @@ class CompactUNet(nnx.Module):
 #: Random initial weights for `(architecture, key)`, see `dc2g_jax.estimation.weights`.
 init_weights = functools.partial(fresh_weights, CompactUNet)
 
-#: Shapes and dtypes of the weights for `(architecture)`.
-weight_shapes = functools.partial(shapes_of_weights, CompactUNet)
-
-#: The network for `(architecture, weights)`.
-build = functools.partial(with_weights, CompactUNet)
-
 
 def apply(
     architecture: Architecture, weights: dict[str, Any], terrain: UInt8[Array, "b h w"]
 ) -> Float[Array, "b h w quantiles"]:
     """Run the network on a batch of partial maps: quantiles of the cost-to-go in cells."""
-    return build(architecture, weights)(terrain)
+    return with_weights(CompactUNet, architecture, weights)(terrain)
 
 
 def multiply_accumulates(architecture: Architecture, height: int, width: int) -> int:
     """Multiply-accumulates per map: half of the floating-point operations that XLA counts."""
     maps = jax.ShapeDtypeStruct((1, height, width), jnp.uint8)
-    lowered = jit(functools.partial(apply, architecture)).lower(weight_shapes(architecture), maps)
+    lowered = jit(functools.partial(apply, architecture)).lower(shapes_of_weights(CompactUNet, architecture), maps)
     return round((lowered.cost_analysis() or {})["flops"] / 2)

@@ -14,8 +14,9 @@ import jax.numpy as jnp
 from flax import nnx, struct
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt8
 
-from dc2g_jax.estimation import compact_unet
+from dc2g_jax.estimation.compact_unet import CompactUNet
 from dc2g_jax.estimation.estimators import NetworkCostToGo, zero_without_classes
+from dc2g_jax.estimation.weights import with_weights
 from dc2g_jax.grid.sampling import nearest_pixel
 from dc2g_jax.grid.terrain import OUTSIDE
 from dc2g_jax.grid.world import World
@@ -78,7 +79,7 @@ class PaddedNetwork:
         (grid,) = jnp.moveaxis(terrain.reshape(*terrain.shape[:2], -1), -1, 0)
         architecture = self.network.architecture
         shrunk, map_shape, cells, cell_side = _shrunk(grid, architecture.side)
-        network = compact_unet.build(architecture, self.network.weights)
+        network = with_weights(CompactUNet, architecture, self.network.weights)
         map_patches = tuple(-(-size // architecture.patch) for size in map_shape)
         grid_patches = tuple(-(-size // architecture.patch) for size in shrunk.shape)
         for _, module in nnx.iter_modules(network):

@@ -10,8 +10,9 @@ from flax import nnx
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import compact_unet
-from dc2g_jax.estimation.compact_unet import Architecture, CompactUNet, init_weights, weight_shapes
+from dc2g_jax.estimation.compact_unet import Architecture, CompactUNet, init_weights
 from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, world_cost_to_go
+from dc2g_jax.estimation.weights import shapes_of_weights
 from dc2g_jax.grid.search import EIGHT_CONNECTED
 from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.grid.world import world_from_terrain
@@ -57,7 +58,7 @@ def test_weights_depend_on_the_key_alone(weights):
 
 
 def test_shapes_are_known_without_weights(weights):
-    shapes = weight_shapes(SMALL)
+    shapes = shapes_of_weights(CompactUNet, SMALL)
     assert jax.tree.structure(shapes) == jax.tree.structure(weights)
     assert [leaf.shape for leaf in jax.tree.leaves(shapes)] == [leaf.shape for leaf in jax.tree.leaves(weights)]
 

@@ -3,12 +3,13 @@
 import jax
 import numpy as np
 
-from dc2g_jax.estimation.compact_unet import Architecture, weight_shapes
+from dc2g_jax.estimation.compact_unet import Architecture, CompactUNet
 from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation.weights import shapes_of_weights
 
 
 def random_network(architecture: Architecture) -> NetworkCostToGo:
     """A network of random weights, none of them zero as some are before training."""
-    rng = np.random.default_rng(0)
-    weights = jax.tree.map(lambda leaf: rng.normal(0, 0.2, leaf.shape).astype(leaf.dtype), weight_shapes(architecture))
+    rng, shapes = np.random.default_rng(0), shapes_of_weights(CompactUNet, architecture)
+    weights = jax.tree.map(lambda leaf: rng.normal(0, 0.2, leaf.shape).astype(leaf.dtype), shapes)
     return NetworkCostToGo(weights=weights, architecture=architecture)
