@@ -31,8 +31,9 @@ class Estimator(Protocol):
     """
 
     def init(self, world: World) -> Any:
-        """The state for an episode in `world`. Only a privileged estimator may read the world."""
-        ...
+        """The state for an episode in `world`; empty by default. Only a privileged estimator may read the world."""
+        del world
+        return ()
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "outcomes h w *batch"]:
         """The cost-to-go of every cell given the observed class indices (0 = not observed). Finite, lower is better.
@@ -149,7 +150,7 @@ def zero_without_classes(
 
 
 @struct.dataclass
-class NetworkCostToGo:
+class NetworkCostToGo(Estimator):
     """The estimate of a trained network.
 
     Attributes:
@@ -159,11 +160,6 @@ class NetworkCostToGo:
 
     weights: Any
     architecture: Architecture = struct.field(pytree_node=False)
-
-    def init(self, world: World) -> tuple[()]:
-        """Return the empty state."""
-        del world
-        return ()
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "outcomes h w *batch"]:
         """The network's estimate for partial maps, in cells, with one outcome per quantile.
@@ -206,7 +202,7 @@ class NetworkCostToGo:
 
 
 @struct.dataclass
-class TranslatorCostToGo:
+class TranslatorCostToGo(Estimator):
     """The paper's image-to-image translator. It reads an image of the map and draws one of the cost-to-go.
 
     Attributes:
@@ -218,11 +214,6 @@ class TranslatorCostToGo:
     architecture: TranslatorArchitecture = struct.field(pytree_node=False)
     #: Brightness is relative to the brightest cell.
     in_cells: ClassVar[bool] = False
-
-    def init(self, world: World) -> tuple[()]:
-        """Return the empty state."""
-        del world
-        return ()
 
     def translate(self, terrain: UInt8[Array, "b h w"]) -> Float[Array, "b s s 3"]:
         """Cost-to-go images of partial maps, which are first resized to the network's size."""

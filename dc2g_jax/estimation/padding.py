@@ -15,11 +15,10 @@ from flax import nnx, struct
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt8
 
 from dc2g_jax.estimation.compact_unet import CompactUNet
-from dc2g_jax.estimation.estimators import NetworkCostToGo, zero_without_classes
+from dc2g_jax.estimation.estimators import Estimator, NetworkCostToGo, zero_without_classes
 from dc2g_jax.estimation.weights import with_weights
 from dc2g_jax.grid.sampling import nearest_pixel
 from dc2g_jax.grid.terrain import OUTSIDE
-from dc2g_jax.grid.world import World
 
 
 def _convolved(
@@ -52,7 +51,7 @@ def _convolved(
 
 
 @struct.dataclass
-class PaddedNetwork:
+class PaddedNetwork(Estimator):
     """A trained network for maps in a larger grid, one at a time.
 
     Attributes:
@@ -61,10 +60,6 @@ class PaddedNetwork:
 
     network: NetworkCostToGo
     knows_outside: ClassVar[bool] = True
-
-    def init(self, world: World) -> tuple[()]:
-        """Return the empty state."""
-        return self.network.init(world)
 
     def summarized(self, summary: Callable[[Array], Array]) -> "PaddedNetwork":
         """See `NetworkCostToGo.summarized`."""
