@@ -15,13 +15,12 @@ from dc2g_jax.files.atomic import replacing
 from dc2g_jax.files.reading import read_arrays
 from dc2g_jax.training.cost_to_go_data import (
     DataConfig,
-    by_house,
     check_masks,
     observation_masks,
     training_houses,
     training_set,
 )
-from dc2g_jax.training.mask_collection import Masks
+from dc2g_jax.training.mask_collection import Masks, by_house
 
 #: Collects an object with arrays as attributes. Takes a function to report the finished and the total number of parts.
 Collect = Callable[[Callable[[int, int], None]], object]

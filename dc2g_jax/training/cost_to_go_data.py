@@ -25,7 +25,7 @@ from dc2g_jax.planning.rules import SETTINGS, complete_rules
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.evaluation import Runner, episodes_from
 from dc2g_jax.training.cost_to_go import DrawBatch
-from dc2g_jax.training.mask_collection import LEADERS, Masks, collect_masks, concatenate_masks, leading_planners
+from dc2g_jax.training.mask_collection import LEADERS, Masks, by_house, collect_masks, leading_planners
 
 #: Seed of the procedural validation houses. Seeds of training must be below it.
 _VALIDATION_SEED = 10_000
@@ -209,13 +209,6 @@ def observation_masks(
             )
             on_progress(len(collected), len(config.ranges) * len(leaders))
     return by_house(collected)
-
-
-def by_house(parts: Sequence[Masks]) -> Masks:
-    """Concatenate collections of masks, ordered by house."""
-    masks = concatenate_masks(parts)
-    order = np.argsort(masks.world, kind="stable")
-    return Masks(boards=masks.boards[order], world=masks.world[order])
 
 
 def check_masks(masks: Masks, houses: Sequence[House], where: str) -> None:

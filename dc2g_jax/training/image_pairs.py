@@ -1,8 +1,8 @@
 """Image pairs for the image-to-image translator: partial maps and their cost-to-go (Algorithm 1)."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE, UNKNOWN
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.evaluation import episodes_from
-from dc2g_jax.training.mask_collection import LEADERS, Masks, collect_masks, concatenate_masks, leading_planners
+from dc2g_jax.training.mask_collection import LEADERS, Masks, by_house, collect_masks, leading_planners
 
 #: Factor by which images are enlarged before a random crop, as in pix2pix.
 _ENLARGED = 286 / 256
@@ -114,12 +114,16 @@ def labeled_grid(image: ClassImage, cells: int) -> tuple[UInt8[np.ndarray, "s s"
     return terrain, np.asarray(_solve(TRAVERSABLE[terrain], terrain == FRONT_DOOR))
 
 
-def labeled_maps(
-    images: Iterable[ClassImage], size: int
-) -> tuple[UInt8[np.ndarray, "houses s s"], Float[np.ndarray, "houses s s"]]:
-    """`labeled_map` of several houses, stacked."""
-    terrain, cost = zip(*(labeled_map(image, size) for image in images), strict=True)
-    return np.stack(terrain), np.stack(cost)
+def _labeled_pairs(houses: Sequence[House], size: int, boards: Any, pair_house: Any, pair_mask: Any) -> ImageSet:
+    """Pairs of houses, see `labeled_map`, and of masks."""
+    terrain, cost = zip(*(labeled_map(house.terrain, size) for house in houses), strict=True)
+    return ImageSet(
+        terrain=jnp.asarray(np.stack(terrain)),
+        cost_to_go=jnp.asarray(np.stack(cost)),
+        masks=jnp.asarray(boards),
+        pair_house=jnp.asarray(pair_house, jnp.int32),
+        pair_mask=jnp.asarray(pair_mask, jnp.int32),
+    )
 
 
 def all_pairs(houses: Sequence[House], masks: Bool[np.ndarray, "masks s s"]) -> ImageSet:
@@ -129,14 +133,9 @@ def all_pairs(houses: Sequence[House], masks: Bool[np.ndarray, "masks s s"]) -> 
       houses: houses with their whole images.
       masks: true where a pixel is observed, in the size of the images to make.
     """
-    terrain, cost = labeled_maps((house.terrain for house in houses), masks.shape[-1])
-    return ImageSet(
-        terrain=jnp.asarray(terrain),
-        cost_to_go=jnp.asarray(cost),
-        masks=jit(jax.vmap(bitboard.pack))(jnp.asarray(masks)),
-        pair_house=jnp.repeat(jnp.arange(len(houses)), len(masks)),
-        pair_mask=jnp.tile(jnp.arange(len(masks)), len(houses)),
-    )
+    boards = jit(jax.vmap(bitboard.pack))(jnp.asarray(masks))
+    pair_house, pair_mask = np.divmod(np.arange(len(houses) * len(masks)), len(masks))
+    return _labeled_pairs(houses, masks.shape[-1], boards, pair_house, pair_mask)
 
 
 def rollout_masks(houses: Sequence[House], per_house: int, *, seed: int) -> Masks:
@@ -157,7 +156,7 @@ def rollout_masks(houses: Sequence[House], per_house: int, *, seed: int) -> Mask
     planners = leading_planners(rules, *houses[0].terrain.shape, seed=seed)
     episodes = episodes_from(starts, index)
     collect = partial(collect_masks, sensing=rules.sensing, per_episode=_MOMENTS, seed=seed)
-    masks = concatenate_masks([collect(planner, worlds, episodes) for planner in planners])
+    masks = by_house([collect(planner, worlds, episodes) for planner in planners])
     rng = np.random.default_rng(seed)
     chosen = []
     for number in np.unique(masks.world):
@@ -188,14 +187,7 @@ def image_set(dataset: HouseDataset, split: str, *, size: int, masks: MaskKind, 
     grids = [House(house.name, split, sample_grid(house.terrain, GRID_CELLS)) for house in houses]
     usable_houses(HouseDataset(dataset.name, dataset.source, tuple(grids)), split, instead="use --masks paper")
     collected = rollout_masks(grids, per_house, seed=MASK_SEEDS[split])
-    terrain, cost = labeled_maps((house.terrain for house in houses), size)
-    return ImageSet(
-        terrain=jnp.asarray(terrain),
-        cost_to_go=jnp.asarray(cost),
-        masks=jnp.asarray(collected.boards),
-        pair_house=jnp.asarray(collected.world, jnp.int32),
-        pair_mask=jnp.arange(len(collected.world)),
-    )
+    return _labeled_pairs(houses, size, collected.boards, collected.world, np.arange(len(collected.world)))
 
 
 class MaskedMap(NamedTuple):

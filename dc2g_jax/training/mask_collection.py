@@ -127,8 +127,8 @@ def collect_masks(
     return Masks(boards=np.concatenate(boards), world=np.concatenate(owners))
 
 
-def concatenate_masks(parts: Sequence[Masks]) -> Masks:
-    """Concatenate collections of masks.
+def by_house(parts: Sequence[Masks]) -> Masks:
+    """Concatenate collections of masks, ordered by house.
 
     Raises:
       InputError: there are no masks.
@@ -138,4 +138,6 @@ def concatenate_masks(parts: Sequence[Masks]) -> Masks:
             "no mask: wherever a robot starts in these houses, it sees a front door at once, so there is nothing to "
             "learn; give larger houses, or robots that see less far"
         )
-    return Masks(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+    boards, world = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    order = np.argsort(world, kind="stable")
+    return Masks(boards[order], world[order])

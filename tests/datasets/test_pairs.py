@@ -21,7 +21,7 @@ from dc2g_jax.rollouts.devices import mesh_of
 from dc2g_jax.rollouts.rollout import Episodes, rollout
 from dc2g_jax.training import mask_collection
 from dc2g_jax.training.cost_to_go_data import DataConfig
-from dc2g_jax.training.mask_collection import collect_masks, concatenate_masks
+from dc2g_jax.training.mask_collection import by_house, collect_masks
 from experiments.baselines import numpy_gridworld as oracle
 from tests.support import maps
 
@@ -288,9 +288,10 @@ def test_masks_collected_along_paths(street, island, monkeypatch):
     monkeypatch.setattr(mask_collection, "mesh_of", lambda: mesh_of(jax.devices()[:1]))
     again = collect_masks(planner, worlds, episodes, per_episode=3, seed=1, **options)
     jax.tree.map(np.testing.assert_array_equal, tuple(again), tuple(collected))
-    both = concatenate_masks([collected, again])
-    np.testing.assert_array_equal(both.boards, np.concatenate([collected.boards] * 2))
-    np.testing.assert_array_equal(both.world, np.concatenate([collected.world] * 2))
+    both = by_house([collected, again])
+    np.testing.assert_array_equal(both.world, np.sort(np.concatenate([collected.world] * 2)))
+    of_worlds = [np.concatenate([collected.boards[collected.world == world]] * 2) for world in (0, 1)]
+    np.testing.assert_array_equal(both.boards, np.concatenate(of_worlds))
 
 
 def test_map_noise_changes_some_observed_cells_and_nothing_else():
