@@ -19,7 +19,6 @@ import numpy as np
 import optax
 import tyro
 from flax import nnx
-from flax.traverse_util import flatten_dict
 from jaxtyping import Array, Bool, Float, Int, UInt8
 from optax import softmax_cross_entropy_with_integer_labels as cross_entropy
 from tqdm import tqdm
@@ -328,8 +327,7 @@ def main(options: Options) -> None:
         (options.out / "table.csv").write_text("\n".join(lines))
         steps = ppo.chunk * ppo.decisions * np.arange(1, len(curve) + 1)
         save_learning_curve(options.out / "curve", steps, *curve.T)
-        policy = flatten_dict(jax.device_get(nnx.to_pure_dict(weights)), sep=".")
-        write_safetensors(options.out / "policy.safetensors", policy, {})
+        write_safetensors(options.out / "policy.safetensors", nnx.to_pure_dict(weights), {})
         print(f"Policy, learning curve and table are in {options.out}.")
 
 

@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import nnx
-from flax.traverse_util import flatten_dict
 
 from dc2g_jax.errors import InputError, require_extra, short
 from dc2g_jax.estimation.compact_unet import Architecture, CompactUNet
@@ -110,8 +109,7 @@ def save_network(folder: str | Path, network: TrainedNetwork, card: dict[str, An
     """
     folder = Path(folder).absolute()
     folder.mkdir(parents=True, exist_ok=True)
-    tensors = {name: np.asarray(leaf) for name, leaf in flatten_dict(network.weights, sep=".").items()}
-    write_safetensors(folder / _WEIGHTS, tensors, {})
+    write_safetensors(folder / _WEIGHTS, network.weights, {})
     facts = {
         "network": next(name for name, kind in _KINDS.items() if isinstance(network, kind.estimator)),
         "architecture": dataclasses.asdict(network.architecture),

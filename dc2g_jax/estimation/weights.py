@@ -59,15 +59,15 @@ def with_weights(network: Callable[..., _Network], architecture: Any, weights: d
     return nnx.merge(graph, state)
 
 
-def write_safetensors(path: str | Path, tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> None:
+def write_safetensors(path: str | Path, tensors: dict[str, Any], metadata: Mapping[str, str]) -> None:
     """Write arrays to a file, always as the same bytes. An existing file is replaced atomically.
 
     Args:
       path: the file.
-      tensors: name -> array.
+      tensors: name -> array. Nested dictionaries, such as `fresh_weights`, get names with dots.
       metadata: further facts, as strings by name.
     """
-    dense = {name: np.asarray(tensor, order="C") for name, tensor in tensors.items()}
+    dense = {name: np.asarray(tensor, order="C") for name, tensor in flatten_dict(tensors, sep=".").items()}
     data = save(dense)
     length = int.from_bytes(data[:8], "little")
     # The library would write the metadata in random order.
@@ -126,7 +126,7 @@ def write_network(path: str | Path, weights: dict[str, Any], architecture: Any, 
       architecture: dataclass of the architecture.
       card: further facts about the network.
     """
-    tensors = {name: np.asarray(leaf, np.float16) for name, leaf in flatten_dict(weights, sep=".").items()}
+    tensors = jax.tree.map(lambda leaf: np.asarray(leaf, np.float16), weights)
     metadata = {"architecture": json.dumps(dataclasses.asdict(architecture)), "card": json.dumps(dict(card))}
     write_safetensors(path, tensors, metadata)
 
