@@ -50,10 +50,8 @@ class Extent:
     a static argument of `jit`.
     """
 
-    @property
-    def prior(self) -> float:
-        """The cost of cells that have never been estimated."""
-        return 0.0
+    #: Cost of cells that have never been estimated.
+    prior: float = 0.0
 
     def part(self, terrain: UInt8[Array, "h w *batch"], pose: Pose) -> UInt8[Array, "h2 w2 *batch"]:
         """The part of the observed class indices (0 = not observed) for a robot in this pose."""
