@@ -36,24 +36,19 @@ PROCEDURAL_SPLIT: tuple[tuple[str, str, str], ...] = tuple(
 
 
 def house_seed(seed: int, index: int) -> int:
-    """The seed that `draw_house` gets for house `index` of `procedural_houses(seed)`: an even number."""
-    return 2 * _paired(seed, index)
-
-
-def training_house_seed(seed: int, index: int) -> int:
-    """The seed that `draw_house` gets for house `index` of `procedural_training_houses`: an odd number."""
-    return 2 * _paired(seed, index) + 1
-
-
-def _paired(seed: int, index: int) -> int:
-    """Combine two numbers into one, injectively.
+    """The seed that `draw_house` gets for house `index` of `procedural_houses(seed)`: an even number, injectively.
 
     Raises:
         ValueError: if either is negative or 2^32 or more.
     """
     if not (0 <= seed < 2**32 and 0 <= index < 2**32):
         raise ValueError(f"seed and index must be in [0, 2^32), got {seed} and {index}")
-    return (seed << 32) | index
+    return 2 * ((seed << 32) | index)
+
+
+def training_house_seed(seed: int, index: int) -> int:
+    """The seed that `draw_house` gets for house `index` of `procedural_training_houses`: an odd number."""
+    return house_seed(seed, index) + 1
 
 
 def is_usable(classes: ClassImage, cells: int = 50) -> bool:

@@ -72,11 +72,6 @@ class Lot:
     essentials: Polygons
 
 
-def front_at(blocks: list[Points], x: float) -> float:
-    """The foremost (smallest) y of the blocks that extend over x, meters."""
-    return min(float(np.min(b[:, 1])) for b in blocks if np.min(b[:, 0]) <= x <= np.max(b[:, 0]))
-
-
 def build_house(rng: np.random.Generator, suburb: Suburb) -> HouseOutline:
     """A house as a union of rectangles: body, garage, bays, wings, some with corners cut off."""
     width, depth = uniform(rng, suburb.house_width), uniform(rng, suburb.house_depth)
@@ -101,7 +96,8 @@ def build_house(rng: np.random.Generator, suburb: Suburb) -> HouseOutline:
         start = right - uniform(rng, (0.2, 0.4)) * width
         blocks.append(rectangle(start, uniform(rng, (-5, -2)), right, depth * 0.6))
     door_x = uniform(rng, (inner + 1.2, max(right - 1.5, inner + 1.3)))
-    door = (door_x, front_at(blocks, door_x))
+    behind_door = [block for block in blocks if np.min(block[:, 0]) <= door_x <= np.max(block[:, 0])]
+    door = (door_x, min(float(np.min(block[:, 1])) for block in behind_door))  # on the foremost wall
     blocks = [_cut_corner(rng, jitter(rng, block, 0.12)) for block in blocks]
     return HouseOutline(blocks, left, right, (left + garage_width / 2, garage_front, garage_width), door)
 

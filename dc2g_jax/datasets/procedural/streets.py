@@ -105,19 +105,13 @@ class Streets:
                 sketch.add("verge", [disc(rng, center, verge, 0.01, corners=40)])
 
 
-def wander(rng: np.random.Generator, heading: float, bend: float, length: float = _REACH) -> Points:
+def wander(rng: np.random.Generator, heading: float, bend: float) -> Points:
     """A line [n 2] from the origin whose heading drifts by about `bend` radians per 100 m."""
-    count = int(length / _STEP)
+    count = int(_REACH / _STEP)
     turns = (wobble(rng, count, bend) + rng.normal(0, bend)) * _STEP / 100
     headings = heading + np.cumsum(turns)
     steps = _STEP * np.stack([np.cos(headings), np.sin(headings)], axis=-1)
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-
-
-def through_road(rng: np.random.Generator, bend: float) -> Points:
-    """A gently bending road [n 2] through the origin, where its direction is +x."""
-    ahead, behind = wander(rng, 0.0, bend), wander(rng, np.pi, bend)
-    return np.concatenate([behind[:0:-1], ahead])
 
 
 def lay_streets(rng: np.random.Generator, kinds: dict[str, float], road_width: Range, lot_width: float) -> Streets:
@@ -129,7 +123,8 @@ def lay_streets(rng: np.random.Generator, kinds: dict[str, float], road_width: R
         _lay_circle(rng, streets, half)
         return streets
     bend = {"straight": 0.05, "curved": 1.3, "knuckle": 0.6, "fork": 0.4}.get(kind, 0.25)
-    main = through_road(rng, bend)
+    ahead, behind = wander(rng, 0.0, bend), wander(rng, np.pi, bend)
+    main = np.concatenate([behind[:0:-1], ahead])  # through the origin, where its direction is +x
     streets.add_road(main, half)
     middle = len(main) // 2
     if kind == "knuckle":
