@@ -88,7 +88,6 @@ class Extract:
     """What an extract holds, on the ground and in the open.
 
     Attributes:
-      path: the file.
       center: latitude and longitude of the plane's origin, degrees.
       lines: ways; parts of which nodes are missing are left out.
       areas: areas that are complete.
@@ -96,7 +95,6 @@ class Extract:
       incomplete: number of ways that lack nodes, because the extract was clipped.
     """
 
-    path: Path
     center: tuple[float, float]
     lines: list[Line]
     areas: list[Area]
@@ -258,7 +256,6 @@ def _projected(reader: _Reader, around: tuple[float, float] | None) -> Extract:
         return np.asarray((degrees - origin) * scale)
 
     return Extract(
-        path=reader.path,
         center=around,
         lines=[replace(line, points=meters(line.points)) for line in reader.lines],
         areas=[

@@ -1,5 +1,6 @@
 """Maps of the buildings of an OpenStreetMap extract: each with its street, its neighbors, and a door to reach."""
 
+import functools
 import itertools
 import zlib
 from collections.abc import Sequence
@@ -108,7 +109,7 @@ class Neighborhood:
         if around:
             self.buildings = [one for one in self.buildings if self._shows_origin(one)]
         self._entered = _Index([one for one in extract.buildings if uses.has_front_door(one) or uses.is_garage(one)])
-        self._entries: dict[str, Entry | str] = {}
+        self._entry = functools.cache(self._planned_entry)  # neighbors show it too
 
     def _shows_origin(self, building: Area) -> bool:
         view = self._view(building)
@@ -121,13 +122,13 @@ class Neighborhood:
         """Sidewalks along streets of which it is not mapped whether they have some."""
         walks = [line.points for line in self._extract.lines if line.tags.get("footway") == "sidewalk"]
         mapped = spatial.KDTree(np.concatenate([resample(points, 2.0) for points in walks])) if walks else None
-        shapes = []
+        shapes: list[Patch] = []
         for line in self._extract.streets:
             usual = line.tags["highway"] in _WITH_SIDEWALKS and sidewalk_sides(line.tags) is None
             beside = mapped is not None and _has_beside(line, mapped)
             if usual and not beside and self._random(line.name).random() < _SIDEWALKS:
-                shapes.append(sidewalks(line, (True, True), self._meters / self._cells))
-        return [shape for shape in shapes if shape is not None]
+                shapes += sidewalks(line, (True, True), self._meters / self._cells)
+        return shapes
 
     def _view(self, building: Area) -> PictureFrame | None:
         """The picture of a building with its street; `None` if the street is too far away.
@@ -146,13 +147,8 @@ class Neighborhood:
                 return None
         return square_view(center, self._meters, self._cells)
 
-    def _entry(self, building: Area) -> Entry | str:
-        """How a building is entered, or the reason why it is not. Kept, since neighbors show it too."""
-        if building.name not in self._entries:
-            self._entries[building.name] = self._planned_entry(building)
-        return self._entries[building.name]
-
     def _planned_entry(self, building: Area) -> Entry | str:
+        """How a building is entered, or the reason why it is not."""
         view = self._view(building)
         if view is None:
             return "no street is near enough to be on its map"

@@ -17,8 +17,8 @@ _OTHER_STREET_WIDTH, _LANE_WIDTH = 10.0, 3.2
 #: Width of a sidewalk along a street, meters.
 SIDEWALK_WIDTH = 1.8
 
-#: Radii of trees and of turning circles, meters.
-_TREE_RADIUS, _TURNING_RADIUS = 1.6, 7.0
+#: Value of `natural` or `highway` -> layer and radius of nodes.
+_NODES = {"tree": ("tree", 1.6), "turning_circle": ("road", 7.0)}
 
 #: Value of `highway` -> layer and width of other ways than streets. Robots take no steps.
 _WAYS = {
@@ -113,15 +113,15 @@ def sidewalk_sides(tags: Tags) -> tuple[bool, bool] | None:
     return left, right
 
 
-def sidewalks(line: Line, sides: tuple[bool, bool], cell: float) -> Patch | None:
+def sidewalks(line: Line, sides: tuple[bool, bool], cell: float) -> list[Patch]:
     """Sidewalks along a street, on its left and right."""
     half, beside = street_width(line.tags) / 2, max(SIDEWALK_WIDTH, CONNECTED * cell)
     if all(sides):
-        return Patch("pavement", strip(line.points, 2 * (half + beside)))
+        return [Patch("pavement", strip(line.points, 2 * (half + beside)))]
     if not any(sides):
-        return None
+        return []
     side = 1 if sides[1] else -1  # y grows downward: what ribbons call left is to the right
-    return Patch("pavement", ribbon(line.points, side * (half + beside), 0.0))
+    return [Patch("pavement", ribbon(line.points, side * (half + beside), 0.0))]
 
 
 def mapped_shapes(extract: Extract, cell: float) -> list[Patch]:
@@ -131,18 +131,17 @@ def mapped_shapes(extract: Extract, cell: float) -> list[Patch]:
       extract: the extract.
       cell: side of a cell of the maps, meters: nothing is too narrow to appear there.
     """
-    shapes: list[Patch | None] = [_area_shape(area) for area in extract.areas]
-    for line in extract.lines:
-        shapes += _line_shapes(line, cell)
+    shapes = [shape for area in extract.areas for shape in _area_shapes(area)]
+    shapes += [shape for line in extract.lines for shape in _line_shapes(line, cell)]
     for spot in extract.spots:
-        round_things = {"tree": ("tree", _TREE_RADIUS), "turning_circle": ("road", _TURNING_RADIUS)}
-        layer, radius = round_things.get(spot.tags.get("natural", spot.tags.get("highway", "")), ("", 0.0))
-        if layer:
+        kind = spot.tags.get("natural", spot.tags.get("highway"))
+        if kind in _NODES:
+            layer, radius = _NODES[kind]
             shapes.append(Patch(layer, strip(spot.point[None], 2 * radius)))
-    return [shape for shape in shapes if shape is not None]
+    return shapes
 
 
-def _line_shapes(line: Line, cell: float) -> list[Patch | None]:
+def _line_shapes(line: Line, cell: float) -> list[Patch]:
     tags, highway = line.tags, line.tags.get("highway")
     found, sides = [], None
     if tags.get("tunnel") == "building_passage":
@@ -159,14 +158,14 @@ def _line_shapes(line: Line, cell: float) -> list[Patch | None]:
         found = [_WAYS[highway]]
     elif tags.get("bridge", "no") == "no":
         found = [_LINES[tag] for tag in tags.items() if tag in _LINES]
-    shapes: list[Patch | None] = []
+    shapes = []
     for layer, width in found:
         least = (SAMPLED if layer in ("path", "fence", "bush", "tree") else CONNECTED) * cell
         shapes.append(Patch(layer, strip(line.points, max(width, least))))
-    return [*shapes, sidewalks(line, sides, cell)] if sides else shapes
+    return shapes + sidewalks(line, sides, cell) if sides else shapes
 
 
-def _area_shape(area: Area) -> Patch | None:
+def _area_shapes(area: Area) -> list[Patch]:
     tags = area.tags
     paved = tags.get("area:highway", tags.get("highway"))
     layer = next((_AREAS[tag] for tag in tags.items() if tag in _AREAS), None)
@@ -176,4 +175,4 @@ def _area_shape(area: Area) -> Patch | None:
         layer = None if paved in _CLOSED else "pavement" if paved in _WALKED else "road"
     elif tags.get("amenity") == "parking":
         layer = "driveway" if tags.get("parking", "surface") in ("surface", "street_side", "lane") else None
-    return None if layer is None else Patch(layer, area.outer, area.inner)
+    return [] if layer is None else [Patch(layer, area.outer, area.inner)]
