@@ -47,7 +47,6 @@ class OccupancyMap:
     """An occupancy map.
 
     Attributes:
-      path: the YAML file it was read from.
       free: pixels known to be free.
       occupied: pixels known to be occupied; pixels that are neither are unknown.
       resolution: meters per pixel.
@@ -55,7 +54,6 @@ class OccupancyMap:
       doubts: lines about what may be a mistake in the metadata, and about what was left out of the image.
     """
 
-    path: Path
     free: Bool[np.ndarray, "h w"]
     occupied: Bool[np.ndarray, "h w"]
     resolution: float
@@ -132,7 +130,7 @@ def read_occupancy_map(path: Path) -> OccupancyMap:
             f"{unknown_grays} pixels are gray {_UNKNOWN_GRAY}, which map savers write where nothing is known, but "
             f"free_thresh {free_threshold} makes them free; if that is not meant, write {_USUAL_FREE_THRESHOLD}"
         )
-    pixels = OccupancyMap(path, free[levels] & opaque, occupied[levels] & opaque, resolution, frame, (*doubts,))
+    pixels = OccupancyMap(free[levels] & opaque, occupied[levels] & opaque, resolution, frame, (*doubts,))
     return _cropped(pixels)
 
 
