@@ -19,7 +19,6 @@ from dc2g_jax.datasets.procedural import procedural_houses
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import (
     PALETTE_FILE,
-    Palette,
     read_class_image,
     read_palette,
     write_class_image,
@@ -158,12 +157,17 @@ def load_dataset(folder: str | os.PathLike[str], *, cells: int | None = 50) -> H
         _check_folder(folder)
         listed = _read_house_lists(folder)
         palette = read_palette(folder / PALETTE_FILE)
-        houses = tuple(
-            _read_house(folder, split, name, where, palette, cells) for name, (split, where) in listed.items()
-        )
+        houses = []
+        for name, (split, where) in listed.items():
+            path = _image_path(folder, split, name)
+            if not path.exists():
+                raise InputError(
+                    f"{path}: no such file, but {where} lists house {name!r}; add the image or delete the line"
+                )
+            houses.append(House(name, split, sampled(str(path), read_class_image(path, palette), cells)))
         if matches_published(folder):
-            return HouseDataset(PUBLISHED_NAME, "published", houses)
-        return HouseDataset(folder.resolve().name, "folder", houses)
+            return HouseDataset(PUBLISHED_NAME, "published", tuple(houses))
+        return HouseDataset(folder.resolve().name, "folder", tuple(houses))
     except OSError as error:
         where = error.filename or folder
         raise InputError(f"{where}: cannot be read ({error.strerror}); allow reading or copy it") from None
@@ -349,10 +353,3 @@ def _check_name(where: object, name: str) -> None:
 
 def _image_path(folder: Path, split: str, name: str) -> Path:
     return folder / IMAGE_FOLDER / split / f"world{name}.png"
-
-
-def _read_house(folder: Path, split: str, name: str, where: str, palette: Palette, cells: int | None) -> House:
-    path = _image_path(folder, split, name)
-    if not path.exists():
-        raise InputError(f"{path}: no such file, but {where} lists house {name!r}; add the image or delete the line")
-    return House(name, split, sampled(str(path), read_class_image(path, palette), cells))
