@@ -38,7 +38,7 @@ from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.estimation.weights import fresh_weights
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES
-from dc2g_jax.mapping.sequences import Shot, frames, read_picture, read_sequence, write_sequence
+from dc2g_jax.mapping.sequences import Shot, read_frame, read_picture, read_sequence, write_sequence
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, TrainedEncoder, init_encoder, load_encoder, save_encoder
 from dc2g_jax.objectnav.networks import (
     CostMapArchitecture,
@@ -132,7 +132,8 @@ def write_recording(folder: Path) -> None:
 
 def read_recording(folder: Path) -> None:
     sequence = read_sequence(folder)
-    for moment, _ in zip(sequence.moments, frames(sequence), strict=True):
+    for moment in sequence.moments:
+        read_frame(sequence, moment)
         read_picture(moment)
 
 

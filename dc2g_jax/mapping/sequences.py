@@ -142,16 +142,6 @@ def read_sequence(folder: str | Path, tolerance: float = TOLERANCE) -> ImageSequ
     return ImageSequence(intrinsics, tuple(moments), len(depth) - len(moments), palette)
 
 
-def frames(sequence: ImageSequence) -> Iterator[Frame]:
-    """Iterate over the frames of a recording; NumPy arrays on the host.
-
-    Raises:
-      InputError: an image is missing or damaged, or has the wrong size or kind.
-    """
-    for moment in sequence.moments:
-        yield read_frame(sequence, moment)
-
-
 def read_frame(sequence: ImageSequence, moment: FrameFiles) -> Frame:
     """Read the depth and class images of a moment; NumPy arrays on the host.
 

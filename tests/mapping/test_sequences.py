@@ -2,6 +2,7 @@ import dataclasses
 import io
 import math
 import os
+from collections.abc import Iterator
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,9 +14,9 @@ from dc2g_jax.mapping.camera import CameraPose, Frame
 from dc2g_jax.mapping.checks import check_frame
 from dc2g_jax.mapping.quaternions import quaternion_from_rotation, rotation_from_quaternion
 from dc2g_jax.mapping.sequences import (
+    ImageSequence,
     Shot,
     covered,
-    frames,
     moved,
     read_frame,
     read_picture,
@@ -27,6 +28,10 @@ from tests.support.refusals import refusal
 
 SHAPE = (CAMERA.height, CAMERA.width)
 CAMERA_LINE = "19 23 14.3 8.9 28 18\n"
+
+
+def frames(sequence: ImageSequence) -> Iterator[Frame]:
+    return (read_frame(sequence, moment) for moment in sequence.moments)
 
 
 def png(pixels: np.ndarray) -> bytes:
