@@ -277,10 +277,10 @@ def _views(site: Site, streets: StreetPoints) -> tuple[Float[np.ndarray, "k"], B
     return distance, np.array([a and site.clear(*ends) for a, *ends in zip(ahead, starts, street, strict=True)])
 
 
-def add_driveway(site: Site, rng: np.random.Generator, front: Placement | None) -> tuple[Patch, Points] | None:
+def add_driveway(site: Site, rng: np.random.Generator, front: Placement | None) -> tuple[list[Patch], Points | None]:
     """A straight driveway from the street to a wall beside the front door, and where a walkway leaves it, [2].
 
-    Detached houses and garages get one where none is mapped. `None` where there is none or no room for one.
+    Detached houses and garages get one where none is mapped, if there is room for it.
 
     Args:
       site: the house or garage.
@@ -296,7 +296,7 @@ def add_driveway(site: Site, rng: np.random.Generator, front: Placement | None) 
         or (front is not None and (attached or _ground(site.building) > _MOST_GROUND))
         or rng.random() > _DRIVEWAYS
     ):
-        return None
+        return [], None
     distance, facing = _views(site, site.streets)
     facing &= (distance > _DRIVEWAY_LENGTH[0]) & (distance < _DRIVEWAY_LENGTH[1])
     if front is not None:
@@ -312,8 +312,8 @@ def add_driveway(site: Site, rng: np.random.Generator, front: Placement | None) 
             line = resample(np.array([mouth, wall + toward, frame.place((0, 0.5))]), 0.8)
             width = max(uniform(rng, (3.0, 5.0) if front is not None else (2.6, 3.4)), CONNECTED * site.cell)
             shape = tapered(rng, line, width, width, uniform(rng, (1.0, 1.5)))
-            return Patch("driveway", shape), wall + uniform(rng, (1.0, 3.0)) * toward
-    return None
+            return [Patch("driveway", shape)], wall + uniform(rng, (1.0, 3.0)) * toward
+    return [], None
 
 
 def add_walkway(site: Site, rng: np.random.Generator, door: Placement, start: Points | None) -> list[Patch] | None:
@@ -367,9 +367,8 @@ def plan_entry(site: Site, entrances: Sequence[Spot], rng: np.random.Generator, 
             return "no wall faces a street with nothing between"
         doors = [site.walls.frame(front)]
         outlines = [doors[0].place(door_outline(rng, (0.0, 0.0), size))]
-    driveway = add_driveway(site, rng, doors[0])
-    starts = [None if driveway is None else driveway[1], *([None] * (len(doors) - 1))]
-    walks = [add_walkway(site, rng, door, start) for door, start in zip(doors, starts, strict=True)]
-    added = [shape for walk in walks if walk for shape in walk] + ([] if driveway is None else [driveway[0]])
+    driveway, start = add_driveway(site, rng, doors[0])
+    walks = [add_walkway(site, rng, door, start if door is doors[0] else None) for door in doors]
+    added = [shape for walk in walks if walk for shape in walk] + driveway
     reached = [outline for outline, walk in zip(outlines, walks, strict=True) if walk is not None]
     return Entry(reached, mapped, added) if reached else "no ground leads to its mapped doors"

@@ -158,8 +158,7 @@ class Neighborhood:
         rng = self._random(building.name)
         if self._uses.has_front_door(building):
             return plan_entry(site, self._entrances, rng, self._only_mapped)
-        driveway = None if self._only_mapped else add_driveway(site, rng, None)
-        return Entry([], False, [] if driveway is None else [driveway[0]])
+        return Entry([], False, [] if self._only_mapped else add_driveway(site, rng, None)[0])
 
     def map_of(self, building: Area) -> BuildingMap | str:
         """The map of a building, or the reason why there is none.

@@ -20,11 +20,14 @@ SIDEWALK_WIDTH = 1.8
 #: Value of `natural` or `highway` -> layer and radius of nodes.
 _NODES = {"tree": ("tree", 1.6), "turning_circle": ("road", 7.0)}
 
-#: Value of `highway` -> layer and width of other ways than streets. Robots take no steps.
+#: Tag -> layer and width of other ways than streets; the first that a way has counts. Robots take no steps.
 _WAYS = {
-    "footway": ("path", 1.4), "path": ("path", 1.2), "bridleway": ("path", 1.4), "track": ("path", 2.4),
-    "cycleway": ("pavement", 2.0), "service": ("road", 4.0), "motorway": ("blocked", 12.0),
-    "motorway_link": ("blocked", 7.0),
+    ("tunnel", "building_passage"): ("court_path", 2.5), ("service", "driveway"): ("driveway", 3.2),
+    ("footway", "crossing"): ("crossing", 2.5), ("footway", "traffic_island"): ("crossing", 2.5),
+    ("footway", "sidewalk"): ("pavement", 2.0), ("highway", "footway"): ("path", 1.4),
+    ("highway", "path"): ("path", 1.2), ("highway", "bridleway"): ("path", 1.4), ("highway", "track"): ("path", 2.4),
+    ("highway", "cycleway"): ("pavement", 2.0), ("highway", "service"): ("road", 4.0),
+    ("highway", "motorway"): ("blocked", 12.0), ("highway", "motorway_link"): ("blocked", 7.0),
 }  # fmt: skip
 
 #: Tag -> layer and width of other lines.
@@ -142,21 +145,11 @@ def mapped_shapes(extract: Extract, cell: float) -> list[Patch]:
 
 
 def _line_shapes(line: Line, cell: float) -> list[Patch]:
-    tags, highway = line.tags, line.tags.get("highway")
-    found, sides = [], None
-    if tags.get("tunnel") == "building_passage":
-        found = [("court_path", 2.5)]
-    elif tags.get("service") == "driveway":
-        found = [("driveway", 3.2)]
-    elif is_street(tags):
+    tags, sides = line.tags, None
+    found = [_WAYS[key, value] for key, value in _WAYS if tags.get(key) == value][:1]
+    if is_street(tags) and tags.get("tunnel") != "building_passage":
         found, sides = [("road", street_width(tags))], sidewalk_sides(tags)
-    elif tags.get("footway") in ("crossing", "traffic_island"):
-        found = [("crossing", 2.5)]
-    elif tags.get("footway") == "sidewalk":
-        found = [("pavement", 2.0)]
-    elif highway in _WAYS:
-        found = [_WAYS[highway]]
-    elif tags.get("bridge", "no") == "no":
+    elif not found and tags.get("bridge", "no") == "no":
         found = [_LINES[tag] for tag in tags.items() if tag in _LINES]
     shapes = []
     for layer, width in found:

@@ -32,8 +32,8 @@ Building = dict[str, Polygons]
 _STREETS = {"straight": 0.3, "curved": 0.08, "tee": 0.15, "corner": 0.25, "crossing": 0.22}
 
 
-def draw_city(rng: np.random.Generator) -> ClassImage | None:
-    """Draw the street front of one city block: class indices, uint8 [H W]; `None` if the drawing fails."""
+def draw_city(rng: np.random.Generator) -> ClassImage:
+    """Draw the street front of one city block: class indices, uint8 [H W]."""
     streets = lay_streets(rng, _STREETS, (6.5, 13.0), uniform(rng, (30, 70)))
     sidewalks = Sidewalks(
         verge=float(rng.choice((0.0, uniform(rng, (0.5, 2.0))), p=(0.75, 0.25))),
