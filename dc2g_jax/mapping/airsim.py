@@ -73,9 +73,7 @@ class AirSim:
         try:
             self._socket = socket.create_connection((host, port), timeout)
         except OSError as error:
-            raise InputError(
-                f"AirSim at {self._address}: cannot be reached ({error}); start it, or give its host and port"
-            ) from None
+            raise self._fault(f"cannot be reached ({error}); start it, or give its host and port") from None
         try:
             self._confirm()
         except InputError:
@@ -115,19 +113,15 @@ class AirSim:
             while self._is_late(answer):
                 answer = self._receive(deadline)
         except TimeoutError:
-            raise InputError(
-                f"AirSim at {self._address}: no answer to {method} within {self._timeout:g} s; see whether it is "
-                "paused, or give a longer timeout"
+            raise self._fault(
+                f"no answer to {method} within {self._timeout:g} s; see whether it is paused, or give a longer timeout"
             ) from None
         except OSError as error:
-            raise InputError(f"AirSim at {self._address}: gone during {method} ({error}); start it again") from None
+            raise self._fault(f"gone during {method} ({error}); start it again") from None
         except ValueError as error:
-            raise InputError(
-                f"AirSim at {self._address}: answers {method} with what is no message ({error}); give AirSim's own port"
-            ) from None
+            raise self._fault(f"answers {method} with what is no message ({error}); give AirSim's own port") from None
         if answer[2] is not None:
-            words = " ".join(str(answer[2]).split())
-            raise InputError(f"AirSim at {self._address}: refuses {method}: {words}; see AirSim's log")
+            raise self._fault(f"refuses {method}: {' '.join(str(answer[2]).split())}; see AirSim's log")
         return answer[3]
 
     def _is_late(self, answer: Any) -> bool:
@@ -159,12 +153,13 @@ class AirSim:
     def _confirm(self) -> None:
         """Check that this is an AirSim of the supported version, as AirSim's own `confirmConnection` does."""
         if self.call("ping") is not True:
-            raise InputError(f"AirSim at {self._address}: does not answer a ping with true; give AirSim's own port")
+            raise self._fault("does not answer a ping with true; give AirSim's own port")
         for method in ("getServerVersion", "getMinRequiredClientVersion"):
             if (version := self.call(method)) != _VERSION:
-                raise InputError(
-                    f"AirSim at {self._address}: {method} is {version!r}, not {_VERSION}; use a version that fits"
-                )
+                raise self._fault(f"{method} is {version!r}, not {_VERSION}; use a version that fits")
+
+    def _fault(self, problem: str) -> InputError:
+        return InputError(f"AirSim at {self._address}: {problem}")
 
 
 @dataclasses.dataclass(frozen=True)
