@@ -93,49 +93,34 @@ class HousePlan:
     furniture: tuple[Furniture, ...]
 
 
-class _Window(NamedTuple):
-    """A part of the grid: its position there, and the x and y of its cells' centers in the plan."""
-
-    place: tuple[slice, slice]
-    x: Float[np.ndarray, "1 w"]
-    y: Float[np.ndarray, "h 1"]
-
-
 class _Grid(NamedTuple):
-    """A grid over a plan: x of the left edge, y of the upper edge, rows, columns, and side of a cell."""
+    """A grid over a plan: x of the left edge, y of the upper edge, x and y of cells' centers, and side of a cell."""
 
     left: float
     top: float
-    rows: int
-    columns: int
+    x: Float[np.ndarray, "w"]
+    y: Float[np.ndarray, "h"]
     cell_size: float
 
     @classmethod
     def over(cls, plan: HousePlan, cell_size: float) -> "_Grid":
         """The grid that covers all rooms and walls."""
         corners = np.concatenate([*(room.outline for room in plan.rooms), *(np.array(wall) for wall in plan.walls)])
-        (left, bottom), (right, top) = corners.min(axis=0) - MARGIN, corners.max(axis=0) + MARGIN
-        height, width = float(top - bottom), float(right - left)
+        (left, bottom), (right, top) = (corners.min(axis=0) - MARGIN).tolist(), (corners.max(axis=0) + MARGIN).tolist()
+        height, width = top - bottom, right - left
         if not max(height, width) <= MOST_CELLS * cell_size:
             size = f"{width:.4g} x {height:.4g} m"
             raise InputError(f"a house of {size} has more than {MOST_CELLS} cells a side; give meters, or larger cells")
-        rows, columns = (math.ceil(side / cell_size - _ROUNDING) for side in (height, width))
-        return cls(float(left), float(top), rows, columns, cell_size)
+        down, along = (
+            (np.arange(math.ceil(side / cell_size - _ROUNDING)) + 0.5) * cell_size for side in (height, width)
+        )
+        return cls(left, top, left + along, top - down, cell_size)
 
-    def around(self, points: Float[np.ndarray, "point 2"], reach: float) -> _Window:
-        """The part of the grid within reach of the box around some points; it may be empty."""
+    def around(self, points: Float[np.ndarray, "point 2"], reach: float) -> tuple[slice, slice]:
+        """The rows and columns of cells whose center is within reach of the box around some points; maybe none."""
         (left, bottom), (right, top) = points.min(axis=0) - reach, points.max(axis=0) + reach
-        rows = _span(self.top - top, self.top - bottom, self.cell_size, self.rows)
-        columns = _span(left - self.left, right - self.left, self.cell_size, self.columns)
-        x = self.left + (np.arange(columns.start, columns.stop) + 0.5) * self.cell_size
-        y = self.top - (np.arange(rows.start, rows.stop) + 0.5) * self.cell_size
-        return _Window((rows, columns), x[None, :], y[:, None])
-
-
-def _span(start: float, end: float, cell_size: float, cells: int) -> slice:
-    """The cells along one axis that overlap an interval in meters."""
-    first = min(max(math.floor(start / cell_size), 0), cells)
-    return slice(first, min(max(math.ceil(end / cell_size), first), cells))
+        rows, columns = np.searchsorted(-self.y, (-top, -bottom)), np.searchsorted(self.x, (left, right))
+        return slice(*rows), slice(*columns)
 
 
 def world_from_plan(plan: HousePlan, cell_size: float = PLAN_CELL_SIZE) -> IndoorWorld:
@@ -204,16 +189,16 @@ def _inside(
 
 def _floor(grid: _Grid, rooms: tuple[Room, ...]) -> UInt8[np.ndarray, "h w"]:
     """The room number of each cell."""
-    floor = np.zeros((grid.rows, grid.columns), np.uint8)
+    floor = np.zeros((len(grid.y), len(grid.x)), np.uint8)
     for number, room in enumerate(rooms, 1):
-        window = grid.around(room.outline, 0)
-        floor[window.place][_inside(room.outline, window.x, window.y)] = number
+        rows, columns = grid.around(room.outline, grid.cell_size)
+        floor[rows, columns][_inside(room.outline, grid.x[columns], grid.y[rows, None])] = number
     return floor
 
 
 def _walls(grid: _Grid, plan: HousePlan) -> Bool[np.ndarray, "h w"]:
     """Cells of walls, except open doors."""
-    walls = np.zeros((grid.rows, grid.columns), bool)
+    walls = np.zeros((len(grid.y), len(grid.x)), bool)
     for wall in plan.walls:
         place, cells = _strip(grid, wall, 1.0)
         walls[place] |= cells
@@ -255,7 +240,7 @@ def _footprint(
 def _covered(grid: _Grid, box: Furniture) -> tuple[tuple[slice, slice], Bool[np.ndarray, "h w"]]:
     """The window around a box, and the cells there whose center lies in the box."""
     cosine, sine = math.cos(box.angle), math.sin(box.angle)
-    window = grid.around(np.array([[box.x, box.y]]), math.hypot(box.width, box.depth) / 2 + grid.cell_size)
-    x, y = window.x - box.x, window.y - box.y
+    rows, columns = grid.around(np.array([[box.x, box.y]]), math.hypot(box.width, box.depth) / 2 + grid.cell_size)
+    x, y = grid.x[columns] - box.x, grid.y[rows, None] - box.y
     cells = np.abs(x * cosine + y * sine) <= box.width / 2 + _ROUNDING
-    return window.place, cells & (np.abs(y * cosine - x * sine) <= box.depth / 2 + _ROUNDING)
+    return (rows, columns), cells & (np.abs(y * cosine - x * sine) <= box.depth / 2 + _ROUNDING)
