@@ -25,9 +25,6 @@ from dc2g_jax.objectnav.worlds import IndoorWorld, padded_alike, painted, scene
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import deal, gather, mesh_of, on_each, replicate
 
-#: Places that a robot visits at most, one after the other.
-_STAGES = 12
-
 
 @dataclasses.dataclass(frozen=True)
 class CollectionConfig:
@@ -105,25 +102,6 @@ def _distances(
     return jax.lax.map(label, to_goals), jnp.concatenate([to_places, to_goals])
 
 
-def _journeys(
-    heights: Float[Array, "h w"],
-    cell_size: float,
-    distances: Float[Array, "way h w"],
-    starts: Int[Array, "journey 2"],
-    key: Array,
-    views: int,
-) -> Journey:
-    """Journeys to places and goals in random order."""
-
-    def one(robot: tuple[Array, Array]) -> Journey:
-        start, own_key = robot
-        order_key, way_key = jax.random.split(own_key)
-        places = jax.random.randint(order_key, (_STAGES,), 0, len(distances))
-        return explore(heights, cell_size, distances, start, places, way_key, views=views)
-
-    return jax.lax.map(one, (starts, jax.random.split(key, len(starts))))
-
-
 @jit
 def _views(
     house: Scene, paint: UInt8[Array, "h w 3"], cells: Int[Array, "n 2"], headings: Float[Array, "n"]
@@ -153,8 +131,11 @@ def _collect_houses(
 
     def on_device(houses: tuple, encoder: ImageEncoder) -> tuple[Array, Journey, Array]:
         world, house, paint, places, starts, key = jax.tree.map(lambda leaf: leaf[0], houses)
-        labels, to_places = _distances(world.free, world.classes, places, cell_size)
-        journeys = _journeys(world.heights, cell_size, to_places, starts, jax.random.wrap_key_data(key), views)
+        labels, distances = _distances(world.free, world.classes, places, cell_size)
+        keys = jax.random.split(jax.random.wrap_key_data(key), len(starts))
+        journeys = jax.lax.map(
+            lambda robot: explore(world.heights, cell_size, distances, *robot, views=views), (starts, keys)
+        )
         cells, headings = journeys.cells.reshape(-1, 2), journeys.headings.reshape(-1)
         images = _views(house, paint, cells, headings).image
         features = jnp.stack([encoder.encode(images), encoder.encode(images[:, :, ::-1])], axis=1).astype(jnp.float16)

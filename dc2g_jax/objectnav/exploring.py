@@ -27,6 +27,9 @@ _LOWEST_VIEW = INDOOR_CAMERA_PITCH + math.atan(
 #: Stands for the first view of a cell that no view shows.
 NEVER = 255
 
+#: Places that a robot visits at most, one after the other.
+_STAGES = 12
+
 #: Distance driven between two views, meters, and largest turn, radians: four steps of 0.1 s at 0.6 m/s and 1.5 rad/s.
 _DRIVE_A_VIEW, _TURN_A_VIEW = 0.24, 0.6
 
@@ -96,23 +99,24 @@ def explore(
     cell_size: float,
     distances: Float[Array, "place h w"],
     start: Int[Array, "2"],
-    places: Int[Array, "stage"],
     key: Array,
     *,
     views: int,
 ) -> Journey:
-    """Simulate a robot that drives from place to place.
+    """Simulate a robot that drives from place to place in random order.
 
     Args:
       heights: height of each cell, meters.
       cell_size: edge of a cell, meters.
-      distances: remaining distance to each place, meters; infinite where the robot must not be.
+      distances: remaining distance to each place, meters; infinite where the robot must not be. Unreachable places are
+        skipped.
       start: row and column of the start; the initial heading is random.
-      places: places to visit in this order; unreachable places are skipped.
       key: random key.
       views: number of views, less than `NEVER`.
     """
-    first_key, views_key = jax.random.split(key)
+    order_key, way_key = jax.random.split(key)
+    places = jax.random.randint(order_key, (_STAGES,), 0, len(distances))
+    first_key, views_key = jax.random.split(way_key)
     begin = _Robot(start, jax.random.uniform(first_key, minval=-math.pi, maxval=math.pi), jnp.int32(0))
 
     def look(carry: tuple[_Robot, Array], seed: tuple[Array, Array]) -> tuple[tuple[_Robot, Array], tuple]:
