@@ -116,15 +116,9 @@ def optimizer(config: CostMapConfig) -> optax.GradientTransformation:
     return OPTIMIZERS[config.recipe.optimizer](learning_rate_schedule(config), config.recipe.weight_decay)
 
 
-def _keys(seed: int) -> tuple[Array, Array]:
-    """The keys of a run's initial weights and of its batches."""
-    weights_key, batches_key = jax.random.split(jax.random.key(seed))
-    return weights_key, batches_key
-
-
 def first_state(config: CostMapConfig) -> TrainingState:
     """The state before the first step."""
-    weights_key, _ = _keys(config.seed)
+    weights_key, _ = jax.random.split(jax.random.key(config.seed))
     weights = fresh_weights(networks.CostMapNetwork, config.architecture, weights_key)
     return TrainingState(
         step=jnp.int32(0),
@@ -159,7 +153,7 @@ def train_step(
       The new state and the loss, see `dc2g_jax.training.cost_to_go.loss_or_nan`.
     """
     recipe = config.recipe
-    _, batches_key = _keys(config.seed)
+    _, batches_key = jax.random.split(jax.random.key(config.seed))
     samples = draw_samples(
         jax.random.fold_in(batches_key, state.step),
         data,
