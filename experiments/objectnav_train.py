@@ -20,12 +20,13 @@ from dc2g_jax.cli.training_sets import kept_arrays
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax.estimation.weights import write_network
 from dc2g_jax.files.atomic import replacing
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect, random_views
 from dc2g_jax.objectnav.data import JourneySet
 from dc2g_jax.objectnav.houses import IndoorHouse, houses_sha256, indoor_houses
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
-from dc2g_jax.objectnav.midlevel import EncoderArchitecture, ImageEncoder, encoder_task, load_encoder, save_encoder
+from dc2g_jax.objectnav.midlevel import EncoderArchitecture, ImageEncoder, encoder_task, load_encoder
 from dc2g_jax.objectnav.networks import ABLATIONS, INPUT_CHANNELS, CostMapArchitecture, CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, save_costs
 from dc2g_jax.objectnav.training import (
@@ -131,7 +132,9 @@ def open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
         EncoderArchitecture(),
         views,
         steps=options.encoder_steps,
-        save=lambda encoder, losses: save_encoder(own, encoder, {"losses": losses, **made}),
+        save=lambda encoder, losses: write_network(
+            own, encoder.weights, encoder.architecture, {"losses": losses, **made}
+        ),
         seed=options.seed,
     )
     facts = {"steps": options.encoder_steps, "seed": options.seed}

@@ -35,11 +35,11 @@ from dc2g_jax.errors import LONGEST_MESSAGE, InputError
 from dc2g_jax.estimation.checkpoints import load_network, save_network
 from dc2g_jax.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.weights import fresh_weights
+from dc2g_jax.estimation.weights import fresh_weights, write_network
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES
 from dc2g_jax.mapping.sequences import Shot, read_frame, read_picture, read_sequence, write_sequence
-from dc2g_jax.objectnav.midlevel import EncoderArchitecture, TrainedEncoder, init_encoder, load_encoder, save_encoder
+from dc2g_jax.objectnav.midlevel import EncoderArchitecture, SmallEncoder, load_encoder
 from dc2g_jax.objectnav.networks import (
     CostMapArchitecture,
     CostMapEstimator,
@@ -154,7 +154,8 @@ def write_indoor(folder: Path) -> None:
 
 def write_encoder(folder: Path) -> None:
     architecture = EncoderArchitecture((2, 2, 2), features=3)
-    save_encoder(folder / "encoder.safetensors", TrainedEncoder(init_encoder(architecture, KEY), architecture), {})
+    weights = fresh_weights(SmallEncoder, architecture, KEY)
+    write_network(folder / "encoder.safetensors", weights, architecture, {})
 
 
 def write_run(folder: Path) -> None:

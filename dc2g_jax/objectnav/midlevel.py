@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int, UInt8
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.compact_unet import patches
-from dc2g_jax.estimation.weights import fresh_weights, read_network, read_safetensors, with_weights, write_network
+from dc2g_jax.estimation.weights import fresh_weights, read_network, read_safetensors, with_weights
 from dc2g_jax.mapping.camera import CameraPose, intrinsics, rays
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.mapping.simulator import FACE_TOP, FACE_X, cast
@@ -150,13 +150,6 @@ class SmallEncoder(nnx.Module):
         return Answers(found[..., 1:], self.presence(features), found[..., 0])
 
 
-#: Random initial weights for `(architecture, key)`, see `dc2g_jax.estimation.weights`.
-init_encoder = functools.partial(fresh_weights, SmallEncoder)
-
-#: The default encoder for `(architecture, weights)`.
-build_encoder = functools.partial(with_weights, SmallEncoder)
-
-
 @struct.dataclass
 class TrainedEncoder:
     """The default encoder, see `ImageEncoder`.
@@ -176,7 +169,7 @@ class TrainedEncoder:
 
     def encode(self, images: UInt8[Array, "b 48 64 3"]) -> Float[Array, "b f"]:
         """The features of images."""
-        return build_encoder(self.architecture, self.weights).encode(images)
+        return with_weights(SmallEncoder, self.architecture, self.weights).encode(images)
 
 
 @struct.dataclass
@@ -209,24 +202,13 @@ class ConvolutionEncoder:
         return at.reshape(len(at), -1)
 
 
-def save_encoder(path: str | Path, encoder: TrainedEncoder, card: dict[str, Any]) -> None:
-    """Write the default encoder to a safetensors file.
-
-    Args:
-      path: the file; replaced if it exists.
-      encoder: the encoder.
-      card: further facts about it, as JSON values.
-    """
-    write_network(path, encoder.weights, encoder.architecture, card)
-
-
 def load_encoder(path: str | Path) -> TrainedEncoder | ConvolutionEncoder:
     """Read an encoder from a safetensors file.
 
-    A file with an architecture in its metadata was written by `save_encoder`. Other files must hold a
-    `ConvolutionEncoder`: arrays `layers.0.weight` [out in rows columns], `layers.0.bias` [out], `layers.1.weight` and
-    so on, and in the metadata the `stride` of the layers, 2 by default. Other kinds of encoders need an implementation
-    of `ImageEncoder`.
+    A file with an architecture in its metadata holds the default encoder, see
+    `dc2g_jax.estimation.weights.write_network`. Other files must hold a `ConvolutionEncoder`: arrays `layers.0.weight`
+    [out in rows columns], `layers.0.bias` [out], `layers.1.weight` and so on, and in the metadata the `stride` of the
+    layers, 2 by default. Other kinds of encoders need an implementation of `ImageEncoder`.
 
     Raises:
       InputError: the file cannot be read or holds no encoder.
@@ -309,12 +291,12 @@ def encoder_task(
     optimizer = optax.adam(optax.cosine_decay_schedule(2e-3, max(steps, 1)))
 
     def init() -> EncoderState:
-        weights = init_encoder(architecture, jax.random.key(seed))
+        weights = fresh_weights(SmallEncoder, architecture, jax.random.key(seed))
         return EncoderState(step=jnp.int32(0), weights=weights, optimizer=optimizer.init(weights))
 
     @jit
     def losses(weights: Any, views: CameraView) -> dict[str, Float[Array, ""]]:
-        network = build_encoder(architecture, weights)
+        network = with_weights(SmallEncoder, architecture, weights)
         return task_losses(network.answer(network.encode(views.image)), views)
 
     @functools.partial(jit, donate_argnames="state")

@@ -7,9 +7,9 @@ import jax
 import pytest
 
 from dc2g_jax.cli import searches
-from dc2g_jax.estimation.weights import fresh_weights
+from dc2g_jax.estimation.weights import fresh_weights, write_network
 from dc2g_jax.objectnav.metrics import OF_CLASSES
-from dc2g_jax.objectnav.midlevel import EncoderArchitecture, TrainedEncoder, init_encoder, save_encoder
+from dc2g_jax.objectnav.midlevel import EncoderArchitecture, SmallEncoder
 from dc2g_jax.objectnav.networks import ABLATIONS, CostMapArchitecture, CostMapEstimator, CostMapNetwork, save_estimator
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE
 from dc2g_jax.objectnav.tables import METRICS
@@ -30,7 +30,7 @@ def folders(tmp_path):
         folder = tmp_path / name
         folder.mkdir()
         small = EncoderArchitecture((4, 5, 6), features=7)
-        save_encoder(folder / ENCODER_FILE, TrainedEncoder(init_encoder(small, KEY), small), {})
+        write_network(folder / ENCODER_FILE, fresh_weights(SmallEncoder, small, KEY), small, {})
         architecture = dataclasses.replace(SMALL, inputs=ABLATIONS[name])
         save_estimator(
             folder / NETWORK_FILE, CostMapEstimator(fresh_weights(CostMapNetwork, architecture, KEY), architecture), {}

@@ -5,11 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from dc2g_jax.estimation.weights import fresh_weights
 from dc2g_jax.inspection.search_figures import plot_prediction
 from dc2g_jax.inspection.search_moments import choose_legs, prediction_at
 from dc2g_jax.objectnav.agent import reset, site_of
 from dc2g_jax.objectnav.classes import GOALS, PLANT
-from dc2g_jax.objectnav.midlevel import EncoderArchitecture, TrainedEncoder, init_encoder
+from dc2g_jax.objectnav.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 from tests.support.two_rooms import AGENT, two_rooms
 
@@ -35,7 +36,7 @@ def test_a_prediction_lies_beside_the_truth_of_the_same_cells(tmp_path):
     key, small = jax.random.key(0), EncoderArchitecture((4, 5, 6), features=7)
     robot = reset(key, jnp.array([2.55, -2.05, 0.0]), jnp.int32(GOALS.index(PLANT)), AGENT, 5)
     site = site_of(world, "two_rooms")
-    costs = PredictedCosts(EastIsGood(), TrainedEncoder(init_encoder(small, key), small))
+    costs = PredictedCosts(EastIsGood(), TrainedEncoder(fresh_weights(SmallEncoder, small, key), small))
     found = jax.tree.map(np.asarray, prediction_at(robot, site, AGENT, costs))
     assert found.occupied[0].all()
     assert not found.occupied[1:].any()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
-from dc2g_jax.estimation.weights import read_safetensors, write_safetensors
+from dc2g_jax.estimation.weights import read_safetensors, write_network, write_safetensors
 from dc2g_jax.mapping.camera import level_camera
 from dc2g_jax.objectnav import midlevel
 from dc2g_jax.objectnav.classes import BED, OBJECT_COLORS
@@ -18,7 +18,6 @@ from dc2g_jax.objectnav.midlevel import (
     TrainedEncoder,
     encoder_task,
     load_encoder,
-    save_encoder,
     task_losses,
     view,
 )
@@ -127,7 +126,7 @@ def test_the_number_of_devices_changes_a_step_by_rounding_only(views, tmp_path, 
 
 def test_the_encoder_comes_back_from_its_file(views, trained, tmp_path):
     encoder, path = trained[0], tmp_path / "encoder.safetensors"
-    save_encoder(path, encoder, {"made": "here"})
+    write_network(path, encoder.weights, encoder.architecture, {"made": "here"})
     loaded = load_encoder(path)
     assert isinstance(loaded, TrainedEncoder)
     assert loaded.architecture == ARCHITECTURE

@@ -7,9 +7,9 @@ import jax
 import numpy as np
 import pytest
 
-from dc2g_jax.estimation.weights import fresh_weights
+from dc2g_jax.estimation.weights import fresh_weights, write_network
 from dc2g_jax.files.resources import resource
-from dc2g_jax.objectnav.midlevel import EncoderArchitecture, TrainedEncoder, init_encoder, save_encoder
+from dc2g_jax.objectnav.midlevel import EncoderArchitecture, SmallEncoder
 from dc2g_jax.objectnav.networks import BOTH, CostMapArchitecture, CostMapEstimator, CostMapNetwork, save_estimator
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, load_costs
 from tests.support.refusals import refusal
@@ -27,7 +27,7 @@ def save_network(folder, features):
 @pytest.fixture
 def folder(tmp_path):
     architecture = EncoderArchitecture((4, 5, 6), features=7)
-    save_encoder(tmp_path / ENCODER_FILE, TrainedEncoder(init_encoder(architecture, KEY), architecture), {})
+    write_network(tmp_path / ENCODER_FILE, fresh_weights(SmallEncoder, architecture, KEY), architecture, {})
     save_network(tmp_path, features=7)
     return tmp_path
 

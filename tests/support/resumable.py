@@ -21,11 +21,12 @@ from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.datasets.starts import PublishedEpisode, Start
 from dc2g_jax.estimation.checkpoints import load_network
+from dc2g_jax.estimation.weights import fresh_weights, write_network
 from dc2g_jax.grid.terrain import GRASS
 from dc2g_jax.objectnav.collecting import CollectionConfig
 from dc2g_jax.objectnav.evaluation import SearchResult
 from dc2g_jax.objectnav.metrics import OF_CLASSES
-from dc2g_jax.objectnav.midlevel import EncoderArchitecture, EncoderState, TrainedEncoder, init_encoder, save_encoder
+from dc2g_jax.objectnav.midlevel import EncoderArchitecture, EncoderState, SmallEncoder, TrainedEncoder
 from dc2g_jax.objectnav.tables import METRICS
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts import published
@@ -126,7 +127,8 @@ def fake_encoder_task(architecture, views, *, steps, save, seed) -> Task[Encoder
         return [{"step": step}]
 
     def init() -> EncoderState:
-        return EncoderState(step=jnp.int32(0), weights=init_encoder(SMALL_ENCODER, jax.random.key(seed)), optimizer=())
+        weights = fresh_weights(SmallEncoder, SMALL_ENCODER, jax.random.key(seed))
+        return EncoderState(step=jnp.int32(0), weights=weights, optimizer=())
 
     return Task(steps, init, fake_step, validate)
 
@@ -297,8 +299,8 @@ def objectnav_train_(
 
 
 def objectnav_train_with_encoder_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
-    weights = init_encoder(SMALL_ENCODER, jax.random.key(0))
-    save_encoder(folder / "given.safetensors", TrainedEncoder(weights, SMALL_ENCODER), {})
+    weights = fresh_weights(SmallEncoder, SMALL_ENCODER, jax.random.key(0))
+    write_network(folder / "given.safetensors", weights, SMALL_ENCODER, {})
     return objectnav_train_(dataset, folder, patch, folder / "given.safetensors")
 
 
