@@ -124,16 +124,15 @@ def indoor_house(
     Raises:
         InputError: there is none; or see `indoor_houses`, whose arguments the others are.
     """
-    count = None
     if location == PROCEDURAL:  # procedural houses are unlimited
-        where, _, number = name.rpartition("-")
-        if where != split or not number.isdecimal():
+        number = name.removeprefix(f"{split}-")
+        if not number.isdecimal() or name != f"{split}-{int(number)}":
             raise InputError(
                 f"--house {name}: the procedural houses of the split {split} are called {split}-0, {split}-1 and so "
                 "on; give one of these, or another --split"
             )
-        count = int(number) + 1
-    houses = indoor_houses(location, split, count=count, cell_size=cell_size)
+        return IndoorHouse(name, split, world_from_plan(draw_plan(0, split, int(number)), cell_size))
+    houses = indoor_houses(location, split, cell_size=cell_size)
     for house in houses:
         if house.name == name:
             return house
