@@ -193,7 +193,7 @@ def cast(scene: Scene, origin: Float[Array, "3"], direction: Float[Array, "3"], 
     )
 
 
-def _cast_all(scene: Scene, pose: CameraPose, directions: Float[Array, "h w 3"], max_range: ArrayLike) -> Hit:
+def cast_all(scene: Scene, pose: CameraPose, directions: Float[Array, "h w 3"], max_range: ArrayLike) -> Hit:
     """The hit of every pixel's ray; the fields of the `Hit` are images."""
     along_row = jax.vmap(cast, in_axes=(None, None, 0, None))
     return jax.vmap(along_row, in_axes=(None, None, 0, None))(
@@ -201,7 +201,7 @@ def _cast_all(scene: Scene, pose: CameraPose, directions: Float[Array, "h w 3"],
     )
 
 
-def _classes(scene: Scene, hits: Hit) -> UInt8[Array, "h w"]:
+def classes_of(scene: Scene, hits: Hit) -> UInt8[Array, "h w"]:
     """The class of each pixel, 0 where its ray hits nothing."""
     return jnp.where(hits.distance > 0, scene.classes.at[hits.row, hits.column].get(mode="clip"), 0).astype(jnp.uint8)
 
@@ -215,8 +215,8 @@ def render(scene: Scene, intrinsics: Intrinsics, pose: CameraPose, max_range: Ar
       pose: pose of the camera; also the pose of the frame.
       max_range: range of the camera, meters.
     """
-    hits = _cast_all(scene, pose, rays(intrinsics, pose), max_range)
-    return Frame(depth=hits.distance, classes=_classes(scene, hits), pose=pose)
+    hits = cast_all(scene, pose, rays(intrinsics, pose), max_range)
+    return Frame(depth=hits.distance, classes=classes_of(scene, hits), pose=pose)
 
 
 def robot_camera(pose: Pose, cell_size: ArrayLike = CELL_SIZE) -> CameraPose:
@@ -247,8 +247,8 @@ def picture(
       max_range: distance from the camera at which the sky begins, meters.
     """
     directions = rays(intrinsics, pose)
-    hits = _cast_all(scene, pose, directions, max_range)
-    classes = _classes(scene, hits)
+    hits = cast_all(scene, pose, directions, max_range)
+    classes = classes_of(scene, hits)
     height = pose.position[2] + hits.distance * directions[..., 2]
     is_foot = jnp.asarray(_OBSTACLES)[classes] & (height < _ROUNDING)
     paint = jnp.where(is_foot[..., None], jnp.asarray(_FOOT), jnp.asarray(_COLORS)[classes])

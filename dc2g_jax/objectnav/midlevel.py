@@ -23,7 +23,7 @@ from dc2g_jax.estimation.compact_unet import patches
 from dc2g_jax.estimation.weights import fresh_weights, read_network, read_safetensors, with_weights
 from dc2g_jax.mapping.camera import CameraPose, intrinsics, rays
 from dc2g_jax.mapping.scene import Scene
-from dc2g_jax.mapping.simulator import FACE_TOP, FACE_X, cast
+from dc2g_jax.mapping.simulator import cast_all, classes_of
 from dc2g_jax.objectnav.agent import INDOOR_FIELD_OF_VIEW
 from dc2g_jax.objectnav.classes import OBJECT_CLASSES
 from dc2g_jax.objectnav.worlds import NO_COLOR
@@ -42,7 +42,7 @@ _PRESENT, _FAR = 12, 10.0
 #: Largest number of images for validation.
 _VALIDATION_VIEWS = 512
 
-#: Brightness of surfaces that face along x, along y, and up.
+#: Brightness of surfaces by the face that a ray hits: those that face along x, along y, and up.
 _LIGHT = (0.82, 0.7, 1.0)
 
 
@@ -82,15 +82,13 @@ def view(scene: Scene, paint: UInt8[Array, "h w 3"], pose: CameraPose) -> Camera
       paint: color of each cell, see `dc2g_jax.objectnav.worlds.painted`.
       pose: pose of the camera.
     """
-    to_hit = jax.vmap(jax.vmap(lambda ray: cast(scene, pose.position, ray, jnp.float32(math.inf))))
-    hits = to_hit(rays(intrinsics(INDOOR_FIELD_OF_VIEW, *VIEW_SIZE), pose))
-    hit = hits.distance > 0
-    light = jnp.asarray(_LIGHT, jnp.float32)[jnp.where(hits.face == FACE_TOP, 2, jnp.where(hits.face == FACE_X, 0, 1))]
+    hits = cast_all(scene, pose, rays(intrinsics(INDOOR_FIELD_OF_VIEW, *VIEW_SIZE), pose), math.inf)
+    light = jnp.asarray(_LIGHT, jnp.float32)[hits.face]
     colors = paint.at[hits.row, hits.column].get(mode="clip") * light[..., None]
     return CameraView(
-        image=jnp.where(hit[..., None], colors, jnp.asarray(NO_COLOR, jnp.float32)).astype(jnp.uint8),
+        image=jnp.where(hits.distance[..., None] > 0, colors, jnp.asarray(NO_COLOR, jnp.float32)).astype(jnp.uint8),
         depth=hits.distance,
-        classes=jnp.where(hit, scene.classes.at[hits.row, hits.column].get(mode="clip"), 0).astype(jnp.uint8),
+        classes=classes_of(scene, hits),
     )
 
 

@@ -97,7 +97,7 @@ def test_faces_are_those_of_the_boxes():
     scene, heights = random_scene(5, 0.3)
     pose = free_pose(5, heights, TILE)
     directions = rays(SMALL, pose)
-    hits = simulator._cast_all(scene, pose, directions, 100.0)
+    hits = simulator.cast_all(scene, pose, directions, 100.0)
     met = nearest_boxes(heights, TILE, np.asarray(pose.position), np.asarray(directions, float).reshape(-1, 3), 100.0)
     face = np.where(met.time > 0, met.face, 0)
     differing = np.where(np.asarray(hits.distance).ravel() > 0, np.asarray(hits.face).ravel(), 0) != face
