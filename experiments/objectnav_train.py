@@ -26,7 +26,7 @@ from dc2g_jax.objectnav.collecting import CollectionConfig, collect, random_view
 from dc2g_jax.objectnav.data import JourneySet
 from dc2g_jax.objectnav.houses import IndoorHouse, houses_sha256, indoor_houses
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
-from dc2g_jax.objectnav.midlevel import EncoderArchitecture, ImageEncoder, encoder_task, load_encoder
+from dc2g_jax.objectnav.midlevel import EncoderArchitecture, ImageEncoder, encoder_task, load_encoder, vector_size
 from dc2g_jax.objectnav.networks import ABLATIONS, INPUT_CHANNELS, CostMapArchitecture, CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, save_costs
 from dc2g_jax.objectnav.training import (
@@ -220,7 +220,7 @@ def main(options: Options) -> None:
     apart = dataclasses.replace(collection, data_seed=collection.data_seed + _VALIDATION_SEED)
     validation = kept(options.out / "validation.npz", functools.partial(collect, unknown, encoder, apart), len(unknown))
     print(f"Training on {data.headings.size} samples of {len(data.cells)} houses, {len(validation.cells)} to validate")
-    config = options.training(encoder.size)
+    config = options.training(vector_size(encoder))
     facts = {name: str(getattr(options, name)) for name in ("houses", "count", "collection")}
     checkpoints = TrainingCheckpoints(options.out, config, facts, first_state=first_state)
     train(training_task(options, config, data, validation), options.out, checkpoints, options, options.track)

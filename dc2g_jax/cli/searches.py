@@ -16,15 +16,17 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.hub import local_folder
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.resources import resource
+from dc2g_jax.mapping.camera import intrinsics
 from dc2g_jax.objectnav.agent import (
     CONTROLLER,
+    INDOOR_FIELD_OF_VIEW,
+    INDOOR_IMAGE_SIZE,
     MPC,
     Agent,
     Guide,
     LookAround,
     RandomUntilSeen,
     Steering,
-    usual_camera,
 )
 from dc2g_jax.objectnav.evaluation import SearchResult, difference, results_of
 from dc2g_jax.objectnav.guides import GoalReacher, NearestFrontier, NoIdea, Predicted, PromisingFrontier, TrueCost
@@ -144,7 +146,7 @@ def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLE
     return Agent(
         guide=guide,
         steering=steering,
-        camera=usual_camera(),
+        camera=intrinsics(INDOOR_FIELD_OF_VIEW, *INDOOR_IMAGE_SIZE),
         controller=dataclasses.replace(CONTROLLER, samples=samples),
     )
 

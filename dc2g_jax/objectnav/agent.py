@@ -18,7 +18,7 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
-from dc2g_jax.mapping.camera import CameraPose, Intrinsics, intrinsics, level_camera
+from dc2g_jax.mapping.camera import CameraPose, Intrinsics, level_camera
 from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.mapping.simulator import render
 from dc2g_jax.objectnav.classes import GOALS, NO_OBJECT
@@ -230,11 +230,6 @@ class RandomUntilSeen:
             return jax.random.uniform(key, robot.controls.shape, minval=least, maxval=most)
 
         return jax.lax.cond(robot.guidance.to_goal, lambda: MPC().plan(key, robot, costs, agent), drawn)
-
-
-def usual_camera() -> Intrinsics:
-    """Intrinsics of the default camera."""
-    return intrinsics(INDOOR_FIELD_OF_VIEW, *INDOOR_IMAGE_SIZE)
 
 
 def site_of(world: IndoorWorld, name: str, radius: float = ROBOT_RADIUS) -> IndoorSite:

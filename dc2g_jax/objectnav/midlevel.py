@@ -64,14 +64,15 @@ class CameraView:
 class ImageEncoder(Protocol):
     """Computes a vector of mid-level features of an image."""
 
-    @property
-    def size(self) -> int:
-        """Length of the vector."""
-        ...
-
     def encode(self, images: UInt8[Array, "b h w 3"]) -> Float[Array, "b f"]:
         """The features of images."""
         ...
+
+
+def vector_size(encoder: ImageEncoder) -> int:
+    """Length of an encoder's vector."""
+    image = jax.ShapeDtypeStruct((1, *VIEW_SIZE, 3), jnp.uint8)
+    return jax.eval_shape(lambda images: encoder.encode(images), image).shape[1]
 
 
 def view(scene: Scene, paint: UInt8[Array, "h w 3"], pose: CameraPose) -> CameraView:
@@ -160,11 +161,6 @@ class TrainedEncoder:
     weights: Any
     architecture: EncoderArchitecture = struct.field(pytree_node=False)
 
-    @property
-    def size(self) -> int:
-        """Length of the vector."""
-        return self.architecture.features
-
     def encode(self, images: UInt8[Array, "b 48 64 3"]) -> Float[Array, "b f"]:
         """The features of images."""
         return with_weights(SmallEncoder, self.architecture, self.weights).encode(images)
@@ -183,12 +179,6 @@ class ConvolutionEncoder:
     kernels: tuple[Float[Array, "out in rows columns"], ...]
     biases: tuple[Float[Array, "out"], ...]
     stride: int = struct.field(pytree_node=False, default=2)
-
-    @property
-    def size(self) -> int:
-        """Length of the vector."""
-        image = jax.ShapeDtypeStruct((1, *VIEW_SIZE, 3), jnp.uint8)
-        return jax.eval_shape(lambda images: self.encode(images), image).shape[1]
 
     def encode(self, images: UInt8[Array, "b h w 3"]) -> Float[Array, "b f"]:
         """The features of images. Pixels are scaled to -1 to 1, and inputs of layers padded by half a kernel."""

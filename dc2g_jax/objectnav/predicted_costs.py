@@ -12,7 +12,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.objectnav.agent import Agent, IndoorRobot, IndoorSite, indoor_camera
 from dc2g_jax.objectnav.mapping import IndoorMapSettings, network_input
-from dc2g_jax.objectnav.midlevel import ImageEncoder, load_encoder, view
+from dc2g_jax.objectnav.midlevel import ImageEncoder, load_encoder, vector_size, view
 from dc2g_jax.objectnav.networks import CostMapEstimator, fused_cost, load_estimator, save_estimator
 
 #: The files of a trained network and of the encoder that it was trained with, in one folder.
@@ -108,9 +108,9 @@ def load_costs(folder: Path) -> PredictedCosts[CostMapEstimator]:
             f"{folder}: the network was trained on cells of {card['cell_size']:g} m, maps here have "
             f"{IndoorMapSettings.cell_size:g} m; train one anew"
         )
-    if encoder.size != estimator.architecture.features:
+    if (size := vector_size(encoder)) != estimator.architecture.features:
         raise InputError(
-            f"{folder}: {ENCODER_FILE} makes {encoder.size} features, {NETWORK_FILE} takes "
+            f"{folder}: {ENCODER_FILE} makes {size} features, {NETWORK_FILE} takes "
             f"{estimator.architecture.features}; take both from one folder"
         )
     return PredictedCosts(estimator, encoder)

@@ -19,6 +19,7 @@ from dc2g_jax.objectnav.midlevel import (
     encoder_task,
     load_encoder,
     task_losses,
+    vector_size,
     view,
 )
 from dc2g_jax.objectnav.plans import world_from_plan
@@ -131,7 +132,7 @@ def test_the_encoder_comes_back_from_its_file(views, trained, tmp_path):
     assert isinstance(loaded, TrainedEncoder)
     assert loaded.architecture == ARCHITECTURE
     features = encoder.encode(views.image)
-    assert features.shape == (2, loaded.size) == (2, 5)
+    assert features.shape == (2, vector_size(loaded)) == (2, 5)
     assert not np.allclose(features[0], features[1], atol=1e-2)
     np.testing.assert_allclose(loaded.encode(views.image), features, atol=1e-2)
     tensors, facts = read_safetensors(path)
@@ -160,7 +161,7 @@ def test_an_encoder_of_others_is_read(tmp_path):
         at = np.einsum("ihwrc,oirc->ohw", windows, tensors[f"layers.{layer}.weight"])
         at = np.maximum(at + tensors[f"layers.{layer}.bias"][:, None, None], 0)
     features = encoder.encode(jnp.asarray(image))
-    assert encoder.size == features.shape[1] == 4 * 3 * 4
+    assert vector_size(encoder) == features.shape[1] == 4 * 3 * 4
     np.testing.assert_allclose(features[0], at.ravel(), rtol=1e-4, atol=1e-4)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from dc2g_jax.estimation.weights import fresh_weights, write_network
 from dc2g_jax.files.resources import resource
-from dc2g_jax.objectnav.midlevel import EncoderArchitecture, SmallEncoder
+from dc2g_jax.objectnav.midlevel import EncoderArchitecture, SmallEncoder, vector_size
 from dc2g_jax.objectnav.networks import BOTH, CostMapArchitecture, CostMapEstimator, CostMapNetwork, save_estimator
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, load_costs
 from tests.support.refusals import refusal
@@ -36,7 +36,7 @@ def test_the_shipped_network_is_the_one_on_its_card():
     folder = resource("weights/cost_maps_indoors")
     costs, card = load_costs(folder), json.loads((folder / "network.json").read_text())
     assert costs.estimator.architecture.inputs == BOTH
-    assert costs.encoder.size == costs.estimator.architecture.features
+    assert vector_size(costs.encoder) == costs.estimator.architecture.features
     for name, digest in card["sha256"].items():
         assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest
     assert sum(path.stat().st_size for path in folder.iterdir()) <= 8e6
@@ -44,7 +44,7 @@ def test_the_shipped_network_is_the_one_on_its_card():
 
 def test_both_files_are_read(folder):
     costs = load_costs(folder)
-    assert costs.estimator.architecture.features == costs.encoder.size == 7
+    assert costs.estimator.architecture.features == vector_size(costs.encoder) == 7
     embedding = fresh_weights(CostMapNetwork, costs.estimator.architecture, KEY)["target"]["embedding"]
     np.testing.assert_allclose(costs.estimator.weights["target"]["embedding"], embedding, rtol=1e-3)
 
