@@ -28,6 +28,12 @@ def component_numbers(cells: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
     return np.asarray(ndimage.label(cells)[0])
 
 
+def connected_to(goals: Bool[np.ndarray, "h w"], cells: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """The cells of a set that are 4-connected, within the set, to some of its cells that are goals."""
+    numbers = component_numbers(cells)
+    return np.asarray(cells & np.isin(numbers, numbers[goals & cells]))
+
+
 def pieces(cells: Bool[np.ndarray, "h w"]) -> list[Piece]:
     """The 4-connected components of a set of cells, the largest first."""
     y, x = np.nonzero(cells)
@@ -43,15 +49,13 @@ def pieces(cells: Bool[np.ndarray, "h w"]) -> list[Piece]:
 
 def connected_to_goal(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """Traversable cells from which a front door can be reached, 4-connected."""
-    labels = component_numbers(TRAVERSABLE[terrain])
-    return np.asarray(TRAVERSABLE[terrain] & np.isin(labels, labels[terrain == FRONT_DOOR]))
+    return connected_to(terrain == FRONT_DOOR, TRAVERSABLE[terrain])
 
 
 def goals_without_ground(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """Front door cells that touch no other traversable ground, 4-connected."""
     goals = terrain == FRONT_DOOR
-    labels = component_numbers(TRAVERSABLE[terrain])
-    return np.asarray(goals & ~np.isin(labels, labels[TRAVERSABLE[terrain] & ~goals]))
+    return goals & ~connected_to(~goals, TRAVERSABLE[terrain])
 
 
 def why_no_path(terrain: UInt8[np.ndarray, "h w"]) -> str | None:

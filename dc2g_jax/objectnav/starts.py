@@ -4,9 +4,9 @@ import math
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
-from dc2g_jax.grid.ground import component_numbers
+from dc2g_jax.grid.ground import component_numbers, connected_to
 from dc2g_jax.objectnav.worlds import IndoorWorld
 
 #: Radius of the robot, meters.
@@ -34,14 +34,9 @@ def passable(free: Bool[np.ndarray, "h w"], cell_size: float) -> Bool[np.ndarray
     return _distance_to(~free, cell_size) >= ROBOT_RADIUS + cell_size / 2 - 1e-6
 
 
-def _regions(world: IndoorWorld) -> Int[np.ndarray, "h w"]:
-    """The number of the connected region of the cells in which a robot fits, from 1 on; 0 elsewhere."""
-    return component_numbers(passable(np.asarray(world.free), float(world.cell_size)))
-
-
 def largest_region(world: IndoorWorld) -> Bool[np.ndarray, "h w"]:
     """The cells of the largest region of a house in which a robot can drive; none if it fits nowhere."""
-    region = _regions(world)
+    region = component_numbers(passable(np.asarray(world.free), float(world.cell_size)))
     sizes = np.bincount(region.ravel())
     sizes[0] = 0
     return (region == np.argmax(sizes)) & (region > 0)
@@ -69,9 +64,9 @@ def start_cells(world: IndoorWorld, goal: int, *, distance: float) -> Bool[np.nd
       goal: class index.
       distance: least straight-line distance to the nearest object of the class, meters.
     """
-    region = _regions(world)
-    connected = (region > 0) & np.isin(region, region[approaches(world, goal)])
-    return connected & (_distance_to(np.asarray(world.goals(goal)), float(world.cell_size)) >= distance)
+    cell_size = float(world.cell_size)
+    connected = connected_to(approaches(world, goal), passable(np.asarray(world.free), cell_size))
+    return connected & (_distance_to(np.asarray(world.goals(goal)), cell_size) >= distance)
 
 
 def sample_starts(
