@@ -177,7 +177,7 @@ def _with_doors(
     outlines = [_outline(room) for room in squares]
     if any(outline is None for outline in outlines):
         return None
-    borders = _borders(squares)
+    borders = _borders(squares, unit)
     linked, cost = _links(rng, kinds, borders)
     if linked is None:
         return None
@@ -188,8 +188,8 @@ def _with_doors(
         for pair in linked
         if {kinds[number] for number in pair} == {KITCHEN, LIVING_ROOM} and rng.random() < _OPEN_KITCHEN
     }
-    doors = [_door(rng, [_meters(run, unit) for run in borders[pair]]) for pair in sorted(linked - opened)]
-    runs = [(pair, _meters(run, unit)) for pair, found in borders.items() for run in found]
+    doors = [_door(rng, borders[pair]) for pair in sorted(linked - opened)]
+    runs = [(pair, run) for pair, found in borders.items() for run in found]
     plan = HousePlan(
         rooms=tuple(Room(kind, np.array(outline, float) * unit) for kind, outline in zip(kinds, outlines, strict=True)),
         walls=tuple(run for pair, run in runs if pair not in opened),
@@ -230,11 +230,10 @@ def _outline(room: set[Square]) -> list[Square] | None:
 
 #: Two rooms by number, -1 being the outside, the smaller first.
 _Pair = tuple[int, int]
-_Run = tuple[Square, Square]
 
 
-def _borders(squares: Sequence[set[Square]]) -> dict[_Pair, list[_Run]]:
-    """The straight borders between every two rooms, and between rooms and the outside, in squares."""
+def _borders(squares: Sequence[set[Square]], unit: float) -> dict[_Pair, list[Segment]]:
+    """The straight borders between every two rooms, and between rooms and the outside, in meters."""
     owner = {square: number for number, room in enumerate(squares) for square in room}
     sides: dict[tuple[_Pair, bool, int], list[int]] = {}
     for x, y in owner:
@@ -247,20 +246,15 @@ def _borders(squares: Sequence[set[Square]]) -> dict[_Pair, list[_Run]]:
             one, other = sorted((owner[x, y], owner.get(beyond, -1)))
             if one != other:
                 sides.setdefault(((one, other), upright, across), []).append(along)
-    borders: dict[_Pair, list[_Run]] = {}
+    borders: dict[_Pair, list[Segment]] = {}
     for (pair, upright, across), found in sorted(sides.items()):
         steps = sorted(set(found))
         breaks = [0, *(i for i in range(1, len(steps)) if steps[i] > steps[i - 1] + 1), len(steps)]
         for first, last in itertools.pairwise(breaks):
             low, high = steps[first], steps[last - 1] + 1
-            run = ((across, low), (across, high)) if upright else ((low, across), (high, across))
-            borders.setdefault(pair, []).append(run)
+            ends = ((across, low), (across, high)) if upright else ((low, across), (high, across))
+            borders.setdefault(pair, []).append(Segment(*((x * unit, y * unit) for x, y in ends)))
     return borders
-
-
-def _meters(run: _Run, unit: float) -> Segment:
-    (x0, y0), (x1, y1) = run
-    return Segment((x0 * unit, y0 * unit), (x1 * unit, y1 * unit))
 
 
 def _links(
