@@ -56,18 +56,12 @@ class Recipe:
     average_decay: float
 
 
-def _sgd(rate: optax.Schedule, weight_decay: float) -> optax.GradientTransformation:
-    """Stochastic gradient descent with decay in the gradient. The paper gives no momentum; 0.9 is usual."""
-    return optax.chain(optax.add_decayed_weights(weight_decay), optax.sgd(rate, momentum=0.9))
-
-
-def _adamw(rate: optax.Schedule, weight_decay: float) -> optax.GradientTransformation:
-    """AdamW with clipped gradients and decoupled decay."""
-    return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate, weight_decay=weight_decay))
-
-
-#: Optimizers by name: `(learning rate by step, weight decay) -> optimizer`.
-OPTIMIZERS: dict[str, Callable[[optax.Schedule, float], optax.GradientTransformation]] = {"sgd": _sgd, "adamw": _adamw}
+#: Optimizers by name: `(learning rate by step, weight decay) -> optimizer`. SGD has its decay in the gradient; the
+#: paper gives no momentum, 0.9 is usual. AdamW has clipped gradients and decoupled decay.
+OPTIMIZERS: dict[str, Callable[[optax.Schedule, float], optax.GradientTransformation]] = {
+    "sgd": lambda rate, decay: optax.chain(optax.add_decayed_weights(decay), optax.sgd(rate, momentum=0.9)),
+    "adamw": lambda rate, decay: optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate, weight_decay=decay)),
+}
 
 #: The recipe of the paper (section III-D), whose warm-up takes 25 of 200 epochs.
 PAPER_RECIPE = Recipe("sgd", 15e-5, 1e-5, 0.125, 0.01, PAPER_ROTATIONS, "share", 0.0)
