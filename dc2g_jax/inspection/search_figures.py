@@ -92,7 +92,7 @@ def plot_search(
       path: output path without ending.
       world: the house.
       target: class index of the wanted object.
-      track: the robot's track, see `dc2g_jax.objectnav.agent.TRACK`, from step 0 on.
+      track: the robot's track, see `dc2g_jax.objectnav.agent.IndoorRobot`, from step 0 on.
       moments: moments of the search, at least one.
 
     Returns:

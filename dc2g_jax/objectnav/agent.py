@@ -61,9 +61,6 @@ _TURNING_TIME = 0.3
 #: Status of a robot that has declared to have reached the object.
 DECLARED = 1
 
-#: Columns of a robot's track.
-TRACK = ("x", "y", "yaw", "speed", "turn_rate")
-
 
 @struct.dataclass
 class IndoorSite:
@@ -145,7 +142,7 @@ class IndoorRobot(SimulatedRobot):
       costs: the same costs, with costs that lead back to them elsewhere.
       controls: plan of the controller.
       bumps: control periods in which an obstacle stopped the robot.
-      track: `TRACK` at the start and after each control period; constant after the end.
+      track: x, y, yaw, speed and turn rate at the start and after each control period; constant after the end.
     """
 
     target: Int[Array, ""]
@@ -369,5 +366,5 @@ def is_active(robot: IndoorRobot) -> Bool[Array, ""]:
 
 
 def _tracked(vehicle: VehicleState) -> Float[Array, "5"]:
-    """`TRACK` of a vehicle."""
+    """A row of `IndoorRobot.track`."""
     return jnp.stack([*vehicle.position, vehicle.yaw, vehicle.speed, vehicle.turn_rate])
