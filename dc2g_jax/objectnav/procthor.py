@@ -22,7 +22,7 @@ from dc2g_jax.files.reading import opened, parse_json, read_lines, read_object
 from dc2g_jax.objectnav.classes import OTHER, PROCTHOR_CLASSES, ROOM_NAMES
 from dc2g_jax.objectnav.plans import Furniture, HousePlan, Room, Segment
 
-#: Default name of the table of boxes, beside the houses.
+#: Name of the table of boxes, beside the houses.
 BOXES_FILE = "asset_boxes.json"
 
 #: An object that begins higher above the floor than this, and stands on nothing, hangs on a wall; meters.
@@ -72,17 +72,12 @@ def read_asset_boxes(path: str | Path) -> dict[str, AssetBox]:
 
 
 def read_procthor(
-    path: str | Path,
-    boxes: str | Path | None = None,
-    *,
-    strict: bool = False,
-    log: Callable[[str], None] = tell_on_stderr,
+    path: str | Path, *, strict: bool = False, log: Callable[[str], None] = tell_on_stderr
 ) -> list[tuple[int, HousePlan]]:
     """Read the houses of a file. Empty lines are ignored.
 
     Args:
-      path: JSON lines, gzipped if the name ends in `.gz`.
-      boxes: the table of boxes, `asset_boxes.json` beside the houses if `None`.
+      path: JSON lines, gzipped if the name ends in `.gz`, beside the table of boxes, `asset_boxes.json`.
       strict: whether an invalid house is an error. Otherwise invalid houses are skipped, reported through `log`, and
         counted at the end.
       log: receives these messages.
@@ -94,7 +89,7 @@ def read_procthor(
       InputError: a file cannot be read or contains no houses, or, if strict, a line is not a valid house.
     """
     path = Path(path)
-    table = read_asset_boxes(path.parent / BOXES_FILE if boxes is None else boxes)
+    table = read_asset_boxes(path.parent / BOXES_FILE)
     houses, skipped = [], 0
     for number, line in _lines(path):
         try:
