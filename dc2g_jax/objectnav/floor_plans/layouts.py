@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.cluster.hierarchy import DisjointSet
 
 from dc2g_jax.objectnav.classes import BATHROOM, BEDROOM, KITCHEN, LIVING_ROOM
 from dc2g_jax.objectnav.plans import HousePlan, Room, Segment
@@ -248,10 +249,9 @@ def _borders(squares: Sequence[set[Square]], unit: float) -> dict[_Pair, list[Se
                 sides.setdefault(((one, other), upright, across), []).append(along)
     borders: dict[_Pair, list[Segment]] = {}
     for (pair, upright, across), found in sorted(sides.items()):
-        steps = sorted(set(found))
-        breaks = [0, *(i for i in range(1, len(steps)) if steps[i] > steps[i - 1] + 1), len(steps)]
-        for first, last in itertools.pairwise(breaks):
-            low, high = steps[first], steps[last - 1] + 1
+        steps = np.unique(found)
+        for run in np.split(steps, np.flatnonzero(np.diff(steps) > 1) + 1):
+            low, high = int(run[0]), int(run[-1]) + 1
             ends = ((across, low), (across, high)) if upright else ((low, across), (high, across))
             borders.setdefault(pair, []).append(Segment(*((x * unit, y * unit) for x, y in ends)))
     return borders
@@ -266,15 +266,13 @@ def _links(
         (one, other): _DISTANCES.get(frozenset((kinds[one], kinds[other])), _STRANGE) + rng.uniform(0, 0.8)
         for one, other in pairs
     }
-    group = list(range(len(kinds)))
+    groups = DisjointSet(range(len(kinds)))
     linked: set[_Pair] = set()
     # Bathrooms come last, each with one door: paths lead through them only if there is no other.
     for pair in sorted(pairs, key=lambda pair: (BATHROOM in (kinds[pair[0]], kinds[pair[1]]), cost[pair])):
-        one, other = (group[number] for number in pair)
-        if one != other:
-            group = [one if number == other else number for number in group]
+        if groups.merge(*pair):
             linked.add(pair)
-    if len(set(group)) > 1:
+    if groups.n_subsets > 1:
         return None, 0.0
     total = sum(cost[pair] for pair in linked)
     doors_of = [number for pair in linked for number in pair]
