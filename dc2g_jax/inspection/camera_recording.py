@@ -1,8 +1,9 @@
 """Recordings of mapping for the rerun viewer: camera images, points, voxels, the map and the camera's path."""
 
+import functools
 import sys
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,7 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.inspection import legend
 from dc2g_jax.inspection.columns import SO_FAR, first_view, image_style, open_recording, send, send_images
-from dc2g_jax.mapping.camera import Frame, Intrinsics, points
+from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, points
 from dc2g_jax.mapping.checks import check_frame
 from dc2g_jax.mapping.semantic_map import MapSettings, SemanticMap, empty_map, integrate, terrain_map
 from dc2g_jax.mapping.sequences import DEPTH_UNITS, ImageSequence, depth_steps, read_frame, read_picture
@@ -102,10 +103,7 @@ class CameraRecording:
     def _describe(self) -> None:
         """Send static data: colors, frames of reference, the camera, and styles."""
         stream, camera = self._stream, self._camera
-
-        def style(entity: str, look: Any) -> None:
-            stream.log(entity, look, static=True)
-
+        style = functools.partial(stream.log, static=True)
         style("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         style("world", legend.terrain_context())
         pinhole = rr.Pinhole(
@@ -137,38 +135,30 @@ class CameraRecording:
 
     def _send(self) -> None:
         """Send the pending steps."""
-        mapped, self._waiting = self._waiting, []
+        stream, mapped, self._waiting = self._stream, self._waiting, []
         steps = self._sent + np.arange(len(mapped))
         self._sent += len(mapped)
-        frames = [one.frame for one in mapped]
-        self._send_images(steps, mapped)
-        self._send_points(steps, frames)
-        self._send_voxels(steps, [one.voxels for one in mapped])
-        send_images(self._stream, "map", steps, np.stack([one.terrain for one in mapped]))
-        self._send_path(steps, frames)
-
-    def _send_images(self, steps: np.ndarray, mapped: list[MappedFrame]) -> None:
-        """Send the camera's images."""
-        stream = self._stream
         pictures = {step: one.picture for step, one in zip(steps, mapped, strict=True) if one.picture is not None}
         if pictures:
             send(stream, _PICTURE, np.array(list(pictures)), rr.EncodedImage.columns(blob=list(pictures.values())))
-        depth = np.stack([depth_steps(np.asarray(one.frame.depth)) for one in mapped])
-        send(stream, _DEPTH, steps, rr.DepthImage.columns(buffer=depth.reshape(len(steps), -1).view(np.uint8)))
-        send_images(stream, _CLASSES, steps, np.stack([np.asarray(one.frame.classes) for one in mapped]))
+        frames = jax.tree.map(lambda *leaves: np.stack(leaves), *(one.frame for one in mapped))
+        depth = depth_steps(frames.depth.reshape(len(steps), -1))
+        send(stream, _DEPTH, steps, rr.DepthImage.columns(buffer=depth.view(np.uint8)))
+        send_images(stream, _CLASSES, steps, frames.classes)
+        self._send_points(steps, [one.frame for one in mapped])
+        self._send_voxels(steps, [one.voxels for one in mapped])
+        send_images(stream, "map", steps, np.stack([one.terrain for one in mapped]))
+        self._send_path(steps, frames.pose)
 
     def _send_points(self, steps: np.ndarray, frames: list[Frame]) -> None:
         """Send the points of each frame in the world, evenly subsampled."""
-        clouds, classes = [], []
+        clouds, classes, every = [], [], np.s_[:: self._stride, :: self._stride]
         for frame in frames:
-            kept = np.zeros((self._camera.height, self._camera.width), bool)
-            kept[:: self._stride, :: self._stride] = True
-            kept &= np.asarray(frame.depth) > 0
-            clouds.append(np.asarray(_points(frame.depth, self._camera, frame.pose))[kept])
-            classes.append(np.asarray(frame.classes)[kept])
-        counts = [len(cloud) for cloud in clouds]
+            kept = np.asarray(frame.depth)[every] > 0
+            clouds.append(np.asarray(_points(frame.depth, self._camera, frame.pose))[every][kept])
+            classes.append(np.asarray(frame.classes)[every][kept])
         cloud = rr.Points3D.columns(positions=np.concatenate(clouds), class_ids=np.concatenate(classes))
-        send(self._stream, "world/points", steps, cloud.partition(counts))
+        send(self._stream, "world/points", steps, cloud.partition([*map(len, clouds)]))
 
     def _send_voxels(self, steps: np.ndarray, maps: list[SemanticMap]) -> None:
         """Send the occupied voxels as boxes in the colors of their classes."""
@@ -184,11 +174,9 @@ class CameraRecording:
         boxes = rr.Boxes3D.columns(centers=np.concatenate(centers), half_sizes=sizes, class_ids=np.concatenate(classes))
         send(self._stream, "world/voxels", steps, boxes.partition(counts))
 
-    def _send_path(self, steps: np.ndarray, frames: list[Frame]) -> None:
+    def _send_path(self, steps: np.ndarray, poses: CameraPose) -> None:
         """Send the camera's pose and path: one segment of the path per step, which the viewer accumulates."""
-        stream = self._stream
-        here = np.stack([np.asarray(frame.pose.position) for frame in frames])
-        turns = np.stack([np.asarray(frame.pose.rotation) for frame in frames])
+        stream, here, turns = self._stream, poses.position, poses.rotation
         send(stream, _CAMERA, steps, rr.Transform3D.columns(translation=here, mat3x3=turns.reshape(-1, 9)))
         on_map = here[:, :2] * (1, -1) / self._settings.cell_size
         ahead = turns[:, :2, 2] * (2.5, -2.5)
