@@ -91,9 +91,8 @@ class Walk:
     def __init__(self, planner: Planner, terrain: UInt8[np.ndarray, "h w"], start: RobotPose, rules: Rules):
         self.moments: list[Moment] = []
         self.in_cells = answers_in_cells(getattr(planner, "estimator", None))
-        self._planner, self._rules, self._start = planner, rules, start
-        self._world = world_from_terrain(terrain)
-        self._carry: Any = None
+        self._planner, self._rules, self._world = planner, rules, world_from_terrain(terrain)
+        self._carry = first_carry(self._world, make_pose(*start), planner, rules=rules)
 
     @property
     def over(self) -> bool:
@@ -108,8 +107,6 @@ class Walk:
         """
         if self.over:
             return
-        if self._carry is None:
-            self._carry = first_carry(self._world, make_pose(*self._start), self._planner, rules=self._rules)
         self._carry, looked = _advance(self._carry, self._world, self._planner, rules=self._rules)
         found = jax.device_get(looked)
         view = View(*found["view"])

@@ -84,7 +84,7 @@ def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_
     """
     numbers = np.unique(np.linspace(0, len(drive) - 1, rows).round().astype(int)).tolist()
     chosen = [drive[number] for number in numbers]
-    way = np.array([_in_cells(moment.believed.position, cell_size) for moment in drive])
+    way = _in_cells([moment.believed.position for moment in drive], cell_size)
     height, width = chosen[0].robot.terrain.shape
     figure = Figure(figsize=(10.5, 2.5 * len(chosen) + 0.9), layout="constrained")
     panels = figure.subplots(len(chosen), 4, squeeze=False, width_ratios=(1.3, 1, 1, 1))
@@ -102,9 +102,8 @@ def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_
             image = cost_image(moment.cost_to_go / high, ground, seen & ~ground)
             expected.imshow(image, interpolation="nearest")
         planned.imshow(map_image(moment.robot.terrain, ground), interpolation="nearest")
-        ahead = np.array([_in_cells(point, cell_size) for point in moment.robot.path.points])
         planned.plot(*way[: number + 1].T, color="black", linewidth=1)
-        planned.plot(*ahead.T, color="#0072b2", linewidth=2)
+        planned.plot(*_in_cells(moment.robot.path.points, cell_size).T, color="#0072b2", linewidth=2)
         arrow = MarkerStyle(ROBOT_ARROW).rotated(rad=float(moment.believed.yaw))
         for axes in (semantic, expected, planned):
             axes.plot(*way[number], marker=arrow, color="black", markeredgecolor="white", markersize=10)
@@ -127,6 +126,6 @@ def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_
     return save_figure(figure, path)
 
 
-def _in_cells(position: Float[Any, "2"], cell_size: float) -> tuple[float, float]:
-    """Coordinates of a position on the image of a map, in cells."""
-    return float(position[0]) / cell_size - 0.5, -float(position[1]) / cell_size - 0.5
+def _in_cells(positions: Any, cell_size: float) -> Float[np.ndarray, "n 2"]:
+    """Coordinates of positions on the image of a map, in cells."""
+    return np.asarray(positions, float)[:, :2] * (1, -1) / cell_size - 0.5

@@ -254,21 +254,18 @@ def poses_along(result: EpisodeResult, house: House) -> Pose:
     return jax.device_get(poses)
 
 
-def plot_trajectories(
-    path: str | Path, house: House, result_by_planner: Mapping[str, EpisodeResult], columns: int = 3
-) -> list[Path]:
-    """Draw the paths of planners on the whole map, side by side, colored from start to end.
+def plot_trajectories(path: str | Path, house: House, result_by_planner: Mapping[str, EpisodeResult]) -> list[Path]:
+    """Draw the paths of planners on the whole map, three in a row, colored from start to end.
 
     Args:
       path: output path without ending.
       house: the house.
       result_by_planner: planner name -> its episode.
-      columns: number of panels in a row.
 
     Returns:
       The files written: PNG, SVG and PDF.
     """
-    columns = min(columns, len(result_by_planner))
+    columns = min(3, len(result_by_planner))
     rows = -(-len(result_by_planner) // columns)
     titles = {}
     for planner, result in result_by_planner.items():

@@ -5,21 +5,20 @@ import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import matplotlib
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.typing import ColorType
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_COLORS
+from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_COLORS, FIGURE_RGB
 from dc2g_jax.rollouts.evaluation import EpisodeResult
 from dc2g_jax.rollouts.statistics import Summary
 
@@ -223,12 +222,9 @@ def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float
         axes.tick_params(labelsize=8)
         axes.set_aspect("equal")
         axes.set_title(_GROUP_LABELS.get(group, group).replace("\n", " "), fontsize=10)
-        for place, text in (
-            ((0.97, 0.04), f"lower in {below} episodes"),
-            ((0.03, 0.93), f"higher in {above} episodes"),
-        ):
-            side = "right" if place[0] > 0.5 else "left"
-            axes.annotate(text, place, xycoords="axes fraction", ha=side, fontsize=8.5, color="#333333")
+        style: dict[str, Any] = {"xycoords": "axes fraction", "fontsize": 8.5, "color": "#333333"}
+        axes.annotate(f"lower in {below} episodes", (0.97, 0.04), ha="right", **style)
+        axes.annotate(f"higher in {above} episodes", (0.03, 0.93), ha="left", **style)
     figure.supylabel("extra steps, this package (%)", fontsize=9)
     figure.supxlabel(
         f"extra steps, authors' network (%)\ncross: means; each against its own oracle; axes {_SCALE_NOTE}", fontsize=9
@@ -253,7 +249,7 @@ def present_classes(terrain: UInt8[np.ndarray, "*cells"]) -> list[int]:
 
 def map_image(terrain: UInt8[np.ndarray, "h w"], seen: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 3"]:
     """Class colors where observed, a pale version of them elsewhere; RGB from 0 to 1."""
-    colors = np.array([to_rgb(color) for color in FIGURE_COLORS.values()])[terrain]
+    colors = FIGURE_RGB[terrain] / 255
     return np.where(seen[..., None], colors, colors * (1 - _HIDDEN_WHITE) + _HIDDEN_WHITE)
 
 
