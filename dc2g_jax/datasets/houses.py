@@ -158,11 +158,11 @@ def load_dataset(folder: str | os.PathLike[str], *, cells: int | None = 50) -> H
         listed = _read_house_lists(folder)
         palette = read_palette(folder / PALETTE_FILE)
         houses = []
-        for name, (split, where) in listed.items():
+        for name, (split, listing) in listed.items():
             path = _image_path(folder, split, name)
             if not path.exists():
                 raise InputError(
-                    f"{path}: no such file, but {where} lists house {name!r}; add the image or delete the line"
+                    f"{path}: no such file, but {listing} lists house {name!r}; add the image or delete the line"
                 )
             houses.append(House(name, split, sampled(str(path), read_class_image(path, palette), cells)))
         if matches_published(folder):

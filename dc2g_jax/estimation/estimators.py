@@ -31,7 +31,10 @@ class Estimator(Protocol):
     """
 
     def init(self, world: World) -> Any:
-        """The state for an episode in `world`; empty by default. Only a privileged estimator may read the world."""
+        """The state for an episode in `world`. Only a privileged estimator may read the world.
+
+        Empty unless a subclass defines it.
+        """
         del world
         return ()
 

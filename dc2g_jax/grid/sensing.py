@@ -196,7 +196,8 @@ def _toward_the_robot(ahead: int, lateral: int) -> tuple[int, int]:
 
 def _window(radius: int) -> tuple[Bool[np.ndarray, "lateral ahead"], Int[np.ndarray, "lateral ahead"]]:
     """Which cells around the robot are less than 45 degrees off the heading, and their squared distances."""
-    lateral, ahead = np.mgrid[-radius : radius + 1, -radius : radius + 1]
+    steps = np.array(range(-radius, radius + 1))  # a range refuses fractions
+    ahead, lateral = steps, steps[:, None]
     return np.abs(lateral) < ahead, ahead**2 + lateral**2
 
 

@@ -135,7 +135,8 @@ class CameraRecording:
 
     def _send(self) -> None:
         """Send the pending steps."""
-        stream, mapped, self._waiting = self._stream, self._waiting, []
+        stream = self._stream
+        mapped, self._waiting = self._waiting, []
         steps = self._sent + np.arange(len(mapped))
         self._sent += len(mapped)
         pictures = {step: one.picture for step, one in zip(steps, mapped, strict=True) if one.picture is not None}
@@ -152,13 +153,14 @@ class CameraRecording:
 
     def _send_points(self, steps: np.ndarray, frames: list[Frame]) -> None:
         """Send the points of each frame in the world, evenly subsampled."""
-        clouds, classes, every = [], [], np.s_[:: self._stride, :: self._stride]
+        every = np.s_[:: self._stride, :: self._stride]
+        clouds, classes = [], []
         for frame in frames:
             kept = np.asarray(frame.depth)[every] > 0
             clouds.append(np.asarray(_points(frame.depth, self._camera, frame.pose))[every][kept])
             classes.append(np.asarray(frame.classes)[every][kept])
         cloud = rr.Points3D.columns(positions=np.concatenate(clouds), class_ids=np.concatenate(classes))
-        send(self._stream, "world/points", steps, cloud.partition([*map(len, clouds)]))
+        send(self._stream, "world/points", steps, cloud.partition([len(cloud) for cloud in clouds]))
 
     def _send_voxels(self, steps: np.ndarray, maps: list[SemanticMap]) -> None:
         """Send the occupied voxels as boxes in the colors of their classes."""
@@ -176,7 +178,8 @@ class CameraRecording:
 
     def _send_path(self, steps: np.ndarray, poses: CameraPose) -> None:
         """Send the camera's pose and path: one segment of the path per step, which the viewer accumulates."""
-        stream, here, turns = self._stream, poses.position, poses.rotation
+        stream = self._stream
+        here, turns = np.asarray(poses.position), np.asarray(poses.rotation)
         send(stream, _CAMERA, steps, rr.Transform3D.columns(translation=here, mat3x3=turns.reshape(-1, 9)))
         on_map = here[:, :2] * (1, -1) / self._settings.cell_size
         ahead = turns[:, :2, 2] * (2.5, -2.5)

@@ -165,7 +165,7 @@ def dense_costs(
     Args:
       distance: distance to the goal, meters; infinity where the vehicle must not be or has no path.
       cell_size: edge of a cell, meters.
-      margin: additional cost of cells with infinite distance, meters.
+      margin: additional cost of cells with infinite distance, meters; the cost of all where none is finite.
       slope: increase of the cost there, per meter away from cells with finite distance.
     """
     known = jnp.isfinite(distance)

@@ -117,7 +117,7 @@ class _Grid(NamedTuple):
         return cls(left, top, left + along, top - down, cell_size)
 
     def around(self, points: Float[np.ndarray, "point 2"], reach: float) -> tuple[slice, slice]:
-        """The rows and columns of cells whose center is within reach of the box around some points; maybe none."""
+        """The rows and columns of cells whose center is within reach of the box around some points; possibly none."""
         (left, bottom), (right, top) = points.min(axis=0) - reach, points.max(axis=0) + reach
         rows, columns = np.searchsorted(-self.y, (-top, -bottom)), np.searchsorted(self.x, (left, right))
         return slice(*rows), slice(*columns)

@@ -116,8 +116,8 @@ class Settings:
           InputError: a range is out of bounds, or an expanding range is given for rules without a frontier-expanding
             kernel.
         """
-        if sensing_range is not None and not 1 <= sensing_range <= MAX_SENSING_RANGE:
-            raise InputError(f"sensing range {sensing_range}: give 1 to {MAX_SENSING_RANGE} cells")
+        if sensing_range is not None and sensing_range not in range(1, MAX_SENSING_RANGE + 1):
+            raise InputError(f"sensing range {sensing_range}: give a whole number of 1 to {MAX_SENSING_RANGE} cells")
         if sensing_range in (None, self.sensing_range):
             sensing_range = self.sensing_range
             expanding_range = self.expanding_range if expanding_range is None else expanding_range

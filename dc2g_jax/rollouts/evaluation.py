@@ -288,7 +288,7 @@ class Runner:
         """
         named = by_name(planners)
         if named.get("oracle", "oracle") != "oracle":
-            raise ValueError("planners: hold an oracle, by which all are measured; give the planner another name")
+            raise ValueError("planner oracle: all are measured by the package's own; give yours another name")
         for start in starts:
             terrain = self._dataset.house(start.house).terrain
             height, width = terrain.shape
@@ -307,9 +307,12 @@ class Runner:
             rules = self.rules(chosen[0])
             key = rules, tuple(chosen)
             needed = "oracle" in named or key not in self._oracle_steps
-            ran = {"oracle": self._oracle(rules, chosen)} if needed else {}
+            oracle = self._oracle(rules, chosen) if needed else None
             for name, source in named.items():
-                done = ran.get(name) or self.trajectories(_made(name, source, rules, estimator), rules, chosen, name)
+                if name == "oracle" and oracle is not None:
+                    done = oracle
+                else:
+                    done = self.trajectories(_made(name, source, rules, estimator), rules, chosen, name)
                 oracle_steps = self._oracle_steps[key]
                 for row, number in enumerate(numbers):
                     results[name, number] = _result(chosen[row], rules, name, done, row, int(oracle_steps[row]))
@@ -317,7 +320,7 @@ class Runner:
 
 
 def by_name(planners: Planners) -> Mapping[str, PlannerSource]:
-    """Planners by the names that they have in results."""
+    """Planners by the names that they have in results, each once."""
     return planners if isinstance(planners, Mapping) else {name: name for name in planners}
 
 
@@ -326,7 +329,10 @@ def _result(
 ) -> EpisodeResult:
     steps = int(trajectories.steps[row])
     return EpisodeResult(
-        *start[:4],
+        house=start.house,
+        x=start.x,
+        y=start.y,
+        heading=start.heading,
         range=rules.sensing.radius,
         expanding_range=rules.expanding_range,
         planner=name,
@@ -381,12 +387,13 @@ def evaluate(
       InputError: an argument is invalid, no episode can be run in any house, or a planner was made for another field of
         view than that of the episodes.
     """
-    one = isinstance(planners, str) or not isinstance(planners, Iterable)
-    given: Any = [planners] if one else planners if isinstance(planners, Mapping) else list(planners)
-    for name in given:
-        if not isinstance(name, str):
-            raise InputError(f"planner {short(name)}: is no name; give a mapping, such as {{'mine': MyPlanner}}")
-    named = by_name(given)
+    if isinstance(planners, str) or not isinstance(planners, Iterable):
+        planners = [planners]
+    named = by_name(planners)
+    if not isinstance(planners, Mapping):
+        for name in named:
+            if not isinstance(name, str):
+                raise InputError(f"planner {short(name)}: is no name; give a mapping, such as {{'mine': MyPlanner}}")
     sources = [source for source in named.values() if isinstance(source, str)]
     check_names(sources)
     settings = named_settings(settings)

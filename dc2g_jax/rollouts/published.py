@@ -76,7 +76,10 @@ def pair_up(
 
     return [
         EpisodePair(
-            *theirs.start[:4],
+            house=theirs.start.house,
+            x=theirs.start.x,
+            y=theirs.start.y,
+            heading=theirs.start.heading,
             group=theirs.group,
             oracle=ours.oracle_steps,
             authors_oracle=theirs.oracle,

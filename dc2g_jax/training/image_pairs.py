@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -114,13 +114,19 @@ def labeled_grid(image: ClassImage, cells: int) -> tuple[UInt8[np.ndarray, "s s"
     return terrain, np.asarray(_solve(TRAVERSABLE[terrain], terrain == FRONT_DOOR))
 
 
-def _labeled_pairs(houses: Sequence[House], size: int, boards: Any, pair_house: Any, pair_mask: Any) -> ImageSet:
-    """Pairs of houses, see `labeled_map`, and of masks."""
+def _pairs(
+    houses: Sequence[House],
+    size: int,
+    masks: UInt32[Array | np.ndarray, "masks n_words m"],
+    pair_house: Int[np.ndarray, "pairs"],
+    pair_mask: Int[np.ndarray, "pairs"],
+) -> ImageSet:
+    """Pairs of a house, see `labeled_map`, and a mask, both by index."""
     terrain, cost = zip(*(labeled_map(house.terrain, size) for house in houses), strict=True)
     return ImageSet(
         terrain=jnp.asarray(np.stack(terrain)),
         cost_to_go=jnp.asarray(np.stack(cost)),
-        masks=jnp.asarray(boards),
+        masks=jnp.asarray(masks),
         pair_house=jnp.asarray(pair_house, jnp.int32),
         pair_mask=jnp.asarray(pair_mask, jnp.int32),
     )
@@ -134,8 +140,9 @@ def all_pairs(houses: Sequence[House], masks: Bool[np.ndarray, "masks s s"]) -> 
       masks: true where a pixel is observed, in the size of the images to make.
     """
     boards = jit(jax.vmap(bitboard.pack))(jnp.asarray(masks))
-    pair_house, pair_mask = np.divmod(np.arange(len(houses) * len(masks)), len(masks))
-    return _labeled_pairs(houses, masks.shape[-1], boards, pair_house, pair_mask)
+    pair_house = np.repeat(np.arange(len(houses)), len(masks))
+    pair_mask = np.tile(np.arange(len(masks)), len(houses))
+    return _pairs(houses, masks.shape[-1], boards, pair_house, pair_mask)
 
 
 def rollout_masks(houses: Sequence[House], per_house: int, *, seed: int) -> Masks:
@@ -187,7 +194,7 @@ def image_set(dataset: HouseDataset, split: str, *, size: int, masks: MaskKind, 
     grids = [House(house.name, split, sample_grid(house.terrain, GRID_CELLS)) for house in houses]
     usable_houses(HouseDataset(dataset.name, dataset.source, tuple(grids)), split, instead="use --masks paper")
     collected = rollout_masks(grids, per_house, seed=MASK_SEEDS[split])
-    return _labeled_pairs(houses, size, collected.boards, collected.world, np.arange(len(collected.world)))
+    return _pairs(houses, size, collected.boards, collected.world, np.arange(len(collected.world)))
 
 
 class MaskedMap(NamedTuple):

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,12 +20,28 @@ from dc2g_jax.rollouts.devices import divide
 from dc2g_jax.training.cost_to_go import check_numbers, loss_or_nan
 from dc2g_jax.training.image_pairs import ImagePair
 
+
+class GeneratorLoss(NamedTuple):
+    """Weights of the generator's loss.
+
+    Attributes:
+      l1: weight of the mean absolute error.
+      gan: weight of the adversarial loss.
+    """
+
+    l1: float
+    gan: float
+
+
 #: pix2pix computes the absolute error of images from -1 to 1; here they are from 0 to 1.
 _L1_SCALE = 2.0
 
-#: The paper's three losses of the generator, by name: weights, as in pix2pix, of the mean absolute error and of the
-#: adversarial loss.
-TRANSLATOR_LOSSES = {"l1": (100.0, 0.0), "gan": (0.0, 1.0), "l1+gan": (100.0, 1.0)}
+#: The paper's three losses, by name; weights as in pix2pix.
+TRANSLATOR_LOSSES = {
+    "l1": GeneratorLoss(100.0, 0.0),
+    "gan": GeneratorLoss(0.0, 1.0),
+    "l1+gan": GeneratorLoss(100.0, 1.0),
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,12 +138,12 @@ def generator_loss(
     The loss is the sum, weighted as in `TRANSLATOR_LOSSES`, of the mean absolute error of images from -1 to 1 and the
     cross-entropy of patches being classified as true.
     """
-    l1_weight, gan_weight = TRANSLATOR_LOSSES[config.loss]
+    loss = TRANSLATOR_LOSSES[config.loss]
     difference = jnp.mean(jnp.abs(generated - batch.target))
-    total = l1_weight * _L1_SCALE * difference
-    if gan_weight:
+    total = loss.l1 * _L1_SCALE * difference
+    if loss.gan:
         odds = with_weights(Discriminator, config.architecture, discriminator)(batch.image, generated)
-        total += gan_weight * jnp.mean(jax.nn.softplus(-odds))
+        total += loss.gan * jnp.mean(jax.nn.softplus(-odds))
     return total, difference
 
 
@@ -157,8 +173,7 @@ def translator_step(
         lambda weights: with_weights(Generator, architecture, weights)(batch.image, dropout_key), state.generator
     )
     discriminator, discriminator_optimizer = state.discriminator, state.discriminator_optimizer
-    _, gan_weight = TRANSLATOR_LOSSES[config.loss]
-    if gan_weight:
+    if TRANSLATOR_LOSSES[config.loss].gan:
         gradient = jax.grad(lambda weights: discriminator_loss(architecture, weights, batch, generated))(discriminator)
         discriminator, discriminator_optimizer = _updated(config, discriminator, gradient, discriminator_optimizer)
     loss_of = functools.partial(generator_loss, config, discriminator, batch)

@@ -48,7 +48,10 @@ class Drives:
 
 
 def sites_of(terrains: Sequence[UInt8[np.ndarray, "h w"]]) -> Site:
-    """Houses of one size in three dimensions, stacked along the first axis; with class indices, house after house.
+    """Houses of one size in three dimensions, stacked along the first axis.
+
+    Args:
+      terrains: class index of every cell, house after house.
 
     Raises:
       InputError: there is no house, or two differ in size.

@@ -21,7 +21,7 @@ from dc2g_jax.objectnav.classes import (
     TOILET,
 )
 from dc2g_jax.objectnav.floor_plans import furnishing, layouts
-from dc2g_jax.objectnav.houses import draw_plan, indoor_houses
+from dc2g_jax.objectnav.houses import draw_plan, indoor_house, indoor_houses
 from dc2g_jax.objectnav.plans import world_from_plan
 from dc2g_jax.objectnav.starts import start_cells
 from tests.support.rooms import rooms_cut_off
@@ -140,3 +140,6 @@ def test_the_procedural_houses_are_the_default():
     houses = indoor_houses(split="val", count=2, cell_size=0.1)
     assert [house.name for house in houses] == ["val-0", "val-1"]
     np.testing.assert_array_equal(houses[1].world.classes, world_from_plan(draw_plan(0, "val", 1), 0.1).classes)
+    by_name = indoor_house("val-1", split="val", cell_size=0.1)
+    assert by_name.name == "val-1"
+    np.testing.assert_array_equal(by_name.world.classes, houses[1].world.classes)

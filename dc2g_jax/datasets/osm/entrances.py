@@ -151,6 +151,16 @@ class StreetPoints:
     main: Bool[np.ndarray, "n"]
 
     @functools.cached_property
+    def main_streets(self) -> "StreetPoints":
+        """Those of streets."""
+        return self.where(self.main)
+
+    @functools.cached_property
+    def alleys(self) -> "StreetPoints":
+        """Those of alleys and other service roads."""
+        return self.where(~self.main)
+
+    @functools.cached_property
     def _tree(self) -> spatial.KDTree:
         return spatial.KDTree(self.points)
 
@@ -256,10 +266,10 @@ def front_of(site: Site, rng: np.random.Generator) -> int | None:
     the street as the closest. `None` if there is none.
     """
     address, streets = site.building.tags.get("addr:street", ""), site.streets
-    of_address = (streets.names == address) & bool(address)
-    for chosen in (of_address, streets.main, ~streets.main):
-        if np.any(chosen):
-            distance, facing = _views(site, streets.where(chosen))
+    of_address = streets.where((streets.names == address) & bool(address))
+    for chosen in (of_address, streets.main_streets, streets.alleys):
+        if len(chosen.points):
+            distance, facing = _views(site, chosen)
             if np.any(facing):
                 return int(
                     rng.choice(np.flatnonzero(facing & (distance <= np.min(distance[facing]) + _SETBACK_SPREAD)))

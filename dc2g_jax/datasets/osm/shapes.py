@@ -147,6 +147,7 @@ def mapped_shapes(extract: Extract, cell: float) -> list[Patch]:
 def _line_shapes(line: Line, cell: float) -> list[Patch]:
     tags, sides = line.tags, None
     found = [_WAYS[key, value] for key, value in _WAYS if tags.get(key) == value][:1]
+    # A street with another tag of the table is a street first, but not where it passes through a building.
     if is_street(tags) and tags.get("tunnel") != "building_passage":
         found, sides = [("road", street_width(tags))], sidewalk_sides(tags)
     elif not found and tags.get("bridge", "no") == "no":

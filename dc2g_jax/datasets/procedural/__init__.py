@@ -36,7 +36,7 @@ PROCEDURAL_SPLIT: tuple[tuple[str, str, str], ...] = tuple(
 
 
 def house_seed(seed: int, index: int) -> int:
-    """The seed that `draw_house` gets for house `index` of `procedural_houses(seed)`: an even number, injectively.
+    """The seed that `draw_house` gets for house `index` of `procedural_houses(seed)`: an even number, its own.
 
     Raises:
         ValueError: if either is negative or 2^32 or more.
@@ -47,7 +47,11 @@ def house_seed(seed: int, index: int) -> int:
 
 
 def training_house_seed(seed: int, index: int) -> int:
-    """The seed that `draw_house` gets for house `index` of `procedural_training_houses`: an odd number."""
+    """The seed that `draw_house` gets for house `index` of `procedural_training_houses`: an odd number, its own.
+
+    Raises:
+        ValueError: as `house_seed`.
+    """
     return house_seed(seed, index) + 1
 
 

@@ -252,8 +252,9 @@ def _borders(squares: Sequence[set[Square]], unit: float) -> dict[_Pair, list[Se
         steps = np.unique(found)
         for run in np.split(steps, np.flatnonzero(np.diff(steps) > 1) + 1):
             low, high = int(run[0]), int(run[-1]) + 1
-            ends = ((across, low), (across, high)) if upright else ((low, across), (high, across))
-            borders.setdefault(pair, []).append(Segment(*((x * unit, y * unit) for x, y in ends)))
+            ends = np.array([(across, low), (across, high)]) * unit
+            start, end = (ends if upright else ends[:, ::-1]).tolist()
+            borders.setdefault(pair, []).append(Segment(tuple(start), tuple(end)))
     return borders
 
 
