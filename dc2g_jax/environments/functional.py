@@ -42,7 +42,7 @@ STEP_REWARD = -1.0
 #: Default range of the field of view in cells, as in the paper.
 SENSING_RANGE = 8
 
-#: Steps are counted in 32 bits.
+#: Steps are counted in signed 32-bit integers.
 _MAX_STEP_LIMIT = 2**31 - 1
 
 

@@ -29,7 +29,7 @@ def component_numbers(cells: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
 
 
 def connected_to(goals: Bool[np.ndarray, "h w"], cells: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """The cells of a set that are 4-connected, within the set, to some of its cells that are goals."""
+    """The cells from which a 4-connected path within `cells` leads to a goal."""
     numbers = component_numbers(cells)
     return np.asarray(cells & np.isin(numbers, numbers[goals & cells]))
 

@@ -51,8 +51,8 @@ LIMITS = VehicleLimits(
 #: Settings of the controller. The number of samples was chosen on validation houses.
 CONTROLLER = MPPISettings(limits=LIMITS, samples=128)
 
-#: Costs of the controller in meters: of a blocked cell, and of leaving the local map. A short cut through a wall saves
-#: the detour at every step of the horizon: up to 50 steps of 20 m.
+#: Costs of the controller in meters: of a blocked cell, and of leaving the local map. They exceed what
+#: a shortcut through a wall can save: a detour of up to 20 m at each of the horizon's steps, up to 50.
 _COLLISION, _OUTSIDE = 2000.0, 2000.0
 
 #: Time in which a vehicle that descends the costs turns to the direction of descent, seconds.

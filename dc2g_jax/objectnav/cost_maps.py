@@ -159,13 +159,13 @@ def dense_costs(
 ) -> Float[Array, "h w"]:
     """A finite cost for every cell: the distance where finite, elsewhere costs that lead back to such cells.
 
-    A cell beside cells with a finite distance costs more than all of them, so that a shorter distance on the other side
-    of a wall has no effect.
+    A cell with infinite distance costs more than all of its neighbors with finite distance, so that a shorter distance
+    on the other side of a wall has no effect.
 
     Args:
       distance: distance to the goal, meters; infinity where the vehicle must not be or has no path.
       cell_size: edge of a cell, meters.
-      margin: additional cost of cells with infinite distance, meters; the cost of all where none is finite.
+      margin: additional cost of cells with infinite distance, meters; the cost of every cell if no distance is finite.
       slope: increase of the cost there, per meter away from cells with finite distance.
     """
     known = jnp.isfinite(distance)

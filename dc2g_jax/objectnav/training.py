@@ -56,8 +56,8 @@ class Recipe:
     average_decay: float
 
 
-#: Optimizers by name: `(learning rate by step, weight decay) -> optimizer`. SGD has its decay in the gradient; the
-#: paper gives no momentum, 0.9 is usual. AdamW has clipped gradients and decoupled decay.
+#: Optimizers by name: `(learning rate by step, weight decay) -> optimizer`. SGD adds the decay to the gradient. The
+#: paper does not state its momentum; 0.9 is usual. AdamW clips gradients, and its decay is decoupled.
 OPTIMIZERS: dict[str, Callable[[optax.Schedule, float], optax.GradientTransformation]] = {
     "sgd": lambda rate, decay: optax.chain(optax.add_decayed_weights(decay), optax.sgd(rate, momentum=0.9)),
     "adamw": lambda rate, decay: optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate, weight_decay=decay)),

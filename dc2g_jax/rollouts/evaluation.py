@@ -274,7 +274,7 @@ class Runner:
 
         Args:
           starts: first poses; each may have its own ranges.
-          planners: see `Planners`. The name `oracle` is taken.
+          planners: see `Planners`. The name `oracle` is reserved for the oracle of the package.
           estimator: network of the planners that need one.
 
         Returns:
@@ -288,7 +288,9 @@ class Runner:
         """
         named = by_name(planners)
         if named.get("oracle", "oracle") != "oracle":
-            raise ValueError("planner oracle: all are measured by the package's own; give yours another name")
+            raise ValueError(
+                "planner oracle: the name is reserved for the oracle that all are compared with; use another"
+            )
         for start in starts:
             terrain = self._dataset.house(start.house).terrain
             height, width = terrain.shape

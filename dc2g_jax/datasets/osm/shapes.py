@@ -20,7 +20,7 @@ SIDEWALK_WIDTH = 1.8
 #: Value of `natural` or `highway` -> layer and radius of nodes.
 _NODES = {"tree": ("tree", 1.6), "turning_circle": ("road", 7.0)}
 
-#: Tag -> layer and width of other ways than streets; the first that a way has counts. Robots take no steps.
+#: Tag -> layer and width of ways other than streets. The first tag that a way has counts. Robots climb no steps.
 _WAYS = {
     ("tunnel", "building_passage"): ("court_path", 2.5), ("service", "driveway"): ("driveway", 3.2),
     ("footway", "crossing"): ("crossing", 2.5), ("footway", "traffic_island"): ("crossing", 2.5),
