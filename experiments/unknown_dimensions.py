@@ -27,7 +27,7 @@ from dc2g_jax.files.atomic import write_json
 from dc2g_jax.grid.terrain import UNKNOWN
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.rollouts.evaluation import Runner
+from dc2g_jax.rollouts.evaluation import PlannerSource, Runner
 from dc2g_jax.rollouts.statistics import summarize
 from dc2g_jax.training.cost_to_go_data import drawn_houses
 
@@ -126,7 +126,7 @@ def main(options: Options) -> None:
     worlds = all_worlds(options, dataset)
     out = output_folder(options, "unknown_dimensions", inputs=digests(dataset, network=network))
     table = EpisodeTable(out / "episodes.csv")
-    planners: dict[str, Any] = {"frontier": "frontier"}
+    planners: dict[str, PlannerSource] = {"frontier": "frontier"}
     planners |= {name: functools.partial(make_planner, "dc2g", estimator=one) for name, one in estimators.items()}
     facts: dict[str, dict[str, Any]] = {}
     for name, (houses, starts) in worlds.items():

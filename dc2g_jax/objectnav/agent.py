@@ -51,9 +51,10 @@ LIMITS = VehicleLimits(
 #: Settings of the controller. The number of samples was chosen on validation houses.
 CONTROLLER = MPPISettings(limits=LIMITS, samples=128)
 
-#: Costs of the controller in meters: of a blocked cell, and of leaving the local map. They exceed what
-#: a shortcut through a wall can save: a detour of up to 20 m at each of the horizon's steps, up to 50.
-_COLLISION, _OUTSIDE = 2000.0, 2000.0
+#: Costs of the controller in meters: of a blocked cell; of a cell beside known costs, in addition to theirs; of each
+#: meter further away from known costs; and of leaving the local map. The first and last exceed what a shortcut through
+#: a wall can save: a detour of up to 20 m at each of the horizon's steps, up to 50.
+_COLLISION, _MARGIN, _SLOPE, _OUTSIDE = 2000.0, 1.0, 3.0, 2000.0
 
 #: Time in which a vehicle that descends the costs turns to the direction of descent, seconds.
 _TURNING_TIME = 0.3
@@ -304,7 +305,23 @@ def look_and_decide(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Indoo
         local_middle=grid_cell(position, cell_size),
     )
     guidance = agent.guide.guide(own_key, robot, site, agent)
-    return dataclasses.replace(robot, guidance=guidance, costs=dense_costs(guidance.distance, cell_size))
+    return dataclasses.replace(robot, guidance=guidance, costs=filled_costs(guidance.distance, cell_size))
+
+
+def filled_costs(distance: Float[Array, "n n"], cell_size: float) -> Float[Array, "n n"]:
+    """Costs for the controller: the distance where finite, elsewhere costs that lead back to such cells.
+
+    A cell with infinite distance costs more than all of its neighbors with finite distance, so that a shorter distance
+    on the other side of a wall has no effect.
+
+    Args:
+      distance: costs of the guide, meters; infinite where the robot must not be.
+      cell_size: edge of a cell, meters.
+    """
+    known = jnp.isfinite(distance)
+    around = jax.lax.reduce_window(jnp.where(known, distance, -jnp.inf), -jnp.inf, jax.lax.max, (3, 3), (1, 1), "SAME")
+    rest = dense_costs(distance, cell_size, collision=_MARGIN, slope=_SLOPE)
+    return jnp.where(known, distance, jnp.where(jnp.isfinite(around), around + _MARGIN, rest))
 
 
 def act(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:

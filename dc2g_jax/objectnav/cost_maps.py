@@ -155,24 +155,20 @@ def with_tight_cells(
 
 
 def dense_costs(
-    distance: Float[Array, "h w"], cell_size: ArrayLike, *, margin: ArrayLike = 1.0, slope: ArrayLike = 3.0
+    distance: Float[Array, "h w"], cell_size: ArrayLike, *, collision: ArrayLike = 50.0, slope: ArrayLike = 10.0
 ) -> Float[Array, "h w"]:
-    """A finite cost for every cell: the distance where finite, elsewhere costs that lead back to such cells.
-
-    A cell with infinite distance costs more than all of its neighbors with finite distance, so that a shorter distance
-    on the other side of a wall has no effect.
+    """A finite cost for every cell: the distance where finite, elsewhere a penalty that slopes back to such cells.
 
     Args:
       distance: distance to the goal, meters; infinity where the vehicle must not be or has no path.
       cell_size: edge of a cell, meters.
-      margin: additional cost of cells with infinite distance, meters; the cost of every cell if no distance is finite.
+      collision: additional cost of cells with infinite distance.
       slope: increase of the cost there, per meter away from cells with finite distance.
     """
     known = jnp.isfinite(distance)
-    around = jax.lax.reduce_window(jnp.where(known, distance, -jnp.inf), -jnp.inf, jax.lax.max, (3, 3), (1, 1), "SAME")
     cost_of_cell = jnp.where(known, jnp.inf, jnp.asarray(slope * cell_size, jnp.float32))
-    rest = jnp.where(jnp.any(known), travel_cost(cost_of_cell, distance), 0)
-    return jnp.where(known, distance, jnp.where(jnp.isfinite(around), around, rest) + margin)
+    filled = travel_cost(cost_of_cell, distance) + jnp.where(known, 0, jnp.float32(collision))
+    return jnp.where(jnp.any(known), filled, jnp.float32(collision))
 
 
 def cost_lookup(costs: Float[Array, "h w"], cell_size: ArrayLike, outside: ArrayLike) -> CostOfPose:

@@ -216,9 +216,11 @@ def _strip(grid: _Grid, segment: Segment, thickness: float) -> tuple[tuple[slice
     thickness beyond their ends, so that corners are closed. Openings end exactly at their ends.
     """
     (x0, y0), (x1, y1) = segment
-    length, angle = math.hypot(x1 - x0, y1 - y0), math.atan2(y1 - y0, x1 - x0)
-    wall = max(WALL_THICKNESS, grid.cell_size * (abs(math.cos(angle)) + abs(math.sin(angle))))
-    box = Furniture(0, (x0 + x1) / 2, (y0 + y1) / 2, length, thickness * wall, angle, 0)
+    length = math.hypot(x1 - x0, y1 - y0) or 1.0
+    along = (x1 - x0) / length, (y1 - y0) / length
+    wall = max(WALL_THICKNESS, grid.cell_size * (abs(along[0]) + abs(along[1])))
+    angle = math.atan2(along[1], along[0])
+    box = Furniture(0, (x0 + x1) / 2, (y0 + y1) / 2, math.hypot(x1 - x0, y1 - y0), thickness * wall, angle, 0)
     return _covered(grid, box if thickness > 1 else box._replace(width=box.width + wall))
 
 

@@ -186,8 +186,7 @@ def test_a_vehicle_reaches_the_goal_through_a_door():
     @jax.jit
     def episode(key, state: VehicleState):
         distance = cost_maps.distance_for_vehicle(obstacles, goals, limits.radius + CELL, CELL)
-        costs = cost_maps.dense_costs(distance, CELL, margin=50.0, slope=10.0)
-        cost_of_pose = cost_maps.cost_lookup(costs, CELL, outside=100.0)
+        cost_of_pose = cost_maps.cost_lookup(cost_maps.dense_costs(distance, CELL), CELL, outside=100.0)
 
         def step(carry, key):
             state, controls = carry
