@@ -16,11 +16,8 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.hub import local_folder
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.resources import resource
-from dc2g_jax.mapping.camera import intrinsics
 from dc2g_jax.objectnav.agent import (
     CONTROLLER,
-    INDOOR_FIELD_OF_VIEW,
-    INDOOR_IMAGE_SIZE,
     MPC,
     Agent,
     Guide,
@@ -28,6 +25,7 @@ from dc2g_jax.objectnav.agent import (
     RandomUntilSeen,
     Steering,
 )
+from dc2g_jax.objectnav.camera import indoor_camera
 from dc2g_jax.objectnav.evaluation import SearchResult, difference, results_of
 from dc2g_jax.objectnav.guides import GoalReacher, NearestFrontier, NoIdea, Predicted, PromisingFrontier, TrueCost
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
@@ -146,7 +144,7 @@ def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLE
     return Agent(
         guide=guide,
         steering=steering,
-        camera=intrinsics(INDOOR_FIELD_OF_VIEW, *INDOOR_IMAGE_SIZE),
+        camera=indoor_camera(),
         controller=dataclasses.replace(CONTROLLER, samples=samples),
     )
 

@@ -19,8 +19,7 @@ from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.mapping.scene import TILES, Scene
 from dc2g_jax.objectnav import searches
-from dc2g_jax.objectnav.agent import IndoorSite, leg
-from dc2g_jax.objectnav.classes import GOALS
+from dc2g_jax.objectnav.simulation import IndoorSite, leg
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.planners import Planner
 from dc2g_jax.planning.rules import SETTINGS, Rules
@@ -187,7 +186,7 @@ def _search_leg(robots: int, mesh: Mesh) -> HotProgram:
         scene=_scene(houses, side),
         paint=_array(houses, side, side, 3, dtype=jnp.uint8),
         free=_array(houses, side, side, dtype=jnp.bool_),
-        distances=_array(houses, len(GOALS), side, side, dtype=jnp.float32),
+        known=None,
     )
     reset = functools.partial(searches._reset, mesh=mesh, limit=searches.TIME_LIMIT)
     starts, each = _array(n, robots, 3, dtype=jnp.float32), _array(n, robots)

@@ -10,7 +10,7 @@ import pytest
 from dc2g_jax.mapping.camera import level_camera
 from dc2g_jax.mapping.simulator import cast
 from dc2g_jax.objectnav import mapping
-from dc2g_jax.objectnav.agent import INDOOR_CAMERA_HEIGHT
+from dc2g_jax.objectnav.camera import INDOOR_CAMERA_HEIGHT
 from dc2g_jax.objectnav.classes import BED, GOALS, PLANT, TABLE
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect
 from dc2g_jax.objectnav.data import (
