@@ -17,7 +17,7 @@ import tyro
 from dc2g_jax.cli.common import HouseOption, command_line
 from dc2g_jax.cli.options import NetworkOptions, require_positive
 from dc2g_jax.cli.outputs import output_folder, print_files
-from dc2g_jax.cli.searches import AgentName, SearchOptions, agent_with, costs_for
+from dc2g_jax.cli.searches import SearchOptions
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.inspection.search_figures import plot_prediction, plot_search
 from dc2g_jax.inspection.search_moments import choose_legs, moment_of, prediction_at, run_search
@@ -27,6 +27,7 @@ from dc2g_jax.objectnav.evaluation import results_of
 from dc2g_jax.objectnav.guides import TrueCost
 from dc2g_jax.objectnav.houses import indoor_house, indoor_houses
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
+from dc2g_jax.objectnav.named import AgentName, agent_with, costs_for
 from dc2g_jax.objectnav.searches import Searches, sample_episodes, search_for
 from dc2g_jax.objectnav.simulation import reset, site_of
 from dc2g_jax.objectnav.tables import AGENT_TITLES

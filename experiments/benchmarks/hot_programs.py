@@ -10,7 +10,6 @@ from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as P
 
 from dc2g_jax.cli.driving import DrivingOptions, equipment
-from dc2g_jax.cli.searches import agent_with, open_costs
 from dc2g_jax.cli.translation import TranslationOptions
 from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.estimation.checkpoints import load_network
@@ -19,6 +18,7 @@ from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.mapping.scene import TILES, Scene
 from dc2g_jax.objectnav import searches
+from dc2g_jax.objectnav.named import agent_with, open_costs
 from dc2g_jax.objectnav.simulation import IndoorSite, leg
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.planners import Planner
