@@ -32,7 +32,7 @@ class CostEstimator(Protocol):
         """Predict for one robot.
 
         Args:
-          maps: maps of the robot, see `dc2g_jax.objectnav.mapping.network_input`.
+          maps: maps of the robot, see `dc2g_jax.objectnav.mapping.network_maps`.
           target: the wanted class, an index into `GOALS`.
           features: mid-level features of the camera image.
           heading: direction of the camera, counter-clockwise from +x, radians.
