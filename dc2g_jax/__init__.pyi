@@ -12,6 +12,7 @@ from .planning.decisions import Decision as Decision
 from .planning.metric import MetricPlanner as MetricPlanner
 from .planning.metric_map import MetricMap as MetricMap
 from .grid.map_frame import MapFrame as MapFrame
+from .objectnav.online import OnlineSearcher as OnlineSearcher
 from .environments.task import make_env as make_env
 from .rollouts.devices import use_cores as use_cores
 from .estimation.hub import load as load

@@ -107,10 +107,10 @@ def is_one_operation(jaxpr: Jaxpr) -> bool:
 
     def fits(equation: JaxprEqn) -> bool:
         name = equation.primitive.name
+        inputs: list[Any] = [variable.aval for variable in equation.invars]
         if name == "scatter":
-            places = equation.invars[1].aval
-            return places.size == places.shape[-1]
-        if name.startswith("reduce_") and jnp.issubdtype(equation.invars[0].aval.dtype, jnp.inexact):
+            return inputs[1].size == inputs[1].shape[-1]  # the second input tells the places
+        if name.startswith("reduce_") and jnp.issubdtype(inputs[0].dtype, jnp.inexact):
             return False
         return name in _WITHIN_ONE_OPERATION and all(map(is_one_operation, jaxprs_in_params(equation.params)))
 

@@ -17,16 +17,19 @@ import tyro
 from dc2g_jax.cli.common import HouseOption, command_line
 from dc2g_jax.cli.options import NetworkOptions, require_positive
 from dc2g_jax.cli.outputs import output_folder, print_files
-from dc2g_jax.cli.searches import AgentName, SearchOptions, agent_with, costs_for
+from dc2g_jax.cli.searches import SearchOptions
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.inspection.search_figures import plot_prediction, plot_search
 from dc2g_jax.inspection.search_moments import choose_legs, moment_of, prediction_at, run_search
-from dc2g_jax.objectnav.agent import DECLARED, reset, site_of
+from dc2g_jax.objectnav.agent import DECLARED
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax.objectnav.evaluation import results_of
+from dc2g_jax.objectnav.guides import TrueCost
 from dc2g_jax.objectnav.houses import indoor_house, indoor_houses
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
+from dc2g_jax.objectnav.named import AgentName, agent_with, costs_for
 from dc2g_jax.objectnav.searches import Searches, sample_episodes, search_for
+from dc2g_jax.objectnav.simulation import reset, site_of
 from dc2g_jax.objectnav.tables import AGENT_TITLES
 
 #: Number of moments in the figure.
@@ -65,7 +68,7 @@ def main(options: Options) -> None:
     costs = costs_for([options.agent], options.network)
     agent = agent_with(options.agent, costs, options.samples)
     out = output_folder(options, "objectnav_fig5")
-    site = site_of(house.world, house.name, agent.controller.limits.radius)
+    site = site_of(house.world, house.name, agent)
     target = OBJECT_CLASSES.index(episode.target)
     start, goal = jnp.array([episode.x, episode.y, episode.yaw], jnp.float32), jnp.int32(GOALS.index(target))
     first = reset(jax.random.key(options.seed), start, goal, agent, options.limit)
@@ -81,9 +84,9 @@ def main(options: Options) -> None:
     search_name = f"{house.name}, {episode.target}, {AGENT_TITLES[options.agent]}"
     if costs is not None:
         last = begun[max(np.flatnonzero(~to_goal), default=0)]
-        plot_prediction(
-            out / "fig4", prediction_at(last, site, agent, costs), f"{search_name}, step {int(last.periods)}"
-        )
+        distances = TrueCost().init(house.world, agent.controller.limits.radius)
+        prediction = prediction_at(last, site, distances, agent, costs)
+        plot_prediction(out / "fig4", prediction, f"{search_name}, step {int(last.periods)}")
     facts = {
         **result._asdict(),
         "goal_reacher_leads": [int(one.periods) for one in begun if one.guidance.to_goal],

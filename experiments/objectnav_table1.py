@@ -11,9 +11,10 @@ import time
 from dc2g_jax.cli.common import command_line, digests
 from dc2g_jax.cli.options import NetworkOptions
 from dc2g_jax.cli.outputs import output_folder
-from dc2g_jax.cli.searches import AgentName, ComparisonOptions, agent_with, conclude, costs_for, run_searches
+from dc2g_jax.cli.searches import ComparisonOptions, conclude, run_searches
 from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.evaluation import SearchResult, summarize
+from dc2g_jax.objectnav.named import AgentName, agent_with, costs_for
 from dc2g_jax.objectnav.tables import AGENT_TITLES, PAPER_TABLE1, table1
 from dc2g_jax.rollouts.results import ResumableTable
 

@@ -13,12 +13,13 @@ import tyro
 
 from dc2g_jax.cli.common import command_line, digests
 from dc2g_jax.cli.outputs import output_folder
-from dc2g_jax.cli.searches import ON_NETWORK, ComparisonOptions, agent_with, conclude, open_costs, run_searches
+from dc2g_jax.cli.searches import ComparisonOptions, conclude, run_searches
 from dc2g_jax.errors import InputError
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect
 from dc2g_jax.objectnav.evaluation import SearchResult, summarize
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.metrics import OF_CLASSES
+from dc2g_jax.objectnav.named import ON_NETWORK, agent_with, open_costs
 from dc2g_jax.objectnav.networks import ABLATIONS, CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 from dc2g_jax.objectnav.tables import ABLATION_TITLES, METRICS, PAPER_TABLE2, table2

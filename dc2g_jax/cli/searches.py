@@ -1,51 +1,24 @@
-"""Shared by the commands for object goals: options, agents by name, `episodes.csv`, and the final report."""
+"""Shared by the commands for object goals: options, `episodes.csv`, and the final report."""
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 
-from dc2g_jax.cli.common import NetworkOption
 from dc2g_jax.cli.episodes import EpisodeProgress
 from dc2g_jax.cli.options import OutOptions, ResumeOptions, require_positive
 from dc2g_jax.cli.outputs import print_files
 from dc2g_jax.datasets.houses import PROCEDURAL
-from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.hub import local_folder
 from dc2g_jax.files.atomic import write_json
-from dc2g_jax.files.resources import resource
-from dc2g_jax.mapping.camera import intrinsics
-from dc2g_jax.objectnav.agent import (
-    CONTROLLER,
-    INDOOR_FIELD_OF_VIEW,
-    INDOOR_IMAGE_SIZE,
-    MPC,
-    Agent,
-    Guide,
-    LookAround,
-    RandomUntilSeen,
-    Steering,
-)
+from dc2g_jax.objectnav.agent import CONTROLLER, Agent
 from dc2g_jax.objectnav.evaluation import SearchResult, difference, results_of
-from dc2g_jax.objectnav.guides import GoalReacher, NearestFrontier, NoIdea, Predicted, PromisingFrontier, TrueCost
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
-from dc2g_jax.objectnav.networks import CostMapEstimator
-from dc2g_jax.objectnav.predicted_costs import PredictedCosts, load_costs
 from dc2g_jax.objectnav.searches import TIME_LIMIT, Search, sample_episodes, search_all
 from dc2g_jax.objectnav.tables import with_interval
 from dc2g_jax.rollouts.results import ResumableTable
-
-#: The shipped network and its encoder.
-SHIPPED_INDOOR_NETWORK = "weights/cost_maps_indoors"
-
-#: Names of the agents.
-AgentName = Literal["true_cost", "random", "frontier", "predicted", "promising"]
-
-#: Agents that use a network.
-ON_NETWORK = ("promising", "predicted")
 
 #: Printed below every table.
 CAVEAT = (
@@ -108,47 +81,6 @@ class ComparisonOptions(SearchOptions, ResumeOptions):
         """The houses in words."""
         kind = "procedural floor plans" if self.houses == PROCEDURAL else f"houses of {self.houses}"
         return f"{self.count} {kind}, {self.split}"
-
-
-def open_costs(place: NetworkOption) -> PredictedCosts[CostMapEstimator]:
-    """The network in a place, or the shipped one."""
-    return load_costs(resource(SHIPPED_INDOOR_NETWORK) if place is None else local_folder(place))
-
-
-def costs_for(agents: Iterable[str], place: NetworkOption) -> PredictedCosts[CostMapEstimator] | None:
-    """`open_costs` if one of these agents uses a network, else `None`."""
-    return open_costs(place) if set(ON_NETWORK) & set(agents) else None
-
-
-def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLER.samples) -> Agent:
-    """The agent of this name. Agents with an exploration rule look around first.
-
-    Args:
-      name: one of `AgentName`.
-      costs: the network, for agents that use one.
-      samples: plans that the controller samples at each step.
-
-    Raises:
-      InputError: the agent needs a network.
-    """
-    steering: Steering = LookAround(MPC())
-    guide: Guide
-    if name == "true_cost":
-        guide, steering = TrueCost(), MPC()
-    elif name == "random":
-        guide, steering = GoalReacher(NoIdea()), RandomUntilSeen()
-    elif name == "frontier":
-        guide = GoalReacher(NearestFrontier())
-    elif costs is None:
-        raise InputError(f"the agent {name} needs a network; give one")
-    else:
-        guide = GoalReacher(Predicted(costs) if name == "predicted" else PromisingFrontier(costs))
-    return Agent(
-        guide=guide,
-        steering=steering,
-        camera=intrinsics(INDOOR_FIELD_OF_VIEW, *INDOOR_IMAGE_SIZE),
-        controller=dataclasses.replace(CONTROLLER, samples=samples),
-    )
 
 
 def run_searches(

@@ -9,19 +9,11 @@ from jaxtyping import Array, Bool, Float
 from tqdm import tqdm
 
 from dc2g_jax.inspection.search_figures import PredictedMap, SearchMoment
-from dc2g_jax.objectnav.agent import (
-    MPC,
-    Agent,
-    IndoorRobot,
-    IndoorSite,
-    act_on,
-    cost_of_pose,
-    is_active,
-    look_and_decide,
-)
+from dc2g_jax.objectnav.agent import MPC, Agent, cost_of_pose, observed
 from dc2g_jax.objectnav.guides import TrueCost
 from dc2g_jax.objectnav.mapping import square, window
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
+from dc2g_jax.objectnav.simulation import IndoorRobot, IndoorSite, act_on, is_active, look_and_decide, picture
 from dc2g_jax.programs import jit
 
 
@@ -85,12 +77,22 @@ def moment_of(robot: IndoorRobot, agent: Agent, name: str) -> SearchMoment:
 
 
 @jit
-def prediction_at(robot: IndoorRobot, site: IndoorSite, agent: Agent, costs: PredictedCosts) -> PredictedMap:
-    """What a network predicts for a robot's local map, and the truth there."""
-    side = agent.mapping.local
+def prediction_at(
+    robot: IndoorRobot, site: IndoorSite, distances: Float[Array, "goal h w"], agent: Agent, costs: PredictedCosts
+) -> PredictedMap:
+    """What a network predicts for a robot's local map, and the truth there.
+
+    Args:
+      robot: the robot.
+      site: the house.
+      distances: true distances in the house, see `TrueCost.init`.
+      agent: components of the robot.
+      costs: the prediction.
+    """
+    side, seen = agent.mapping.local, observed(robot, picture(robot, site))
     free = square(site.free, robot.local_middle - side // 2, side, False)
-    true = TrueCost().guide(robot.key, robot, site, agent).distance
-    predicted = costs.of(robot, site, agent)
+    true = TrueCost().guide(robot.key, seen, distances, agent).distance
+    predicted = costs.of(seen, agent)
     return PredictedMap(
         cells=window(robot.map, robot.local_middle, side),
         occupied=jnp.isinf(predicted),

@@ -1,44 +1,31 @@
-"""A robot that searches for an object: camera -> map -> costs -> IT-MPC -> vehicle (Fig. 1 of the dense-cost paper).
+"""A robot that searches for an object: camera -> map -> costs -> IT-MPC -> command (Fig. 1 of the dense-cost paper).
 
-The controller plans ten times a second, and the vehicle executes the first command of each plan. Every few control
-periods the robot adds a camera frame to its map and asks its guide (`dc2g_jax.objectnav.guides`) for new costs. The
-search ends when the guide leads to an object and at most `STOP` meters of the path are left.
+The controller plans ten times a second, and the vehicle executes the first command of each plan (`steer`). Every few
+control periods the robot adds a camera frame to its map and asks its guide (`dc2g_jax.objectnav.guides`) for new costs
+(`look`). The search ends when the guide leads to an object and at most `STOP` meters of the path are left (`arrives`).
 
-All functions take one robot; `dc2g_jax.objectnav.searches` runs many.
+Nothing here knows the true house. `dc2g_jax.objectnav.simulation` simulates a robot in a house, and
+`dc2g_jax.objectnav.online` runs on a real one. All functions take one robot.
 """
 
 import dataclasses
-import functools
 import math
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
-from dc2g_jax.mapping.camera import CameraPose, Intrinsics, level_camera
-from dc2g_jax.mapping.scene import Scene
-from dc2g_jax.mapping.simulator import render
-from dc2g_jax.objectnav.classes import GOALS, NO_OBJECT
-from dc2g_jax.objectnav.cost_maps import STOP, cost_lookup, dense_costs, distance_to_object
-from dc2g_jax.objectnav.mapping import IndoorMap, IndoorMapSettings, empty_map, grid_cell, integrate, stood_on
+from dc2g_jax.mapping.camera import Frame, Intrinsics
+from dc2g_jax.objectnav.cost_maps import STOP, cost_lookup, dense_costs
+from dc2g_jax.objectnav.mapping import IndoorMap, IndoorMapSettings, empty_map, grid_cell, integrate, square, stood_on
 from dc2g_jax.objectnav.starts import ROBOT_RADIUS
-from dc2g_jax.objectnav.worlds import IndoorWorld, painted, scene
-from dc2g_jax.programs import jit
+from dc2g_jax.objectnav.worlds import IndoorWorld
 from dc2g_jax.vehicles import mppi
-from dc2g_jax.vehicles.footprint import Ground
 from dc2g_jax.vehicles.mppi import CostOfPose, MPPISettings
-from dc2g_jax.vehicles.robot import DRIVING, SimulatedRobot, is_driving, stopped_by_obstacles
-from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive, wrapped
-
-#: The camera: height above the floor, meters; angle below the horizon, radians; horizontal field of view, degrees; rows
-#: and columns of its image. It is as high as on the usual research robots. Level, it would see no floor nearer than
-#: 1.2 m and leave a hole in the map around the start. At this angle the floor is in view from 0.6 m on, and walls up to
-#: 1.5 m high from 2.0 m on.
-INDOOR_CAMERA_HEIGHT, INDOOR_CAMERA_PITCH = 0.9, math.radians(20)
-INDOOR_FIELD_OF_VIEW, INDOOR_IMAGE_SIZE = 90.0, (120, 160)
+from dc2g_jax.vehicles.robot import DRIVING, SimulatedRobot
+from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, drive, wrapped
 
 #: Floor within this distance counts as explored, meters. The camera never sees it, and robots would return to look.
 FOOTROOM = 0.6
@@ -64,21 +51,23 @@ DECLARED = 1
 
 
 @struct.dataclass
-class IndoorSite:
-    """A true house. Sites of equal size can be stacked.
+class Observation:
+    """What a robot knows when it asks its guide: nothing of it comes from the true house.
 
     Attributes:
-      scene: scene for the simulated camera.
-      paint: color of each cell, see `dc2g_jax.objectnav.worlds.painted`.
-      free: free floor.
-      distances: distance that the robot's center has to drive until an object of each of `GOALS` is at arm's length,
-        meters; infinite where the robot does not fit or no path leads there. Only a privileged guide uses it.
+      target: the wanted class, an index into `dc2g_jax.objectnav.classes.GOALS`.
+      vehicle: pose and velocities of the robot.
+      map: map of the house so far.
+      middle: row and column in the world's grid of the robot's cell. The local map is centered on it: it is at half the
+        local map's side.
+      image: the camera's picture; `None` if the guide does not use it.
     """
 
-    scene: Scene
-    paint: UInt8[Array, "h w 3"]
-    free: Bool[Array, "h w"]
-    distances: Float[Array, "goal h w"]
+    target: Int[Array, ""]
+    vehicle: VehicleState
+    map: IndoorMap
+    middle: Int[Array, "2"]
+    image: UInt8[Array, "48 64 3"] | None
 
 
 @struct.dataclass
@@ -97,15 +86,38 @@ class Guidance:
 class Guide(Protocol):
     """Strategy that directs a robot. Implementations are pytrees."""
 
-    def guide(self, key: Key[Array, ""], robot: "IndoorRobot", site: IndoorSite, agent: "Agent") -> Guidance:
-        """Costs of the cells of the robot's local map, which is centered on `IndoorRobot.local_middle`."""
+    @property
+    def uses_image(self) -> bool:
+        """Whether the guide uses the camera's picture."""
+        ...
+
+    def init(self, world: IndoorWorld, radius: float) -> Any:
+        """What the guide knows before the search: `None` unless it is privileged.
+
+        Only guides that know the house ahead of time may read it. On a real robot this is never called.
+
+        Args:
+          world: the true house.
+          radius: radius of the robot, meters.
+        """
+        ...
+
+    def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: "Agent") -> Guidance:
+        """Costs of the cells of the robot's local map.
+
+        Args:
+          key: random key.
+          seen: what the robot knows.
+          known: result of `init`; `None` on a real robot.
+          agent: components of the robot.
+        """
         ...
 
 
 class Steering(Protocol):
     """Strategy that makes commands from costs. Implementations are pytrees."""
 
-    def plan(self, key: Key[Array, ""], robot: "IndoorRobot", costs: CostOfPose, agent: "Agent") -> Float[Array, "h 2"]:
+    def plan(self, key: Key[Array, ""], robot: "Searcher", costs: CostOfPose, agent: "Agent") -> Float[Array, "h 2"]:
         """The robot's next plan. Its first command is executed."""
         ...
 
@@ -132,18 +144,16 @@ class Agent:
 
 
 @struct.dataclass
-class IndoorRobot(SimulatedRobot):
-    """State of a robot. Its status is `DRIVING` or `DECLARED`.
+class Searcher(SimulatedRobot):
+    """A robot that searches, as it knows itself. Its status is `DRIVING` or `DECLARED`.
 
     Attributes:
-      target: the wanted class, an index into `GOALS`.
+      target: the wanted class, an index into `dc2g_jax.objectnav.classes.GOALS`.
       map: map of the house so far.
       local_middle: row and column in the world's grid of the cell in the middle of the local map, at half its side.
       guidance: last costs of the guide.
       costs: the same costs, with costs that lead back to them elsewhere.
       controls: plan of the controller.
-      bumps: control periods in which an obstacle stopped the robot.
-      track: x, y, yaw, speed and turn rate at the start and after each control period; constant after the end.
     """
 
     target: Int[Array, ""]
@@ -152,8 +162,9 @@ class IndoorRobot(SimulatedRobot):
     guidance: Guidance
     costs: Float[Array, "n n"]
     controls: Float[Array, "h 2"]
-    bumps: Int[Array, ""]
-    track: Float[Array, "time 5"]
+
+
+_Robot = TypeVar("_Robot", bound=Searcher)
 
 
 @struct.dataclass
@@ -164,13 +175,13 @@ class MPC:
     wall ahead.
     """
 
-    def plan(self, key: Key[Array, ""], robot: IndoorRobot, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
+    def plan(self, key: Key[Array, ""], robot: Searcher, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
         """See `Steering`."""
         return self.weighed(key, robot, costs, agent)[0]
 
     @staticmethod
     def weighed(
-        key: Key[Array, ""], robot: IndoorRobot, costs: CostOfPose, agent: Agent
+        key: Key[Array, ""], robot: Searcher, costs: CostOfPose, agent: Agent
     ) -> tuple[Float[Array, "h 2"], mppi.SampledPlans]:
         """The next plan, and the sampled plans that it is the weighted mean of."""
         candidate = descent(robot.vehicle, costs, agent)
@@ -204,7 +215,7 @@ class LookAround:
 
     steering: Steering
 
-    def plan(self, key: Key[Array, ""], robot: IndoorRobot, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
+    def plan(self, key: Key[Array, ""], robot: Searcher, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
         """See `Steering`."""
         limits = agent.controller.limits
         looks = ~robot.guidance.to_goal & (robot.periods * CONTROL_PERIOD * limits.max_turn_rate < 2 * math.pi)
@@ -219,7 +230,7 @@ class RandomUntilSeen:
     Speed and turn rate are drawn anew in each control period (section IV-A).
     """
 
-    def plan(self, key: Key[Array, ""], robot: IndoorRobot, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
+    def plan(self, key: Key[Array, ""], robot: Searcher, costs: CostOfPose, agent: Agent) -> Float[Array, "h 2"]:
         """See `Steering`."""
         limits = agent.controller.limits
 
@@ -230,72 +241,46 @@ class RandomUntilSeen:
         return jax.lax.cond(robot.guidance.to_goal, lambda: MPC().plan(key, robot, costs, agent), drawn)
 
 
-def site_of(world: IndoorWorld, name: str, radius: float = ROBOT_RADIUS) -> IndoorSite:
-    """The site of a house.
-
-    Args:
-      world: one house.
-      name: name of the house, which seeds its random colors.
-      radius: radius of the robots, meters.
-    """
-    return IndoorSite(
-        scene=scene(world),
-        paint=jnp.asarray(painted(world, np.random.default_rng([*name.encode()]))),
-        free=jnp.asarray(world.free),
-        distances=_object_distances(world.free, world.classes, radius, float(world.cell_size)),
-    )
-
-
-@functools.partial(jit, static_argnames=("radius", "cell_size"))
-def _object_distances(free: Array, classes: Array, radius: float, cell_size: float) -> Float[Array, "goal h w"]:
-    """Distance of each cell to each of `GOALS`. Cells that are neither free nor an object are walls, or outside."""
-    walls = ~free & (classes == NO_OBJECT)
-    return jax.lax.map(
-        lambda goal: distance_to_object(~free, walls, classes == goal, radius=radius, cell_size=cell_size),
-        jnp.array(GOALS, jnp.uint8),
-    )
-
-
-def reset(
-    key: Key[Array, ""], start: Float[Array, "3"], target: Int[Array, ""], agent: Agent, limit: int
-) -> IndoorRobot:
+def begin(key: Key[Array, ""], vehicle: VehicleState, target: Int[Array, ""], agent: Agent) -> Searcher:
     """The robot at its start, with an empty map.
 
     Args:
-      key: random key of the episode.
-      start: x and y, meters, and yaw, radians.
-      target: the wanted class, an index into `GOALS`.
+      key: random key of the search.
+      vehicle: pose and velocities at the start.
+      target: the wanted class, an index into `dc2g_jax.objectnav.classes.GOALS`.
       agent: components of the robot.
-      limit: largest number of control periods.
     """
-    vehicle = at_rest(start[:2], start[2])
-    side, zero = agent.mapping.local, jnp.int32(0)
-    return IndoorRobot(
+    side = agent.mapping.local
+    return Searcher(
         key=key,
-        target=jnp.asarray(target, jnp.int32),
         vehicle=vehicle,
+        periods=jnp.int32(0),
+        status=jnp.int32(DRIVING),
+        target=jnp.asarray(target, jnp.int32),
         map=empty_map(vehicle.position, agent.mapping),
         local_middle=grid_cell(vehicle.position, agent.mapping.cell_size),
         guidance=Guidance(jnp.full((side, side), jnp.inf, jnp.float32), jnp.bool_(False)),
         costs=jnp.zeros((side, side), jnp.float32),
         controls=mppi.standing_still(agent.controller),
-        periods=zero,
-        bumps=zero,
-        status=jnp.int32(DRIVING),
-        track=jnp.tile(_tracked(vehicle), (limit + 1, 1)),
     )
 
 
-def indoor_camera(vehicle: VehicleState) -> CameraPose:
-    """The pose of the camera of a vehicle."""
-    x, y = vehicle.position
-    return level_camera(x, y, INDOOR_CAMERA_HEIGHT, vehicle.yaw, INDOOR_CAMERA_PITCH)
+def observed(robot: Searcher, image: UInt8[Array, "48 64 3"] | None) -> Observation:
+    """What a robot knows after it has added a frame to its map. `image` is the camera's picture."""
+    return Observation(robot.target, robot.vehicle, robot.map, robot.local_middle, image)
 
 
-def look_and_decide(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
-    """The first part of a leg: add a camera frame to the map, and ask the guide for new costs."""
+def look(robot: _Robot, frame: Frame, image: UInt8[Array, "48 64 3"] | None, known: Any, agent: Agent) -> _Robot:
+    """Add a camera frame to the map, and ask the guide for new costs.
+
+    Args:
+      robot: the robot.
+      frame: depth, classes and pose of its camera.
+      image: the camera's picture; `None` if the guide does not use it.
+      known: what the guide knew before the search, see `Guide.init`.
+      agent: components of the robot.
+    """
     position, cell_size = robot.vehicle.position, agent.mapping.cell_size
-    frame = render(site.scene, agent.camera, indoor_camera(robot.vehicle), agent.mapping.reach)
     seen = integrate(robot.map, frame, agent.camera, agent.mapping)
     key, own_key = jax.random.split(robot.key)
     robot = dataclasses.replace(
@@ -304,8 +289,30 @@ def look_and_decide(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Indoo
         map=stood_on(seen, position, FOOTROOM, agent.mapping),
         local_middle=grid_cell(position, cell_size),
     )
-    guidance = agent.guide.guide(own_key, robot, site, agent)
+    guidance = agent.guide.guide(own_key, observed(robot, image), known, agent)
     return dataclasses.replace(robot, guidance=guidance, costs=filled_costs(guidance.distance, cell_size))
+
+
+def steer(robot: _Robot, agent: Agent) -> tuple[_Robot, Float[Array, "2"]]:
+    """Plan for one control period.
+
+    Returns:
+      The robot with its next plan, and the command to execute: speed, m/s, and turn rate, rad/s.
+    """
+    key, own_key = jax.random.split(robot.key)
+    plan = agent.steering.plan(own_key, robot, cost_of_pose(robot, agent), agent)
+    return dataclasses.replace(robot, key=key, controls=mppi.shift(plan), periods=robot.periods + 1), plan[0]
+
+
+def cost_at(robot: Searcher, position: Float[Array, "2"], agent: Agent) -> Float[Array, ""]:
+    """The guide's last cost at a position (x and y, meters); infinite off the local map."""
+    cell = grid_cell(position, agent.mapping.cell_size) - robot.local_middle + agent.mapping.local // 2
+    return square(robot.guidance.distance, cell, 1, jnp.inf)[0, 0]
+
+
+def arrives(robot: Searcher, position: Float[Array, "2"], agent: Agent) -> Bool[Array, ""]:
+    """Whether the robot has reached the object at a position (x and y, meters)."""
+    return robot.guidance.to_goal & (cost_at(robot, position, agent) <= STOP)
 
 
 def filled_costs(distance: Float[Array, "n n"], cell_size: float) -> Float[Array, "n n"]:
@@ -324,30 +331,7 @@ def filled_costs(distance: Float[Array, "n n"], cell_size: float) -> Float[Array
     return jnp.where(known, distance, jnp.where(jnp.isfinite(around), around + _MARGIN, rest))
 
 
-def act(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
-    """One control period: plan, drive, and check whether the object is reached."""
-    key, own_key = jax.random.split(robot.key)
-    size, limits = agent.mapping.cell_size, agent.controller.limits
-    first = robot.local_middle - agent.mapping.local // 2
-    plan = agent.steering.plan(own_key, robot, cost_of_pose(robot, agent), agent)
-    driven = drive(robot.vehicle, plan[0], limits)
-    vehicle, bumped = stopped_by_obstacles(robot.vehicle, driven, Ground(site.free, size), limits.radius)
-    row, column = grid_cell(vehicle.position, size) - first
-    arrived = robot.guidance.to_goal & (robot.guidance.distance[row, column] <= STOP)
-    periods = robot.periods + 1
-    return dataclasses.replace(
-        robot,
-        key=key,
-        vehicle=vehicle,
-        controls=mppi.shift(plan),
-        periods=periods,
-        bumps=robot.bumps + bumped,
-        status=jnp.where(arrived, DECLARED, robot.status).astype(jnp.int32),
-        track=jnp.where(jnp.arange(len(robot.track))[:, None] < periods, robot.track, _tracked(vehicle)),
-    )
-
-
-def cost_of_pose(robot: IndoorRobot, agent: Agent) -> CostOfPose:
+def cost_of_pose(robot: Searcher, agent: Agent) -> CostOfPose:
     """The controller's cost of a pose: the guide's costs, interpolated between cells, and a penalty for collisions.
 
     The penalty is not interpolated. Otherwise it would close gaps of a single cell, through which the robot just fits.
@@ -362,26 +346,3 @@ def cost_of_pose(robot: IndoorRobot, agent: Agent) -> CostOfPose:
         return lookup(position - corner, yaw) + jnp.where(closed[row, column], _COLLISION, 0)
 
     return cost
-
-
-def leg(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
-    """Look, decide, and act for `Agent.renewal` control periods or to the end of the episode."""
-    return act_on(look_and_decide(robot, site, agent), site, agent)
-
-
-def act_on(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
-    """The second part of a leg: its actions."""
-    end = robot.periods + agent.renewal
-    return jax.lax.while_loop(
-        lambda robot: is_active(robot) & (robot.periods < end), lambda robot: act(robot, site, agent), robot
-    )
-
-
-def is_active(robot: IndoorRobot) -> Bool[Array, ""]:
-    """Whether the robot has neither declared success nor run out of time."""
-    return is_driving(robot, robot.track.shape[0] - 1)
-
-
-def _tracked(vehicle: VehicleState) -> Float[Array, "5"]:
-    """A row of `IndoorRobot.track`."""
-    return jnp.stack([*vehicle.position, vehicle.yaw, vehicle.speed, vehicle.turn_rate])

@@ -11,15 +11,14 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float, Float16, Int, UInt8, UInt16
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.mapping.camera import level_camera
 from dc2g_jax.mapping.scene import Scene
-from dc2g_jax.objectnav.agent import INDOOR_CAMERA_HEIGHT, INDOOR_CAMERA_PITCH
+from dc2g_jax.objectnav.camera import CameraView, camera_pose, view
 from dc2g_jax.objectnav.classes import GOALS
 from dc2g_jax.objectnav.cost_maps import distance_for_vehicle, inflated, with_tight_cells
 from dc2g_jax.objectnav.data import JourneySet, cell_codes, in_millimeters
 from dc2g_jax.objectnav.exploring import NEVER, Journey, explore
 from dc2g_jax.objectnav.houses import IndoorHouse
-from dc2g_jax.objectnav.midlevel import CameraView, ImageEncoder, view
+from dc2g_jax.objectnav.midlevel import ImageEncoder
 from dc2g_jax.objectnav.starts import ROBOT_RADIUS, largest_region
 from dc2g_jax.objectnav.worlds import IndoorWorld, padded_alike, painted, scene
 from dc2g_jax.programs import jit
@@ -110,7 +109,7 @@ def _views(
 
     def one(pose: tuple[Array, Array]) -> CameraView:
         (row, column), heading = (pose[0] + 0.5) * house.tile_size, pose[1]
-        return view(house, paint, level_camera(column, -row, INDOOR_CAMERA_HEIGHT, heading, INDOOR_CAMERA_PITCH))
+        return view(house, paint, camera_pose(column, -row, heading))
 
     return jax.lax.map(one, (cells, headings))
 

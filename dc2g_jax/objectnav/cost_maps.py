@@ -35,13 +35,12 @@ def without_specks(cells: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
     return cells & (around >= LEAST_CELLS)
 
 
-def inflated(cells: Bool[Array, "h w"], radius: float, cell_size: float) -> Bool[Array, "h w"]:
-    """Obstacles inflated by the radius of a round vehicle: cells in which its center must not be.
+def footprint(radius: float, cell_size: float) -> Bool[np.ndarray, "n n"]:
+    """The cells that a round vehicle touches whose center is in the center of the middle cell.
 
-    These are all cells whose center is nearer than `radius` to some point of an obstacle cell.
+    These are all cells of which some point is nearer than `radius`.
 
     Args:
-      cells: obstacle cells.
       radius: radius of the vehicle, meters.
       cell_size: edge of a cell, meters.
     """
@@ -49,9 +48,19 @@ def inflated(cells: Bool[Array, "h w"], radius: float, cell_size: float) -> Bool
     gap = np.maximum(np.abs(np.arange(-reach, reach + 1)) - 0.5, 0)
     disc = np.hypot(gap[:, None], gap) * cell_size < radius
     disc[reach, reach] = True
-    touched = jax.lax.conv_general_dilated(
-        cells.astype(jnp.float32)[None, None], jnp.asarray(disc, jnp.float32)[None, None], (1, 1), "SAME"
-    )
+    return disc
+
+
+def inflated(cells: Bool[Array, "h w"], radius: float, cell_size: float) -> Bool[Array, "h w"]:
+    """Obstacles inflated by the `footprint` of a round vehicle: cells in which its center must not be.
+
+    Args:
+      cells: obstacle cells. Space beyond the grid is free.
+      radius: radius of the vehicle, meters.
+      cell_size: edge of a cell, meters.
+    """
+    disc = jnp.asarray(footprint(radius, cell_size), jnp.float32)
+    touched = jax.lax.conv_general_dilated(cells.astype(jnp.float32)[None, None], disc[None, None], (1, 1), "SAME")
     return touched[0, 0] > 0.5
 
 

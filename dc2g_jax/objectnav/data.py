@@ -13,15 +13,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jaxtyping import Array, Bool, Float, Float16, Int, Int16, UInt8, UInt16
+from jaxtyping import Array, Bool, Float, Float16, Int, Int16, UInt8, UInt16, UInt32
 
 from dc2g_jax.objectnav.classes import SEMANTIC_CLASSES
-from dc2g_jax.objectnav.mapping import IndoorMapSettings, square
+from dc2g_jax.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, IndoorMapSettings, square
 from dc2g_jax.objectnav.worlds import IndoorWorld, Leaf
 
-#: Sides of the local and the global map in cells (section II-B), and of the averaged squares of the global map.
+#: Sides of the local and the global map in cells (section II-B).
 LOCAL, GLOBAL = IndoorMapSettings.local, IndoorMapSettings.cells
-POOL = GLOBAL // LOCAL
 
 #: Codes of cells: unexplored, free floor, obstacle without class. Obstacles with a class have `OBSTACLE` + class.
 UNEXPLORED, FREE, OBSTACLE = 0, 1, 2
@@ -93,7 +92,7 @@ class Samples:
     """Inputs of a network, see `dc2g_jax.objectnav.networks.apply`, and labels.
 
     Attributes:
-      maps: local and global map, scaled to 255.
+      cells: the robot's map around it, of which `dc2g_jax.objectnav.mapping.network_maps` makes the network's maps.
       target: the wanted class, an index into `GOALS`.
       heading: direction of the camera, radians.
       features: mid-level features.
@@ -101,7 +100,7 @@ class Samples:
       cost: navigation cost of its free cells; infinite elsewhere and where no path leads to the goal.
     """
 
-    maps: UInt8[Array, "*b 36 140 140"]
+    cells: UInt32[Array, "*b 420 420"]
     target: Int[Array, "*b"]
     heading: Float[Array, "*b"]
     features: Float[Array, "*b f"]
@@ -124,23 +123,14 @@ def in_millimeters(distance: Float[Array, "*n"]) -> UInt16[Array, "*n"]:
     return jnp.where(distance < _UNREACHABLE / 1000, jnp.round(distance * 1000), _UNREACHABLE).astype(jnp.uint16)
 
 
-def map_channels(codes: UInt8[Array, "h w"]) -> Bool[Array, "18 h w"]:
-    """The channels of cells, 0 or 1: semantic classes, obstacle, explored."""
-    classes = OBSTACLE + 1 + jnp.arange(SEMANTIC_CLASSES, dtype=jnp.uint8)
-    return jnp.concatenate([codes == classes[:, None, None], (codes >= OBSTACLE)[None], (codes != UNEXPLORED)[None]])
+#: Code of a cell -> its channels in a robot's map, see `dc2g_jax.objectnav.mapping.IndoorMap`.
+_SEEN, _HIT = 1 << EXPLORED_CHANNEL, 1 << OBSTACLE_CHANNEL
+_CHANNELS = np.array([0, _SEEN, _SEEN | _HIT, *(_SEEN | _HIT | 1 << n for n in range(SEMANTIC_CLASSES))], np.uint32)
 
 
-def network_maps(window: UInt8[Array, "420 420"]) -> UInt8[Array, "36 140 140"]:
-    """The network's input maps, scaled to 255, from cell codes around a robot, which is at half the side."""
-    first = (GLOBAL - LOCAL) // 2
-    local = map_channels(window[first : first + LOCAL, first : first + LOCAL])
-    counts = sum(
-        map_channels(window[down::POOL, right::POOL]).astype(jnp.uint16)
-        for down in range(POOL)
-        for right in range(POOL)
-    )
-    pooled = jnp.asarray(counts) * 255 // POOL**2
-    return jnp.concatenate([local.astype(jnp.uint8) * jnp.uint8(255), pooled.astype(jnp.uint8)])
+def map_cells(codes: UInt8[Array, "h w"]) -> UInt32[Array, "h w"]:
+    """The cells of a robot's map, from codes of cells."""
+    return jnp.asarray(_CHANNELS)[codes]
 
 
 def turned_grid(grid: Array, symmetry: Int[Array, "3"]) -> Array:
@@ -189,7 +179,7 @@ def make_sample(
     navigable = (truth == FREE) & (distance != _UNREACHABLE)
     mirrored = jnp.sum(symmetry) % 2
     return Samples(
-        maps=network_maps(window),
+        cells=map_cells(window),
         target=target,
         heading=turned_heading(data.headings[journey, view], symmetry),
         features=data.features[journey, view, mirrored].astype(jnp.float32),

@@ -14,7 +14,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from dc2g_jax.objectnav.agent import INDOOR_CAMERA_HEIGHT, INDOOR_CAMERA_PITCH, INDOOR_FIELD_OF_VIEW, INDOOR_IMAGE_SIZE
+from dc2g_jax.objectnav.camera import (
+    INDOOR_CAMERA_HEIGHT,
+    INDOOR_CAMERA_PITCH,
+    INDOOR_FIELD_OF_VIEW,
+    INDOOR_IMAGE_SIZE,
+)
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
 from dc2g_jax.vehicles.vehicle import wrapped
 

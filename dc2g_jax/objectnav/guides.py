@@ -4,20 +4,24 @@
 """
 
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Key, UInt32
 
+from dc2g_jax.errors import InputError
 from dc2g_jax.grid.fast_marching import geodesic_distance, travel_cost
 from dc2g_jax.grid.search import FOUR_CONNECTED
 from dc2g_jax.grid.shifting import shifted
-from dc2g_jax.objectnav.agent import Agent, Guidance, Guide, IndoorRobot, IndoorSite
-from dc2g_jax.objectnav.classes import GOALS
+from dc2g_jax.objectnav.agent import Agent, Guidance, Guide, Observation
+from dc2g_jax.objectnav.classes import GOALS, NO_OBJECT
 from dc2g_jax.objectnav.cost_maps import distance_to_object, inflated, without_specks
 from dc2g_jax.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, has, has_any_class, square, window
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
+from dc2g_jax.objectnav.worlds import IndoorWorld
+from dc2g_jax.programs import jit
 
 #: A path counts if it begins within this many cells of the robot in rows and columns: a robot that has collided stands
 #: on a cell in which it does not fit.
@@ -31,21 +35,37 @@ class TrueCost:
     The paper's agent with exact costs ends an episode when the goal is visible.
     """
 
-    def guide(self, key: Key[Array, ""], robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Guidance:
+    uses_image = False
+
+    def init(self, world: IndoorWorld, radius: float) -> Float[Array, "goal h w"]:
+        """Distance that the robot's center has to drive until an object of each of `GOALS` is at arm's length, meters.
+
+        Infinite where the robot does not fit or no path leads there.
+        """
+        return _object_distances(world.free, world.classes, radius, float(world.cell_size))
+
+    def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: Agent) -> Guidance:
         """See `Guide`."""
         del key
+        if known is None:
+            raise InputError("TrueCost knows the house ahead of time, but none is given; use another guide on a robot")
         side = agent.mapping.local
-        first = robot.local_middle - side // 2
-        return Guidance(square(site.distances[robot.target], first, side, jnp.inf), jnp.bool_(True))
+        first = seen.middle - side // 2
+        return Guidance(square(known[seen.target], first, side, jnp.inf), jnp.bool_(True))
 
 
 @struct.dataclass
 class NoIdea:
     """Guide without information, for steering that does not use a guide."""
 
-    def guide(self, key: Key[Array, ""], robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Guidance:
+    uses_image = False
+
+    def init(self, world: IndoorWorld, radius: float) -> None:
         """See `Guide`."""
-        del key, robot, site
+
+    def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: Agent) -> Guidance:
+        """See `Guide`."""
+        del key, seen, known
         side = agent.mapping.local
         return Guidance(jnp.full((side, side), jnp.inf, jnp.float32), jnp.bool_(False))
 
@@ -57,16 +77,21 @@ class NearestFrontier:
     Small specks of unseen floor count only if nothing else is left.
     """
 
-    def guide(self, key: Key[Array, ""], robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Guidance:
+    uses_image = False
+
+    def init(self, world: IndoorWorld, radius: float) -> None:
         """See `Guide`."""
-        del key, site
-        side, cells = agent.mapping.local, robot.map.cells.shape[0]
-        ground, beyond = _ground(window(robot.map, robot.local_middle, side), agent)
+
+    def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: Agent) -> Guidance:
+        """See `Guide`."""
+        del key, known
+        side, cells = agent.mapping.local, seen.map.cells.shape[0]
+        ground, beyond = _ground(window(seen.map, seen.middle, side), agent)
         near = geodesic_distance(ground, without_specks(beyond), agent.mapping.cell_size)
 
         def far() -> Float[Array, "n n"]:
             margin = cells // 2 - side // 2
-            whole = _ground(window(robot.map, robot.local_middle, cells), agent)
+            whole = _ground(window(seen.map, seen.middle, cells), agent)
             distance = geodesic_distance(*whole, agent.mapping.cell_size)
             return jax.lax.slice(distance, (margin, margin), (margin + side, margin + side))
 
@@ -82,13 +107,17 @@ class Predicted:
     """
 
     costs: PredictedCosts
+    uses_image = True
 
-    def guide(self, key: Key[Array, ""], robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Guidance:
+    def init(self, world: IndoorWorld, radius: float) -> None:
         """See `Guide`."""
-        del key
-        cells = window(robot.map, robot.local_middle, agent.mapping.local)
+
+    def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: Agent) -> Guidance:
+        """See `Guide`."""
+        del key, known
+        cells = window(seen.map, seen.middle, agent.mapping.local)
         closed = inflated(has(cells, OBSTACLE_CHANNEL), agent.controller.limits.radius, agent.mapping.cell_size)
-        return Guidance(jnp.where(closed, jnp.inf, self.costs.of(robot, site, agent)), jnp.bool_(False))
+        return Guidance(jnp.where(closed, jnp.inf, self.costs.of(seen, agent)), jnp.bool_(False))
 
 
 @struct.dataclass
@@ -105,17 +134,21 @@ class PromisingFrontier:
 
     costs: PredictedCosts
     weight: float = 2.0
+    uses_image = True
 
-    def guide(self, key: Key[Array, ""], robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Guidance:
+    def init(self, world: IndoorWorld, radius: float) -> None:
         """See `Guide`."""
-        ground, beyond = _ground(window(robot.map, robot.local_middle, agent.mapping.local), agent)
-        promised = jnp.where(without_specks(beyond), self.weight * self.costs.of(robot, site, agent), jnp.inf)
+
+    def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: Agent) -> Guidance:
+        """See `Guide`."""
+        ground, beyond = _ground(window(seen.map, seen.middle, agent.mapping.local), agent)
+        promised = jnp.where(without_specks(beyond), self.weight * self.costs.of(seen, agent), jnp.inf)
         cost_of_cell = jnp.where(ground, jnp.float32(agent.mapping.cell_size), jnp.inf)
         distance = travel_cost(cost_of_cell, promised)
         return jax.lax.cond(
             _begins_here(distance),
             lambda: Guidance(distance, jnp.bool_(False)),
-            lambda: NearestFrontier().guide(key, robot, site, agent),
+            lambda: NearestFrontier().guide(key, seen, known, agent),
         )
 
 
@@ -131,10 +164,19 @@ class GoalReacher:
 
     explorer: Guide
 
-    def guide(self, key: Key[Array, ""], robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Guidance:
+    @property
+    def uses_image(self) -> bool:
         """See `Guide`."""
-        cells = window(robot.map, robot.local_middle, agent.mapping.local)
-        goals = without_specks(has(cells, jnp.asarray(GOALS)[robot.target] - 1))
+        return self.explorer.uses_image
+
+    def init(self, world: IndoorWorld, radius: float) -> Any:
+        """See `Guide`."""
+        return self.explorer.init(world, radius)
+
+    def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: Agent) -> Guidance:
+        """See `Guide`."""
+        cells = window(seen.map, seen.middle, agent.mapping.local)
+        goals = without_specks(has(cells, jnp.asarray(GOALS)[seen.target] - 1))
         obstacles = has(cells, OBSTACLE_CHANNEL)
 
         def to_goals() -> Float[Array, "n n"]:
@@ -146,8 +188,18 @@ class GoalReacher:
         return jax.lax.cond(
             _begins_here(distance),
             lambda: Guidance(distance, jnp.bool_(True)),
-            lambda: self.explorer.guide(key, robot, site, agent),
+            lambda: self.explorer.guide(key, seen, known, agent),
         )
+
+
+@functools.partial(jit, static_argnames=("radius", "cell_size"))
+def _object_distances(free: Array, classes: Array, radius: float, cell_size: float) -> Float[Array, "goal h w"]:
+    """Distance of each cell to each of `GOALS`. Cells that are neither free nor an object are walls, or outside."""
+    walls = ~free & (classes == NO_OBJECT)
+    return jax.lax.map(
+        lambda goal: distance_to_object(~free, walls, classes == goal, radius=radius, cell_size=cell_size),
+        jnp.array(GOALS, jnp.uint8),
+    )
 
 
 def _begins_here(distance: Float[Array, "n n"]) -> Bool[Array, ""]:

@@ -264,22 +264,29 @@ def square(grid: Shaped[Array, "h w"], first: Int[Array, "2"], side: int, beyond
     return jnp.where(inside, grid.at[rows[:, None], columns].get(mode="clip"), jnp.asarray(beyond, grid.dtype))
 
 
-def channels(cells: UInt32[Array, "h w"]) -> Float[Array, "18 h w"]:
-    """The 18 channels of the cells, 0 or 1: classes, obstacle, explored."""
-    return ((cells >> jnp.arange(MAP_CHANNELS, dtype=jnp.uint32)[:, None, None]) & 1).astype(jnp.float32)
+def network_maps(cells: UInt32[Array, "n n"], local: int) -> Float[Array, "36 local local"]:
+    """The network's input (section II-B): the channels of the local map, then those of the global map.
+
+    The global map shows all cells, averaged to the size of the local map. Both are centered on the robot and not
+    rotated. Training and search use this function.
+
+    Args:
+      cells: all cells of a map around the robot, which is at half the side.
+      local: side of the local map, a divisor of the map's.
+    """
+    side = len(cells)
+    pool, first = side // local, side // 2 - local // 2
+    channels = jnp.arange(MAP_CHANNELS, dtype=jnp.uint32)
+    near = cells[first : first + local, first : first + local]
+    squares = cells.reshape(local, pool, local, pool)
+    bits = (squares >> channels[:, None, None, None, None]) & 1
+    pooled = jnp.sum(bits, axis=(2, 4), dtype=jnp.uint32).astype(jnp.float32) / pool**2
+    return jnp.concatenate([((near >> channels[:, None, None]) & 1).astype(jnp.float32), pooled])
 
 
 def network_input(
     indoor_map: IndoorMap, position: Float[Array, "2"], settings: IndoorMapSettings
 ) -> Float[Array, "36 local local"]:
-    """The network's input (section II-B): the channels of the local map, then those of the global map.
-
-    The local map shows the cells around the robot (x and y, meters). The global map shows all cells, averaged to the
-    size of the local map. Both are centered on the robot and not rotated.
-    """
-    local, pool = settings.local, settings.cells // settings.local
+    """The network's input for a robot at a position (x and y, meters), see `network_maps`."""
     middle = grid_cell(position, settings.cell_size)
-    squares = window(indoor_map, middle, settings.cells).reshape(local, pool, local, pool)
-    bits = (squares >> jnp.arange(MAP_CHANNELS, dtype=jnp.uint32)[:, None, None, None, None]) & 1
-    pooled = jnp.sum(bits, axis=(2, 4), dtype=jnp.uint32).astype(jnp.float32) / pool**2
-    return jnp.concatenate([channels(window(indoor_map, middle, local)), pooled])
+    return network_maps(window(indoor_map, middle, settings.cells), settings.local)

@@ -1,4 +1,4 @@
-"""Mid-level features of camera images (section II-B): images, the interface of encoders, and two encoders.
+"""Mid-level features of camera images (section II-B): the interface of encoders, and two encoders.
 
 The paper uses pretrained encoders for semantic segmentation, object classification and depth. The default here is a
 small network trained for these three tasks together on images of the simulator. Its answers to all tasks depend on one
@@ -7,7 +7,6 @@ feature vector. Other encoders are read from files.
 
 import dataclasses
 import functools
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
@@ -21,18 +20,13 @@ from jaxtyping import Array, Float, Int, UInt8
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.compact_unet import patches
 from dc2g_jax.estimation.weights import fresh_weights, read_network, read_safetensors, with_weights
-from dc2g_jax.mapping.camera import CameraPose, intrinsics, rays
-from dc2g_jax.mapping.scene import Scene
-from dc2g_jax.mapping.simulator import cast_all, classes_of
-from dc2g_jax.objectnav.agent import INDOOR_FIELD_OF_VIEW
+from dc2g_jax.objectnav.camera import VIEW_SIZE, CameraView
 from dc2g_jax.objectnav.classes import OBJECT_CLASSES
-from dc2g_jax.objectnav.worlds import NO_COLOR
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import divide, first_copy, mesh_for_batch, replicate
 from dc2g_jax.training.loop import Losses, Task
 
-#: Rows and columns of an image, and of the blocks of pixels for which the default encoder is trained to answer.
-VIEW_SIZE = (48, 64)
+#: Side of the blocks of pixels for which the default encoder is trained to answer, and rows and columns of them.
 _BLOCK = 4
 _ASKED = (VIEW_SIZE[0] // _BLOCK, VIEW_SIZE[1] // _BLOCK)
 
@@ -41,24 +35,6 @@ _PRESENT, _FAR = 12, 10.0
 
 #: Largest number of images for validation.
 _VALIDATION_VIEWS = 512
-
-#: Brightness of surfaces by the face that a ray hits: those that face along x, along y, and up.
-_LIGHT = (0.82, 0.7, 1.0)
-
-
-@struct.dataclass
-class CameraView:
-    """A camera image with its ground truth.
-
-    Attributes:
-      image: colors.
-      depth: depth along the optical axis, meters; 0 where there is nothing.
-      classes: class indices of objects; 0 for floor and walls.
-    """
-
-    image: UInt8[Array, "*b 48 64 3"]
-    depth: Float[Array, "*b 48 64"]
-    classes: UInt8[Array, "*b 48 64"]
 
 
 class ImageEncoder(Protocol):
@@ -73,24 +49,6 @@ def vector_size(encoder: ImageEncoder) -> int:
     """Length of an encoder's vector."""
     image = jax.ShapeDtypeStruct((1, *VIEW_SIZE, 3), jnp.uint8)
     return jax.eval_shape(lambda images: encoder.encode(images), image).shape[1]
-
-
-def view(scene: Scene, paint: UInt8[Array, "h w 3"], pose: CameraPose) -> CameraView:
-    """Render the camera of a robot in a house, with unlimited range.
-
-    Args:
-      scene: scene of the house.
-      paint: color of each cell, see `dc2g_jax.objectnav.worlds.painted`.
-      pose: pose of the camera.
-    """
-    hits = cast_all(scene, pose, rays(intrinsics(INDOOR_FIELD_OF_VIEW, *VIEW_SIZE), pose), math.inf)
-    light = jnp.asarray(_LIGHT, jnp.float32)[hits.face]
-    colors = paint.at[hits.row, hits.column].get(mode="clip") * light[..., None]
-    return CameraView(
-        image=jnp.where(hits.distance[..., None] > 0, colors, jnp.asarray(NO_COLOR, jnp.float32)).astype(jnp.uint8),
-        depth=hits.distance,
-        classes=classes_of(scene, hits),
-    )
 
 
 @dataclasses.dataclass(frozen=True)

@@ -4,7 +4,7 @@ It is a U-Net with one encoder and two decoders of the same shape, for occupancy
 bottleneck, the encoder's features are joined by the embedding of the target, the same everywhere, and by the mid-level
 features of the camera image, in the region of the map that the camera looks at (Fig. 3).
 
-The 36 input channels are those of two maps, see `dc2g_jax.objectnav.mapping.network_input`: the local map, and the
+The 36 input channels are those of two maps, see `dc2g_jax.objectnav.mapping.network_maps`: the local map, and the
 global map around the same center, averaged over 3x3 cells. Each has 16 semantic classes, then obstacle, then explored.
 """
 
@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import nnx, struct
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, Int, Integer, UInt8
+from jaxtyping import Array, Bool, Float, Int, Integer
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.compact_unet import Down, Residual, Up, patches, unpatched
@@ -207,7 +207,7 @@ class CostMapNetwork(nnx.Module):
 def apply(
     architecture: CostMapArchitecture,
     weights: dict[str, Any],
-    maps: Float[Array, "b 36 h w"] | UInt8[Array, "b 36 h w"],
+    maps: Float[Array, "b 36 h w"],
     target: Integer[Array, "b"],
     heading: Float[Array, "b"],
     features: Float[Array, "b f"],
@@ -217,14 +217,12 @@ def apply(
     Args:
       architecture: the network.
       weights: nested dictionary of arrays, converted to float32.
-      maps: maps with north up and the robot in the middle. Values from 0 to 1, or bytes from 0 to 255. Sides are
+      maps: maps with north up and the robot in the middle, see `dc2g_jax.objectnav.mapping.network_maps`. Sides are
         multiples of the architecture's patch.
       target: the wanted class, an index into `dc2g_jax.objectnav.classes.GOALS`.
       heading: direction of the camera, counter-clockwise from east, radians.
       features: mid-level features of the camera image; ignored by a network without this input.
     """
-    if maps.dtype == jnp.uint8:
-        maps = maps.astype(jnp.float32) / 255
     weights = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), weights)
     network = with_weights(CostMapNetwork, architecture, weights)
     return network(maps, target, heading, features.astype(jnp.float32))
@@ -244,7 +242,7 @@ class CostMapEstimator:
 
     def estimate(
         self,
-        maps: Float[Array, "36 h w"] | UInt8[Array, "36 h w"],
+        maps: Float[Array, "36 h w"],
         target: Integer[Array, ""],
         features: Float[Array, "f"],
         heading: Float[Array, ""],

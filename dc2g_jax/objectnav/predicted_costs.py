@@ -10,9 +10,9 @@ from jaxtyping import Array, Float, Int
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import write_json
-from dc2g_jax.objectnav.agent import Agent, IndoorRobot, IndoorSite, indoor_camera
+from dc2g_jax.objectnav.agent import Agent, Observation
 from dc2g_jax.objectnav.mapping import IndoorMapSettings, network_input
-from dc2g_jax.objectnav.midlevel import ImageEncoder, load_encoder, vector_size, view
+from dc2g_jax.objectnav.midlevel import ImageEncoder, load_encoder, vector_size
 from dc2g_jax.objectnav.networks import CostMapEstimator, fused_cost, load_estimator, save_estimator
 
 #: The files of a trained network and of the encoder that it was trained with, in one folder.
@@ -32,7 +32,7 @@ class CostEstimator(Protocol):
         """Predict for one robot.
 
         Args:
-          maps: maps of the robot, see `dc2g_jax.objectnav.mapping.network_input`.
+          maps: maps of the robot, see `dc2g_jax.objectnav.mapping.network_maps`.
           target: the wanted class, an index into `GOALS`.
           features: mid-level features of the camera image.
           heading: direction of the camera, counter-clockwise from +x, radians.
@@ -63,16 +63,19 @@ class PredictedCosts(Generic[_Estimator]):
     meters: float = 10.0
     threshold: float = 0.5
 
-    def of(self, robot: IndoorRobot, site: IndoorSite, agent: Agent) -> Float[Array, "n n"]:
+    def of(self, seen: Observation, agent: Agent) -> Float[Array, "n n"]:
         """Cost of each cell of the local map relative to the best cell, meters.
 
         Infinite where a cell is predicted to be occupied.
+
+        Raises:
+          InputError: the camera's picture is missing.
         """
-        vehicle = robot.vehicle
-        maps = network_input(robot.map, vehicle.position, agent.mapping)
-        seen = view(site.scene, site.paint, indoor_camera(vehicle)).image
-        features = self.encoder.encode(seen[None])[0]
-        occupied, cost = self.estimator.estimate(maps, robot.target, features, vehicle.yaw)
+        if seen.image is None:
+            raise InputError("predicted costs need the camera's picture, but there is none; give one with each frame")
+        maps = network_input(seen.map, seen.vehicle.position, agent.mapping)
+        features = self.encoder.encode(seen.image[None])[0]
+        occupied, cost = self.estimator.estimate(maps, seen.target, features, seen.vehicle.yaw)
         fused = fused_cost(occupied, cost, self.threshold)
         return jnp.where(jnp.isinf(fused), fused, self.meters * (fused - jnp.min(fused)))
 

@@ -15,9 +15,10 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.objectnav.agent import DECLARED, Agent, IndoorRobot, IndoorSite, leg, reset, site_of
+from dc2g_jax.objectnav.agent import DECLARED, Agent
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax.objectnav.houses import IndoorHouse
+from dc2g_jax.objectnav.simulation import IndoorRobot, IndoorSite, leg, reset, site_of
 from dc2g_jax.objectnav.starts import sample_starts
 from dc2g_jax.objectnav.worlds import pad_world
 from dc2g_jax.programs import jit
@@ -54,7 +55,7 @@ class Searches:
     """What robots did, in the order of the episodes.
 
     Attributes:
-      track: see `dc2g_jax.objectnav.agent.IndoorRobot`.
+      track: see `dc2g_jax.objectnav.simulation.IndoorRobot`.
       declared: did the robot say that it was there?
       steps: control periods.
       bumps: of these, those in which it ran into something.
@@ -162,9 +163,7 @@ def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[IndoorSite, dic
     worlds = [house.world for house in houses]
     rows, columns = (max(world.free.shape[axis] for world in worlds) for axis in (0, 1))
     padded = [pad_world(world, rows, columns, len(world.room_kinds), len(world.objects.classes)) for world in worlds]
-    sites = [
-        site_of(world, house.name, agent.controller.limits.radius) for house, world in zip(houses, padded, strict=True)
-    ]
+    sites = [site_of(world, house.name, agent) for house, world in zip(houses, padded, strict=True)]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sites), {house.name: n for n, house in enumerate(houses)}
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from dc2g_jax.grid.ground import component_numbers, connected_to
+from dc2g_jax.objectnav.cost_maps import footprint
 from dc2g_jax.objectnav.worlds import IndoorWorld
 
 #: Radius of the robot, meters.
@@ -23,15 +24,13 @@ def _distance_to(cells: Bool[np.ndarray, "h w"], cell_size: float) -> Float[np.n
 
 
 def passable(free: Bool[np.ndarray, "h w"], cell_size: float) -> Bool[np.ndarray, "h w"]:
-    """The cells in whose center a robot does not touch blocked cells.
-
-    Blocked cells count as discs of the width of a cell.
+    """The cells in whose center a robot touches no blocked cell: `inflated` on the host, for grids of any size.
 
     Args:
       free: cells without obstacles. Space beyond the grid does not count as blocked.
       cell_size: side of a cell, meters.
     """
-    return _distance_to(~free, cell_size) >= ROBOT_RADIUS + cell_size / 2 - 1e-6
+    return cv2.dilate((~free).astype(np.uint8), footprint(ROBOT_RADIUS, cell_size).astype(np.uint8)) == 0
 
 
 def largest_region(world: IndoorWorld) -> Bool[np.ndarray, "h w"]:

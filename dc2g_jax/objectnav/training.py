@@ -16,6 +16,7 @@ from dc2g_jax.estimation.weights import fresh_weights
 from dc2g_jax.objectnav import networks
 from dc2g_jax.objectnav.data import (
     ALL_SYMMETRIES,
+    LOCAL,
     NORMALIZATIONS,
     PAPER_ROTATIONS,
     UPRIGHT,
@@ -24,6 +25,7 @@ from dc2g_jax.objectnav.data import (
     draw_samples,
 )
 from dc2g_jax.objectnav.losses import LossWeights, total_loss
+from dc2g_jax.objectnav.mapping import network_maps
 from dc2g_jax.objectnav.metrics import FIVE_ACTIONS, NINE_ACTIONS, action_accuracy, confusion, occupancy_scores
 from dc2g_jax.objectnav.networks import CostMapArchitecture, CostMapEstimator, Prediction, fused_cost
 from dc2g_jax.programs import jit
@@ -126,9 +128,8 @@ def mean_loss(
     config: CostMapConfig, weights: Any, samples: Samples
 ) -> tuple[Float[Array, ""], tuple[dict[str, Array], Prediction]]:
     """Mean of equation (4) over a batch, the mean of each of its losses, and the predictions."""
-    prediction = networks.apply(
-        config.architecture, weights, samples.maps, samples.target, samples.heading, samples.features
-    )
+    maps = jax.vmap(functools.partial(network_maps, local=LOCAL))(samples.cells)
+    prediction = networks.apply(config.architecture, weights, maps, samples.target, samples.heading, samples.features)
     of_map = functools.partial(total_loss, weights=config.loss_weights)
     loss, losses = jax.tree.map(jnp.mean, jax.vmap(of_map)(prediction, samples.occupied, samples.cost))
     return loss, (losses, prediction)

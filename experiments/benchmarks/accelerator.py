@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from dc2g_jax.cli.searches import agent_with, open_costs
 from dc2g_jax.cli.translation import TranslationOptions
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.datasets.starts import published_episodes, sample_starts
 from dc2g_jax.objectnav.agent import Agent
 from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
+from dc2g_jax.objectnav.named import agent_with, open_costs
 from dc2g_jax.objectnav.searches import TIME_LIMIT, sample_episodes, search_all
 from dc2g_jax.planning.named import FIGURE_PLANNERS
 from dc2g_jax.planning.rules import SETTINGS

@@ -10,7 +10,6 @@ from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as P
 
 from dc2g_jax.cli.driving import DrivingOptions, equipment
-from dc2g_jax.cli.searches import agent_with, open_costs
 from dc2g_jax.cli.translation import TranslationOptions
 from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.estimation.checkpoints import load_network
@@ -19,8 +18,8 @@ from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.mapping.scene import TILES, Scene
 from dc2g_jax.objectnav import searches
-from dc2g_jax.objectnav.agent import IndoorSite, leg
-from dc2g_jax.objectnav.classes import GOALS
+from dc2g_jax.objectnav.named import agent_with, open_costs
+from dc2g_jax.objectnav.simulation import IndoorSite, leg
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.planners import Planner
 from dc2g_jax.planning.rules import SETTINGS, Rules
@@ -187,7 +186,7 @@ def _search_leg(robots: int, mesh: Mesh) -> HotProgram:
         scene=_scene(houses, side),
         paint=_array(houses, side, side, 3, dtype=jnp.uint8),
         free=_array(houses, side, side, dtype=jnp.bool_),
-        distances=_array(houses, len(GOALS), side, side, dtype=jnp.float32),
+        known=None,
     )
     reset = functools.partial(searches._reset, mesh=mesh, limit=searches.TIME_LIMIT)
     starts, each = _array(n, robots, 3, dtype=jnp.float32), _array(n, robots)

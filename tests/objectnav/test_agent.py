@@ -15,10 +15,7 @@ from dc2g_jax.objectnav.agent import (
     Agent,
     LookAround,
     RandomUntilSeen,
-    is_active,
-    leg,
-    reset,
-    site_of,
+    observed,
 )
 from dc2g_jax.objectnav.classes import BED, GOALS, PLANT
 from dc2g_jax.objectnav.guides import (
@@ -31,10 +28,12 @@ from dc2g_jax.objectnav.guides import (
 )
 from dc2g_jax.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, IndoorMapSettings
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
+from dc2g_jax.objectnav.simulation import is_active, leg, picture, reset, site_of
 from dc2g_jax.vehicles.footprint import Ground
 from dc2g_jax.vehicles.mppi import MPPISettings
 from dc2g_jax.vehicles.robot import stopped_by_obstacles
 from dc2g_jax.vehicles.vehicle import at_rest, drive
+from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 
 BED_TARGET, PLANT_TARGET = GOALS.index(BED), GOALS.index(PLANT)
@@ -44,7 +43,8 @@ KEY = jax.random.key(0)
 
 @pytest.fixture(scope="module")
 def site():
-    return site_of(two_rooms().world, two_rooms().name)
+    """The house; its `known` are the true distances."""
+    return site_of(two_rooms().world, two_rooms().name, agent_with(TrueCost()))
 
 
 def agent_with(guide, steering=None):
@@ -65,11 +65,11 @@ def robot_at(x, y, yaw=0.0, target=PLANT_TARGET, guide=None):
 def test_the_distance_to_objects_is_that_of_the_path_around_walls(site):
     # From the far end of the bedroom to the plant: through the door.
     row, column = 28, 6
-    assert 3.5 < float(site.distances[PLANT_TARGET, row, column]) < 5.5
-    assert float(site.distances[BED_TARGET, row, column]) < 1
-    assert np.isinf(np.asarray(site.distances)[:, ~np.asarray(site.free)]).all()
+    assert 3.5 < float(site.known[PLANT_TARGET, row, column]) < 5.5
+    assert float(site.known[BED_TARGET, row, column]) < 1
+    assert np.isinf(np.asarray(site.known)[:, ~np.asarray(site.free)]).all()
     # There is no couch.
-    assert np.isinf(np.asarray(site.distances)[GOALS.index(5)]).all()
+    assert np.isinf(np.asarray(site.known)[GOALS.index(5)]).all()
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,7 @@ def test_a_robot_with_true_costs_reaches_the_object(journey, site):
     assert int(last.status) == DECLARED
     assert 40 < steps < LIMIT
     track = np.asarray(last.track)
-    shortest = float(site.distances[PLANT_TARGET, 29, 6])
+    shortest = float(site.known[PLANT_TARGET, 29, 6])
     assert np.hypot(*np.diff(track[:, :2], axis=0).T).sum() < 1.25 * shortest
     # The plant's cells have their middles from x = 4.7 to 5.0 and y = -2.7 to -3.0.
     off = np.maximum(np.abs(track[steps, :2] - (4.85, -2.85)) - 0.2, 0)
@@ -154,15 +154,17 @@ def with_cells(robot, **channels):
 @pytest.fixture
 def guided(site):
     def guide_one(robot, guide):
-        return agent_with(guide).guide.guide(KEY, robot, site, agent_with(guide))
+        """What the guide says that is given a picture only if it asks for one, and nothing of the house."""
+        image = picture(robot, site) if guide.uses_image else None
+        return guide.guide(KEY, observed(robot, image), None, agent_with(guide))
 
     return guide_one
 
 
 def test_the_true_costs_lie_around_the_robot(site):
     robot = robot_at(2.05, -1.55)
-    distance = np.asarray(TrueCost().guide(KEY, robot, site, agent_with(TrueCost())).distance)
-    world = np.asarray(site.distances[PLANT_TARGET])
+    distance = np.asarray(TrueCost().guide(KEY, observed(robot, None), site.known, agent_with(TrueCost())).distance)
+    world = np.asarray(site.known[PLANT_TARGET])
     # The robot is in row 15 and column 20; the local map begins 30 cells before.
     np.testing.assert_array_equal(distance[15 : 15 + world.shape[0], 10 : 10 + world.shape[1]], world[:45, :50])
     assert np.isinf(distance[:15]).all()
@@ -252,6 +254,24 @@ def test_the_promising_frontier_weighs_distance_and_predicted_costs(guided):
     assert near[31, 28] < near[31, 30] < near[31, 32]
     assert far[31, 28] > far[31, 30] > far[31, 32]
     np.testing.assert_allclose(far[31, 30] - far.min(), 2.5, atol=0.1)
+
+
+def test_only_the_privileged_guide_keeps_something_of_the_house():
+    costs = PredictedCosts(Flat(), Mean())
+    for guide in (NoIdea(), NearestFrontier(), Predicted(costs), PromisingFrontier(costs)):
+        assert guide.init(two_rooms().world, 0.2) is None
+        assert GoalReacher(guide).init(two_rooms().world, 0.2) is None
+        assert GoalReacher(guide).uses_image == guide.uses_image == hasattr(guide, "costs")
+    np.testing.assert_array_equal(
+        *(guide.init(two_rooms().world, 0.2) for guide in (TrueCost(), GoalReacher(TrueCost())))
+    )
+
+
+def test_what_a_robot_does_not_have_is_refused():
+    seen, agent = observed(robot_at(2.05, -1.55), None), agent_with(NoIdea())
+    refusal(lambda: TrueCost().guide(KEY, seen, None, agent), "TrueCost", "ahead of time", "another guide")
+    blind = Predicted(PredictedCosts(Flat(), Mean()))
+    refusal(lambda: blind.guide(KEY, seen, None, agent), "the camera's picture", "give one with each frame")
 
 
 def test_a_robot_looks_around_at_the_start():

@@ -10,7 +10,7 @@ import pytest
 from dc2g_jax.mapping.camera import level_camera
 from dc2g_jax.mapping.simulator import cast
 from dc2g_jax.objectnav import mapping
-from dc2g_jax.objectnav.agent import INDOOR_CAMERA_HEIGHT
+from dc2g_jax.objectnav.camera import INDOOR_CAMERA_HEIGHT
 from dc2g_jax.objectnav.classes import BED, GOALS, PLANT, TABLE
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect
 from dc2g_jax.objectnav.data import (
@@ -26,8 +26,7 @@ from dc2g_jax.objectnav.data import (
     cell_codes,
     draw_samples,
     make_sample,
-    map_channels,
-    network_maps,
+    map_cells,
     turned_grid,
     turned_heading,
 )
@@ -133,16 +132,17 @@ def test_normalized_costs():
 
 def test_the_network_is_shown_what_the_robots_map_would_show(world):
     """The window around a robot, from the agent's own map of bits."""
-    codes = np.asarray(cell_codes(world))
-    channels = np.asarray(map_channels(jnp.asarray(codes)))
-    bits = sum(channel.astype(np.uint32) << number for number, channel in enumerate(channels))
-    cell = np.array([14, 40])
+    codes, cell = cell_codes(world), jnp.array([14, 40])
     settings = mapping.IndoorMapSettings(cells=GLOBAL, local=LOCAL, cell_size=0.1)
     position = jnp.asarray([cell[1] + 0.5, -(cell[0] + 0.5)], jnp.float32) * 0.1
-    theirs = mapping.network_input(mapping.IndoorMap(jnp.asarray(bits), jnp.zeros(2, jnp.int32)), position, settings)
-    around = mapping.square(jnp.asarray(codes), jnp.asarray(cell - GLOBAL // 2), GLOBAL, UNEXPLORED)
-    ours = network_maps(around)
-    np.testing.assert_allclose(np.asarray(ours) / 255, theirs, atol=1 / 255)
+    theirs = mapping.network_input(mapping.IndoorMap(map_cells(codes), jnp.zeros(2, jnp.int32)), position, settings)
+    around = mapping.square(codes, cell - GLOBAL // 2, GLOBAL, UNEXPLORED)
+    ours = np.asarray(mapping.network_maps(map_cells(around), LOCAL))
+    np.testing.assert_array_equal(ours, theirs)
+    near = np.asarray(mapping.square(codes, cell - LOCAL // 2, LOCAL, UNEXPLORED))
+    for channel in range(16):
+        np.testing.assert_array_equal(ours[channel], near == OBSTACLE + 1 + channel)
+    np.testing.assert_array_equal(ours[16:18], [near >= OBSTACLE, near != UNEXPLORED])
     assert ours[BED - 1].any()
     assert ours[18 + TABLE - 1].any()
 
@@ -178,8 +178,9 @@ def test_a_sample_is_what_was_known_then(samples, world):
     inside = (np.stack(place) >= 0).all(axis=0) & (np.stack(place) < LOCAL).all(axis=0)
     assert inside.all()
     explored = np.asarray(samples.first_seen[1]) <= view
-    np.testing.assert_array_equal(sample.maps[17][place] == 255, explored & (cell_codes(world) != UNEXPLORED))
-    np.testing.assert_array_equal(sample.maps[16][place] == 255, explored & world.obstacle)
+    maps = np.asarray(mapping.network_maps(sample.cells, LOCAL))
+    np.testing.assert_array_equal(maps[17][place] == 1, explored & (cell_codes(world) != UNEXPLORED))
+    np.testing.assert_array_equal(maps[16][place] == 1, explored & world.obstacle)
     np.testing.assert_array_equal(sample.occupied[place], ~world.free)
     assert int(np.sum(~np.asarray(sample.occupied))) == world.free.sum()
     label = np.asarray(samples.distance[0, target])
@@ -191,7 +192,7 @@ def test_a_sample_is_what_was_known_then(samples, world):
         mirrored = sum(symmetry) % 2
         np.testing.assert_array_equal(turned.features, samples.features[1, view, mirrored].astype(jnp.float32))
         np.testing.assert_array_equal(turned.cost, turned_grid(sample.cost, jnp.asarray(symmetry)))
-        np.testing.assert_array_equal(turned.maps[:18], turned_grid(sample.maps[:18], jnp.asarray(symmetry)))
+        np.testing.assert_array_equal(turned.cells, turned_grid(sample.cells, jnp.asarray(symmetry)))
 
 
 def test_a_batch_is_drawn_for_goals_that_are_there(samples):
@@ -201,11 +202,11 @@ def test_a_batch_is_drawn_for_goals_that_are_there(samples):
     )
     batch = draw(jax.random.key(0))
     assert set(np.asarray(batch.target).tolist()) == {GOALS.index(BED), GOALS.index(PLANT)}
-    assert batch.maps.dtype == np.uint8
+    assert batch.cells.dtype == np.uint32
     lowest = np.asarray(batch.cost).min(axis=(1, 2))
     np.testing.assert_array_equal(lowest, np.zeros(32, np.float32))
     jax.tree.map(np.testing.assert_array_equal, batch, draw(jax.random.key(0)))
-    assert not np.array_equal(batch.maps, draw(jax.random.key(1)).maps)
+    assert not np.array_equal(batch.cells, draw(jax.random.key(1)).cells)
 
 
 def test_codes_of_cells(world):

@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.objectnav.agent import is_active, leg, reset, site_of
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
 from dc2g_jax.objectnav.searches import sample_episodes, search_all
+from dc2g_jax.objectnav.simulation import is_active, leg, reset, site_of
 from tests.support.refusals import refusal
 from tests.support.two_rooms import AGENT, two_rooms
 
@@ -39,7 +39,7 @@ def test_robots_in_a_batch_do_what_they_do_one_by_one(found):
     targets = jnp.array([GOALS.index(OBJECT_CLASSES.index(one.target)) for one in episodes])
     keys = jax.random.split(jax.random.key(0), len(episodes))
     robots = jax.vmap(lambda key, start, target: reset(key, start, target, AGENT, 12))(keys, starts, targets)
-    site = jax.tree.map(lambda leaf: jnp.asarray(leaf), site_of(house.world, house.name))
+    site = jax.tree.map(lambda leaf: jnp.asarray(leaf), site_of(house.world, house.name, AGENT))
 
     @jax.jit
     @jax.vmap
