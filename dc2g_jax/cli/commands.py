@@ -58,7 +58,7 @@ def main() -> None:
         name = " ".join(words[:count])
         if name in COMMANDS:
             prepare()
-            # As with `python -m`: Python finds the user's planners, `package.module:Class`, here.
+            # As with `python -m`: Python finds the user's planners, `package.module:Name`, here.
             sys.path.append(os.getcwd())
             sys.argv = [f"dc2g {name}", *words[count:]]
             _run(COMMANDS[name][0])
