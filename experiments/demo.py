@@ -18,7 +18,7 @@ class Options(DatasetOptions, NetworkOptions):
 
     Attributes:
       dataset: maps to begin with: a folder of houses, a map file, or `procedural`.
-      planner: planners to run at first; package.module:Class for one of your own. The page offers the others too.
+      planner: planners to run at first; package.module:Name for one of your own. The page offers the others too.
       port: port of the page.
       no_browser: do not open the page in a browser.
     """

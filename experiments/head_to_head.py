@@ -27,7 +27,7 @@ class Options(DatasetOptions, NetworkOptions, OutOptions, ResumeOptions):
     `--dataset` must hold the published houses.
 
     Attributes:
-      planner: planner to compare instead of DC2G; package.module:Class for one of your own.
+      planner: planner to compare instead of DC2G; package.module:Name for one of your own.
       resamples: bootstrap samples of the houses, for the intervals.
       seed: seed of the bootstrap.
     """

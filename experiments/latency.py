@@ -31,7 +31,7 @@ class Options(DatasetOptions, NetworkOptions, OutOptions):
       cells: side lengths of the maps, in cells.
       calls: decisions to time on each map size.
       repeats: number of repeats, with the same decisions.
-      planner: `frontier`, `dc2g` or `dc2g_uncertain`; package.module:Class for one of your own.
+      planner: `frontier`, `dc2g` or `dc2g_uncertain`; package.module:Name for one of your own.
       sensing_range: range of the field of view, in cells.
     """
 

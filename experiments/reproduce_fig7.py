@@ -21,7 +21,7 @@ from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import HouseDataset, group_of, open_dataset, tell_on_stderr
 from dc2g_jax.datasets.starts import Start, sample_starts, usable_houses, why_no_episode
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import TrainedNetwork
+from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.tables import write_table
 from dc2g_jax.inspection.episode_figures import plot_episode
@@ -42,7 +42,7 @@ class Options(DatasetOptions, NetworkOptions, StepLimitOptions, OutOptions, Resu
     Attributes:
       settings: `published` runs the paper's 400 episodes (5-cell sensing; published dataset only), `paper` runs
         sampled starts in every test house with 8-cell sensing, `both` runs both.
-      planner: planners to compare; package.module:Class for one of your own.
+      planner: planners to compare; package.module:Name for one of your own.
       starts_per_house: sampled starts in each test house.
       seed: seed of the sampled starts.
       record: number of episodes of each setting to write rerun recordings (.rrd) and figures of, spread evenly.
@@ -83,7 +83,7 @@ def record(
     dataset: HouseDataset,
     settings: str,
     results: list[EpisodeResult],
-    network: TrainedNetwork | None,
+    network: Estimator | None,
     count: int,
 ) -> None:
     """Write rerun recordings and figures of `count` episodes, spread evenly."""

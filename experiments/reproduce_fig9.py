@@ -39,7 +39,7 @@ class Options(DrivingOptions, DatasetOptions, OutOptions):
       house: name of the house; by default the first test house in which an episode can be run.
       start: column, row (growing downward) and heading (0 right, 1 down, 2 left, 3 up); sampled by default.
       noise: noise level; 0 is no noise, 1 the presumed noise of the paper's maps.
-      planner: planner to run; package.module:Class for one of your own.
+      planner: planner to run; package.module:Name for one of your own.
       network: folder of a trained network; by default the shipped one that was trained with mapping noise.
       seed: seed of the sampled start, noise and pedestrians.
     """

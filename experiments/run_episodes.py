@@ -4,18 +4,18 @@ import dataclasses
 import hashlib
 import json
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 import tyro
 
-from dc2g_jax.cli.common import PlannersOption, check_planners, command_line, digests, network_for
+from dc2g_jax.cli.common import PlannersOption, SettingsOption, check_planners, command_line, digests, network_for
 from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import read_starts
-from dc2g_jax.planning.rules import SETTINGS
+from dc2g_jax.planning.rules import named_settings
 from dc2g_jax.rollouts.evaluation import Runner, as_text
 from dc2g_jax.rollouts.statistics import summarize
 
@@ -27,15 +27,16 @@ class Options(DatasetOptions, NetworkOptions, StepLimitOptions, OutOptions, Resu
     Attributes:
       starts: CSV file with columns house,x,y,heading (0 = +x, 1 = +y, 2 = -x, 3 = -y; y grows downward) and,
         optionally, range and, for the settings `published` and `reference`, expanding_range in cells.
-      planner: planners to run; package.module:Class for one of your own.
+      planner: planners to run; package.module:Name for one of your own.
       settings: rules. `published`: those of the paper's 400 episodes, 5-cell sensing. `reference`: those of the
         authors' code, any range. `paper`: those of the paper's text, 8-cell sensing. `occluded`: the same, but houses,
-        trees and other tall objects hide what is behind them. A range in the file takes precedence.
+        trees and other tall objects hide what is behind them. package.module:Name for `Settings` of your own. A range
+        in the file takes precedence.
     """
 
     starts: Annotated[Path, tyro.conf.arg(metavar="CSV")]
     planner: PlannersOption = ("oracle", "frontier", "dc2g")
-    settings: Literal["published", "reference", "paper", "occluded"] = "paper"
+    settings: SettingsOption = "paper"
 
 
 def main(options: Options) -> None:
@@ -44,7 +45,8 @@ def main(options: Options) -> None:
     dataset = open_dataset(options.dataset)
     starts = read_starts(options.starts, dataset)
     network = network_for(options.planner, options.network)
-    runner = Runner(dataset, SETTINGS[options.settings], step_limit=options.step_limit, progress=EpisodeProgress())
+    settings = named_settings(options.settings)
+    runner = Runner(dataset, settings, step_limit=options.step_limit, progress=EpisodeProgress())
     for start in starts:
         runner.rules(start)  # an invalid range raises before anything is written
     # The digest is of the parsed rows, so annotations and the order of columns do not matter.

@@ -58,7 +58,8 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
 
     Attributes:
       data: houses and masks.
-      losses: losses to try: quantile, l1, l2, huber, log, or weighted sums of them such as quantile=1,log=0.5.
+      losses: losses to try: quantile, l1, l2, huber, log, package.module:Name for one of your own, or weighted sums of
+        them such as quantile=1,log=0.5.
       learning_rates: peak learning rates to try.
       widths: networks to try, each given by its channels from the finest scale: 24,48,96 16,32,64,128 are two.
       seeds: seeds to try.

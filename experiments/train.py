@@ -52,7 +52,8 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
       data: houses and masks.
       after: folder of a trained network, or hf://owner/name, to start from: training begins with its weights, and masks
         of robots that it leads are added to the others (DAgger).
-      loss: quantile, l1, l2, huber or log, or a weighted sum of them such as quantile=1,log=0.5.
+      loss: quantile, l1, l2, huber or log, or package.module:Name for one of your own; or a weighted sum of them such
+        as quantile=1,log=0.5.
       patch: side of the square patches that the network splits a map into, in cells.
       embedding: number of hidden features of each patch; 0 for none.
       widths: channels at each scale, from the finest; each scale has half the resolution of the one before.

@@ -22,8 +22,8 @@ PAGES = [ROOT / "README.md", ROOT / "BENCHMARKS.md", ROOT / "CONTRIBUTING.md", *
 #: Packages of extras: examples that need them are run where they are installed.
 OPTIONAL = ("gymnasium", "stable_baselines3", "torch")
 
-#: A Python example and, where a block of text follows it, what it prints.
-_EXAMPLE = re.compile(r"^```python\n(.*?)^```\n(?:\s*^```text\n(.*?)^```\n)?", flags=re.S | re.M)
+#: A Python example, the file that it is to be saved as, if any, and what it prints, where a block of text follows it.
+_EXAMPLE = re.compile(r'^```python(?: title="(\w+\.py)")?\n(.*?)^```\n(?:\s*^```text\n(.*?)^```\n)?', flags=re.S | re.M)
 _SHELL = re.compile(r"^```bash\n(.*?)^```", flags=re.S | re.M)
 _COMMAND = re.compile(r"python (-m experiments\.\w+\b(?!\.)|examples/\w+\.py)([^`\n|&#]*)")
 _NAME = re.compile(r"\bdc2g_jax(?:\.\w+)+")
@@ -33,9 +33,9 @@ def page_id(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
-def examples(page: Path) -> list[tuple[str, str | None]]:
-    """The Python examples of a page, and what each is said to print."""
-    return [(found[1], found[2]) for found in _EXAMPLE.finditer(page.read_text())]
+def examples(page: Path) -> list[tuple[str | None, str, str | None]]:
+    """The Python examples of a page: the file of each, its code, and what it is said to print."""
+    return [(found[1], found[2], found[3]) for found in _EXAMPLE.finditer(page.read_text())]
 
 
 #: Pages with examples; those of the tutorials take long.
@@ -50,10 +50,13 @@ WITH_EXAMPLES = [
 def test_python_examples_print_what_the_page_shows(page, tmp_path, monkeypatch, capsys):
     """All examples of a page, in order, in one namespace and an empty folder, without a network."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("DC2G_DATA", "procedural")
     monkeypatch.setattr(devices, "cores", jax.device_count)  # JAX has started, with as many as tests use
     namespace: dict[str, Any] = {"__name__": "__page__"}
-    for number, (code, shown) in enumerate(examples(page), start=1):
+    for number, (file, code, shown) in enumerate(examples(page), start=1):
+        if file is not None:
+            Path(file).write_text(code)
         try:
             exec(compile(code, f"{page_id(page)}, example {number}", "exec"), namespace)
         except ModuleNotFoundError as error:

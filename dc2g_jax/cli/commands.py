@@ -5,11 +5,12 @@ The module imports nothing heavy, so that `dc2g --help` is fast.
 
 import difflib
 import importlib
+import importlib.metadata
 import importlib.util
 import os
 import sys
 from types import TracebackType
-from typing import NoReturn
+from typing import Annotated, Any, NoReturn, Union
 
 from dc2g_jax.errors import InputError, reader_may_leave, require_extra
 
@@ -46,26 +47,51 @@ COMMANDS = {
     "compile-for": ("compile_for", "compile the hot programs for a GPU, without needing one"),
 }
 
+#: First words of commands of two words.
+_GROUPS = dict.fromkeys(name.partition(" ")[0] for name in COMMANDS if " " in name)
+
 
 def main() -> None:
     """Run a command: `dc2g NAME OPTIONS`."""
     words = sys.argv[1:]
-    if not words or words[0] in ("-h", "--help"):
-        with reader_may_leave():
-            print(_overview())
-        return
+    match words:
+        case [] | ["-h" | "--help", *_]:
+            _show(_overview())
+        case [group] | [group, "-h" | "--help"] if group in _GROUPS:
+            _show(_overview(f"{group} "))
+        case ["--version"]:
+            _show(f"dc2g {importlib.metadata.version('dc2g_jax')}")
+        case ["--completion", "bash" | "zsh" as shell]:
+            _print_completion(shell)
+        case ["--completion", *_]:
+            _refuse("--completion: give bash or zsh")
+        case _:
+            _run(words)
+
+
+def _show(text: str) -> None:
+    """Print a text, which may be cut off."""
+    with reader_may_leave():
+        print(text)
+
+
+def _run(words: list[str]) -> None:
+    """Run the command that the first or the first two words name."""
     for count in (2, 1):
         name = " ".join(words[:count])
         if name in COMMANDS:
             prepare()
-            # As with `python -m`: Python finds the user's planners, `package.module:Class`, here.
+            # As with `python -m`: Python finds the user's planners, `package.module:Name`, here.
             sys.path.append(os.getcwd())
             sys.argv = [f"dc2g {name}", *words[count:]]
-            _run(COMMANDS[name][0])
+            command = _module(COMMANDS[name][0])
+            from dc2g_jax.cli.common import command_line
+
+            command_line(command.Options, command.main)
             return
     close = [name for name in COMMANDS if name.split()[0] == words[0]] or difflib.get_close_matches(words[0], COMMANDS)
     remedy = f"did you mean {' or '.join(f'dc2g {name}' for name in close)}?" if close else "dc2g --help lists all"
-    _refuse(f"no command is called {words[0]!r}; {remedy}")
+    _refuse(f"no command is called {' '.join(words[:2]) if words[0] in _GROUPS else words[0]!r}; {remedy}")
 
 
 def _refuse(message: object) -> NoReturn:
@@ -74,20 +100,43 @@ def _refuse(message: object) -> NoReturn:
     sys.exit(2)
 
 
-def _overview() -> str:
-    """All commands, one per line."""
-    width = max(map(len, COMMANDS))
-    lines = [f"  {name:{width}}  {words}" for name, (_, words) in COMMANDS.items()]
-    return "\n".join(["usage: dc2g COMMAND [OPTIONS]", "", *lines, "", "Options of a command: dc2g COMMAND --help"])
+def _overview(group: str = "") -> str:
+    """The commands of a group, or all, one per line."""
+    shown = {name: words for name, (_, words) in COMMANDS.items() if name.startswith(group)}
+    width = max(map(len, shown))
+    lines = [f"  {name:{width}}  {words}" for name, words in shown.items()]
+    hints = ["Options of a command: dc2g COMMAND --help"]
+    if not group:
+        hints += ["Version: dc2g --version", "A script for the shell's completion: dc2g --completion bash (or zsh)"]
+    return "\n".join([f"usage: dc2g {group}COMMAND [OPTIONS]", "", *lines, "", *hints])
 
 
-def _run(module: str) -> None:
-    """Run a module of `experiments`. A wheel has it inside the package."""
+def _module(name: str) -> Any:
+    """A module of `experiments`. A wheel has it inside the package."""
     package = "dc2g_jax.experiments" if importlib.util.find_spec("dc2g_jax.experiments") else "experiments"
-    command = importlib.import_module(f"{package}.{module}")
-    from dc2g_jax.cli.common import command_line
+    return importlib.import_module(f"{package}.{name}")
 
-    command_line(command.Options, command.main)
+
+def _print_completion(shell: str) -> NoReturn:
+    """Print a script that completes commands and options in a shell, and exit."""
+    prepare()
+    import tyro
+
+    def one_of(commands: dict[str, Any]) -> Any:
+        """A type of whose subcommands one is chosen: a command's options, or those of a group."""
+        return Union[  # noqa: UP007
+            tuple(Annotated[options, tyro.conf.subcommand(name)] for name, options in commands.items())
+        ]
+
+    groups: dict[str, dict[str, Any]] = {}
+    for name, (module, _) in COMMANDS.items():
+        first, _, second = name.partition(" ")
+        groups.setdefault(first, {})[second] = _module(module).Options
+    every = {first: own.get("") or one_of(own) for first, own in groups.items()}
+    words, config = ["--tyro-write-completion", shell, "-"], (tyro.conf.FlagCreatePairsOff,)
+    with reader_may_leave():
+        tyro.cli(one_of(every), prog="dc2g", args=words, config=config)
+    raise AssertionError("tyro exits when it has printed")
 
 
 def prepare() -> None:

@@ -20,7 +20,7 @@ from tqdm import tqdm
 from dc2g_jax.cli.outputs import RUN_FILE, CommandOptions, folder_in_use, program
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError, drop_output, reader_may_leave
-from dc2g_jax.estimation.checkpoints import TrainedNetwork
+from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.estimation.hub import load
 from dc2g_jax.files.cache import keep_compiled_programs
 from dc2g_jax.files.digests import tree_sha256
@@ -30,13 +30,16 @@ from dc2g_jax.training.tracking import check_tracker
 
 _Options = TypeVar("_Options", bound=CommandOptions)
 
-#: Common options: a folder of houses (or a name), and a trained network (see `estimation.hub`).
+#: Common options: a folder of houses (or a name), and a network (see `dc2g_jax.estimation.hub.load`).
 DatasetOption = Annotated[str | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 NetworkOption = Annotated[str | Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 
-#: One planner and several: names in `dc2g_jax.planning.named.PLANNERS`, or `package.module:Class`.
+#: One planner and several: names in `dc2g_jax.planning.named.PLANNERS`, or `package.module:Name`.
 PlannerOption = Annotated[str, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 PlannersOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
+
+#: Rules: a name in `dc2g_jax.planning.rules.SETTINGS`, or `package.module:Name`.
+SettingsOption = Annotated[str, tyro.conf.arg(metavar="NAME")]
 
 #: A house by its name, and the size of a camera's images in pixels.
 HouseOption = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
@@ -156,8 +159,8 @@ def check_planners(planners: Sequence[str]) -> None:
     check_names(planners)
 
 
-def network_for(planners: Iterable[str], place: str | Path | None) -> TrainedNetwork | None:
-    """The network in a place, or the shipped one; `None` if no planner uses a network."""
+def network_for(planners: Iterable[str], place: str | Path | None) -> Estimator | None:
+    """The network in a place, see `dc2g_jax.estimation.hub.load`; `None` if no planner uses a network."""
     return load(place) if NETWORK_PLANNERS.keys() & set(planners) else None
 
 

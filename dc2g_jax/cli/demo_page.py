@@ -14,6 +14,7 @@ from matplotlib.colors import to_hex
 from nicegui import app, events, run, ui
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
+from dc2g_jax.cli.local_server import OwnOriginOnly
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.grid.terrain import FIGURE_COLORS
@@ -68,12 +69,13 @@ def serve(
       InputError: the port cannot be used.
     """
     check_port(port)
-    # A web site elsewhere must not reach the page by a name of its own for this machine.
+    # A web site elsewhere must not reach the page, nor by a name of its own for this machine.
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=["127.0.0.1", "localhost"])
+    app.add_middleware(OwnOriginOnly)
     print(f"Serving the page at http://127.0.0.1:{port}; press Ctrl-C to stop", flush=True)
     ui.run(
         lambda: Page(Demo(maps, planners, estimator)), host="127.0.0.1", port=port, show=open_browser, reload=False,
-        title="dc2g demo", favicon="🚪", show_welcome_message=False,
+        title="dc2g demo", favicon="🚪", language="en-US", show_welcome_message=False,
     )  # fmt: skip
 
 
@@ -189,6 +191,7 @@ class Page:
             self.canvas = ui.interactive_image(
                 on_mouse=self._drawn, sanitize=False, events=["pointerdown", "pointermove", "pointerup"]
             ).classes("map canvas max-w-xl")
+            self.canvas.props('role=img aria-label="Map to draw on"')
 
     def _take(self, name: str) -> None:
         """Paint with this class from now on."""
@@ -237,7 +240,7 @@ class Page:
                     with ui.row().classes("w-full items-baseline justify-between"):
                         ui.label(style.label).classes("font-bold").style(f"color: {style.color}")
                         progress = ui.label().classes("text-sm")
-                    image = ui.interactive_image(sanitize=False).classes("map")
+                    image = ui.interactive_image(sanitize=False).classes("map").props("role=img")
                     self.panels[name] = progress, image, ui.label().classes("why text-sm text-grey-9")
 
     @property
@@ -262,6 +265,7 @@ class Page:
             )
             image.set_content(walk_marks(walk, terrain, at, self.state.sensing_range))
             progress.text, why.text = walk.summary(at), moment.decision.why
+            image.props["aria-label"] = f"Map of {planner_style(name).label}, {progress.text}"
         self.legend.content = self._legend()
 
     def _legend(self) -> str:

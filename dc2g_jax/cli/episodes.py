@@ -9,7 +9,6 @@ from tqdm import tqdm
 
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.datasets.starts import Start, published_episodes
-from dc2g_jax.estimation.checkpoints import TrainedNetwork
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Planners, Runner, by_name
@@ -68,7 +67,7 @@ class EpisodeTable(ResumableTable[EpisodeResult]):
         return [result for shard in self.shards(runner, starts, planners, estimator) for result in shard]
 
     def published(
-        self, dataset: HouseDataset, planners: Sequence[str], network: TrainedNetwork | None
+        self, dataset: HouseDataset, planners: Sequence[str], network: Estimator | None
     ) -> list[EpisodeResult]:
         """Results of the paper's 400 episodes, planner by planner."""
         runner = Runner(dataset, SETTINGS["published"], progress=EpisodeProgress())

@@ -16,7 +16,7 @@ from dc2g_jax.cli.outputs import output_folder, print_files
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import TrainedNetwork
+from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax.inspection.animation import animate
 from dc2g_jax.inspection.episode_figures import plot_episode, plot_trajectories
@@ -38,7 +38,7 @@ class OneStartOptions(NetworkOptions, OutOptions):
       start: column, row (growing downward) and heading (0 right, 1 down, 2 left, 3 up); sampled by default, on the road
         where there is one.
       seed: seed of the sampled start.
-      planner: planners to run besides the oracle, in the order of the figures; package.module:Class for one of your
+      planner: planners to run besides the oracle, in the order of the figures; package.module:Name for one of your
         own.
       sensing_range: number of cells that a robot sees ahead.
       animation: formats of the animation.
@@ -127,7 +127,7 @@ def _draw(
     options: OneStartOptions,
     house: House,
     results: Mapping[str, EpisodeResult],
-    network: TrainedNetwork | None,
+    network: Estimator | None,
 ) -> None:
     """Write the figures, animations and recording of the episodes in `results`, given by planner."""
     figures, record = options.figures == "all", options.record == "all"

@@ -13,7 +13,7 @@ from jaxtyping import UInt8
 from dc2g_jax.datasets.occupancy import YAML_ENDINGS, OccupancyMap, read_occupancy_map
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.files.class_images import PALETTE_FILE, Palette, check_classes, read_class_image, read_palette
-from dc2g_jax.files.reading import finite_number, read_array
+from dc2g_jax.files.reading import check_file, finite_number, read_array
 from dc2g_jax.files.tables import read_table, whole_cell
 from dc2g_jax.grid.ground import why_no_path
 from dc2g_jax.grid.sampling import ClassImage, sample_grid
@@ -102,6 +102,7 @@ def draw_map(
         terrain = occupancy.terrain(*_grid_size(where, occupancy.free.shape, cells))
         return _with_goals(where, terrain, goals, occupancy)
     if ending == ".png":
+        check_file(path, "give the file of a map")
         if palette is None:
             raise InputError(
                 f"{path}: a picture needs a palette; give one (--palette), a CSV file with the columns class,r,g,b"

@@ -4,8 +4,12 @@ import os
 import tempfile
 from pathlib import Path
 
-from dc2g_jax.errors import InputError, require_extra
+import jax
+
+from dc2g_jax.errors import InputError, require_extra, short
 from dc2g_jax.estimation.checkpoints import CARD, TrainedNetwork, load_network, reason, save_network
+from dc2g_jax.estimation.estimators import Estimator
+from dc2g_jax.own_parts import is_own_part, own_part
 
 #: Prefix of places on the Hub.
 _HUB = "hf://"
@@ -45,17 +49,35 @@ def local_folder(place: str | os.PathLike[str]) -> Path:
         ) from None
 
 
-def load(place: str | os.PathLike[str] | None = None) -> TrainedNetwork:
-    """Load a planner's network of any kind.
+def load(place: str | os.PathLike[str] | None = None) -> Estimator:
+    """Load a planner's network of any kind, or an estimator of the user's own.
 
     Args:
-      place: see `local_folder`; `None` for the shipped network.
+      place: see `local_folder`; `package.module:Name` for an estimator, or a class or function that is called without
+        arguments to make one; `None` for the shipped network.
 
     Raises:
-      InputError: see `local_folder` and `dc2g_jax.estimation.checkpoints.load_network`, which checks the SHA-256 of the
-        weights.
+      InputError: there is no estimator of that name; see also `local_folder` and
+        `dc2g_jax.estimation.checkpoints.load_network`, which checks the SHA-256 of the weights.
     """
+    if isinstance(place, str) and is_own_part(place):
+        return _own_estimator(place)
     return load_network(None if place is None else local_folder(place))
+
+
+def _own_estimator(name: str) -> Estimator:
+    """Make the estimator `package.module:Name`."""
+    found = own_part("estimator", name, ())
+    try:
+        estimator = found() if callable(found) else found
+    except TypeError as error:
+        raise InputError(f"estimator {name!r}: {error}; give what is called without arguments") from error
+    if not hasattr(estimator, "estimate") or jax.tree_util.all_leaves([estimator]):
+        raise InputError(
+            f"estimator {name!r}: is {short(estimator)}; give a class with init and estimate, decorated with "
+            "flax.struct.dataclass"
+        )
+    return estimator
 
 
 def push(network: TrainedNetwork | str | os.PathLike[str], place: str) -> str:

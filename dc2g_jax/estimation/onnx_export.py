@@ -9,8 +9,7 @@ import jax
 import numpy as np
 
 from dc2g_jax.errors import InputError, require_extra
-from dc2g_jax.estimation.checkpoints import TrainedNetwork
-from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation.estimators import Estimator, NetworkCostToGo
 from dc2g_jax.files.atomic import replacing
 from dc2g_jax.files.digests import arrays_sha256
 from dc2g_jax.grid.terrain import CLASS_NAMES
@@ -95,7 +94,7 @@ def _add_network(graph: _Graph, network: NetworkCostToGo) -> str:
     return graph.cropped(scaled, graph.add("Shape", "classes", start=1))
 
 
-def export_onnx(network: TrainedNetwork, path: str | Path) -> None:
+def export_onnx(network: Estimator, path: str | Path) -> None:
     """Write a compact network as an ONNX file.
 
     Its input `classes` is uint8 [n, h, w], observed class indices (0 = not observed) of maps of any number and size.
@@ -107,10 +106,10 @@ def export_onnx(network: TrainedNetwork, path: str | Path) -> None:
       path: the file; replaced if it exists.
 
     Raises:
-      InputError: the network is a translator, or the file cannot be written.
+      InputError: the network is no compact one, or the file cannot be written.
     """
     if not isinstance(network, NetworkCostToGo):
-        raise InputError("the network is a translator of pictures; give a compact network, from `dc2g train`")
+        raise InputError("the network is no compact one; give one from `dc2g train`")
     graph, architecture = _Graph(), network.architecture
     found = _add_network(graph, network)
     graph.nodes.append(onnx.helper.make_node("Identity", [found], ["quantiles"]))

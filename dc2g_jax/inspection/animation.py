@@ -357,7 +357,7 @@ def animate(
       The path.
 
     Raises:
-      InputError: the ending is not known, the file cannot be written, or OpenCV cannot write MP4.
+      InputError: the ending is not known, the file cannot be written, or the encoder of MP4 is not installed.
     """
     path = Path(path)
     if path.suffix.lower() not in (".gif", ".mp4"):

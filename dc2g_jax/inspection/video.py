@@ -1,20 +1,19 @@
 """Writers of GIF files with one color table, and of MP4 files."""
 
 import collections
+import contextlib
+import itertools
+import subprocess
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import Int, UInt8
 from PIL import Image
 
-from dc2g_jax.errors import InputError
+from dc2g_jax.errors import InputError, require_extra
 
 Picture = UInt8[np.ndarray, "height width 3"]
-
-#: Codecs of MP4 files, of which the first that OpenCV supports is used: VP9 is sharper and smaller, MPEG-4 is common.
-_CODECS = ("vp09", "mp4v")
 
 #: Colors in the table of a GIF; the last entry stays free for pixels that do not change from one picture to the next.
 _MOST_COLORS = 255
@@ -79,7 +78,7 @@ def write_gif(path: Path, shown: Iterator[Picture], colors: Int[np.ndarray, "n"]
 
 
 def write_mp4(path: Path, shown: Iterator[Picture], frames_per_second: int, last_seconds: float) -> None:
-    """Write an MP4.
+    """Write an MP4 in H.264, which office programs and browsers open.
 
     Args:
       path: file to write.
@@ -88,19 +87,23 @@ def write_mp4(path: Path, shown: Iterator[Picture], frames_per_second: int, last
       last_seconds: duration of the last picture, seconds.
 
     Raises:
-      InputError: OpenCV cannot write MP4 or cannot write to the path.
+      InputError: the encoder is not installed, or cannot write to the path.
     """
-    picture = next(shown)
-    height, width, _ = picture.shape
-    for codec in _CODECS:
-        video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), frames_per_second, (width, height))
-        if video.isOpened():
-            break
-    else:
-        raise InputError(f"{path}: OpenCV has none of the codecs {', '.join(_CODECS)} or cannot write there; try .gif")
-    video.write(picture[..., ::-1])
-    for picture in shown:
-        video.write(picture[..., ::-1])
-    for _ in range(round(last_seconds * frames_per_second)):
-        video.write(picture[..., ::-1])
-    video.release()
+    require_extra("imageio_ffmpeg")
+    from imageio_ffmpeg import get_ffmpeg_exe
+
+    first = next(shown)
+    height, width, _ = first.shape
+    pictures = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(frames_per_second)]
+    coded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart", "-f", "mp4"]
+    command = [get_ffmpeg_exe(), "-v", "quiet", "-y", *pictures, "-i", "-", *coded, str(path.absolute())]
+    # A pipe that breaks means that the encoder has failed, as its status says.
+    with contextlib.suppress(BrokenPipeError), subprocess.Popen(command, stdin=subprocess.PIPE) as encoder:
+        assert encoder.stdin is not None
+        last = first
+        for last in itertools.chain([first], shown):
+            encoder.stdin.write(last.tobytes())
+        for _ in range(round(last_seconds * frames_per_second)):
+            encoder.stdin.write(last.tobytes())
+    if encoder.returncode != 0:
+        raise InputError(f"{path}: cannot be written as MP4; give another file, or one that ends in .gif")

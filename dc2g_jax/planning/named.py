@@ -2,13 +2,13 @@
 
 import dataclasses
 import functools
-import importlib
 import os
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, ExactCostToGo, answers_in_cells
+from dc2g_jax.own_parts import own_part
 from dc2g_jax.planning.frontiers import facing_most
 from dc2g_jax.planning.guarantee import Guaranteed
 from dc2g_jax.planning.planners import DC2G, Frontier, MapRevisingPlanner, Oracle
@@ -81,7 +81,7 @@ def make(
     ```
 
     Args:
-      name: one of `PLANNERS`, or `package.module:Class` for a class of your own, which is called with the rules.
+      name: one of `PLANNERS`, or `package.module:Name` for a class of your own, which is called with the rules.
       network: network of a planner in `NETWORK_PLANNERS`: an estimator, or the place of a trained network, see
         `dc2g_jax.estimation.hub.load`; `None` for the shipped network.
       settings: the rules, one of `dc2g_jax.planning.rules.SETTINGS` or its name.
@@ -101,7 +101,7 @@ def make_planner(
     """Make a planner by name from rules and an estimator.
 
     Args:
-      name: one of `PLANNERS`, or `package.module:Class` for a class of your own, which is called with the rules.
+      name: one of `PLANNERS`, or `package.module:Name` for a class of your own, which is called with the rules.
       rules: field of view and definition of frontiers.
       estimator: network of a planner in `NETWORK_PLANNERS`.
       patience: patience of a planner in `NETWORK_PLANNERS`.
@@ -115,7 +115,7 @@ def make_planner(
         return NETWORK_PLANNERS[name](estimator, rules, patience)
     if name in NETWORK_PLANNERS:
         raise InputError(f"the planner {name!r} needs an estimator, such as a trained network")
-    return _imported(name)(rules)
+    return own_part("planner", name, PLANNERS)(rules)
 
 
 def check_names(names: Iterable[str]) -> None:
@@ -126,7 +126,7 @@ def check_names(names: Iterable[str]) -> None:
     """
     for name in names:
         if name not in PLANNERS:
-            _imported(name)
+            own_part("planner", name, PLANNERS)
 
 
 def open_estimator(network: Estimator | str | os.PathLike[str] | None) -> Estimator:
@@ -141,18 +141,3 @@ def open_estimator(network: Estimator | str | os.PathLike[str] | None) -> Estima
     from dc2g_jax.estimation.hub import load
 
     return load(network)
-
-
-def _imported(name: str) -> Any:
-    """Import a planner class given as `package.module:Class`."""
-    module, colon, attribute = name.partition(":")
-    if not colon:
-        known = ", ".join(PLANNERS)
-        raise InputError(f"no planner is called {name!r}; known: {known} (one of your own: package.module:Class)")
-    try:
-        return getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise InputError(
-            f"planner {name!r}: cannot be imported ({error}); give package.module:Class, of a module that Python finds "
-            "in this folder or among the installed ones"
-        ) from None

@@ -6,12 +6,13 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 
-from dc2g_jax.errors import InputError
+from dc2g_jax.errors import InputError, short
 from dc2g_jax.grid import bitboard, search
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import PoseSet, every_heading, with_headings
 from dc2g_jax.grid.sensing import MAX_SENSING_RANGE, Kernel, expanding_kernel, field_of_view, line_of_sight
+from dc2g_jax.own_parts import own_part
 from dc2g_jax.planning import frontiers
 
 
@@ -144,13 +145,18 @@ SETTINGS = {
 
 
 def named_settings(settings: str | Settings) -> Settings:
-    """Settings by name. `Settings` are returned as they are.
+    """Settings by name, one of `SETTINGS` or `package.module:Name`. `Settings` are returned as they are.
 
     Raises:
-      InputError: the name is unknown.
+      InputError: the name is unknown, or there are no `Settings` of that name.
     """
     if isinstance(settings, Settings):
         return settings
-    if settings not in SETTINGS:
-        raise InputError(f"no settings are called {settings!r}; known: {', '.join(SETTINGS)}")
-    return SETTINGS[settings]
+    if settings in SETTINGS:
+        return SETTINGS[settings]
+    found = own_part("set of rules", settings, SETTINGS)
+    if not isinstance(found, Settings):
+        raise InputError(
+            f"set of rules {settings!r}: is {short(found)}; give an instance of dc2g_jax.planning.rules.Settings"
+        )
+    return found

@@ -21,7 +21,7 @@ from dc2g_jax.estimation import compact_unet
 from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import mesh_of, platform, settle
-from dc2g_jax.training.losses import LOSSES, map_loss
+from dc2g_jax.training.losses import LOSSES, map_loss, named_loss
 
 #: Maximum number of equal parts of a batch, which devices can share.
 _MOST_PARTS = 8
@@ -58,7 +58,7 @@ class TrainingConfig:
       architecture: architecture of the network.
       steps: total number of optimizer steps, over which the learning rate decays to zero.
       batch_size: pairs per step; a multiple of 8 keeps up to eight devices busy.
-      losses: names of losses, see `dc2g_jax.training.losses.LOSSES`, with their weights.
+      losses: names of losses, see `dc2g_jax.training.losses.named_loss`, with their weights.
       learning_rate: peak learning rate, after a short linear warm-up.
       weight_decay: decoupled weight decay.
       average_decay: decay of the running average of the weights, which is the final network.
@@ -182,7 +182,7 @@ def mean_loss(
     estimate = compact_unet.apply(recipe.architecture, weights, batch.terrain) / scale
 
     def mean(name: str, weight: Float[Array, ""]) -> Float[Array, ""]:
-        of_map = functools.partial(map_loss, LOSSES[name], levels=levels)
+        of_map = functools.partial(map_loss, named_loss(name), levels=levels)
         # A loss of weight 0 must not overflow.
         judged = jnp.where(weight > 0, estimate, 0.0)
         return weight * jnp.mean(jax.vmap(of_map)(judged, batch.target / scale, batch.weight))

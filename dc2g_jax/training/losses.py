@@ -3,11 +3,13 @@
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from dc2g_jax.errors import InputError
+from dc2g_jax.errors import InputError, short
+from dc2g_jax.own_parts import own_part
 
 #: What losses get, in units of the network's cost scale, and the levels of the estimated quantiles.
 _Estimate = Float[Array, "h w quantiles"]
@@ -62,8 +64,27 @@ LOSSES: Mapping[str, Loss] = MappingProxyType(
 )
 
 
+def named_loss(name: str) -> Loss:
+    """A loss by name, one of `LOSSES` or `package.module:Name`.
+
+    Raises:
+      InputError: the name is unknown, or the loss is not one number for each estimate.
+    """
+    if name in LOSSES:
+        return LOSSES[name]
+    loss = own_part("loss", name, LOSSES)
+    shapes = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in ((2, 3, 5), (2, 3, 1), (5,))]
+    found = jax.eval_shape(loss, *shapes) if callable(loss) else loss
+    if getattr(found, "shape", None) != shapes[0].shape:
+        raise InputError(
+            f"loss {name!r}: gives {short(found)} for 2 x 3 cells and 5 quantiles; give a function of estimate, target "
+            "and levels that returns one number for each estimate"
+        )
+    return loss
+
+
 def parse_losses(text: str) -> tuple[tuple[str, float], ...]:
-    """Parse losses and their weights from text such as `l1` or `quantile=1,log=0.5`.
+    """Parse losses and their weights from text such as `l1`, `quantile=1,log=0.5` or `package.module:Name`.
 
     Raises:
       InputError: a loss is unknown or given twice, or a weight is not a number above 0.
@@ -75,8 +96,7 @@ def parse_losses(text: str) -> tuple[tuple[str, float], ...]:
             value = float(weight) if weighted else 1.0
         except ValueError:
             value = -1.0
-        if name not in LOSSES:
-            raise InputError(f"loss {name!r} is not known; known losses: {', '.join(LOSSES)}")
+        named_loss(name)
         if not 0 < np.float32(value) < np.inf:
             raise InputError(
                 f"loss {text!r}: the weight of {name} is {weight!r}; give a number above 0 that single precision holds"

@@ -51,7 +51,8 @@ def runs_of_grid(
             raise InputError(f"{name}: {', '.join(map(str, values))} has a value twice; give each once")
     runs: dict[str, TrainingConfig] = {}
     for width, loss, rate, seed in itertools.product(widths, losses, learning_rates, seeds):
-        name = f"{loss}_rate{float(rate)!r}_width{'-'.join(map(str, width))}_seed{seed}".replace(",", "+")
+        name = f"{loss}_rate{float(rate)!r}_width{'-'.join(map(str, width))}_seed{seed}"
+        name = name.replace(",", "+").replace(":", ".")  # a folder's
         run = dataclasses.replace(
             base,
             architecture=dataclasses.replace(base.architecture, widths=tuple(width)),

@@ -1,7 +1,9 @@
 """The command `dc2g`, and what a wheel installs."""
 
+import importlib.metadata
 import json
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -50,13 +52,61 @@ def test_a_command_names_itself_as_it_is_typed(name, monkeypatch, capsys):
 
 @pytest.mark.parametrize(
     ("words", "meant"),
-    [(["fig77"], "dc2g fig7"), (["map"], "dc2g map check or dc2g map explore"), (["xyzzy"], "dc2g --help lists all")],
+    [
+        (["fig77"], "dc2g fig7"),
+        (["map", "--dataset"], "dc2g map check or dc2g map explore"),
+        (["xyzzy"], "dc2g --help lists all"),
+    ],
 )
 def test_a_command_that_is_none(words, meant, monkeypatch, capsys):
     assert ended(monkeypatch, *words) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"error: no command is called '{words[0]}'")
+    assert line.startswith(f"error: no command is called '{' '.join(words)}'")
     assert meant in line
+
+
+@pytest.mark.parametrize("words", [["map"], ["map", "--help"], ["map", "-h"]])
+def test_a_group_alone_lists_its_commands(words, monkeypatch, capsys):
+    assert ended(monkeypatch, *words) == 0
+    usage, *lines = capsys.readouterr().out.splitlines()
+    assert usage == "usage: dc2g map COMMAND [OPTIONS]"
+    shown = [line.partition("  ")[2].partition("  ")[0].strip() for line in lines if line.startswith("  ")]
+    assert shown == [name for name in commands.COMMANDS if name.startswith("map ")]
+
+
+def test_the_version_is_that_of_the_package(monkeypatch, capsys):
+    assert ended(monkeypatch, "--version") == 0
+    assert capsys.readouterr().out == f"dc2g {importlib.metadata.version('dc2g_jax')}\n"
+
+
+def completed(script: Path, shell: str, *words: str) -> list[str]:
+    """What a shell offers for the last of the words."""
+    if shell == "bash":
+        ask = 'source "$0"; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); _tyro_dc2g; printf "%s\\n" "${COMPREPLY[@]}"'
+    else:  # what zsh calls when a key is pressed, noting what would be shown
+        ask = (
+            '_describe() { print -l -- "${(@)${(@P)2}%%:*}" }; words=("$@"); CURRENT=$#; script=$0; set --; '
+            'source "$script"'
+        )
+    command = [shell, "-c", ask, script, *words]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_a_shell_completes_commands_and_options(shell, tmp_path, monkeypatch, capsys):
+    if shutil.which(shell) is None:
+        pytest.skip(f"{shell} is not installed")
+    assert ended(monkeypatch, "--completion", shell) == 0
+    script = tmp_path / "_dc2g"
+    script.write_text(capsys.readouterr().out)
+    assert {"map", "mapping-speed"} <= {*completed(script, shell, "dc2g", "ma")}
+    assert {"check", "explore", "osm", "recording"} <= {*completed(script, shell, "dc2g", "map", "")}
+    assert "--starts" in completed(script, shell, "dc2g", "run", "--st")
+
+
+def test_a_completion_for_another_shell_is_refused(monkeypatch, capsys):
+    assert ended(monkeypatch, "--completion", "fish") == 2
+    assert capsys.readouterr().err == "error: --completion: give bash or zsh\n"
 
 
 def test_commands_that_are_imported_change_nothing():

@@ -1,11 +1,16 @@
 """The page of `dc2g demo`, with a simulated visitor and with a browser."""
 
 import asyncio
+import contextlib
+import json
 import os
 import shutil
 import socket
 import subprocess
 import sys
+import time
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,10 +28,14 @@ from tests.support.toy import HOUSE
 
 pytest.importorskip("nicegui", reason="the extra demo is not installed")
 
+import httpx
+import websockets.exceptions
+import websockets.sync.client
 from nicegui import ui
 from nicegui.testing import user_simulation
 
 from dc2g_jax.cli.demo_page import Page, check_port
+from dc2g_jax.cli.local_server import LARGEST_BODY
 
 
 def broken(rules):
@@ -127,40 +136,141 @@ def test_a_port_that_is_taken():
     refusal(lambda: check_port(70000), "--port 70000")
 
 
-@pytest.mark.slow
-def test_a_browser_plays_and_paints(tmp_path):
-    """In Chromium, which asks nobody but this machine."""
-    browsers = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    names = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
-    chromium = next(filter(None, map(shutil.which, names)), None)
-    if chromium is None:
-        pytest.skip(f"no browser is installed: none of {', '.join(names)}")
-    np.save(tmp_path / "toy.npy", HOUSE.terrain)
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Host and port of the real command, with a toy map and frontier exploration."""
+    toy = tmp_path_factory.mktemp("demo") / "toy.npy"
+    np.save(toy, HOUSE.terrain)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
-    options = ["--no-browser", "--port", port, "--dataset", tmp_path / "toy.npy", "--planner", "frontier"]
+    options = ["--no-browser", "--port", port, "--dataset", toy, "--planner", "frontier"]
     # Where NiceGUI sees pytest, it serves as its own tests need it.
     outside = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
     command_line = [sys.executable, "-m", "experiments.demo", *options]
     with subprocess.Popen(command_line, cwd=ROOT, env=outside, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert port in process.stdout.readline()
-        with browsers.sync_playwright() as play:
-            page = play.chromium.launch(executable_path=chromium, args=["--no-sandbox"]).new_page()
-            page.set_default_timeout(60_000)
-            asked: list[str] = []
-            page.on("request", lambda request: asked.append(request.url))
-            page.goto(f"http://127.0.0.1:{port}/")
-            page.get_by_text("step 0:").wait_for()
-            page.get_by_role("button", name="Play").click()
-            page.get_by_text("reached the door").wait_for()
-            page.get_by_role("tab", name="Draw").click()
-            canvas = page.locator(".canvas img")
-            before = canvas.get_attribute("src")
-            canvas.click(position={"x": 5, "y": 5})
-            page.wait_for_function("src => document.querySelector('.canvas img').src != src", arg=before)
-            page.get_by_role("tab", name="Watch").click()
-            page.get_by_text("step 0:").wait_for()
-        assert {url.split("/")[2] for url in asked if not url.startswith("data:")} == {f"127.0.0.1:{port}"}
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline:
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", int(port))):
+                break
+            time.sleep(0.1)
+        yield f"127.0.0.1:{port}"
         process.terminate()
+
+
+#: Where the page keeps its connection, with engine.io's parameters.
+SOCKET = "/_nicegui_ws/socket.io/?EIO=4&transport="
+
+
+def foreign_origins(address: str) -> list[str]:
+    """Another site, another server on this machine, another spelling of it, and a page without an origin."""
+    port = address.partition(":")[2]
+    elsewhere = ["https://example.com", f"http://{address}.example"]
+    return [*elsewhere, "http://127.0.0.1:1", f"http://localhost:{port}", "null"]
+
+
+def assert_guarded(answer: Any) -> None:
+    """Every answer has the headers."""
+    assert "frame-ancestors 'none'" in answer.headers["content-security-policy"]
+    assert answer.headers["x-frame-options"] == "DENY"
+    assert answer.headers["x-content-type-options"] == "nosniff"
+
+
+@pytest.mark.parametrize("path", ["/", SOCKET + "polling"])
+def test_pages_of_other_origins_are_refused(address, path):
+    for origin in (None, f"http://{address}"):
+        answer = httpx.get(f"http://{address}{path}", headers={} if origin is None else {"Origin": origin})
+        assert answer.status_code == 200
+        assert_guarded(answer)
+    for origin in foreign_origins(address):
+        answer = httpx.get(f"http://{address}{path}", headers={"Origin": origin})
+        assert (answer.status_code, answer.text) == (403, "pages of other origins are refused"), origin
+        assert_guarded(answer)
+
+
+def test_web_sockets_of_other_origins_are_refused(address):
+    for origin in (None, f"http://{address}"):
+        with websockets.sync.client.connect(f"ws://{address}{SOCKET}websocket", origin=origin) as connection:
+            assert connection.recv(timeout=20).startswith('0{"sid":')
+    for origin in foreign_origins(address):
+        with pytest.raises(websockets.exceptions.InvalidStatus) as refused:
+            websockets.sync.client.connect(f"ws://{address}{SOCKET}websocket", origin=origin)
+        assert refused.value.response.status_code == 403
+        assert_guarded(refused.value.response)
+
+
+def test_large_bodies_are_refused(address):
+    large = LARGEST_BODY * b"x"
+    for body in (large + b"x", iter([large, b"x"])):  # with a length, and in chunks without one
+        answer = httpx.post(f"http://{address}/", content=body)
+        assert answer.status_code == 413
+        assert_guarded(answer)
+    assert httpx.post(f"http://{address}/", content=large).status_code == 200
+    opened = httpx.get(f"http://{address}{SOCKET}polling").text
+    session = json.loads(opened[1:])["sid"]
+    assert httpx.post(f"http://{address}{SOCKET}polling&sid={session}", content=b"40").text.lower() == "ok"
+
+
+def test_other_names_of_this_machine_are_refused(address):
+    answer = httpx.get(f"http://{address}/", headers={"Host": "example.com"})
+    assert answer.status_code == 400
+    assert_guarded(answer)
+
+
+def test_the_page_names_its_language(address):
+    assert '<html lang="en-US"' in httpx.get(f"http://{address}/").text
+
+
+@pytest.fixture
+def page() -> Iterator[Any]:
+    """A page of Chromium."""
+    browsers = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    names = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
+    chromium = next(filter(None, map(shutil.which, names)), None)
+    if chromium is None:
+        pytest.skip(f"no browser is installed: none of {', '.join(names)}")
+    with browsers.sync_playwright() as play:
+        page = play.chromium.launch(executable_path=chromium, args=["--no-sandbox"]).new_page()
+        page.set_default_timeout(60_000)
+        yield page
+
+
+@pytest.mark.slow
+def test_a_browser_plays_and_paints(page, address):
+    """It asks nobody but this machine."""
+    asked: list[str] = []
+    told: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.on("console", lambda message: told.append(message.text))
+    page.goto(f"http://{address}/")
+    page.get_by_text("step 0:").wait_for()
+    page.get_by_role("img", name="Map of frontier, step 0:").wait_for()
+    page.get_by_role("button", name="Play").click()
+    page.get_by_text("reached the door").wait_for()
+    page.get_by_role("tab", name="Draw").click()
+    page.get_by_role("img", name="Map to draw on").wait_for()
+    canvas = page.locator(".canvas img")
+    before = canvas.get_attribute("src")
+    canvas.click(position={"x": 5, "y": 5})
+    page.wait_for_function("src => document.querySelector('.canvas img').src != src", arg=before)
+    page.get_by_role("tab", name="Watch").click()
+    page.get_by_text("step 0:").wait_for()
+    assert {url.split("/")[2] for url in asked if not url.startswith("data:")} == {address}
+    assert [words for words in told if "Content Security Policy" in words] == []
+
+
+@pytest.mark.slow
+def test_a_page_elsewhere_cannot_connect_from_a_browser(page, address):
+    connect = """url => new Promise(done => {
+        const connection = new WebSocket(url)
+        connection.onopen = () => done("open")
+        connection.onerror = () => done("refused")
+    })"""
+    poll = "url => fetch(url).then(answer => answer.status, () => 'refused')"
+    where = f"{address}{SOCKET}"
+    for place, outcomes in ((f"http://{address}/", ["open", 200]), ("about:blank", ["refused", "refused"])):
+        page.goto(place)
+        found = [page.evaluate(connect, f"ws://{where}websocket"), page.evaluate(poll, f"http://{where}polling")]
+        assert found == outcomes

@@ -157,6 +157,7 @@ def test_colors_outside_the_palette_are_all_listed(tmp_path, palette, yard):
 def test_a_picture_without_palette(tmp_path, yard):
     path = paint(tmp_path / "yard.png", yard)
     refusal(lambda: read_map(path), path, "needs a palette", "class,r,g,b")
+    refusal(lambda: read_map(tmp_path / "gone.png"), tmp_path / "gone.png", "no such file", "give")
     paint(tmp_path / "yard.png", yard)
     refusal(lambda: open_dataset(tmp_path), tmp_path / "labels_colors.csv", "no such file", "class,r,g,b")
 

@@ -16,11 +16,13 @@ import jax
 import numpy as np
 import pytest
 
+import dc2g_jax as dc2g
 from dc2g_jax.cli.common import command_line
 from dc2g_jax.datasets.houses import load_dataset, save_dataset
 from dc2g_jax.datasets.procedural import PROCEDURAL_SPLIT, draw_house, house_seed
 from dc2g_jax.datasets.starts import sample_starts
 from dc2g_jax.estimation.checkpoints import load_network
+from dc2g_jax.estimation.estimators import ExactCostToGo
 from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD
 from experiments import (
     head_to_head,
@@ -129,6 +131,23 @@ def test_run_episodes_replays_what_was_asked_for(few_houses, figure, tmp_path):
         "extra", "mode", "actions",
     ]  # fmt: skip
     assert again == rows
+
+
+def test_an_estimator_and_rules_of_the_users_own_run_by_name(few_houses, tmp_path):
+    starts, houses = tmp_path / "starts.csv", load_dataset(few_houses)
+    start = sample_starts([houses.split("val")[0]], 1, seed=0)[0]
+    starts.write_text(f"house,x,y,heading\n{start.house},{start.x},{start.y},{start.heading}\n")
+    result = run(
+        "run_episodes", "--starts", starts, "--dataset", few_houses, "--out", tmp_path / "out", "--planner", "dc2g",
+        "--network", "dc2g_jax.estimation.estimators:ExactCostToGo",
+        "--settings", "tests.planning.test_planners:NARROW",
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    assert "settings tests.planning.test_planners:NARROW" in result.stdout
+    with (tmp_path / "out" / "episodes.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    (alone,) = dc2g.evaluate("dc2g", houses, starts=[start], sensing_range=3, network=ExactCostToGo())
+    assert (row["range"], row["actions"]) == ("3", alone.actions)
 
 
 def test_ctrl_c_keeps_what_is_done_and_resume_goes_on(few_houses, tmp_path):
@@ -307,7 +326,7 @@ def test_commands_refuse_what_they_cannot_use(few_houses, tmp_path, compact_netw
     refused(reproduce_fig7, "--record -1", record=-1)
     refused(reproduce_fig7, "step limit 0", step_limit=0)
     refused(head_to_head, "published houses")
-    refused(train, "known losses: quantile, l1", loss="l9")
+    refused(train, "known: quantile, l1", loss="l9")
     refused(train, "--quantiles 0.5 0.9", "equally likely", "0.25 0.75", quantiles=(0.5, 0.9))
     refused(train, "another architecture", "--widths", after=str(compact_network))
     refused(sweep_losses, "'none'", losses=("l1=none",))
@@ -328,7 +347,7 @@ def test_training_resumes_and_its_network_plans(few_houses, tmp_path):
     options = [
         "train", "--dataset", few_houses, "--out", out, "--extra-houses", 2, "--starts-per-house", 1,
         "--masks-per-episode", 2, "--steps", 4, "--batch-size", 4, "--ranges", 6, "--validate-every", 0, "--record",
-        "--track", "tensorboard",
+        "--track", "tensorboard", "--loss", "l1,tests.training.test_losses:squares",
     ]  # fmt: skip
     first = run(*options)
     assert first.returncode == 0, first.stderr

@@ -28,6 +28,7 @@ def _video(path) -> tuple[list[np.ndarray], float]:
     while True:
         there, picture = video.read()
         if not there:
+            assert int(video.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little") in (b"h264", b"avc1")
             return found, video.get(cv2.CAP_PROP_FPS)
         found.append(picture[..., ::-1])
 

@@ -73,9 +73,27 @@ def test_make_takes_settings_and_the_network_from_where_it_is_told():
     refusal(lambda: make("dc2g", network="no_such_folder"), "no_such_folder", "no such file")
 
 
+class Plain(ExactCostToGo):
+    """A class that JAX does not know."""
+
+
+def narrow_estimator():
+    return ExactCostToGo(log_error=1.0)
+
+
+def test_an_estimator_of_the_users_own_goes_by_its_name():
+    module = ExactCostToGo.__module__
+    assert make("dc2g", network=f"{module}:ExactCostToGo") == make("dc2g", network=ExactCostToGo())
+    assert make("dc2g", network=f"{__name__}:narrow_estimator") == make("dc2g", network=narrow_estimator())
+    refusal(lambda: make("dc2g", network=f"{__name__}:refusal"), ":refusal'", "called without arguments")
+    for wrong in ("Plain", "RULES"):
+        refusal(lambda wrong=wrong: make("dc2g", network=f"{__name__}:{wrong}"), f":{wrong}'", "flax.struct.dataclass")
+    refusal(lambda: make("dc2g", network="no_such_module:Estimator"), "'no_such_module:Estimator'", ":Name")
+
+
 def test_a_class_is_named_by_its_module():
     name = f"{Frontier.__module__}:{Frontier.__name__}"
     check_names([name, "oracle"])
     assert make(name, sensing_range=4) == Frontier(RULES)
     for wrong in ("no_such_module:Planner", f"{Frontier.__module__}:NoSuchPlanner", ":Frontier", "math:"):
-        refusal(lambda wrong=wrong: check_names([wrong]), repr(wrong), "package.module:Class")
+        refusal(lambda wrong=wrong: check_names([wrong]), repr(wrong), "package.module:Name")

@@ -18,7 +18,7 @@ from dc2g_jax.grid.terrain import OPAQUE
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.frontiers import facing_most
 from dc2g_jax.planning.planners import DC2G, EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL, Frontier, Oracle, any_heading
-from dc2g_jax.planning.rules import SETTINGS, complete_rules, reference_rules
+from dc2g_jax.planning.rules import SETTINGS, Settings, complete_rules, named_settings, reference_rules
 from dc2g_jax.planning.selection import ExpectedCost, Patience
 from dc2g_jax.rollouts.evaluation import action_letters
 from dc2g_jax.rollouts.rollout import Episodes, rollout
@@ -382,6 +382,16 @@ def test_named_settings():
     assert (reference.rules(5, 4).sensing, reference.rules(5, 4).expanding_range) == (field_of_view(5), 4)
     assert paper.rules(6) is complete_rules(6)
     refusal(lambda: paper.rules(6, 4), "expanding range 4", "'paper'", "leave expanding_range out")
+
+
+NARROW = Settings("narrow", 3, None, lambda sensing_range, _: complete_rules(sensing_range))
+
+
+def test_settings_of_the_users_own_go_by_their_name():
+    assert named_settings(f"{__name__}:NARROW") is NARROW
+    assert named_settings("paper") is SETTINGS["paper"]
+    refusal(lambda: named_settings("wide"), "'wide'", "known: published, reference, paper, occluded", ":Name")
+    refusal(lambda: named_settings(f"{__name__}:run"), ":run'", "give an instance of dc2g_jax.planning.rules.Settings")
 
 
 def test_equal_rules_are_one_value():

@@ -107,7 +107,7 @@ def test_planners_of_ones_own_are_run_beside_the_others(dataset):
     results = runner.run(STARTS, {"mine": Frontier, "frontier": "frontier"})
     assert [result._replace(planner="frontier") for result in results[: len(STARTS)]] == results[len(STARTS) :]
     assert {result.planner for result in results[: len(STARTS)]} == {"mine"}
-    with pytest.raises(ValueError, match=r"no planner is called 'mine'; known: oracle, .*package\.module:Class"):
+    with pytest.raises(ValueError, match=r"no planner is called 'mine'; known: oracle, .*package\.module:Name"):
         runner.run(STARTS, ["mine"])
     with pytest.raises(ValueError, match="planner oracle: "):
         runner.run(STARTS, {"oracle": Frontier})

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.training.losses import LOSSES, map_loss, parse_losses
+from dc2g_jax.training.losses import LOSSES, map_loss, named_loss, parse_losses
+from tests.support.refusals import refusal
 
 LEVELS = jnp.array([0.1, 0.5, 0.9])
 
@@ -65,8 +66,28 @@ def test_a_loss_is_a_weighted_mean_of_what_counts(name):
     assert np.all(gradient[np.asarray(weight) > 0] != 0)
 
 
+def squares(estimate, target, levels):
+    """As `l2`."""
+    return jnp.square(target - estimate)
+
+
+def mean_of_squares(estimate, target, levels):
+    return jnp.mean(squares(estimate, target, levels))
+
+
+def test_a_loss_of_the_users_own_goes_by_its_name():
+    own = f"{__name__}:squares"
+    assert parse_losses(f"l1=0.5,{own}=2") == (("l1", 0.5), (own, 2.0))
+    estimate, target, weight = jnp.array([[[1.0], [5.0]]]), jnp.array([[2.0, 2.0]]), jnp.array([[1.0, 3.0]])
+    values = [map_loss(named_loss(name), estimate, target, weight, jnp.array([0.5])) for name in (own, "l2")]
+    assert [float(value) for value in values] == [7.0, 7.0]
+    refusal(lambda: parse_losses(f"{__name__}:cubes"), "test_losses:cubes", "cannot be imported", "package.module:Name")
+    for name in ("mean_of_squares", "LEVELS"):
+        refusal(lambda name=name: parse_losses(f"{__name__}:{name}"), f":{name}'", "one number for each estimate")
+
+
 def test_an_unknown_loss_lists_the_known_ones():
     for name in LOSSES:
         assert parse_losses(name) == ((name, 1.0),)
-    with pytest.raises(InputError, match=r"'l3' is not known; known losses: quantile, l1, l2, huber, log"):
+    with pytest.raises(InputError, match=r"no loss is called 'l3'; known: quantile, l1, l2, huber, log"):
         parse_losses("l1,l3")

@@ -1,0 +1,79 @@
+"""Protection of a server on this machine from other web sites that the user's browser shows."""
+
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+#: Largest body of a request, in bytes.
+LARGEST_BODY = 1_000_000
+
+#: Headers of every answer: nothing from other hosts is loaded, no other site shows the page in a frame, and files are
+#: what they say they are. NiceGUI's page has scripts and styles in it, and compiles templates.
+ANSWER_HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
+        "img-src 'self' data:; font-src 'self' data:; object-src 'none'; base-uri 'none'; form-action 'none'; "
+        "frame-ancestors 'none'"
+    ),
+    "X-Frame-Options": "DENY",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+class OwnOriginOnly:
+    """Middleware that refuses requests and web sockets of pages from another origin, and large bodies.
+
+    A page of the server itself sends the server's own address as its `Origin`. Programs other than browsers send none.
+    The `Host` must be checked too, as by Starlette's `TrustedHostMiddleware`.
+
+    Args:
+      app: the application behind it.
+    """
+
+    def __init__(self, app: ASGIApp):
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Refuse a request, or pass it on."""
+        if scope["type"] == "lifespan":
+            return await self.app(scope, receive, send)
+
+        async def answer(message: Message) -> None:
+            if message["type"].endswith("http.response.start"):  # also of a web socket that is refused
+                MutableHeaders(scope=message).update(ANSWER_HEADERS)
+            await send(message)
+
+        headers = Headers(scope=scope)
+        origin = headers.get("origin")
+        if origin is not None and urlsplit(origin).netloc != headers.get("host"):
+            return await PlainTextResponse("pages of other origins are refused", 403)(scope, receive, answer)
+        if scope["type"] == "websocket":
+            return await self.app(scope, receive, send)
+        body = await _body(headers, receive)
+        if body is None:
+            return await PlainTextResponse("the body is too large", 413)(scope, receive, answer)
+        await self.app(scope, _again(body, receive), answer)
+
+
+async def _body(headers: Headers, receive: Receive) -> bytes | None:
+    """The body of a request; `None` if it is too large."""
+    if int(headers.get("content-length", 0)) > LARGEST_BODY:
+        return None
+    body, more = b"", True
+    while more and len(body) <= LARGEST_BODY:
+        message = await receive()
+        body += message.get("body", b"")
+        more = message.get("more_body", False)
+    return body if len(body) <= LARGEST_BODY else None
+
+
+def _again(body: bytes, receive: Receive) -> Receive:
+    """What receives a body that has been read already, and then the rest."""
+    first: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
+
+    async def read() -> Message:
+        return first.pop() if first else await receive()
+
+    return read
