@@ -209,9 +209,9 @@ class Demo:
         self.walks = {name: Walk(self._planner(name), terrain, self.start, self._rules) for name in self.planners}
 
     def _planner(self, name: str) -> Planner:
-        """A planner, with the chosen weights if it has them and costs are in cells."""
+        """A planner, with the chosen weights if its name stands for such weights and costs are in cells."""
         planner: Any = make_planner(name, self._rules, self._estimator)
-        if name not in NETWORK_PLANNERS or not hasattr(planner, "gain_weight") or not answers_in_cells(self._estimator):
+        if name not in NETWORK_PLANNERS or not getattr(planner, "gain_weight", 0.0):
             return planner
         selection = dataclasses.replace(planner.selection, distance_weight=self.distance_weight)
         return dataclasses.replace(planner, selection=selection, gain_weight=self.gain_weight)

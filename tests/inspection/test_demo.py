@@ -114,6 +114,15 @@ def test_weights_and_range_are_the_planner_s(demo):
         assert candidate.score == pytest.approx(candidate.cost_to_go + 1.5 * candidate.distance, rel=1e-4)
 
 
+def test_no_weight_is_added_to_algorithm_2(demo):
+    demo.planners = ["dc2g_paper"]
+    demo.distance_weight, demo.gain_weight = 1.5, 4.0
+    demo.begin()
+    demo.step()
+    for candidate in demo.walks["dc2g_paper"].moments[0].decision.candidates:
+        assert candidate.score == candidate.cost_to_go
+
+
 def test_painting_and_placing(demo):
     before = demo.terrain.copy()
     demo.paint((1, 2), (3, 2), "road", 1)

@@ -9,10 +9,10 @@ from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, Trans
 from dc2g_jax.estimation.extents import CroppedEstimator, WindowedEstimator
 from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax.planning.guarantee import Guaranteed
-from dc2g_jax.planning.named import NETWORK_PLANNERS, check_names, make, make_planner
-from dc2g_jax.planning.planners import DC2G, Frontier, Oracle
+from dc2g_jax.planning.named import NETWORK_PLANNERS, STEP_PATIENCE, check_names, make, make_planner
+from dc2g_jax.planning.planners import DC2G, Frontier, Oracle, any_heading
 from dc2g_jax.planning.rules import SETTINGS, complete_rules
-from dc2g_jax.planning.selection import ExpectedCost, QuantileCost
+from dc2g_jax.planning.selection import ENDLESS, ExpectedCost, QuantileCost
 from tests.support.refusals import refusal
 
 RULES = complete_rules(4)
@@ -31,7 +31,8 @@ def test_make_planner():
 
 
 def test_planners_on_a_network_have_the_parameters_that_were_chosen():
-    dc2g, uncertain, guarded = (on_network(ExactCostToGo(), RULES) for on_network in NETWORK_PLANNERS.values())
+    paper, dc2g, uncertain, guarded = (on_network(ExactCostToGo(), RULES) for on_network in NETWORK_PLANNERS.values())
+    assert paper == DC2G(ExactCostToGo(), RULES)
     assert dc2g.selection == ExpectedCost(distance_weight=0.5)
     assert uncertain == dataclasses.replace(dc2g, selection=QuantileCost(level=0.7, distance_weight=0.5))
     assert guarded == Guaranteed(dc2g, dc2g.rules, factor=2.0, slack=3.0)
@@ -40,10 +41,28 @@ def test_planners_on_a_network_have_the_parameters_that_were_chosen():
 
 def test_planners_on_a_network_head_for_the_nearest_door_whatever_the_rules():
     reference = SETTINGS["reference"].rules()
-    for on_network in NETWORK_PLANNERS.values():
+    for name, on_network in NETWORK_PLANNERS.items():
         planner = on_network(ExactCostToGo(), reference)
         assert planner.rules.frontier_expanding is reference.frontier_expanding
-        assert planner.rules.goal_poses is RULES.goal_poses is not reference.goal_poses
+        assert RULES.goal_poses is not reference.goal_poses
+        assert planner.rules.goal_poses is (reference if name == "dc2g_paper" else RULES).goal_poses
+
+
+def test_the_papers_planner_is_that_of_the_paper():
+    """The values of Algorithm 2, written out. Its patience never ends, even where decisions count."""
+    reference = SETTINGS["reference"].rules()
+    planner = make_planner("dc2g_paper", reference, ExactCostToGo(), patience=STEP_PATIENCE)
+    assert planner == DC2G(
+        ExactCostToGo(),
+        reference,
+        selection=ExpectedCost(distance_weight=0.0),
+        rim_width=0,
+        views=((),),
+        gain_weight=0.0,
+        headings=any_heading,
+        patience=ENDLESS,
+        enough_news=0.0,
+    )
 
 
 def test_no_distance_is_added_to_pictures_however_they_are_asked_for():

@@ -17,6 +17,7 @@ from dc2g_jax.grid.sensing import field_of_view, line_of_sight
 from dc2g_jax.grid.terrain import OPAQUE
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.frontiers import facing_most
+from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.planners import DC2G, EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL, Frontier, Oracle, any_heading
 from dc2g_jax.planning.rules import SETTINGS, Settings, complete_rules, named_settings, reference_rules
 from dc2g_jax.planning.selection import ExpectedCost, Patience
@@ -101,6 +102,16 @@ def test_dc2g_episodes_with_an_estimator_of_what_was_observed(rules):
 
 
 @both_rules
+def test_the_papers_planner_is_algorithm_2_decided_anew_at_every_step(rules):
+    terrains, starts = random_worlds((11, 33), 1500)
+    done = run(make_planner("dc2g_paper", RULES[rules], Scattered()), terrains, starts)
+    cost_to_go = {"cost_to_go": lambda index: scattered}
+    check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, enough_news=0)
+    with pytest.raises(AssertionError):
+        check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, enough_news=7)
+
+
+@both_rules
 @pytest.mark.parametrize("rim_width", [1, 2])
 def test_dc2g_prefers_what_opens_ground(rules, rim_width):
     terrains, starts = random_worlds((11, 33), 700)
@@ -174,6 +185,30 @@ def deciding(planner, width: int):
         return plan, poses.unpack(plan.subgoals, width)
 
     return jax.jit(decide)
+
+
+@both_rules
+def test_dc2g_chooses_the_lowest_cost_to_go_and_of_equals_the_nearest(rules):
+    """Algorithm 2, lines 6 to 12, with the default fields."""
+    decide, decided, ties = deciding(DC2G(Scattered(), RULES[rules]), 33), 0, 0
+    for seed in range(40):
+        terrain, seen, pose = random_moment(seed, (7, 33), 0.8)
+        terrain = np.where(terrain == oracle.FRONT_DOOR, 3, terrain).astype(np.uint8)
+        free = seen & np.isin(terrain, oracle.TRAVERSABLE_CLASSES)
+        reached, radii = oracle.reachable(free, *pose[:2]), {"sensing_radius": SENSING, "expanding_radius": EXPANDING}
+        candidates = oracle.explore_poses(seen, reached, pose, rules=rules, **radii)
+        candidates = oracle.revealing_poses(candidates, seen, reached, pose, **radii)
+        if not candidates.any():
+            continue
+        cost = scattered(seen, np.where(seen, terrain, 0))
+        best = candidates & (cost == min(cost[y, x] for _, y, x in np.argwhere(candidates)))
+        plan, subgoals = decide(terrain, seen, pose)
+        np.testing.assert_array_equal(subgoals, best)
+        distances = oracle.distances_from(free, pose)[best]
+        assert (int(plan.mode), int(plan.length)) == (EXPLORE, distances.min())
+        decided, ties = decided + 1, ties + int(distances.max() > distances.min())
+    assert decided > 20
+    assert ties > 10
 
 
 @both_rules
