@@ -15,6 +15,7 @@ from dc2g_jax.datasets.houses import HouseDataset, open_dataset, stack_worlds
 from dc2g_jax.datasets.starts import Start, sample_starts, usable_houses
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.estimation.estimators import Estimator, extent_of
+from dc2g_jax.files.cache import keep_compiled_programs
 from dc2g_jax.grid import gridworld
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.ground import connected_to_goal, longest_way
@@ -363,6 +364,8 @@ def evaluate(
 ) -> Results:
     """Run planners from the same starts and compare each episode with the oracle's.
 
+    Compiled programs are kept on disk, see `dc2g_jax.files.cache.keep_compiled_programs`.
+
     ```
     results = dc2g_jax.evaluate(["frontier", "dc2g"], "procedural", split="val")
     results = dc2g_jax.evaluate({"mine": MyPlanner, "frontier": "frontier"}, "procedural", split="val")
@@ -389,6 +392,7 @@ def evaluate(
       InputError: an argument is invalid, no episode can be run in any house, or a planner was made for another field of
         view than that of the episodes.
     """
+    keep_compiled_programs()
     if isinstance(planners, str) or not isinstance(planners, Iterable):
         planners = [planners]
     named = by_name(planners)
