@@ -53,8 +53,14 @@ class Pair:
     weight: Float[Array, "*batch h w"]
 
 
-def _turned(grid: Array, symmetry: Int[Array, ""]) -> Array:
-    """The grid under one of the symmetries of the square (of the rectangle if the grid is not square)."""
+def turned(grid: Array, symmetry: Int[Array, ""]) -> Array:
+    """The grid under one of the symmetries of the square (of the rectangle if the grid is not square).
+
+    Args:
+      grid: values of cells.
+      symmetry: 0 to 7: columns are reversed if bit 0 is set, rows if bit 1 is, and then the grid is transposed if bit 2
+        is.
+    """
     mirrored = jnp.where(symmetry & 1, grid[:, ::-1], grid)
     flipped = jnp.where(symmetry & 2, mirrored[::-1], mirrored)
     if grid.shape[0] != grid.shape[1]:
@@ -101,7 +107,7 @@ def make_pair(
     of_cost = 1 / (1 + jnp.where(counts, target, 0.0) / half_weight_cost)
     weight = jnp.where(_near(~seen, edge_width), edge_weight, 1.0) * of_cost * counts
     pair = Pair(terrain=jnp.where(seen, data.terrain[world], jnp.uint8(0)), target=target, weight=weight)
-    return jax.tree.map(lambda grid: _turned(grid, symmetry), pair)
+    return jax.tree.map(lambda grid: turned(grid, symmetry), pair)
 
 
 #: Largest shift of a map in cells, per unit of jitter.

@@ -15,6 +15,7 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Float16, Int, Int16, UInt8, UInt16, UInt32
 
+from dc2g_jax.datasets.pairs import turned
 from dc2g_jax.objectnav.classes import SEMANTIC_CLASSES
 from dc2g_jax.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, IndoorMapSettings, square
 from dc2g_jax.objectnav.worlds import IndoorWorld, Leaf
@@ -28,9 +29,9 @@ UNEXPLORED, FREE, OBSTACLE = 0, 1, 2
 #: Stands for an infinite distance. Distances are stored in whole millimeters.
 _UNREACHABLE = np.iinfo(np.uint16).max
 
-#: Symmetries of a map: whether it is transposed, whether then its rows are reversed, and whether its columns are. The
-#: first four are rotations by 0, 90, 180 and 270 degrees counter-clockwise.
-SYMMETRIES = ((0, 0, 0), (1, 1, 0), (0, 1, 1), (1, 0, 1), (0, 0, 1), (0, 1, 0), (1, 0, 0), (1, 1, 1))
+#: Symmetries of a map, see `dc2g_jax.datasets.pairs.turned`. The first four are rotations by 0, 90, 180 and 270 degrees
+#: counter-clockwise.
+SYMMETRIES = (0, 5, 3, 6, 1, 2, 4, 7)
 
 #: Probabilities of the symmetries: always the identity; the paper's (section III-D); uniform.
 UPRIGHT = (1.0,) + (0.0,) * 7
@@ -133,20 +134,11 @@ def map_cells(codes: UInt8[Array, "h w"]) -> UInt32[Array, "h w"]:
     return jnp.asarray(_CHANNELS)[codes]
 
 
-def turned_grid(grid: Array, symmetry: Int[Array, "3"]) -> Array:
-    """A square grid in one of `SYMMETRIES`."""
-    transposed, rows, columns = symmetry
-    grid = jnp.where(transposed, jnp.swapaxes(grid, -1, -2), grid)
-    grid = jnp.where(rows, jnp.flip(grid, -2), grid)
-    return jnp.where(columns, jnp.flip(grid, -1), grid)
-
-
-def turned_heading(heading: Float[Array, ""], symmetry: Int[Array, "3"]) -> Float[Array, ""]:
+def turned_heading(heading: Float[Array, ""], symmetry: Int[Array, ""]) -> Float[Array, ""]:
     """A heading on a map in one of `SYMMETRIES`."""
-    transposed, rows, columns = symmetry
     east, north = jnp.cos(heading), jnp.sin(heading)
-    east, north = jnp.where(transposed, -north, east), jnp.where(transposed, -east, north)
-    return jnp.arctan2(jnp.where(rows, -north, north), jnp.where(columns, -east, east))
+    east, north = jnp.where(symmetry & 1, -east, east), jnp.where(symmetry & 2, -north, north)
+    return jnp.arctan2(jnp.where(symmetry & 4, -east, north), jnp.where(symmetry & 4, -north, east))
 
 
 def make_sample(
@@ -154,7 +146,7 @@ def make_sample(
     journey: Int[Array, ""],
     view: Int[Array, ""],
     target: Int[Array, ""],
-    symmetry: Int[Array, "3"],
+    symmetry: Int[Array, ""],
     normalize: Normalize,
 ) -> Samples:
     """The inputs of a network at a view of a journey, and the labels for a goal.
@@ -171,13 +163,13 @@ def make_sample(
     known = jnp.where(data.first_seen[journey] <= view, data.cells[house], jnp.uint8(UNEXPLORED))
 
     def around(grid: Array, side: int, beyond: int) -> Array:
-        return turned_grid(square(grid, cell - side // 2, side, beyond), symmetry)
+        return turned(square(grid, cell - side // 2, side, beyond), symmetry)
 
     window = around(known, GLOBAL, UNEXPLORED)
     truth = around(data.cells[house], LOCAL, UNEXPLORED)
     distance = around(data.distance[house, target], LOCAL, _UNREACHABLE)
     navigable = (truth == FREE) & (distance != _UNREACHABLE)
-    mirrored = jnp.sum(symmetry) % 2
+    mirrored = jax.lax.population_count(symmetry) % 2
     return Samples(
         cells=map_cells(window),
         target=target,

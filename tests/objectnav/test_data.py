@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from dc2g_jax.datasets.pairs import turned
 from dc2g_jax.mapping.camera import level_camera
 from dc2g_jax.mapping.simulator import cast
 from dc2g_jax.objectnav import mapping
@@ -27,7 +28,6 @@ from dc2g_jax.objectnav.data import (
     draw_samples,
     make_sample,
     map_cells,
-    turned_grid,
     turned_heading,
 )
 from dc2g_jax.objectnav.exploring import NEVER, visible
@@ -149,18 +149,18 @@ def test_the_network_is_shown_what_the_robots_map_would_show(world):
 
 def test_headings_turn_with_their_maps():
     """A pointer of cells from the middle, turned, points along the turned heading."""
-    for symmetry in np.array(SYMMETRIES):
+    for symmetry in SYMMETRIES:
         for heading, ahead in ((0.0, (10, 13)), (math.pi / 2, (7, 10)), (math.pi / 4, (8, 12))):
             grid = np.zeros((21, 21), np.uint8)
             grid[ahead] = 1
-            row, column = np.argwhere(np.asarray(turned_grid(jnp.asarray(grid), jnp.asarray(symmetry))))[0]
+            row, column = np.argwhere(np.asarray(turned(jnp.asarray(grid), jnp.asarray(symmetry))))[0]
             expected = math.atan2(10 - row, column - 10)
             found = float(turned_heading(jnp.float32(heading), jnp.asarray(symmetry)))
             assert math.cos(found - expected) == pytest.approx(1, abs=1e-5)
     grid = np.arange(9).reshape(3, 3)
     for turns in range(4):
-        turned = turned_grid(jnp.asarray(grid), jnp.asarray(SYMMETRIES[turns]))
-        np.testing.assert_array_equal(turned, np.rot90(grid, turns))
+        found = turned(jnp.asarray(grid), jnp.asarray(SYMMETRIES[turns]))
+        np.testing.assert_array_equal(found, np.rot90(grid, turns))
 
 
 def test_a_sample_is_what_was_known_then(samples, world):
@@ -188,11 +188,11 @@ def test_a_sample_is_what_was_known_then(samples, world):
     np.testing.assert_allclose(np.asarray(sample.cost)[place][free], label[free] / 10_000, rtol=1e-6)
     assert np.isinf(np.asarray(sample.cost)[np.asarray(sample.occupied)]).all()
     for symmetry in SYMMETRIES[1:]:
-        turned = make(1, view, target, jnp.asarray(symmetry))
-        mirrored = sum(symmetry) % 2
-        np.testing.assert_array_equal(turned.features, samples.features[1, view, mirrored].astype(jnp.float32))
-        np.testing.assert_array_equal(turned.cost, turned_grid(sample.cost, jnp.asarray(symmetry)))
-        np.testing.assert_array_equal(turned.cells, turned_grid(sample.cells, jnp.asarray(symmetry)))
+        other = make(1, view, target, jnp.asarray(symmetry))
+        mirrored = symmetry.bit_count() % 2
+        np.testing.assert_array_equal(other.features, samples.features[1, view, mirrored].astype(jnp.float32))
+        np.testing.assert_array_equal(other.cost, turned(sample.cost, jnp.asarray(symmetry)))
+        np.testing.assert_array_equal(other.cells, turned(sample.cells, jnp.asarray(symmetry)))
 
 
 def test_a_batch_is_drawn_for_goals_that_are_there(samples):
