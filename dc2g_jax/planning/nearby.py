@@ -78,7 +78,7 @@ def nearby(belief: Belief, before: Board, rules: Rules) -> Nearby | None:
         return jax.lax.dynamic_slice_in_dim(words, row, _ROWS, axis=-2)
 
     # A window has whole words. Bits beyond the map's last column are outside the map.
-    outside = jnp.broadcast_to(jnp.asarray(~bitboard.full(1, belief.width))[..., None], (n_words, height, 1))
+    outside = jnp.asarray(~bitboard.full(height, belief.width))[..., None]
     part = dataclasses.replace(
         belief,
         pose=Pose(belief.pose.x - WORD_BITS * word, belief.pose.y - row, belief.pose.heading),

@@ -81,11 +81,12 @@ class Planner(Protocol):
     """The interface of a planner. Both methods are pure and traced.
 
     Attributes:
-      batch_per_core: number of robots to simulate side by side on one CPU core. A single one is fastest, except for a
-        network, which needs less time per map in larger batches. May be left out.
+      robots_a_core: number of robots to simulate side by side on one CPU core.
+      robots_on_large_maps: the same for maps whose boards do not fit into its caches.
     """
 
-    batch_per_core: ClassVar[int] = 1
+    robots_a_core: ClassVar[int]
+    robots_on_large_maps: ClassVar[int]
 
     def init(self, world: World) -> Any:
         """The planner's state at the start of an episode in `world`.
@@ -130,6 +131,10 @@ def plan_to(belief: Belief, subgoals: PoseSet, ground: Board, mode: int | Int[Ar
 @struct.dataclass
 class Oracle(AssessingPlanner):
     """Shortest plan to the nearest goal on the whole map: the lower bound for all planners."""
+
+    #: Many robots fill a core's vector lanes, and so do the rows of a single one; numbers in between do not.
+    robots_a_core: ClassVar[int] = 32
+    robots_on_large_maps: ClassVar[int] = 1
 
     def init(self, world: World) -> tuple[Board, Board]:
         """The whole map: traversable cells and goal cells."""
@@ -198,6 +203,8 @@ class Frontier(AssessingPlanner):
     """Frontier exploration: go to the nearest frontier-expanding pose (Yamauchi's frontier, the paper's baseline)."""
 
     rules: Rules = struct.field(pytree_node=False)
+    robots_a_core: ClassVar[int] = Oracle.robots_a_core
+    robots_on_large_maps: ClassVar[int] = Oracle.robots_on_large_maps
     knows_outside: ClassVar[bool] = True
 
     def init(self, world: World) -> Board:
@@ -299,7 +306,9 @@ class DC2G(AssessingPlanner):
     patience: Patience = struct.field(pytree_node=False, default=ENDLESS)
     enough_news: float = struct.field(pytree_node=False, default=0.0)
     memory: bool = struct.field(pytree_node=False, default=True)
-    batch_per_core: ClassVar[int] = 64
+    #: A network needs less time per map in larger batches.
+    robots_a_core: ClassVar[int] = 64
+    robots_on_large_maps: ClassVar[int] = 16
 
     def memoryless(self) -> "DC2G":
         """This planner for a single robot with a new state at every step, on maps of any size."""

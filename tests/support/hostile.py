@@ -30,7 +30,8 @@ class Hostile:
     """
 
     rules: Rules = struct.field(pytree_node=False)
-    batch_per_core: ClassVar[int] = 64
+    robots_a_core: ClassVar[int] = 64
+    robots_on_large_maps: ClassVar[int] = 16
 
     def init(self, world):
         kind = jnp.arange(world.goals.shape[2], dtype=jnp.int32) % KINDS
