@@ -88,11 +88,11 @@ class Guide(Protocol):
 
     @property
     def uses_image(self) -> bool:
-        """Whether the guide uses the camera's picture."""
-        ...
+        """Whether the guide uses the camera's picture. It does not unless a subclass says so."""
+        return False
 
     def init(self, world: IndoorWorld, radius: float) -> Any:
-        """What the guide knows before the search: `None` unless it is privileged.
+        """What the guide knows before the search: `None` unless a privileged subclass defines it.
 
         Only guides that know the house ahead of time may read it. On a real robot this is never called.
 
@@ -100,7 +100,8 @@ class Guide(Protocol):
           world: the true house.
           radius: radius of the robot, meters.
         """
-        ...
+        del world, radius
+        return None
 
     def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: "Agent") -> Guidance:
         """Costs of the cells of the robot's local map.

@@ -29,13 +29,11 @@ _NEAR = 2
 
 
 @struct.dataclass
-class TrueCost:
+class TrueCost(Guide):
     """Guide with the exact distance to the nearest object, which also knows when the robot has arrived.
 
     The paper's agent with exact costs ends an episode when the goal is visible.
     """
-
-    uses_image = False
 
     def init(self, world: IndoorWorld, radius: float) -> Float[Array, "goal h w"]:
         """Distance that the robot's center has to drive until an object of each of `GOALS` is at arm's length, meters.
@@ -55,13 +53,8 @@ class TrueCost:
 
 
 @struct.dataclass
-class NoIdea:
+class NoIdea(Guide):
     """Guide without information, for steering that does not use a guide."""
-
-    uses_image = False
-
-    def init(self, world: IndoorWorld, radius: float) -> None:
-        """See `Guide`."""
 
     def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: Agent) -> Guidance:
         """See `Guide`."""
@@ -71,16 +64,11 @@ class NoIdea:
 
 
 @struct.dataclass
-class NearestFrontier:
+class NearestFrontier(Guide):
     """Guide to the nearest unseen floor on the local map, or on the whole map if none is left on the local one.
 
     Small specks of unseen floor count only if nothing else is left.
     """
-
-    uses_image = False
-
-    def init(self, world: IndoorWorld, radius: float) -> None:
-        """See `Guide`."""
 
     def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: Agent) -> Guidance:
         """See `Guide`."""
@@ -99,7 +87,7 @@ class NearestFrontier:
 
 
 @struct.dataclass
-class Predicted:
+class Predicted(Guide):
     """Guide by the costs that a network predicts (section II-B), outside the obstacles seen so far.
 
     Attributes:
@@ -108,9 +96,6 @@ class Predicted:
 
     costs: PredictedCosts
     uses_image = True
-
-    def init(self, world: IndoorWorld, radius: float) -> None:
-        """See `Guide`."""
 
     def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: Agent) -> Guidance:
         """See `Guide`."""
@@ -121,7 +106,7 @@ class Predicted:
 
 
 @struct.dataclass
-class PromisingFrontier:
+class PromisingFrontier(Guide):
     """Guide to the unseen floor with the least sum of distance and predicted cost.
 
     This is the rule of this package's `dc2g` planner. The paper's agent instead descends the predicted costs, which
@@ -135,9 +120,6 @@ class PromisingFrontier:
     costs: PredictedCosts
     weight: float = 2.0
     uses_image = True
-
-    def init(self, world: IndoorWorld, radius: float) -> None:
-        """See `Guide`."""
 
     def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: Agent) -> Guidance:
         """See `Guide`."""
@@ -153,7 +135,7 @@ class PromisingFrontier:
 
 
 @struct.dataclass
-class GoalReacher:
+class GoalReacher(Guide):
     """Guide to an object of the wanted class once one has been seen and while a path may lead to it (section II-D).
 
     Unseen cells count as free. Before, and if there is no path, the other guide is used.
