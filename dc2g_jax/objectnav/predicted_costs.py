@@ -104,7 +104,7 @@ def load_costs(folder: Path) -> PredictedCosts[CostMapEstimator]:
     """
     for name in (NETWORK_FILE, ENCODER_FILE):
         if not (folder / name).is_file():
-            raise InputError(f"{folder}: has no {name}; give a folder that experiments.objectnav_train has written")
+            raise InputError(f"{folder}: has no {name}; give a folder that `dc2g objectnav train` has written")
     (estimator, card), encoder = load_estimator(folder / NETWORK_FILE), load_encoder(folder / ENCODER_FILE)
     if card.get("cell_size", IndoorMapSettings.cell_size) != IndoorMapSettings.cell_size:
         raise InputError(

@@ -20,8 +20,9 @@ from dc2g_jax.inspection.replay import actions_from_letters
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.rollouts.devices import cores
 from dc2g_jax.rollouts.rollout import STEP_LIMIT, rollout
+from tests.oracles import numpy_gridworld
 
-from ..baselines import c_gridworld, numpy_gridworld
+from ..baselines import c_gridworld
 from ..baselines.problem import BaselineName, Outcome, Problem, empty_outcome
 from .bench import SENSING_RANGE, Bench, own
 from .kernels import network_pace_row

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dc2g_jax.cli.commands import demo as command
 from dc2g_jax.errors import require_extra
 from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.inspection.demo import Demo
 from dc2g_jax.planning.decisions import RobotPose
-from experiments import demo as command
 from tests.support.networks import random_network
 from tests.support.places import ROOT
 from tests.support.refusals import refusal

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
+from dc2g_jax.cli.commands.check_map import Options, main
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import write_class_image
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS, ROAD
-from experiments.check_map import Options, main
 from tests.support.commands import run
 from tests.support.maps import drawn
 from tests.support.occupancy import save

@@ -25,7 +25,7 @@ from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.planning.selection import ExpectedCost, Patience
 from dc2g_jax.rollouts.evaluation import EpisodeResult
 from dc2g_jax.rollouts.statistics import extra_steps
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support.exploration import LowestColumn, PlanAlone
 from tests.support.recordings import read
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from dc2g_jax.cli.commands.train import Options, open_recording
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
 from dc2g_jax.errors import InputError
@@ -26,7 +27,6 @@ from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_wa
 from dc2g_jax.training.cost_to_go import TrainingConfig, first_state, learning_rates, train_step
 from dc2g_jax.training.cost_to_go_data import DataConfig
 from dc2g_jax.training.loop import Pauses, Task, train
-from experiments.train import Options, open_recording
 from tests.support.recordings import read
 
 _CONFIG = TrainingConfig(architecture=Architecture(widths=(4, 4, 4, 4)), steps=6, batch_size=2)

@@ -16,7 +16,7 @@ from dc2g_jax.grid.poses import ACTION_LETTERS
 from dc2g_jax.grid.terrain import FRONT_DOOR, ROAD
 from dc2g_jax.inspection.replay import Frames, replay
 from dc2g_jax.planning.planners import MODE_NAMES
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support.places import ROOT
 
 FILE = ROOT / "tests" / "planning" / "golden_decisions.json"

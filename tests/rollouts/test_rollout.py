@@ -16,7 +16,7 @@ from dc2g_jax.rollouts import devices
 from dc2g_jax.rollouts import rollout as rollout_module
 from dc2g_jax.rollouts.evaluation import episodes_from
 from dc2g_jax.rollouts.rollout import NO_ACTION, Episodes, Trajectories, rollout
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 
 RULES = complete_rules(3)

@@ -16,6 +16,20 @@ import numpy as np
 import pytest
 
 from dc2g_jax.cli import episodes, searches, training_sets, translation
+from dc2g_jax.cli.commands import (
+    head_to_head,
+    noisy_mapping,
+    objectnav_table1,
+    objectnav_table2,
+    objectnav_train,
+    reproduce_fig5,
+    reproduce_fig7,
+    run_episodes,
+    sweep_losses,
+    train,
+    train_translator,
+    unknown_dimensions,
+)
 from dc2g_jax.cli.driving import DriveResult
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.pairs import TrainingSet
@@ -36,20 +50,6 @@ from dc2g_jax.training import sweeps
 from dc2g_jax.training.cost_to_go_data import DataConfig
 from dc2g_jax.training.loop import Task
 from dc2g_jax.training.mask_collection import Masks
-from experiments import (
-    head_to_head,
-    noisy_mapping,
-    objectnav_table1,
-    objectnav_table2,
-    objectnav_train,
-    reproduce_fig5,
-    reproduce_fig7,
-    run_episodes,
-    sweep_losses,
-    train,
-    train_translator,
-    unknown_dimensions,
-)
 from tests.support import trainings
 from tests.support.houses import STREET, YARD
 from tests.support.two_rooms import two_rooms
