@@ -5,15 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from dc2g_jax.cli.commands import unknown_dimensions
-from dc2g_jax.cli.commands.unknown_dimensions import (
-    Options,
-    Worlds,
-    estimators_by_planner,
-    main,
-    neighborhoods,
-    open_ended,
-)
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
@@ -22,6 +13,15 @@ from dc2g_jax.estimation.estimators import WHOLE_MAP, ExactCostToGo, extent_of
 from dc2g_jax.estimation.extents import Window, WindowedEstimator
 from dc2g_jax.rollouts.evaluation import EpisodeResult
 from dc2g_jax.rollouts.results import read_rows
+from experiments import unknown_dimensions
+from experiments.unknown_dimensions import (
+    Options,
+    Worlds,
+    estimators_by_planner,
+    main,
+    neighborhoods,
+    open_ended,
+)
 
 
 @pytest.mark.slow

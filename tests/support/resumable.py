@@ -28,7 +28,6 @@ from dc2g_jax.cli.commands import (
     sweep_losses,
     train,
     train_translator,
-    unknown_dimensions,
 )
 from dc2g_jax.cli.driving import DriveResult
 from dc2g_jax.datasets.houses import House
@@ -50,6 +49,7 @@ from dc2g_jax.training import sweeps
 from dc2g_jax.training.cost_to_go_data import DataConfig
 from dc2g_jax.training.loop import Task
 from dc2g_jax.training.mask_collection import Masks
+from experiments import unknown_dimensions
 from tests.support import trainings
 from tests.support.houses import STREET, YARD
 from tests.support.two_rooms import two_rooms
