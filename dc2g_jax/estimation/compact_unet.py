@@ -95,12 +95,13 @@ class Convolution(nnx.Conv):
 
     def __init__(self, width_in: int, width_out: int, *, stride: int = 1, **options: Any):
         super().__init__(width_in, width_out, (3, 3), strides=(stride, stride), **options)
+        self.stride = stride
 
     def __call__(self, features: Float[Array, "b h w c"], size: Size = None) -> Float[Array, "b h2 w2 d"]:
         """Convolved features; undefined beyond the map, whose size is in cells of the features."""
         if size is None:
             return super().__call__(features)
-        stride, shape = self.strides[0], features.shape[1:3]
+        stride, shape = self.stride, features.shape[1:3]
         inside, first, sides = jnp.ones(shape, bool), [], []
         for axis, (side, map_side) in enumerate(zip(shape, size, strict=True)):
             inside &= jax.lax.broadcasted_iota(jnp.int32, shape, axis) < map_side
@@ -111,10 +112,8 @@ class Convolution(nnx.Conv):
         framed = jnp.pad(features, ((0, 0), (1, stride), (1, stride), (0, 0)))
         framed = jax.lax.dynamic_slice(framed, (0, *first, 0), (len(features), *sides, features.shape[3]))
         axes = ("NHWC", "HWIO", "NHWC")
-        convolved = jax.lax.conv_general_dilated(
-            framed, self.kernel[...], self.strides, "VALID", dimension_numbers=axes
-        )
-        return convolved + self.bias[...]
+        kernel, bias = self.kernel[...], self.bias[...]  # type: ignore[index]
+        return jax.lax.conv_general_dilated(framed, kernel, (stride, stride), "VALID", dimension_numbers=axes) + bias
 
 
 class Residual(nnx.Module):
