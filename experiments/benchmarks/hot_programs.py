@@ -30,6 +30,7 @@ from dc2g_jax.training import cost_to_go, translator
 from dc2g_jax.training.cost_to_go import TrainingConfig
 from dc2g_jax.training.cost_to_go_data import DataConfig
 from dc2g_jax.training.image_pairs import ImageSet, draw_image_pairs
+from dc2g_jax.training.step import supervised_step
 from dc2g_jax.vehicles import fleet, robot
 from dc2g_jax.vehicles.drive import Site, step
 from dc2g_jax.vehicles.robot import Step
@@ -163,10 +164,11 @@ def _translator_step(mesh: Mesh) -> HotProgram:
     draw = functools.partial(
         draw_image_pairs, batch_size=config.batch_size, whole_share=options.whole_share, augment=options.augment
     )
-    state = jax.eval_shape(functools.partial(translator.init_translator, config, seed=0))
-    static = {"config": config, "draw_batch": draw, "mesh": mesh}
+    state = jax.eval_shape(functools.partial(translator.first_state, config, seed=0))
+    key = jax.eval_shape(functools.partial(translator.run_key, 0))
+    static = {"training": translator.TranslatorTraining(config, draw), "mesh": mesh}
     specs = (_WHOLE, _WHOLE)
-    return HotProgram(translator.translator_step, (state, data), specs, static, config.batch_size, mesh)
+    return HotProgram(supervised_step, (state, (key, data)), specs, static, config.batch_size, mesh)
 
 
 def _scene(houses: int, side: int) -> Scene:

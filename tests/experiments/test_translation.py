@@ -43,7 +43,7 @@ def steps(monkeypatch):
     """Stand-in for the real step: notes its number, and misbehaves where told."""
     taken, trouble = [], {}
 
-    def step(state, data, *, config, draw_batch, mesh):
+    def step(state, data, *, training, mesh):
         number = int(state.step)
         if trouble.get(number) is KeyboardInterrupt:
             del trouble[number]
@@ -51,7 +51,7 @@ def steps(monkeypatch):
         taken.append(number)
         return state.replace(step=state.step + 1), jnp.float32(trouble.get(number, 0.5))
 
-    monkeypatch.setattr(translation, "translator_step", step)
+    monkeypatch.setattr(translation, "supervised_step", step)
     monkeypatch.setattr(translation, "metrics_over_pairs", lambda network, data: dict(METRICS))
     return taken, trouble
 
