@@ -28,8 +28,8 @@ from dc2g_jax.files.tables import read_table
 from dc2g_jax.grid.world import World, world_from_terrain
 
 SPLIT_FILES = dict(zip(SPLITS, ("training_houses.csv", "validation_houses.csv", "testing_houses.csv"), strict=True))
-IMAGE_FOLDER = "full_semantic"
-PUBLISHED_NAME = "driveways_bing_iros19"
+_IMAGE_FOLDER = "full_semantic"
+_PUBLISHED_NAME = "driveways_bing_iros19"
 
 #: Location that stands for the procedural houses.
 PROCEDURAL = "procedural"
@@ -166,7 +166,7 @@ def load_dataset(folder: str | os.PathLike[str], *, cells: int | None = 50) -> H
                 )
             houses.append(House(name, split, sampled(str(path), read_class_image(path, palette), cells)))
         if matches_published(folder):
-            return HouseDataset(PUBLISHED_NAME, "published", tuple(houses))
+            return HouseDataset(_PUBLISHED_NAME, "published", tuple(houses))
         return HouseDataset(folder.resolve().name, "folder", tuple(houses))
     except OSError as error:
         where = error.filename or folder
@@ -303,7 +303,7 @@ def _open_location(location: str, setting: str, cells: int | None) -> HouseDatas
 
 def _is_map_folder(folder: Path) -> bool:
     """Whether a folder contains maps and nothing of the published layout. False for folders that cannot be listed."""
-    published = [folder / name for name in (IMAGE_FOLDER, *SPLIT_FILES.values())]
+    published = [folder / name for name in (_IMAGE_FOLDER, *SPLIT_FILES.values())]
     try:
         return not any(path.exists() for path in published) and bool(map_files(folder))
     except OSError:
@@ -311,7 +311,7 @@ def _is_map_folder(folder: Path) -> bool:
 
 
 def _check_folder(folder: Path) -> None:
-    needed = f"{PALETTE_FILE}, {IMAGE_FOLDER}/ and house lists such as {SPLIT_FILES['test']}"
+    needed = f"{PALETTE_FILE}, {_IMAGE_FOLDER}/ and house lists such as {SPLIT_FILES['test']}"
     if not folder.exists():
         raise InputError(f"{folder}: no such folder; give a folder with {needed}")
     if not folder.is_dir():
@@ -331,9 +331,9 @@ def _read_house_lists(folder: Path) -> dict[str, tuple[str, str]]:
     listed: dict[str, tuple[str, str]] = {}
     for split, file_name in SPLIT_FILES.items():
         path = folder / file_name
-        if not path.exists() and not any((folder / IMAGE_FOLDER / split).glob("world*.png")):
+        if not path.exists() and not any((folder / _IMAGE_FOLDER / split).glob("world*.png")):
             continue
-        remedy = f"list the houses of {IMAGE_FOLDER}/{split} there, one a line below the header house_id"
+        remedy = f"list the houses of {_IMAGE_FOLDER}/{split} there, one a line below the header house_id"
         for line, row in read_table(path, ["house_id"], remedy=remedy):
             name = row["house_id"]
             _check_name(f"{path}: line {line}", name)
@@ -352,4 +352,4 @@ def _check_name(where: object, name: str) -> None:
 
 
 def _image_path(folder: Path, split: str, name: str) -> Path:
-    return folder / IMAGE_FOLDER / split / f"world{name}.png"
+    return folder / _IMAGE_FOLDER / split / f"world{name}.png"

@@ -20,7 +20,7 @@ from dc2g_jax.objectnav.starts import passable
 from dc2g_jax.objectnav.worlds import IndoorWorld
 
 #: File endings of houses.
-ENDINGS = (".jsonl.gz", ".jsonl")
+_ENDINGS = (".jsonl.gz", ".jsonl")
 
 _ATTEMPTS = 100
 
@@ -105,7 +105,7 @@ def indoor_houses(
     if location == PROCEDURAL:
         plans = [(index, draw_plan(seed, split, index)) for index in range(count or 20)]
     else:
-        path = split_file(Path(location), split)
+        path = _split_file(Path(location), split)
         plans = read_procthor(path, strict=strict)
         if count is not None and count > len(plans):
             raise InputError(f"{path}: has {len(plans)} houses, less than {count}; ask for fewer")
@@ -150,18 +150,18 @@ def houses_sha256(location: str | os.PathLike[str]) -> str | None:
     """
     if location == PROCEDURAL:
         return None
-    files = [split_file(Path(location), split) for split in ("train", "val")]
+    files = [_split_file(Path(location), split) for split in ("train", "val")]
     files += [path for path in [Path(location) / BOXES_FILE] if path.is_file()]
     return arrays_sha256({path.name: np.fromfile(path, np.uint8) for path in files})
 
 
-def split_file(folder: Path, split: str) -> Path:
+def _split_file(folder: Path, split: str) -> Path:
     """The file of a split.
 
     Raises:
         InputError: the folder has no file of the split.
     """
-    paths = [folder / f"{split}{ending}" for ending in ENDINGS]
+    paths = [folder / f"{split}{ending}" for ending in _ENDINGS]
     for path in paths:
         if path.is_file():
             return path

@@ -15,7 +15,7 @@ from dc2g_jax.objectnav.networks import CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts, load_costs
 
 #: The shipped network and its encoder.
-SHIPPED_INDOOR_NETWORK = "weights/cost_maps_indoors"
+_SHIPPED_INDOOR_NETWORK = "weights/cost_maps_indoors"
 
 #: Names of the agents.
 AgentName = Literal["true_cost", "random", "frontier", "predicted", "promising"]
@@ -26,7 +26,7 @@ ON_NETWORK = ("promising", "predicted")
 
 def open_costs(place: str | Path | None) -> PredictedCosts[CostMapEstimator]:
     """The network in a place, or the shipped one."""
-    return load_costs(resource(SHIPPED_INDOOR_NETWORK) if place is None else local_folder(place))
+    return load_costs(resource(_SHIPPED_INDOOR_NETWORK) if place is None else local_folder(place))
 
 
 def costs_for(agents: Iterable[str], place: str | Path | None) -> PredictedCosts[CostMapEstimator] | None:

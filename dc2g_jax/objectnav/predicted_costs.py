@@ -19,7 +19,7 @@ from dc2g_jax.objectnav.networks import CostMapEstimator, fused_cost, load_estim
 NETWORK_FILE, ENCODER_FILE = "network.safetensors", "encoder.safetensors"
 
 
-class CostEstimator(Protocol):
+class _CostEstimator(Protocol):
     """Predicts costs from a partial map. Implementations are pytrees."""
 
     def estimate(
@@ -43,7 +43,7 @@ class CostEstimator(Protocol):
         ...
 
 
-_Estimator = TypeVar("_Estimator", bound=CostEstimator)
+_Estimator = TypeVar("_Estimator", bound=_CostEstimator)
 
 
 @struct.dataclass

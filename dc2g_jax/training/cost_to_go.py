@@ -123,7 +123,7 @@ class Hyperparameters:
 DrawBatch = Callable[..., Pair]
 
 
-def learning_rate_schedule(recipe: TrainingConfig) -> optax.Schedule:
+def _learning_rate_schedule(recipe: TrainingConfig) -> optax.Schedule:
     """`step ->` learning rate: a linear warm-up, then a cosine decay to zero, for a peak of 1."""
     warmup = min(200, recipe.steps // 10)
     return optax.warmup_cosine_decay_schedule(0.0, 1.0, warmup, recipe.steps)
@@ -131,13 +131,13 @@ def learning_rate_schedule(recipe: TrainingConfig) -> optax.Schedule:
 
 def learning_rates(config: TrainingConfig) -> Float[np.ndarray, "steps"]:
     """The learning rate of every step."""
-    rates = jax.vmap(learning_rate_schedule(config.recipe))(jnp.arange(config.steps))
+    rates = jax.vmap(_learning_rate_schedule(config.recipe))(jnp.arange(config.steps))
     return config.learning_rate * np.asarray(rates)
 
 
 def optimizer(recipe: TrainingConfig) -> optax.GradientTransformation:
     """AdamW with clipped gradients, for a peak learning rate of 1."""
-    adamw = optax.adamw(learning_rate_schedule(recipe), weight_decay=recipe.weight_decay)
+    adamw = optax.adamw(_learning_rate_schedule(recipe), weight_decay=recipe.weight_decay)
     return optax.chain(optax.clip_by_global_norm(1.0), adamw)
 
 

@@ -18,7 +18,7 @@ from dc2g_jax.training.image_pairs import ImagePair
 from dc2g_jax.training.step import Supervised, TrainingState, state_of
 
 
-class GeneratorLoss(NamedTuple):
+class _GeneratorLoss(NamedTuple):
     """Weights of the generator's loss.
 
     Attributes:
@@ -35,9 +35,9 @@ _L1_SCALE = 2.0
 
 #: The paper's three losses, by name; weights as in pix2pix.
 TRANSLATOR_LOSSES = {
-    "l1": GeneratorLoss(100.0, 0.0),
-    "gan": GeneratorLoss(0.0, 1.0),
-    "l1+gan": GeneratorLoss(100.0, 1.0),
+    "l1": _GeneratorLoss(100.0, 0.0),
+    "gan": _GeneratorLoss(0.0, 1.0),
+    "l1+gan": _GeneratorLoss(100.0, 1.0),
 }
 
 
@@ -69,7 +69,7 @@ class TranslatorConfig:
 
 
 #: `(key of the run, step, data) -> batch`
-DrawImages = Callable[[Array, Array, Any], ImagePair]
+_DrawImages = Callable[[Array, Array, Any], ImagePair]
 
 #: The key of a run, as data, for the order of the pairs and dropout; and the pairs. Runs that differ in the seed alone
 #: share a compiled step.
@@ -136,7 +136,7 @@ class TranslatorTraining(Supervised):
     """
 
     config: TranslatorConfig
-    draw_batch: DrawImages
+    draw_batch: _DrawImages
 
     def optimizer(self) -> optax.GradientTransformation:
         """Adam, for both networks. A discriminator that the loss does not use has no gradient and keeps its weights."""

@@ -121,7 +121,7 @@ class Options(TrainingOptions, Pauses):
         return CostMapConfig(architecture, recipe, steps=self.steps, batch_size=self.batch_size, seed=self.seed)
 
 
-def open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
+def _open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
     """The given encoder, or the one of this run, which is trained if it does not exist."""
     own, folder = options.out / ENCODER_FILE, options.out / "encoder"
     if options.encoder is not None and not own.exists():
@@ -217,7 +217,7 @@ def main(options: Options) -> None:
     houses = read("train", count=count)
     largest = options.validation_houses
     unknown = read("val", count=largest if options.houses == PROCEDURAL else None)[:largest]
-    encoder = open_encoder(options, houses)
+    encoder = _open_encoder(options, houses)
     collection = options.collection
     data = kept(options.out / "data.npz", functools.partial(collect, houses, encoder, collection), len(houses))
     apart = dataclasses.replace(collection, data_seed=collection.data_seed + _VALIDATION_SEED)
