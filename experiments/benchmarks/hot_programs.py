@@ -190,9 +190,9 @@ def _search_leg(robots: int, mesh: Mesh) -> HotProgram:
         free=_array(houses, side, side, dtype=jnp.bool_),
         known=None,
     )
-    reset = functools.partial(searches._reset, mesh=mesh, limit=searches.TIME_LIMIT)
+    begin = functools.partial(robot.at_starts, mesh=mesh, reset=searches.at_start, number=searches.TIME_LIMIT)
     starts, each = _array(n, robots, 3, dtype=jnp.float32), _array(n, robots)
-    state = jax.eval_shape(reset, _array(n, robots, 2, dtype=jnp.uint32), starts, each, agent)
+    state = jax.eval_shape(begin, _array(n, robots, 2, dtype=jnp.uint32), (starts, each), agent)
     return _robots_steps(leg, each, sites, agent, state, mesh)
 
 
@@ -200,10 +200,9 @@ def _drive_step(robots: int, mesh: Mesh) -> HotProgram:
     equipped, n = equipment("dc2g", load_network(None), (_CELLS, _CELLS), 1.0, DrivingOptions()), mesh.size
     sites = Site(_array(_HOUSES, _CELLS, _CELLS, dtype=jnp.uint8), _scene(_HOUSES, _CELLS * TILES))
     each = _array(n, robots)
-    reset = functools.partial(fleet._reset, mesh=mesh, pedestrians=0, knows_map=False)
-    state = jax.eval_shape(
-        reset, _array(n, robots, 2, dtype=jnp.uint32), Episodes(each, Pose(each, each, each)), sites, equipped
-    )
+    begin = functools.partial(robot.at_starts, mesh=mesh, reset=fleet.at_start, number=0)
+    episodes, shared = Episodes(each, Pose(each, each, each)), (sites, equipped, _array(dtype=jnp.bool_))
+    state = jax.eval_shape(begin, _array(n, robots, 2, dtype=jnp.uint32), episodes, shared)
     return _robots_steps(step, each, sites, equipped, state, mesh)
 
 
