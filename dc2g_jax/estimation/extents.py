@@ -49,7 +49,7 @@ def _span(lines: Bool[Array, "n *batch"]) -> tuple[Int[Array, "*batch"], Int[Arr
 
 
 @struct.dataclass
-class CroppedEstimator:
+class CroppedEstimator(Estimator):
     """Estimate on the square around all observed cells, rescaled to a fixed size (the authors' later code).
 
     Costs are multiplied by the scale, so they stay in cells. Cells beyond the square, all unobserved, get the cost of
@@ -67,7 +67,7 @@ class CroppedEstimator:
     margin: int = struct.field(pytree_node=False, default=2)
 
     @property
-    def in_cells(self) -> bool:
+    def in_cells(self) -> bool:  # type: ignore[override]
         """Whether the estimator's costs are in cells."""
         return answers_in_cells(self.estimator)
 
@@ -135,7 +135,7 @@ class Window(Extent):
 
 
 @struct.dataclass
-class WindowedEstimator:
+class WindowedEstimator(Estimator):
     """Estimate on a window around the robot. The planner provides the robot's pose.
 
     Attributes:
@@ -148,7 +148,7 @@ class WindowedEstimator:
     extent: Window = struct.field(pytree_node=False, default=Window())
 
     @property
-    def in_cells(self) -> bool:
+    def in_cells(self) -> bool:  # type: ignore[override]
         """Whether the estimator's costs are in cells."""
         return answers_in_cells(self.estimator)
 

@@ -83,10 +83,13 @@ class Planner(Protocol):
     Attributes:
       robots_a_core: number of robots to simulate side by side on one CPU core.
       robots_on_large_maps: the same for maps whose boards do not fit into its caches.
+      knows_outside: whether it takes maps in a larger grid, as `OnlinePlanner` pads them. A planner with an estimator
+        takes what the estimator takes.
     """
 
     robots_a_core: ClassVar[int]
     robots_on_large_maps: ClassVar[int]
+    knows_outside: ClassVar[bool] = False
 
     def init(self, world: World) -> Any:
         """The planner's state at the start of an episode in `world`.
@@ -98,6 +101,15 @@ class Planner(Protocol):
     def plan(self, belief: Belief, state: Any) -> tuple[Plan, Any]:
         """Decide the next action from what has been observed."""
         ...
+
+    def memoryless(self) -> "Planner":
+        """The planner for a single robot whose state is new at every step; itself unless a subclass defines it."""
+        return self
+
+
+def memoryless(planner: Planner) -> Planner:
+    """See `Planner.memoryless`; also for planners that do not derive from `Planner`."""
+    return planner.memoryless() if hasattr(planner, "memoryless") else planner
 
 
 class AssessingPlanner(Planner, Protocol):

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation.estimators import Estimator, NetworkCostToGo
 from dc2g_jax.grid.world import World
 from dc2g_jax.inspection.replay import actions_from_letters
 from dc2g_jax.planning.named import make_planner
@@ -121,7 +121,7 @@ def _in_numpy(bench: Bench, row: Row, planner: numpy_gridworld.PlannerName, refe
 
 
 @struct.dataclass
-class _Counting:
+class _Counting(Estimator):
     """A network that tells how many maps it is asked for."""
 
     estimator: NetworkCostToGo

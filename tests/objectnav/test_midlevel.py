@@ -25,6 +25,7 @@ from dc2g_jax.objectnav.plans import world_from_plan
 from dc2g_jax.objectnav.worlds import painted, scene
 from dc2g_jax.rollouts.devices import mesh_of
 from dc2g_jax.training.loop import Pauses, train
+from dc2g_jax.training.step import supervised_step
 from tests.support.plans import BED_BOX, plan
 from tests.support.refusals import refusal
 
