@@ -26,7 +26,7 @@ from PIL import Image
 from dc2g_jax.cli.outputs import _read_run
 from dc2g_jax.cli.training_sets import kept_arrays
 from dc2g_jax.datasets.download import read_manifest
-from dc2g_jax.datasets.houses import load_dataset, map_dataset, save_dataset
+from dc2g_jax.datasets.houses import load_dataset, map_dataset
 from dc2g_jax.datasets.maps import Goal, read_map
 from dc2g_jax.datasets.osm.extract import read_extract
 from dc2g_jax.datasets.osm.neighborhood import Neighborhood
@@ -58,7 +58,7 @@ from tests.support import house_lines, occupancy
 from tests.support.damage import damaged
 from tests.support.frames import CAMERA, random_frame
 from tests.support.hamlet import hamlet
-from tests.support.houses import DATASET, STREET, YARD
+from tests.support.houses import DATASET, STREET, YARD, save_dataset
 from tests.support.memory import forget_most_memory, memory
 from tests.support.toy import RESULTS
 

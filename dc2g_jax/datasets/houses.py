@@ -21,8 +21,6 @@ from dc2g_jax.files.class_images import (
     PALETTE_FILE,
     read_class_image,
     read_palette,
-    write_class_image,
-    write_palette,
 )
 from dc2g_jax.files.tables import read_table
 from dc2g_jax.grid.world import World, world_from_terrain
@@ -205,45 +203,6 @@ def map_dataset(folder: str | os.PathLike[str]) -> HouseDataset:
     for house in houses:
         _check_name(folder, house.name)
     return HouseDataset(folder.resolve().name, "folder", houses)
-
-
-def save_dataset(dataset_images: Iterable[tuple[str, str, np.ndarray]], folder: str | os.PathLike[str]) -> Path:
-    """Write class images in the published layout, as RGB PNGs.
-
-    Args:
-        dataset_images: `(name, split, classes uint8 [H W])` of each house; consumed once, in order.
-        folder: folder to write to, new or empty.
-
-    Returns:
-        The folder, which `load_dataset` reads back.
-
-    Raises:
-        InputError: the folder is not empty or cannot be written, or a name, split or image is invalid.
-    """
-    folder = Path(folder)
-    names: dict[str, list[str]] = {}
-    try:
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise InputError(f"{folder}: exists and is not an empty folder; name a new one")
-        for name, split, classes in dataset_images:
-            if split not in SPLIT_FILES:
-                known = ", ".join(SPLIT_FILES)
-                raise InputError(f"{folder}: house {name!r} has the split {split!r}; use one of: {known}")
-            _check_name(folder, name)
-            if any(name in others for others in names.values()):
-                raise InputError(f"{folder}: house {name!r} is given twice; names must be unique")
-            image = _image_path(folder, split, name)
-            image.parent.mkdir(parents=True, exist_ok=True)
-            write_class_image(image, classes)
-            names.setdefault(split, []).append(name)
-        if not names:
-            raise InputError(f"{folder}: there are no houses to save; give at least one")
-        for split, listed in names.items():
-            (folder / SPLIT_FILES[split]).write_text("\n".join(["house_id", *listed, ""]), encoding="utf-8")
-        write_palette(folder)
-    except OSError as error:
-        raise InputError(f"{error.filename or folder}: cannot be written ({error.strerror})") from None
-    return folder
 
 
 def tell_on_stderr(line: str) -> None:

@@ -31,7 +31,7 @@ from dc2g_jax.cli.commands import (
     train_translator,
 )
 from dc2g_jax.cli.common import command_line
-from dc2g_jax.datasets.houses import load_dataset, save_dataset
+from dc2g_jax.datasets.houses import load_dataset
 from dc2g_jax.datasets.procedural import PROCEDURAL_SPLIT, draw_house, house_seed
 from dc2g_jax.datasets.starts import sample_starts
 from dc2g_jax.estimation.checkpoints import load_network
@@ -39,6 +39,7 @@ from dc2g_jax.estimation.estimators import ExactCostToGo
 from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD
 from experiments import latency
 from tests.support.commands import complaint, run
+from tests.support.houses import save_dataset
 from tests.support.places import COMMANDS, ROOT
 from tests.support.refusals import refusal
 
