@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dc2g_jax.datasets.download import ORIGIN, NetworkUnavailable, fetch_dataset, matches_published
+from dc2g_jax.datasets._download import ORIGIN, NetworkUnavailable, fetch_dataset, matches_published
 from dc2g_jax.datasets.maps import CELLS_FILE, MAP_ENDINGS, SPLITS, map_files, read_map_folder, sampled
 from dc2g_jax.datasets.procedural import procedural_houses
 from dc2g_jax.errors import InputError

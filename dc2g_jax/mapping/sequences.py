@@ -36,9 +36,9 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import PALETTE_FILE, Palette, read_class_image, read_palette
 from dc2g_jax.files.png import MOST_PIXELS, read_png, write_png
 from dc2g_jax.files.reading import TEXT, finite_number, read_bytes, read_text
+from dc2g_jax.mapping._quaternions import quaternion_from_rotation, rotation_from_quaternion
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, check_shapes
 from dc2g_jax.mapping.checks import check_intrinsics
-from dc2g_jax.mapping.quaternions import quaternion_from_rotation, rotation_from_quaternion
 from dc2g_jax.mapping.semantic_map import MapSettings
 
 #: Units of a depth image per meter.

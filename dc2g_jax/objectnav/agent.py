@@ -18,9 +18,9 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
 from dc2g_jax.mapping.camera import Frame, Intrinsics
-from dc2g_jax.objectnav.cost_maps import STOP, cost_lookup, dense_costs
+from dc2g_jax.objectnav._cost_maps import STOP, cost_lookup, dense_costs
+from dc2g_jax.objectnav._starts import ROBOT_RADIUS
 from dc2g_jax.objectnav.mapping import IndoorMap, IndoorMapSettings, empty_map, grid_cell, integrate, square, stood_on
-from dc2g_jax.objectnav.starts import ROBOT_RADIUS
 from dc2g_jax.objectnav.worlds import IndoorWorld
 from dc2g_jax.vehicles import mppi
 from dc2g_jax.vehicles.mppi import CostOfPose, MPPISettings

@@ -12,14 +12,14 @@ from jaxtyping import Array, Bool, Float, Float16, Int, UInt8, UInt16
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.mapping.scene import Scene
+from dc2g_jax.objectnav._cost_maps import distance_for_vehicle, inflated, with_tight_cells
+from dc2g_jax.objectnav._exploring import NEVER, Journey, explore
+from dc2g_jax.objectnav._starts import ROBOT_RADIUS, largest_region
 from dc2g_jax.objectnav.camera import CameraView, camera_pose, view
 from dc2g_jax.objectnav.classes import GOALS
-from dc2g_jax.objectnav.cost_maps import distance_for_vehicle, inflated, with_tight_cells
 from dc2g_jax.objectnav.data import JourneySet, cell_codes, in_millimeters
-from dc2g_jax.objectnav.exploring import NEVER, Journey, explore
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.midlevel import ImageEncoder
-from dc2g_jax.objectnav.starts import ROBOT_RADIUS, largest_region
 from dc2g_jax.objectnav.worlds import IndoorWorld, padded_alike, painted, scene
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import deal, gather, mesh_of, on_each, replicate

@@ -20,11 +20,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from dc2g_jax.grid.fast_marching import geodesic_distance
+from dc2g_jax.objectnav._cost_maps import straight_distance, with_tight_cells
+from dc2g_jax.objectnav._starts import REACH, passable
 from dc2g_jax.objectnav.classes import NO_OBJECT, OBJECT_CLASSES
-from dc2g_jax.objectnav.cost_maps import straight_distance, with_tight_cells
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.searches import Search, Searches
-from dc2g_jax.objectnav.starts import REACH, passable
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.statistics import house_bootstrap
 from dc2g_jax.vehicles.footprint import cell_at

@@ -11,12 +11,12 @@ from dc2g_jax.datasets.maps import SPLITS
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.digests import arrays_sha256
 from dc2g_jax.grid.ground import component_numbers
+from dc2g_jax.objectnav._plans import PLAN_CELL_SIZE, HousePlan, world_from_plan
+from dc2g_jax.objectnav._procthor import BOXES_FILE, read_procthor
+from dc2g_jax.objectnav._starts import passable
 from dc2g_jax.objectnav.floor_plans.furnishing import furnish
 from dc2g_jax.objectnav.floor_plans.layouts import draw_layout
 from dc2g_jax.objectnav.floor_plans.placing import CHECK_CELLS, Floor, RoomSketch
-from dc2g_jax.objectnav.plans import PLAN_CELL_SIZE, HousePlan, world_from_plan
-from dc2g_jax.objectnav.procthor import BOXES_FILE, read_procthor
-from dc2g_jax.objectnav.starts import passable
 from dc2g_jax.objectnav.worlds import IndoorWorld
 
 #: File endings of houses.

@@ -13,11 +13,11 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.objectnav._starts import sample_starts
 from dc2g_jax.objectnav.agent import DECLARED, Agent
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.simulation import IndoorRobot, IndoorSite, leg, reset, site_of
-from dc2g_jax.objectnav.starts import sample_starts
 from dc2g_jax.objectnav.worlds import pad_world
 from dc2g_jax.rollouts.devices import deal, gather, mesh_of, replicate
 from dc2g_jax.vehicles.robot import at_starts, run_to_end

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from dc2g_jax.estimation.weights import fresh_weights
 from dc2g_jax.objectnav import networks
+from dc2g_jax.objectnav._losses import LossWeights, total_loss
 from dc2g_jax.objectnav.data import (
     ALL_SYMMETRIES,
     LOCAL,
@@ -23,7 +24,6 @@ from dc2g_jax.objectnav.data import (
     Samples,
     draw_samples,
 )
-from dc2g_jax.objectnav.losses import LossWeights, total_loss
 from dc2g_jax.objectnav.mapping import network_maps
 from dc2g_jax.objectnav.metrics import FIVE_ACTIONS, NINE_ACTIONS, action_accuracy, confusion, occupancy_scores
 from dc2g_jax.objectnav.networks import CostMapArchitecture, CostMapEstimator, Prediction, fused_cost

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dc2g_jax.datasets import houses as houses_module
-from dc2g_jax.datasets.download import NetworkUnavailable
+from dc2g_jax.datasets._download import NetworkUnavailable
 from dc2g_jax.datasets.houses import (
     House,
     HouseDataset,

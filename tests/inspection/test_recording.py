@@ -14,7 +14,7 @@ from dc2g_jax.estimation.estimators import ExactCostToGo, world_cost_to_go
 from dc2g_jax.grid.poses import FORWARD, make_pose
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.inspection import legend
+from dc2g_jax.inspection import _legend as legend
 from dc2g_jax.inspection import replay as replaying
 from dc2g_jax.inspection.figures import PLANNER_STYLES
 from dc2g_jax.inspection.recording import record_episode

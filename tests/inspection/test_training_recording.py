@@ -21,8 +21,8 @@ from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.terrain import FIGURE_RGB, TRAVERSABLE
-from dc2g_jax.inspection import legend
-from dc2g_jax.inspection.legend import CostScale
+from dc2g_jax.inspection import _legend as legend
+from dc2g_jax.inspection._legend import CostScale
 from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_watch, next_file, prediction_picture
 from dc2g_jax.training.cost_to_go import TrainingConfig, first_state, learning_rates, train_step
 from dc2g_jax.training.cost_to_go_data import DataConfig

@@ -9,6 +9,7 @@ from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.estimation.weights import read_safetensors, write_network, write_safetensors
 from dc2g_jax.mapping.camera import level_camera
 from dc2g_jax.objectnav import midlevel
+from dc2g_jax.objectnav._plans import world_from_plan
 from dc2g_jax.objectnav.camera import VIEW_SIZE, CameraView, view
 from dc2g_jax.objectnav.classes import BED, OBJECT_COLORS
 from dc2g_jax.objectnav.midlevel import (
@@ -21,7 +22,6 @@ from dc2g_jax.objectnav.midlevel import (
     task_losses,
     vector_size,
 )
-from dc2g_jax.objectnav.plans import world_from_plan
 from dc2g_jax.objectnav.worlds import painted, scene
 from dc2g_jax.rollouts.devices import mesh_of
 from dc2g_jax.training.loop import Pauses, train

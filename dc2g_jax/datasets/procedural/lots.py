@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dc2g_jax.datasets.procedural._streets import Curb
 from dc2g_jax.datasets.procedural.drawing import (
     Placement,
     Points,
@@ -22,7 +23,6 @@ from dc2g_jax.datasets.procedural.drawing import (
     traveled,
     uniform,
 )
-from dc2g_jax.datasets.procedural.streets import Curb
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from jaxtyping import Float
 from dc2g_jax.datasets.houses import tell_on_stderr
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.files.reading import opened, parse_json, read_lines, read_object
+from dc2g_jax.objectnav._plans import Furniture, HousePlan, Room, Segment
 from dc2g_jax.objectnav.classes import OTHER, PROCTHOR_CLASSES, ROOM_NAMES
-from dc2g_jax.objectnav.plans import Furniture, HousePlan, Room, Segment
 
 #: Name of the table of boxes, beside the houses.
 BOXES_FILE = "asset_boxes.json"

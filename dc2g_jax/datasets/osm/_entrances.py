@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage, spatial
 
+from dc2g_jax.datasets.osm._shapes import CONNECTED, Patch, street_width
 from dc2g_jax.datasets.osm.extract import Area, Line, Spot
-from dc2g_jax.datasets.osm.shapes import CONNECTED, Patch, street_width
 from dc2g_jax.datasets.procedural.drawing import (
     PictureFrame,
     Placement,
