@@ -112,7 +112,7 @@ def write_transparent_occupancy(folder: Path) -> None:
 
 
 def read_occupancy(folder: Path) -> None:
-    read_map(folder / "lab.yaml", goals=[Goal(0.1, 0.1, "metres")])
+    read_map(folder / "lab.yaml", goals=[Goal(0.1, 0.1, "meters")])
 
 
 def write_recording(folder: Path) -> None:

@@ -105,7 +105,7 @@ def _call_sizes(n_robots: int) -> list[int]:
     return [largest >> times for times in halvings if largest >> times >= _FEWEST_MAPS]
 
 
-def for_some(function: Callable[[Any, Any], Any], wanted: Bool[Array, "*batch"], inputs: Any, before: Any) -> Any:
+def update_where(function: Callable[[Any, Any], Any], wanted: Bool[Array, "*batch"], inputs: Any, before: Any) -> Any:
     """Apply a function to some of the robots, a few at a time, and keep the old values of the others.
 
     Args:

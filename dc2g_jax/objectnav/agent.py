@@ -20,7 +20,15 @@ from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 from dc2g_jax.mapping.camera import Frame, Intrinsics
 from dc2g_jax.objectnav._cost_maps import STOP, cost_lookup, dense_costs
 from dc2g_jax.objectnav._starts import ROBOT_RADIUS
-from dc2g_jax.objectnav.mapping import IndoorMap, IndoorMapSettings, empty_map, grid_cell, integrate, square, stood_on
+from dc2g_jax.objectnav.mapping import (
+    IndoorMap,
+    IndoorMapSettings,
+    empty_map,
+    grid_cell,
+    integrate,
+    mark_explored,
+    square,
+)
 from dc2g_jax.objectnav.worlds import IndoorWorld
 from dc2g_jax.vehicles import mppi
 from dc2g_jax.vehicles.mppi import CostOfPose, MPPISettings
@@ -287,7 +295,7 @@ def look(robot: _Robot, frame: Frame, image: UInt8[Array, "48 64 3"] | None, kno
     robot = dataclasses.replace(
         robot,
         key=key,
-        map=stood_on(seen, position, _FOOTROOM, agent.mapping),
+        map=mark_explored(seen, position, _FOOTROOM, agent.mapping),
         local_middle=grid_cell(position, cell_size),
     )
     guidance = agent.guide.guide(own_key, observed(robot, image), known, agent)

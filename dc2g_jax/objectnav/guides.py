@@ -53,7 +53,7 @@ class TrueCost(Guide):
 
 
 @struct.dataclass
-class NoIdea(Guide):
+class NullGuide(Guide):
     """Guide without information, for steering that does not use a guide."""
 
     def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: Agent) -> Guidance:

@@ -10,7 +10,7 @@ from dc2g_jax.estimation.hub import local_folder
 from dc2g_jax.files.resources import resource
 from dc2g_jax.objectnav.agent import CONTROLLER, MPC, Agent, Guide, LookAround, RandomUntilSeen, Steering
 from dc2g_jax.objectnav.camera import indoor_camera
-from dc2g_jax.objectnav.guides import GoalReacher, NearestFrontier, NoIdea, Predicted, PromisingFrontier, TrueCost
+from dc2g_jax.objectnav.guides import GoalReacher, NearestFrontier, NullGuide, Predicted, PromisingFrontier, TrueCost
 from dc2g_jax.objectnav.networks import CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts, load_costs
 
@@ -50,7 +50,7 @@ def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLE
     if name == "true_cost":
         guide, steering = TrueCost(), MPC()
     elif name == "random":
-        guide, steering = GoalReacher(NoIdea()), RandomUntilSeen()
+        guide, steering = GoalReacher(NullGuide()), RandomUntilSeen()
     elif name == "frontier":
         guide = GoalReacher(NearestFrontier())
     elif costs is None:

@@ -55,13 +55,13 @@ class Searches:
       track: see `dc2g_jax.objectnav.simulation.IndoorRobot`.
       declared: did the robot say that it was there?
       steps: control periods.
-      bumps: of these, those in which it ran into something.
+      collisions: of these, those in which it ran into something.
     """
 
     track: Float[np.ndarray, "episodes time 5"]
     declared: Bool[np.ndarray, "episodes"]
     steps: Int[np.ndarray, "episodes"]
-    bumps: Int[np.ndarray, "episodes"]
+    collisions: Int[np.ndarray, "episodes"]
 
 
 def sample_episodes(houses: Sequence[IndoorHouse], per_house: int, *, seed: int = 0) -> list[Search]:
@@ -146,8 +146,8 @@ def search_all(
     robots = run_to_end(
         robots, leg, where, sites, agent, limit=limit, count=count, first_steps=_FIRST_LEGS, on_progress=on_progress
     )
-    track, status, steps, bumps = gather((robots.track, robots.status, robots.periods, robots.bumps), count)
-    return Searches(track=track, declared=status == DECLARED, steps=steps, bumps=bumps)
+    track, status, steps, collisions = gather((robots.track, robots.status, robots.periods, robots.collisions), count)
+    return Searches(track=track, declared=status == DECLARED, steps=steps, collisions=collisions)
 
 
 def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[IndoorSite, dict[str, int]]:

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float, Int, UInt8
 
-from dc2g_jax.estimation.estimators import Estimates, Estimator, NetworkCostToGo, extent_of, for_some
+from dc2g_jax.estimation.estimators import Estimates, Estimator, NetworkCostToGo, extent_of, update_where
 from dc2g_jax.estimation.padding import PaddedNetwork, mirrored
 from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.bitboard import Board
@@ -447,7 +447,7 @@ class DC2G(AssessingPlanner):
         outdated = undecided & ((news >= enough) | poses.is_empty(state.choice.subgoals & revealing))
         inputs = belief, reachable, revealing, decided_near, state.estimator
         if self.memory:
-            choice = for_some(self._choose, outdated, inputs, state.choice)
+            choice = update_where(self._choose, outdated, inputs, state.choice)
         else:
             choice = jax.lax.cond(
                 outdated, lambda: self._estimated(belief, state.estimator, state.choice), lambda: state.choice
