@@ -23,7 +23,7 @@ from dc2g_jax.environments.registration import GYMNASIUM_ID  # noqa: E402
 from dc2g_jax.environments.task import FrontDoorTask, make_env  # noqa: E402
 from dc2g_jax.grid.terrain import FIGURE_RGB, OUTSIDE, ROAD  # noqa: E402
 from tests.oracles import numpy_gridworld as oracle  # noqa: E402
-from tests.support.houses import DATASET, STREET, WALLED, YARD, house, start_poses  # noqa: E402, save_dataset
+from tests.support.houses import DATASET, STREET, WALLED, YARD, house, save_dataset, start_poses  # noqa: E402
 from tests.support.refusals import refusal  # noqa: E402
 
 #: From the yard's road to its door in four steps.

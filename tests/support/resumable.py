@@ -39,7 +39,7 @@ from dc2g_jax.grid.terrain import GRASS
 from dc2g_jax.objectnav.collecting import CollectionConfig
 from dc2g_jax.objectnav.evaluation import SearchResult
 from dc2g_jax.objectnav.metrics import OF_CLASSES
-from dc2g_jax.objectnav.midlevel import SmallEncoder, TrainedEncoder
+from dc2g_jax.objectnav.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
 from dc2g_jax.objectnav.tables import METRICS
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts import published
@@ -49,6 +49,7 @@ from dc2g_jax.training import sweeps
 from dc2g_jax.training.cost_to_go_data import DataConfig
 from dc2g_jax.training.loop import Task
 from dc2g_jax.training.mask_collection import Masks
+from dc2g_jax.training.step import TrainingState
 from experiments import unknown_dimensions
 from tests.support import trainings
 from tests.support.houses import STREET, YARD
