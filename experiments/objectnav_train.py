@@ -16,7 +16,6 @@ import tyro
 from dc2g_jax.cli.common import check_seed, command_line
 from dc2g_jax.cli.options import TrainingOptions, require_positive
 from dc2g_jax.cli.outputs import command_written, commit, output_folder
-from dc2g_jax.cli.training_sets import kept_arrays
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
@@ -42,6 +41,7 @@ from dc2g_jax.objectnav.training import (
 from dc2g_jax.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
 from dc2g_jax.training.cost_to_go import TrainingState
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
+from dc2g_jax.training.training_sets import kept_arrays
 
 #: Training houses for the encoder and pictures of each, if no encoder is given.
 _ENCODER_HOUSES, _PICTURES_A_HOUSE = 200, 40

@@ -15,7 +15,7 @@ import numpy as np
 from tqdm import tqdm
 
 from dc2g_jax.cli.common import PlannersOption, check_planners, command_line, digests, network_for
-from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
+from dc2g_jax.cli.episodes import EpisodeTable
 from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import HouseDataset, group_of, open_dataset, tell_on_stderr
@@ -31,6 +31,7 @@ from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.named import FIGURE_PLANNERS
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax.rollouts.progress import EpisodeProgress
 from dc2g_jax.rollouts.published import PUBLISHED_GROUPS, frontier_over_dc2g, with_authors
 from dc2g_jax.rollouts.statistics import ExtraSteps, Summary, summarize, tabulate
 

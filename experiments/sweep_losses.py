@@ -14,10 +14,8 @@ import numpy as np
 import tyro
 
 from dc2g_jax.cli.common import command_line, digests
-from dc2g_jax.cli.episodes import EpisodeProgress
 from dc2g_jax.cli.options import DatasetOptions, TrainingOptions
 from dc2g_jax.cli.outputs import number_or_null, output_folder
-from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
 from dc2g_jax.errors import InputError, short
@@ -31,6 +29,7 @@ from dc2g_jax.inspection.training_figures import plot_sweep
 from dc2g_jax.inspection.training_recording import prediction_picture
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import fetch, mesh_of, replicate, require_memory
+from dc2g_jax.rollouts.progress import EpisodeProgress
 from dc2g_jax.training import sweeps
 from dc2g_jax.training.cost_to_go import (
     TrainingConfig,
@@ -44,6 +43,7 @@ from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_hous
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax.training.losses import losses_as_text
 from dc2g_jax.training.tracking import Image
+from dc2g_jax.training.training_sets import open_training_set
 
 #: Number of validation pairs, and of those in pictures for a tracker.
 _PAIRS, _PAIRS_SHOWN = 512, 6

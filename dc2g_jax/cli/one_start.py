@@ -9,7 +9,7 @@ from typing import Literal
 from tqdm import tqdm
 
 from dc2g_jax.cli.common import PlannersOption, check_planners, network_for
-from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
+from dc2g_jax.cli.episodes import EpisodeTable
 from dc2g_jax.cli.map_options import StartOption
 from dc2g_jax.cli.options import NetworkOptions, OutOptions
 from dc2g_jax.cli.outputs import output_folder, print_files
@@ -25,6 +25,7 @@ from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.planners import GAVE_UP, MODE_NAMES
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax.rollouts.progress import EpisodeProgress
 
 #: Bytes that the replay of an episode needs per cell and step, and the limit for all replays together.
 _REPLAY_BYTES, _MOST_BYTES = 45, 6e9

@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from dc2g_jax.cli.episodes import EpisodeProgress
 from dc2g_jax.cli.options import OutOptions, ResumeOptions, require_positive
 from dc2g_jax.cli.outputs import print_files
 from dc2g_jax.datasets.houses import PROCEDURAL
@@ -18,6 +17,7 @@ from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
 from dc2g_jax.objectnav.searches import TIME_LIMIT, Search, sample_episodes, search_all
 from dc2g_jax.objectnav.tables import with_interval
+from dc2g_jax.rollouts.progress import EpisodeProgress
 from dc2g_jax.rollouts.results import ResumableTable
 
 #: Printed below every table.
