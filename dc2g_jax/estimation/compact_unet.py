@@ -195,9 +195,10 @@ def check_network(architecture: Architecture) -> None:
       InputError: it cannot or does not; see also `network_class`.
     """
     side, name = architecture.side, architecture.network
-    weights = shapes_of_weights(network_class(architecture), architecture)
+    network = network_class(architecture)
+    weights = shapes_of_weights(network, architecture)
     maps = jax.ShapeDtypeStruct((1, side, side), jnp.uint8)
-    answer = jax.eval_shape(lambda weights, maps: apply(architecture, weights, maps), weights, maps)
+    answer = jax.eval_shape(lambda weights, maps: with_weights(network, architecture, weights)(maps), weights, maps)
     wanted = (1, side, side, len(architecture.quantiles))
     if answer.shape != wanted or not jnp.issubdtype(answer.dtype, jnp.floating):
         raise InputError(

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, UInt8
 
-from dc2g_jax.datasets.houses import HouseDataset, open_dataset, stack_worlds
+from dc2g_jax.datasets.houses import PROCEDURAL, HouseDataset, open_dataset, procedural_dataset, stack_worlds
 from dc2g_jax.datasets.starts import Start, sample_starts, usable_houses
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.estimation.estimators import Estimator, extent_of
@@ -233,6 +233,7 @@ class Runner:
             if self._progress is not None:
                 self._progress(name, finished, len(starts))
 
+        report(0)  # before minutes of compilation, perhaps
         done = rollout(
             planner,
             self._worlds,
@@ -408,7 +409,8 @@ def evaluate(
     settings.rules(sensing_range)
     estimator = open_estimator(network) if NETWORK_PLANNERS.keys() & set(sources) else None
     if not isinstance(dataset, HouseDataset):
-        dataset = open_dataset(dataset)
+        only = {"split": split} if starts is None else {}
+        dataset = procedural_dataset(**only) if dataset == PROCEDURAL else open_dataset(dataset)
     if starts is None:
         houses = usable_houses(dataset, split, instead="use another split")
         starts = sample_starts(houses, starts_per_house, seed=seed)

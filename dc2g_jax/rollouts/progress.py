@@ -19,7 +19,10 @@ class EpisodeProgress:
     def __call__(self, planner: str, finished: int, episodes: int) -> None:
         """Show the number of finished episodes of a planner."""
         if self._bar is None:
-            self._bar = tqdm(total=episodes, desc=f"{planner:>16}", unit="episode", leave=self._leave, file=sys.stderr)
+            # With 0, the time moves on within a long episode too.
+            self._bar = tqdm(
+                total=episodes, desc=f"{planner:>16}", unit="episode", leave=self._leave, miniters=0, file=sys.stderr
+            )
         self._bar.update(finished - self._bar.n)
         if finished >= episodes:
             self._bar.close()

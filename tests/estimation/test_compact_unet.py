@@ -211,9 +211,9 @@ def test_a_network_of_the_users_own_is_kept_and_leads_a_planner(tmp_path):
     network = NetworkCostToGo(init_weights(OWN, jax.random.key(1)), OWN)
     loaded = dc2g.load(save_network(tmp_path / "network", network))
     assert loaded.architecture == OWN
-    terrain = maps.random_terrain(3, (14, 12), 0.7)[..., None]
+    terrain = jnp.asarray(maps.random_terrain(3, (14, 12), 0.7)[..., None])
     jax.tree.map(np.testing.assert_array_equal, loaded.weights, network.weights)
-    outcomes = np.asarray(loaded.estimate(terrain, ()))
+    outcomes = loaded.estimate(terrain, ())
     for selection in (ExpectedCost(0.5), QuantileCost(0.7, 0.5)):
         told = DC2G(loaded, SETTINGS["paper"].rules(), selection)._told(terrain, ())
         np.testing.assert_allclose(told, selection.summary(outcomes), rtol=1e-5)
