@@ -56,7 +56,7 @@ class Options(SearchOptions, NetworkOptions):
 def main(options: Options) -> None:
     """Search, draw and print the result."""
     require_positive(options, "samples", "limit")
-    where, cell_size = (options.houses, options.split), IndoorMapSettings.cell_size
+    where, cell_size = (options.dataset, options.split), IndoorMapSettings.cell_size
     if options.house is None:
         house = indoor_houses(*where, count=1, cell_size=cell_size)[0]
     else:

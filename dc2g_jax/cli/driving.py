@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dc2g_jax.cli.common import ImageSizeOption
-from dc2g_jax.cli.outputs import CommandOptions
+from dc2g_jax.cli.options import SharedOptions
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
@@ -35,7 +35,7 @@ SECONDS_LIMIT = 500.0
 
 
 @dataclasses.dataclass(frozen=True)
-class DrivingOptions(CommandOptions):
+class DrivingOptions(SharedOptions):
     """Robots that drive with a camera.
 
     Attributes:
