@@ -58,7 +58,7 @@ def cost_shares(frames: Frames, high: float) -> Float[np.ndarray, "t h w"]:
 
 def predicts(costs: Float[np.ndarray, "*t h w"]) -> Bool[np.ndarray, "*t"]:
     """Whether costs predict anything. Costs of 0 everywhere, as a network's on a map without classes, do not."""
-    return np.any(costs, axis=(-2, -1))
+    return np.asarray(np.any(costs, axis=(-2, -1)))
 
 
 def cost_image(
