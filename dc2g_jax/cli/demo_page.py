@@ -112,7 +112,7 @@ class Page:
     """The page of one visitor, for a state."""
 
     def __init__(self, state: Demo):
-        self.state = state
+        self.state, self.client = state, ui.context.client
         self.shown = 0
         self.last: tuple[int, int] | None = None
         self.panels: dict[str, tuple[ui.label, Any, ui.label]] = {}
@@ -134,7 +134,7 @@ class Page:
             with ui.tab_panel("Draw").classes("p-0 gap-2"):
                 self._draw()
         tabs.on_value_change(self._changed_tab)
-        self._follow(ui.context.client.request.query_params.get("map", ""))
+        self._follow(self.client.request.query_params.get("map", ""))
         self.timer = ui.timer(_PAUSE, self.forward, active=False)
         ui.timer(0.05, self.restart, once=True)
 
@@ -256,7 +256,9 @@ class Page:
         self.show(0)
         # So that a reload, or whoever gets the address, has what was drawn.
         link = self.state.link if self.choice.value is None else ""
-        ui.run_javascript(f"history.replaceState(null, '', '{'?map=' * bool(link)}{link}' || location.pathname)")
+        self.client.run_javascript(
+            f"history.replaceState(null, '', '{'?map=' * bool(link)}{link}' || location.pathname)"
+        )
 
     def _make_panels(self) -> None:
         """One panel for each planner."""

@@ -131,7 +131,7 @@ def test_a_visitor_draws_a_map_and_is_told_what_is_wrong():
 
 def test_a_link_holds_what_was_drawn():
     async def visit(user, pages):
-        drawn = Demo({"toy": HOUSE.terrain}, ["frontier"], None)
+        drawn = Demo({"toy": HOUSE.terrain}, ["frontier"], random_network(Architecture(widths=(4, 4, 4, 4))))
         drawn.paint((0, 0), (9, 0), "road", 1)
         drawn.start = RobotPose(3, 5, 2)
         await user.open(f"/?map={drawn.link}")
