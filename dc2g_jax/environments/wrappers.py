@@ -59,7 +59,7 @@ class FlattenObservation:
         return self._flat(observation), state
 
     def step(
-        self, key: PRNGKeyArray, state: State, action: Int[Array, ""], params: Params | None = None
+        self, key: PRNGKeyArray, state: State, action: int | Int[Array, ""], params: Params | None = None
     ) -> (
         tuple[Float[Array, "inputs"], State, Float[Array, ""], Bool[Array, ""], dict[str, Any]]
         | tuple[Float[Array, "inputs"], State, Float[Array, ""], Bool[Array, ""], Bool[Array, ""], dict[str, Any]]
