@@ -24,7 +24,6 @@ from hypothesis import HealthCheck, given, settings
 from PIL import Image
 
 from dc2g_jax.cli.outputs import _read_run
-from dc2g_jax.cli.training_sets import kept_arrays
 from dc2g_jax.datasets._download import read_manifest
 from dc2g_jax.datasets.houses import load_dataset, map_dataset
 from dc2g_jax.datasets.maps import Goal, read_map
@@ -54,6 +53,7 @@ from dc2g_jax.training.cost_to_go_data import check_masks
 from dc2g_jax.training.loop import Log
 from dc2g_jax.training.mask_collection import Masks
 from dc2g_jax.training.tracking import Curve
+from dc2g_jax.training.training_sets import kept_arrays
 from tests.support import house_lines, occupancy
 from tests.support.damage import damaged
 from tests.support.frames import CAMERA, random_frame

@@ -172,8 +172,10 @@ def load_dataset(folder: str | os.PathLike[str], *, cells: int | None = 50) -> H
 
 
 @functools.lru_cache(maxsize=4)
-def procedural_dataset(seed: int = 0, *, cells: int | None = 50) -> HouseDataset:
+def procedural_dataset(seed: int = 0, *, cells: int | None = 50, split: str | None = None) -> HouseDataset:
     """Return the procedural houses, sampled to `cells` x `cells` like images from a folder (`None`: no sampling).
+
+    With a `split`, the others are not drawn: drawing all takes seconds.
 
     Raises:
         InputError: `cells` is less than 1 or more than the maps have pixels.
@@ -183,8 +185,8 @@ def procedural_dataset(seed: int = 0, *, cells: int | None = 50) -> HouseDataset
         name,
         PROCEDURAL,
         tuple(
-            House(house, split, sampled(f"procedural house {house}", classes, cells))
-            for house, split, classes in procedural_houses(seed)
+            House(house, of, sampled(f"procedural house {house}", classes, cells))
+            for house, of, classes in procedural_houses(seed, split)
         ),
     )
 

@@ -16,7 +16,7 @@ import numpy as np
 from flax import nnx
 
 from dc2g_jax.errors import InputError, require_extra, short
-from dc2g_jax.estimation.compact_unet import Architecture, CompactUNet
+from dc2g_jax.estimation.compact_unet import COMPACT_UNET, Architecture, network_class
 from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.pix2pix import Generator, TranslatorArchitecture
 from dc2g_jax.estimation.weights import read_safetensors, read_weights, shapes_of_weights, write_safetensors
@@ -39,11 +39,11 @@ TrainedNetwork = NetworkCostToGo | TranslatorCostToGo
 
 
 class _Kind(NamedTuple):
-    """A kind of network: its estimator, the function that reads its architecture, and its class."""
+    """A kind of network: its estimator, the functions that read its architecture, and its class from that."""
 
     estimator: type[TrainedNetwork]
     read_architecture: Callable[[Any], Any]
-    network: type[nnx.Module]
+    network: Callable[[Any], type[nnx.Module]]
 
 
 def _read_compact(facts: Any) -> Architecture:
@@ -54,6 +54,7 @@ def _read_compact(facts: Any) -> Architecture:
         side=whole_number(facts["side"]),
         patch=whole_number(facts["patch"]),
         embedding=whole_number(facts["embedding"]),
+        network=facts.get("network", COMPACT_UNET),
     )
 
 
@@ -66,8 +67,8 @@ def _read_translator(facts: Any) -> TranslatorArchitecture:
 
 
 _KINDS = {
-    "compact_unet": _Kind(NetworkCostToGo, _read_compact, CompactUNet),
-    "pix2pix": _Kind(TranslatorCostToGo, _read_translator, Generator),
+    "compact_unet": _Kind(NetworkCostToGo, _read_compact, network_class),
+    "pix2pix": _Kind(TranslatorCostToGo, _read_translator, lambda architecture: Generator),
 }
 
 
@@ -138,7 +139,7 @@ def _read_card(folder: Path) -> tuple[_Kind, Any, Any]:
     architecture: Any = facts.get("architecture")
     try:
         known = kind.read_architecture(architecture)
-        shapes_of_weights(kind.network, known)
+        shapes_of_weights(kind.network(known), known)
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise InputError(
             f"{folder / CARD}: architecture {short(architecture)} is not one of this network's ({error}); {remedy}"
@@ -158,7 +159,7 @@ def load_network(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork
     folder = Path(resource(SHIPPED_NETWORK) if folder is None else folder).absolute()
     kind, architecture, digest = _read_card(folder)
     path = folder / _WEIGHTS
-    weights = read_weights(path, shapes_of_weights(kind.network, architecture), read_safetensors(path)[0])
+    weights = read_weights(path, shapes_of_weights(kind.network(architecture), architecture), read_safetensors(path)[0])
     found = arrays_sha256(weights)
     if digest is None:
         raise InputError(

@@ -1,4 +1,4 @@
-"""A compact U-Net that maps a partial map to the cost-to-go of every cell."""
+"""A compact U-Net that maps a partial map to the cost-to-go of every cell; networks of the user's own in its place."""
 
 import dataclasses
 import functools
@@ -12,7 +12,11 @@ from jaxtyping import Array, Float, Int, Shaped, UInt8
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.estimation.weights import fresh_weights, shapes_of_weights, with_weights
 from dc2g_jax.grid.terrain import CLASS_NAMES
+from dc2g_jax.own_parts import own_part
 from dc2g_jax.programs import jit
+
+#: Name of the class below among networks.
+COMPACT_UNET = "compact_unet"
 
 #: Largest side of a patch in cells, and largest number of scales.
 _LARGEST_PATCH, _MOST_SCALES = 64, 16
@@ -26,7 +30,7 @@ _LONGEST_SIDE = 4096
 
 @dataclasses.dataclass(frozen=True)
 class Architecture:
-    """Architecture of a `CompactUNet`.
+    """Architecture of a `CompactUNet`, or of a network of the user's own, which uses what it likes of it.
 
     Attributes:
       widths: channels at each scale, from the finest; each scale has half the resolution of the one before.
@@ -37,6 +41,7 @@ class Architecture:
       patch: side of a square patch, in cells. The finest scale has one position for each patch.
       embedding: number of hidden features of each patch, from which the first scale and the output are computed. With 0
         there are none: the first scale is linear in the cells of a patch, and the output uses the scales alone.
+      network: `compact_unet`, or `package.module:Name` for a class of the user's own, see `network_class`.
 
     Raises:
       InputError: an attribute is out of its range.
@@ -48,6 +53,7 @@ class Architecture:
     side: int = 50
     patch: int = 5
     embedding: int = 64
+    network: str = COMPACT_UNET
 
     def __post_init__(self) -> None:
         if not 2 <= len(self.widths) <= _MOST_SCALES or not 1 <= min(self.widths) <= max(self.widths) <= _WIDEST:
@@ -204,19 +210,59 @@ class CompactUNet(nnx.Module):
         return self.architecture.cost_scale * (1 + cells)
 
 
-#: Random initial weights for `(architecture, key)`, see `dc2g_jax.estimation.weights`.
-init_weights = functools.partial(fresh_weights, CompactUNet)
+def network_class(architecture: Architecture) -> type[nnx.Module]:
+    """The class of an architecture's network, `CompactUNet` or one of the user's own.
+
+    It is called as `network(architecture, rngs=...)`. The network maps observed class indices, uint8 `[b h w]`
+    (0 = not observed), to the quantiles of every cell's cost-to-go in cells, float32 `[b h w quantiles]`, for maps of
+    any size.
+
+    Raises:
+      InputError: it cannot be imported, is no such class, or its answer has another shape.
+    """
+    if architecture.network == COMPACT_UNET:
+        return CompactUNet
+    found = own_part("network", architecture.network, (COMPACT_UNET,))
+    if not (isinstance(found, type) and issubclass(found, nnx.Module)):
+        raise InputError(f"network {architecture.network!r}: is {short(found)}; give a subclass of flax.nnx.Module")
+    return found
+
+
+def check_network(architecture: Architecture) -> None:
+    """Check, without computing anything, that a network of the user's own can be made and answers in the right shape.
+
+    Raises:
+      InputError: it cannot or does not; see also `network_class`.
+    """
+    side, name = architecture.side, architecture.network
+    network = network_class(architecture)
+    weights = shapes_of_weights(network, architecture)
+    maps = jax.ShapeDtypeStruct((1, side, side), jnp.uint8)
+    answer = jax.eval_shape(lambda weights, maps: with_weights(network, architecture, weights)(maps), weights, maps)
+    wanted = (1, side, side, len(architecture.quantiles))
+    if answer.shape != wanted or not jnp.issubdtype(answer.dtype, jnp.floating):
+        raise InputError(
+            f"network {name!r}: answers with {answer.dtype}{list(answer.shape)} for a map of {side} x {side} cells; "
+            f"expected float32{list(wanted)}"
+        )
+
+
+def init_weights(architecture: Architecture, key: Array) -> dict[str, Any]:
+    """Random initial weights, see `dc2g_jax.estimation.weights`."""
+    return fresh_weights(network_class(architecture), architecture, key)
 
 
 def apply(
     architecture: Architecture, weights: dict[str, Any], terrain: UInt8[Array, "b h w"]
 ) -> Float[Array, "b h w quantiles"]:
     """Run the network on a batch of partial maps: quantiles of the cost-to-go in cells."""
-    return with_weights(CompactUNet, architecture, weights)(terrain)
+    return with_weights(network_class(architecture), architecture, weights)(terrain)
 
 
 def multiply_accumulates(architecture: Architecture, height: int, width: int) -> int:
     """Multiply-accumulates per map: half of the floating-point operations that XLA counts."""
     maps = jax.ShapeDtypeStruct((1, height, width), jnp.uint8)
-    lowered = jit(functools.partial(apply, architecture)).lower(shapes_of_weights(CompactUNet, architecture), maps)
+    lowered = jit(functools.partial(apply, architecture)).lower(
+        shapes_of_weights(network_class(architecture), architecture), maps
+    )
     return round((lowered.cost_analysis() or {})["flops"] / 2)

@@ -1,5 +1,6 @@
 """Estimators map a partial map to the cost-to-go of every cell; lower is better."""
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from typing import Any, ClassVar, Protocol
@@ -10,7 +11,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, UInt8
 
 from dc2g_jax.estimation import compact_unet, images
-from dc2g_jax.estimation.compact_unet import Architecture
+from dc2g_jax.estimation.compact_unet import COMPACT_UNET, Architecture
 from dc2g_jax.estimation.pix2pix import Generator, TranslatorArchitecture
 from dc2g_jax.estimation.weights import with_weights
 from dc2g_jax.grid import bitboard, search
@@ -163,15 +164,17 @@ def zero_without_classes(
 
 @struct.dataclass
 class NetworkCostToGo(Estimator):
-    """The estimate of a trained network.
+    """The estimate of a trained network, the compact one or one of the user's own.
 
     Attributes:
       weights: the network's weights.
       architecture: the network's architecture.
+      summary: applied to the outcomes of a network of the user's own, see `summarized`; `None` for the outcomes.
     """
 
     weights: Any
     architecture: Architecture = struct.field(pytree_node=False)
+    summary: Callable[[Array], Array] | None = struct.field(pytree_node=False, default=None)
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "outcomes h w *batch"]:
         """The network's estimate for partial maps, in cells, with one outcome per quantile.
@@ -190,17 +193,25 @@ class NetworkCostToGo(Estimator):
         answers = compact_unet.apply(self.architecture, self.weights, jnp.moveaxis(shrunk, -1, 0))
         cells = jnp.moveaxis(answers, (-1, 0), (2, -1)).reshape(rows, columns, -1, *batch)
         costs = longest / self.architecture.side * jnp.moveaxis(resize_nearest(cells, height, width), 2, 0)
-        return zero_without_classes(terrain, costs)
+        costs = zero_without_classes(terrain, costs)
+        return costs if self.summary is None else self.summary(costs)
+
+    @property
+    def is_compact(self) -> bool:
+        """Whether the network is a `CompactUNet`, whose layers are known."""
+        return self.architecture.network == COMPACT_UNET
 
     def summarized(self, summary: Callable[[Array], Array]) -> "NetworkCostToGo":
-        """A faster network that computes only a weighted sum of this one's outcomes, such as their mean.
+        """An estimator that computes only a weighted sum of this one's outcomes, such as their mean.
 
-        Its last layer computes the sum, since outcomes are linear in the weights of that layer. It is for planners. Its
-        architecture still lists the quantiles of this network.
+        The last layer of the compact network computes the sum, which is faster, since outcomes are linear in the
+        weights of that layer. It is for planners. Its architecture still lists the quantiles of this network.
 
         Args:
           summary: the sum, see `dc2g_jax.planning.selection.linear`.
         """
+        if not self.is_compact:
+            return dataclasses.replace(self, summary=summary)
         area, quantiles = self.architecture.patch**2, len(self.architecture.quantiles)
 
         def summed(leaf: Array) -> Array:

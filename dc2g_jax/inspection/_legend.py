@@ -31,9 +31,10 @@ _COLOR_WORDS = (
     "ochre", "yellow-green", "brown", "black", "white",
 )  # fmt: skip
 
-#: Costs are drawn as classes, so that the viewer names the value under the pointer: not shown, no path, then costs.
-NOT_SHOWN, NO_WAY, FIRST_COST, LAST_COST = 0, 1, 2, 255
-_NOT_SHOWN_COLOR, _NO_WAY_COLOR = (32, 33, 38), (82, 83, 90)
+#: Costs are drawn as classes, so that the viewer names the value under the pointer: not shown, no path, no prediction,
+#: then costs.
+NOT_SHOWN, NO_WAY, NO_PREDICTION, FIRST_COST, LAST_COST = 0, 1, 2, 3, 255
+_NOT_SHOWN_COLOR, _NO_WAY_COLOR, _NO_PREDICTION_COLOR = (32, 33, 38), (82, 83, 90), (150, 128, 128)
 
 #: Used part of the color map of costs: its dark end would hide marks drawn over it.
 _BRIGHT = 0.88
@@ -58,6 +59,7 @@ _EPISODE_LEGEND = """\
 
 - yellow at the goal to blue, {farthest} cells away
 - gray: no path; dark: not observed
+- brownish gray: no prediction, as on a map without classes
 - dots: candidates, white for the lowest score, which wins, over red to black
 - red dots: goal
 
@@ -114,14 +116,14 @@ class CostScale(NamedTuple):
 
     def context(self) -> rr.AnnotationContext:
         """Names and colors of the classes."""
-        names = ["not observed", "no path", *map(self.words.format, self._costs().tolist())]
+        names = ["not observed", "no path", "no prediction", *map(self.words.format, self._costs().tolist())]
         colors = map(tuple, self.colors().tolist())
         return rr.AnnotationContext(list(zip(range(len(names)), names, colors, strict=True)))
 
     def colors(self) -> UInt8[np.ndarray, "classes 3"]:
         """The RGB color of each class."""
         known = _colors("viridis_r", _BRIGHT * np.minimum(self._costs() / self.farthest, 1))
-        return np.array([_NOT_SHOWN_COLOR, _NO_WAY_COLOR, *known], np.uint8)
+        return np.array([_NOT_SHOWN_COLOR, _NO_WAY_COLOR, _NO_PREDICTION_COLOR, *known], np.uint8)
 
     def _costs(self) -> Float[np.ndarray, "costs"]:
         """The costs of the classes from `FIRST_COST` on."""

@@ -2,6 +2,7 @@
 
 import collections
 import contextlib
+import importlib.util
 import itertools
 import subprocess
 from collections.abc import Iterable, Iterator, Sequence
@@ -77,6 +78,18 @@ def write_gif(path: Path, shown: Iterator[Picture], colors: Int[np.ndarray, "n"]
     )
 
 
+def h264_encoder() -> str | None:
+    """The program that encodes H.264; `None` if there is none."""
+    if importlib.util.find_spec("imageio_ffmpeg") is None:
+        return None
+    from imageio_ffmpeg import get_ffmpeg_exe
+
+    try:
+        return get_ffmpeg_exe()
+    except RuntimeError:  # installed without the program
+        return None
+
+
 def write_mp4(path: Path, shown: Iterator[Picture], frames_per_second: int, last_seconds: float) -> None:
     """Write an MP4 in H.264, which office programs and browsers open.
 
@@ -89,14 +102,15 @@ def write_mp4(path: Path, shown: Iterator[Picture], frames_per_second: int, last
     Raises:
       InputError: the encoder is not installed, or cannot write to the path.
     """
-    require_extra("imageio_ffmpeg")
-    from imageio_ffmpeg import get_ffmpeg_exe
-
+    program = h264_encoder()
+    if program is None:
+        require_extra("imageio_ffmpeg")
+        raise InputError(f"{path}: imageio_ffmpeg has no encoder; give a file that ends in .gif")
     first = next(shown)
     height, width, _ = first.shape
     pictures = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(frames_per_second)]
     coded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart", "-f", "mp4"]
-    command = [get_ffmpeg_exe(), "-v", "quiet", "-y", *pictures, "-i", "-", *coded, str(path.absolute())]
+    command = [program, "-v", "quiet", "-y", *pictures, "-i", "-", *coded, str(path.absolute())]
     # A pipe that breaks means that the encoder has failed, as its status says.
     with contextlib.suppress(BrokenPipeError), subprocess.Popen(command, stdin=subprocess.PIPE) as encoder:
         assert encoder.stdin is not None

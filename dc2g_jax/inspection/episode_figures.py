@@ -27,6 +27,7 @@ from dc2g_jax.inspection.costs import (
     cost_shares,
     exact_cost_to_go,
     highest_cost,
+    predicts,
 )
 from dc2g_jax.inspection.figures import (
     class_patch,
@@ -242,6 +243,8 @@ def _draw_costs(panels: Sequence[Axes], house: House, frames: Frames, chosen: Se
     for axes, frame in zip(panels, chosen, strict=True):
         seen = frames.seen[frame]
         _draw_cost(axes, share[frame], seen & ground, seen & ~ground)
+        if not predicts(share[frame]):
+            axes.text(0.5, 0.97, "no prediction", ha="center", va="top", transform=axes.transAxes, fontsize=FONT)
         _draw_robot(axes, frames, frame)
 
 

@@ -325,7 +325,7 @@ class DC2G(AssessingPlanner):
     def memoryless(self) -> "DC2G":
         """This planner for a single robot with a new state at every step, on maps of any size."""
         network = self.estimator
-        estimator = PaddedNetwork(network) if isinstance(network, NetworkCostToGo) else network
+        estimator = PaddedNetwork(network) if isinstance(network, NetworkCostToGo) and network.is_compact else network
         return dataclasses.replace(self, estimator=estimator, patience=ENDLESS, memory=False)
 
     def init(self, world: World) -> "ExplorationState":

@@ -33,8 +33,12 @@ if not importlib.util.find_spec("nicegui"):
 import httpx
 import websockets.exceptions
 import websockets.sync.client
+from nicegui import ui
+from nicegui.testing import user_simulation
+from starlette.responses import PlainTextResponse
 
-from dc2g_jax.cli.local_server import LARGEST_BODY
+from dc2g_jax.cli.demo_page import Page, check_port
+from dc2g_jax.cli.local_server import LARGEST_BODY, OwnOriginOnly
 
 
 def broken(rules):
@@ -44,10 +48,6 @@ def broken(rules):
 
 def visited(visit) -> None:
     """Run `visit(user, pages)` on pages with a toy map and frontier exploration; `pages` grows with each visit."""
-    from nicegui.testing import user_simulation
-
-    from dc2g_jax.cli.demo_page import Page
-
     network, pages = random_network(Architecture(widths=(4, 4, 4, 4))), []
 
     def root() -> None:
@@ -89,7 +89,6 @@ def test_a_visitor_steps_scrubs_and_meets_nobody_else():
 
 
 def test_a_visitor_draws_a_map_and_is_told_what_is_wrong():
-    from nicegui import ui
 
     async def visit(user, pages):
         await user.open("/")
@@ -112,6 +111,12 @@ def test_a_visitor_draws_a_map_and_is_told_what_is_wrong():
             point(kind, x, 12.5)
         assert np.argwhere(page.state.terrain == FRONT_DOOR).tolist() == [[12, x] for x in (3, 4, 5, 6)]
         assert page.choice.value is None  # so that the map can be chosen again
+        page.tool.value = "rectangle"
+        for kind, x in (("pointerdown", 20.5), ("pointermove", 22.5), ("pointerup", 21.5)):
+            point(kind, x, 3.5)
+        assert np.argwhere(page.state.terrain == FRONT_DOOR).tolist()[:2] == [[3, 20], [3, 21]]
+        user.find("Undo").click()
+        assert len(np.argwhere(page.state.terrain == FRONT_DOOR)) == 4
         page.tool.value = "robot"
         point("pointerdown", 0.5, 0.5)
         assert page.state.start[:2] == (0, 0)
@@ -127,12 +132,45 @@ def test_a_visitor_draws_a_map_and_is_told_what_is_wrong():
     visited(visit)
 
 
+def test_a_link_holds_what_was_drawn():
+    async def visit(user, pages):
+        drawn = Demo({"toy": HOUSE.terrain}, ["frontier"], random_network(Architecture(widths=(4, 4, 4, 4))))
+        drawn.paint((0, 0), (9, 0), "road", 1)
+        drawn.start = RobotPose(3, 5, 2)
+        await user.open(f"/?map={drawn.link}")
+        await user.should_see("step 0", retries=200)
+        np.testing.assert_array_equal(pages[0].state.terrain, drawn.terrain)
+        assert (pages[0].state.start, pages[0].choice.value) == (drawn.start, None)
+        await user.open("/?map=nothing")
+        assert "holds no map" in user.notify.messages[-1]
+
+    visited(visit)
+
+
+def test_other_users_need_the_token():
+    async def served(scope, receive, send):
+        await PlainTextResponse("the page")(scope, receive, send)
+
+    async def visit() -> None:
+        transport = httpx.ASGITransport(OwnOriginOnly(served, token="a-secret"))
+        async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as stranger:
+            for path in ("/", "/?token=", "/?token=a-secre", SOCKET + "polling"):
+                assert (await stranger.get(path)).status_code == 403
+            assert (await stranger.get("/", headers={"Cookie": "dc2g_token=another"})).status_code == 403
+        async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as owner:
+            first = await owner.get("/?token=a-secret")
+            assert (first.status_code, first.text) == (200, "the page")
+            assert "HttpOnly; SameSite=Strict" in first.headers["set-cookie"]
+            assert (await owner.get(SOCKET + "polling")).status_code == 200
+
+    asyncio.run(visit())
+
+
 def test_an_extra_that_is_missing_is_named():
     refusal(lambda: require_extra("no_such_module", extra="demo"), "no_such_module", 'pip install "dc2g_jax[demo]"')
 
 
 def test_a_port_that_is_taken():
-    from dc2g_jax.cli.demo_page import check_port
 
     with socket.socket() as holder:
         holder.bind(("127.0.0.1", 0))
@@ -151,7 +189,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
-    options = ["--no-browser", "--port", port, "--dataset", toy, "--planner", "frontier"]
+    options = ["--no-browser", "--port", port, "--dataset", toy, "--planner", "frontier", "--token", ""]
     # Where NiceGUI sees pytest, it serves as its own tests need it.
     outside = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
     command_line = [sys.executable, "-m", "experiments.demo", *options]

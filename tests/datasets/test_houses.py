@@ -542,3 +542,10 @@ def test_procedural_houses_are_sampled_like_images_and_survive_saving(tmp_path, 
         assert (one.name, one.split) == (other.name, other.split)
         np.testing.assert_array_equal(one.terrain, other.terrain)
     refusal(lambda: draw_dataset(cells=56), "p004m000h000", "wrong grid size", "55 x 90")
+
+
+def test_one_split_of_the_procedural_houses_is_that_of_all():
+    some, every = procedural_dataset(split="val"), procedural_dataset().split("val")
+    assert [house.name for house in some.houses] == [house.name for house in every]
+    for house, other in zip(some.houses, every, strict=True):
+        np.testing.assert_array_equal(house.terrain, other.terrain)

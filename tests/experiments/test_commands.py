@@ -100,7 +100,7 @@ def test_reproduce_fig7_on_a_folder_of_houses(few_houses, figure):
 
 @pytest.mark.slow
 def test_reproduce_fig7_records_episodes(few_houses, tmp_path):
-    options = ["--settings", "paper", "--starts-per-house", 1, "--record", 1]
+    options = ["--settings", "paper", "--starts-per-house", 1, "--record"]
     result = run("reproduce_fig7", "--dataset", few_houses, *options, "--out", tmp_path / "out")
     assert result.returncode == 0, result.stderr
     for ending in ("rrd", "png"):
@@ -319,7 +319,6 @@ def test_commands_refuse_what_they_cannot_use(few_houses, tmp_path, compact_netw
     refused(reproduce_fig7, "nowhere", dataset=str(tmp_path / "nowhere"))
     refused(reproduce_fig7, "published houses", settings="published")
     refused(reproduce_fig7, "network.json", network=tmp_path)
-    refused(reproduce_fig7, "--record -1", record=-1)
     refused(reproduce_fig7, "step limit 0", step_limit=0)
     refused(head_to_head, "published houses")
     refused(train, "known: quantile, l1", loss="l9")

@@ -40,7 +40,7 @@ def test_it_writes_tables_and_resumes(houses, tmp_path, capsys, monkeypatch):
     other = two_rooms()
     other.world.heights[0, 0] += 1
     monkeypatch.setattr(searches, "indoor_houses", lambda *args, **options: [other])
-    refusal(lambda: main(dataclasses.replace(options, resume=True)), options.out, "--houses", "has changed")
+    refusal(lambda: main(dataclasses.replace(options, resume=True)), options.out, "--dataset", "has changed")
 
 
 def test_a_broken_table_is_named_with_its_line(tmp_path):

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.cli.commands.train import Options, open_recording
+from dc2g_jax.cli.commands.train import Options, watching
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
 from dc2g_jax.errors import InputError
@@ -225,8 +225,8 @@ def test_training_is_the_same_with_and_without_a_recording(tmp_path):
 
 def test_the_command_records_observed_parts_of_validation_houses(tmp_path, street):
     dataset = HouseDataset("two", "folder", (House("a", "val", street), House("b", "val", street[:, ::-1].copy())))
-    assert open_recording(Options(out=tmp_path), _CONFIG, dataset) is None
-    recording = open_recording(Options(out=tmp_path, record=True), _CONFIG, dataset)
+    assert watching(Options(out=tmp_path), dataset, _CONFIG).recording is None
+    recording = watching(Options(out=tmp_path, record=True), dataset, _CONFIG).recording
     recording.close()
     maps = maps_to_watch(dataset, 6)
     shown = read(tmp_path / "training-001.rrd")["/maps/known", "SegmentationImage:buffer"][None]

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.cli import episodes, searches, training_sets, translation
+from dc2g_jax.cli import episodes, searches, translation
 from dc2g_jax.cli.commands import (
     head_to_head,
     noisy_mapping,
@@ -45,7 +45,8 @@ from dc2g_jax.programs import jit
 from dc2g_jax.rollouts import published
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax.rollouts.published import PUBLISHED_GROUPS
-from dc2g_jax.training import sweeps
+from dc2g_jax.training import sweeps, training_sets
+from dc2g_jax.training import train as training
 from dc2g_jax.training.cost_to_go_data import DataConfig
 from dc2g_jax.training.loop import Task
 from dc2g_jax.training.mask_collection import Masks
@@ -231,10 +232,10 @@ def _training(patch: pytest.MonkeyPatch, module: Any) -> None:
 
 
 def train_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
-    _training(patch, train)
+    _training(patch, training)
     options = train.Options(
         dataset=dataset, out=folder, data=DataConfig(extra_houses=0), widths=(2, 2, 2, 2), steps=3, batch_size=1,
-        validate_every=1, minutes_per_checkpoint=0.0,
+        validate_every=1, minutes_per_checkpoint=0.0, split=None,
     )  # fmt: skip
     return _command(train, options)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from dc2g_jax.cli.common import NetworkOption, command_line, digests
 from dc2g_jax.cli.driving import DriveResult, DrivingOptions, drive, equipment, summarize_drives
-from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
+from dc2g_jax.cli.episodes import EpisodeTable
 from dc2g_jax.cli.options import DatasetOptions, OutOptions, ResumeOptions
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
@@ -24,6 +24,7 @@ from dc2g_jax.files.resources import resource
 from dc2g_jax.inspection.driving_figures import plot_noise
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import Runner
+from dc2g_jax.rollouts.progress import EpisodeProgress
 from dc2g_jax.rollouts.results import ResumableTable
 from dc2g_jax.vehicles.drive import Equipment
 

@@ -19,8 +19,10 @@ from dc2g_jax.cli.options import NetworkOptions, require_positive
 from dc2g_jax.cli.outputs import output_folder, print_files
 from dc2g_jax.cli.searches import SearchOptions
 from dc2g_jax.files.atomic import write_json
+from dc2g_jax.inspection.search_animation import animate_search
 from dc2g_jax.inspection.search_figures import plot_prediction, plot_search
 from dc2g_jax.inspection.search_moments import choose_legs, moment_of, prediction_at, run_search
+from dc2g_jax.inspection.search_recording import record_search
 from dc2g_jax.objectnav.agent import DECLARED
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax.objectnav.evaluation import results_of
@@ -54,9 +56,9 @@ class Options(SearchOptions, NetworkOptions):
 
 
 def main(options: Options) -> None:
-    """Search, draw and print the result."""
+    """Search, draw, record and print the result."""
     require_positive(options, "samples", "limit")
-    where, cell_size = (options.houses, options.split), IndoorMapSettings.cell_size
+    where, cell_size = (options.dataset, options.split), IndoorMapSettings.cell_size
     if options.house is None:
         house = indoor_houses(*where, count=1, cell_size=cell_size)[0]
     else:
@@ -79,7 +81,8 @@ def main(options: Options) -> None:
     ends = Searches(track[None], *(np.array([one]) for one in (robot.status == DECLARED, steps, robot.collisions)))
     (result,) = results_of(options.agent, [house], [episode], ends)
     to_goal = np.array([bool(one.guidance.to_goal) for one in begun])
-    moments = [moment_of(begun[number], agent, options.agent) for number in choose_legs(to_goal, _COLUMNS)]
+    every = [moment_of(one, agent, options.agent) for one in begun]
+    moments = [every[number] for number in choose_legs(to_goal, _COLUMNS)]
     plot_search(out / "fig5", house.world, target, track, moments)
     search_name = f"{house.name}, {episode.target}, {AGENT_TITLES[options.agent]}"
     if costs is not None:
@@ -87,6 +90,8 @@ def main(options: Options) -> None:
         distances = TrueCost().init(house.world, agent.controller.limits.radius)
         prediction = prediction_at(last, site, distances, agent, costs)
         plot_prediction(out / "fig4", prediction, f"{search_name}, step {int(last.periods)}")
+    animate_search(out / "search.gif", house.world, target, track, every)
+    record_search(out / "search.rrd", search_name, house.world, target, track, every)
     facts = {
         **result._asdict(),
         "goal_reacher_leads": [int(one.periods) for one in begun if one.guidance.to_goal],

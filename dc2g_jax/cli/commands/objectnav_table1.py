@@ -13,6 +13,7 @@ from dc2g_jax.cli.options import NetworkOptions
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.cli.searches import ComparisonOptions, conclude, run_searches
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.objectnav.evaluation import SearchResult, summarize
 from dc2g_jax.objectnav.named import AgentName, agent_with, costs_for
 from dc2g_jax.objectnav.tables import AGENT_TITLES, PAPER_TABLE1, table1
@@ -40,7 +41,7 @@ def main(options: Options) -> None:
         raise InputError(f"--agents {' '.join(options.agents)}: give each agent once, one at least")
     costs = costs_for(options.agents, options.network)
     houses, episodes = options.places()
-    inputs = digests(houses=[house.world for house in houses], network=costs)
+    inputs = {"dataset": tree_sha256([house.world for house in houses]), **digests(network=costs)}
     out = output_folder(options, "objectnav_table1", inputs=inputs)
     searches, all_results = ResumableTable(out / "episodes.csv", SearchResult), dict[str, list[SearchResult]]()
     for name in options.agents:

@@ -15,6 +15,7 @@ from dc2g_jax.cli.common import command_line, digests
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.cli.searches import ComparisonOptions, conclude, run_searches
 from dc2g_jax.errors import InputError
+from dc2g_jax.files.digests import tree_sha256
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect
 from dc2g_jax.objectnav.evaluation import SearchResult, summarize
 from dc2g_jax.objectnav.houses import IndoorHouse
@@ -83,7 +84,7 @@ def main(options: Options) -> None:
         raise InputError(f"--maps {options.maps}: give a multiple of {_MAPS_A_BATCH}")
     networks = open_networks(options.networks)
     houses, episodes = options.places()
-    inputs = digests(houses=[house.world for house in houses], networks=networks)
+    inputs = {"dataset": tree_sha256([house.world for house in houses]), **digests(networks=networks)}
     out = output_folder(options, "objectnav_table2", inputs=inputs)
     searches, results = ResumableTable(out / "episodes.csv", SearchResult), dict[str, list[SearchResult]]()
     metrics = {}

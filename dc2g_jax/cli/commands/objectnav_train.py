@@ -16,7 +16,6 @@ import tyro
 from dc2g_jax.cli.common import check_seed, command_line
 from dc2g_jax.cli.options import TrainingOptions, require_positive
 from dc2g_jax.cli.outputs import command_written, commit, output_folder
-from dc2g_jax.cli.training_sets import kept_arrays
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
@@ -47,6 +46,7 @@ from dc2g_jax.objectnav.training import (
 from dc2g_jax.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax.training.step import TrainingState, supervised_step
+from dc2g_jax.training.training_sets import kept_arrays
 
 #: Training houses for the encoder and pictures of each, if no encoder is given.
 _ENCODER_HOUSES, _PICTURES_A_HOUSE = 200, 40
@@ -60,7 +60,7 @@ class Options(TrainingOptions, Pauses):
     """Train the network that predicts cost maps for object goals indoors (section II), on training houses only.
 
     Attributes:
-      houses: `procedural`, or a folder of houses in ProcTHOR's format.
+      dataset: `procedural`, or a folder of houses in ProcTHOR's format.
       count: number of training houses; by default all of a folder, or 500 procedural ones.
       strict: reject a file of houses at its first invalid line, instead of skipping the line.
       validation_houses: number of houses of the validation split.
@@ -80,7 +80,7 @@ class Options(TrainingOptions, Pauses):
       validation_samples: number of samples to validate on.
     """
 
-    houses: str = PROCEDURAL
+    dataset: Annotated[str, tyro.conf.arg(metavar="FOLDER")] = PROCEDURAL
     count: Annotated[int | None, tyro.conf.arg(help_behavior_hint="")] = None
     strict: bool = False
     validation_houses: int = 20
@@ -174,7 +174,7 @@ def training_task(
         latest = None if loss is None else float(loss)
         found = {"step": step, "training_loss": latest, **figures(estimator, batches, config)}
         card: dict[str, Any] = {
-            "houses": options.houses,
+            "houses": options.dataset,
             "cell_size": IndoorMapSettings.cell_size,
             "recipe": dataclasses.asdict(config.recipe),
             "command": command_written(),
@@ -206,17 +206,17 @@ def main(options: Options) -> None:
     free = ("validate_every", "minutes_per_checkpoint", "validation_samples")
     maps = float(INPUT_CHANNELS * IndoorMapSettings.local**2)
     require_memory(options.batch_size * maps, f"--batch-size {options.batch_size}")
-    digest = houses_sha256(options.houses)
-    inputs = {} if digest is None else {"houses": digest}
+    digest = houses_sha256(options.dataset)
+    inputs = {} if digest is None else {"dataset": digest}
     output_folder(options, "objectnav_train", free=free, inputs=inputs)
-    count = 500 if options.count is None and options.houses == PROCEDURAL else options.count
-    print(f"Houses: {count or 'all'} of {options.houses}", flush=True)
+    count = 500 if options.count is None and options.dataset == PROCEDURAL else options.count
+    print(f"Houses: {count or 'all'} of {options.dataset}", flush=True)
     read = functools.partial(
-        indoor_houses, options.houses, cell_size=IndoorMapSettings.cell_size, strict=options.strict
+        indoor_houses, options.dataset, cell_size=IndoorMapSettings.cell_size, strict=options.strict
     )
     houses = read("train", count=count)
     largest = options.validation_houses
-    unknown = read("val", count=largest if options.houses == PROCEDURAL else None)[:largest]
+    unknown = read("val", count=largest if options.dataset == PROCEDURAL else None)[:largest]
     encoder = _open_encoder(options, houses)
     collection = options.collection
     data = kept(options.out / "data.npz", functools.partial(collect, houses, encoder, collection), len(houses))
@@ -224,7 +224,7 @@ def main(options: Options) -> None:
     validation = kept(options.out / "validation.npz", functools.partial(collect, unknown, encoder, apart), len(unknown))
     print(f"Training on {data.headings.size} samples of {len(data.cells)} houses, {len(validation.cells)} to validate")
     config = options.training(vector_size(encoder))
-    facts = {name: str(getattr(options, name)) for name in ("houses", "count", "collection")}
+    facts = {name: str(getattr(options, name)) for name in ("dataset", "count", "collection")}
     checkpoints = TrainingCheckpoints(options.out, config, facts, first_state=first_state)
     train(training_task(options, config, data, validation), options.out, checkpoints, options, options.track)
     print(f"Trained: {options.out / NETWORK_FILE}")

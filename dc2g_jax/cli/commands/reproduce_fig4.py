@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dc2g_jax.cli.common import command_line
-from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, require_positive
+from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, SharedOptions, require_positive
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.drawn_masks import VARIANTS, drawn_masks
 from dc2g_jax.datasets.houses import House, open_dataset
@@ -21,7 +21,7 @@ from dc2g_jax.training.image_pairs import MASK_SEEDS, houses_with_door
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DatasetOptions, NetworkOptions, OutOptions):
+class Options(DatasetOptions, NetworkOptions, OutOptions, SharedOptions):
     """Reproduce Fig. 4: input, prediction and truth on whole and partial maps of test houses.
 
     The network may be of either kind.

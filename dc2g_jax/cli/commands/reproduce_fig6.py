@@ -12,7 +12,7 @@ import numpy as np
 import tyro
 
 from dc2g_jax.cli.common import command_line
-from dc2g_jax.cli.options import DatasetOptions, OutOptions
+from dc2g_jax.cli.options import DatasetOptions, OutOptions, SharedOptions
 from dc2g_jax.cli.outputs import number_or_null, output_folder, print_files
 from dc2g_jax.datasets.houses import House, group_of, open_dataset
 from dc2g_jax.estimation.hub import load
@@ -24,7 +24,7 @@ from dc2g_jax.training.image_pairs import GRID_CELLS, houses_with_door
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DatasetOptions, OutOptions):
+class Options(DatasetOptions, OutOptions, SharedOptions):
     """Reproduce Fig. 6: five metrics of each network on every test house, against its distance from training houses.
 
     Attributes:

@@ -15,7 +15,7 @@ import numpy as np
 from tqdm import tqdm
 
 from dc2g_jax.cli.common import PlannersOption, check_planners, command_line, digests, network_for
-from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
+from dc2g_jax.cli.episodes import EpisodeTable
 from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import HouseDataset, group_of, open_dataset, tell_on_stderr
@@ -31,6 +31,7 @@ from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.named import FIGURE_PLANNERS
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax.rollouts.progress import EpisodeProgress
 from dc2g_jax.rollouts.published import PUBLISHED_GROUPS, frontier_over_dc2g, with_authors
 from dc2g_jax.rollouts.statistics import ExtraSteps, Summary, summarize, tabulate
 
@@ -45,15 +46,18 @@ class Options(DatasetOptions, NetworkOptions, StepLimitOptions, OutOptions, Resu
       planner: planners to compare; package.module:Name for one of your own.
       starts_per_house: sampled starts in each test house.
       seed: seed of the sampled starts.
-      record: number of episodes of each setting to write rerun recordings (.rrd) and figures of, spread evenly.
+      record: write rerun recordings (.rrd) and figures of three episodes of each setting.
     """
 
     settings: Literal["both", "published", "paper"] = "both"
     planner: PlannersOption = FIGURE_PLANNERS
     starts_per_house: int = 10
     seed: int = 0
-    record: int = 0
+    record: bool = False
 
+
+#: Number of episodes of each setting that `--record` records, spread evenly.
+_RECORDED = 3
 
 #: Groups of the sampled episodes in tables, in order; `test` holds all episodes.
 _PAPER_GROUPS = ("same_neighborhood", "new_neighborhood", "urban", "test")
@@ -149,8 +153,6 @@ def _as_json(table: Table) -> dict[str, dict[str, dict[str, float]]]:
 def main(options: Options) -> None:
     """Run the episodes; print, write and plot their tables."""
     began = time.perf_counter()
-    if options.record < 0:
-        raise InputError(f"--record {options.record}: give the number of episodes to record, 0 for none")
     check_planners(options.planner)
     if options.planner == ("oracle",):
         raise InputError("--planner oracle: give a planner to compare with the oracle")
@@ -206,7 +208,7 @@ def main(options: Options) -> None:
         groups = {episode.house: episode.group for episode in entries[settings]}
         plot_house_strips(out / f"houses_{settings}", compared, groups, settings)
         if options.record:
-            record(out, dataset, settings, part, network, options.record)
+            record(out, dataset, settings, part, network, _RECORDED)
     facts = {
         "dataset": dataset.name,
         "source": dataset.source,

@@ -6,7 +6,6 @@
 import dataclasses
 
 from dc2g_jax.cli.common import HouseOption, command_line
-from dc2g_jax.cli.episodes import EpisodeProgress
 from dc2g_jax.cli.map_options import start_in
 from dc2g_jax.cli.one_start import OneStartOptions, run_one_start
 from dc2g_jax.cli.options import DatasetOptions
@@ -15,6 +14,7 @@ from dc2g_jax.datasets.starts import Start, sample_starts, usable_houses
 from dc2g_jax.errors import InputError
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import Runner
+from dc2g_jax.rollouts.progress import EpisodeProgress
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,13 +10,14 @@ import numpy as np
 import tyro
 
 from dc2g_jax.cli.common import PlannersOption, SettingsOption, check_planners, command_line, digests, network_for
-from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
+from dc2g_jax.cli.episodes import EpisodeTable
 from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.starts import read_starts
 from dc2g_jax.planning.rules import named_settings
 from dc2g_jax.rollouts.evaluation import Runner, as_text
+from dc2g_jax.rollouts.progress import EpisodeProgress
 from dc2g_jax.rollouts.statistics import summarize
 
 

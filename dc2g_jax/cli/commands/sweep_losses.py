@@ -14,15 +14,13 @@ import numpy as np
 import tyro
 
 from dc2g_jax.cli.common import command_line, digests
-from dc2g_jax.cli.episodes import EpisodeProgress
 from dc2g_jax.cli.options import DatasetOptions, TrainingOptions
 from dc2g_jax.cli.outputs import number_or_null, output_folder
-from dc2g_jax.cli.training_sets import open_training_set
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.estimation.checkpoints import CARD, TrainingCheckpoints, load_network, save_network
-from dc2g_jax.estimation.compact_unet import Architecture, multiply_accumulates
+from dc2g_jax.estimation.compact_unet import Architecture, check_network, multiply_accumulates
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.files.reading import read_object
@@ -31,6 +29,7 @@ from dc2g_jax.inspection.training_figures import plot_sweep
 from dc2g_jax.inspection.training_recording import prediction_picture
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import fetch, mesh_of, replicate, require_memory
+from dc2g_jax.rollouts.progress import EpisodeProgress
 from dc2g_jax.training import sweeps
 from dc2g_jax.training.cost_to_go import (
     TrainingConfig,
@@ -44,6 +43,7 @@ from dc2g_jax.training.cost_to_go_data import DataConfig, Validation, check_hous
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax.training.losses import losses_as_text
 from dc2g_jax.training.tracking import Image
+from dc2g_jax.training.training_sets import open_training_set
 
 #: Number of validation pairs, and of those in pictures for a tracker.
 _PAIRS, _PAIRS_SHOWN = 512, 6
@@ -60,6 +60,7 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
       data: houses and masks.
       losses: losses to try: quantile, l1, l2, huber, log, package.module:Name for one of your own, or weighted sums of
         them such as quantile=1,log=0.5.
+      architecture: compact_unet, or package.module:Name for a network of your own, a subclass of flax.nnx.Module.
       learning_rates: peak learning rates to try.
       widths: networks to try, each given by its channels from the finest scale: 24,48,96 16,32,64,128 are two.
       seeds: seeds to try.
@@ -73,6 +74,7 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
 
     data: tyro.conf.OmitArgPrefixes[DataConfig] = dataclasses.field(default_factory=DataConfig)
     losses: tuple[str, ...] = ("quantile", "l1", "l2", "huber", "log")
+    architecture: str = Architecture.network
     learning_rates: tuple[float, ...] = (TrainingConfig.learning_rate,)
     widths: tuple[str, ...] = (",".join(map(str, Architecture.widths)),)
     seeds: tuple[int, ...] = (0, 1, 2)
@@ -93,7 +95,9 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
         except ValueError:
             raise InputError(f"widths: {' '.join(self.widths)}; give whole numbers such as 24,48,96") from None
         return sweeps.runs_of_grid(
-            TrainingConfig(Architecture(side=side), steps=self.steps, batch_size=self.batch_size),
+            TrainingConfig(
+                Architecture(side=side, network=self.architecture), steps=self.steps, batch_size=self.batch_size
+            ),
             losses=self.losses,
             learning_rates=self.learning_rates,
             widths=widths,
@@ -228,6 +232,8 @@ def main(options: Options) -> None:
     height, width = dataset.houses[0].terrain.shape
     options.check_pauses()
     runs = options.runs(max(height, width))  # raises before anything is written
+    for config in runs.values():
+        check_network(config.architecture)
     groups = sweeps.group_by_shape(runs)
     turns = [turn for group in groups for turn in sweeps.in_turns(group, options.runs_at_once)]
     check_houses(dataset, extra=options.data.extra_houses, drawn=options.episodes, validated=True)

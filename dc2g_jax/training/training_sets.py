@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from dc2g_jax.datasets.houses import HouseDataset
+from dc2g_jax.datasets.houses import HouseDataset, tell_on_stderr
 from dc2g_jax.datasets.pairs import TrainingSet
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.files.atomic import replacing
@@ -79,7 +79,7 @@ def open_training_set(
     if network is not None:
         parts.append(kept_masks("masks_of_network.npz", network))
     data = training_set(houses, n_own, by_house(parts))
-    print(
+    tell_on_stderr(
         f"Training on {n_own} houses of the dataset ({dataset.name}) and {config.extra_houses} more that are drawn: "
         f"{len(data.mask_world)} observation masks, {int(data.n_own)} of the dataset's houses"
     )
