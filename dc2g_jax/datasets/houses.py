@@ -16,6 +16,7 @@ import numpy as np
 from dc2g_jax.datasets.download import ORIGIN, NetworkUnavailable, fetch_dataset, matches_published
 from dc2g_jax.datasets.maps import CELLS_FILE, MAP_ENDINGS, SPLITS, map_files, read_map_folder, sampled
 from dc2g_jax.datasets.procedural import procedural_houses
+from dc2g_jax.datasets.procedural.towns import drawn_towns
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import (
     PALETTE_FILE,
@@ -31,8 +32,8 @@ SPLIT_FILES = dict(zip(SPLITS, ("training_houses.csv", "validation_houses.csv", 
 IMAGE_FOLDER = "full_semantic"
 PUBLISHED_NAME = "driveways_bing_iros19"
 
-#: Location that stands for the procedural houses.
-PROCEDURAL = "procedural"
+#: Locations that stand for the procedural houses, and for the drawn towns.
+PROCEDURAL, TOWNS = "procedural", "towns"
 
 _TEST_GROUPS = {"001": "same_neighborhood", "002": "new_neighborhood", "004": "urban"}
 
@@ -191,6 +192,16 @@ def procedural_dataset(seed: int = 0, *, cells: int | None = 50) -> HouseDataset
     )
 
 
+@functools.lru_cache(maxsize=4)
+def town_dataset(seed: int = 0) -> HouseDataset:
+    """Return the drawn towns, see `dc2g_jax.datasets.procedural.towns`, each on its own grid."""
+    return HouseDataset(
+        TOWNS if seed == 0 else f"{TOWNS}-{seed}",
+        PROCEDURAL,
+        tuple(House(town, split, sampled(town, classes, None)) for town, split, classes in drawn_towns(seed)),
+    )
+
+
 def map_dataset(folder: str | os.PathLike[str]) -> HouseDataset:
     """Read a folder of maps of any size, see `dc2g_jax.datasets.maps.read_map_folder`.
 
@@ -264,8 +275,8 @@ def open_dataset(
     houses, with one line through `log`.
 
     Args:
-        location: a folder in the published layout, a folder of maps, or the word 'procedural'.
-        cells: side of the square grids; `None` for no sampling. A folder of maps defines its own grid size.
+        location: a folder in the published layout, a folder of maps, or one of the words 'procedural' and 'towns'.
+        cells: side of the square grids; `None` for no sampling. A folder of maps and the towns define their own sizes.
         log: receives the line about the fallback.
 
     Raises:
@@ -291,13 +302,17 @@ def open_dataset(
 def _open_location(location: str, setting: str, cells: int | None) -> HouseDataset:
     if location == PROCEDURAL:
         return procedural_dataset(cells=cells)
+    if location == TOWNS:
+        return town_dataset()
     try:
         folder = Path(location).expanduser()
         found = bool(location) and folder.is_dir()
     except (OSError, RuntimeError):
         found = False
     if not found:
-        raise InputError(f"{location!r}: {setting} is not an existing folder; give a dataset's folder or 'procedural'")
+        raise InputError(
+            f"{location!r}: {setting} is not an existing folder; give a dataset's folder, 'procedural' or 'towns'"
+        )
     return map_dataset(folder) if _is_map_folder(folder) else load_dataset(folder, cells=cells)
 
 
