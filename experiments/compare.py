@@ -1,0 +1,105 @@
+"""Compare planners in families of maps: `python -m experiments.compare`."""
+
+import dataclasses
+import time
+from collections import Counter
+from typing import Annotated, Literal
+
+import jax
+import tyro
+
+from dc2g_jax.cli.common import PlannersOption, SettingsOption, check_planners, command_line, digests, network_for
+from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
+from dc2g_jax.cli.options import NetworkOptions, OutOptions, ResumeOptions, require_positive
+from dc2g_jax.cli.outputs import command_written, output_folder, print_files
+from dc2g_jax.datasets.families import FAMILIES, family_of, gather
+from dc2g_jax.datasets.houses import HouseDataset
+from dc2g_jax.datasets.starts import sample_starts
+from dc2g_jax.errors import InputError
+from dc2g_jax.inspection.figures import plot_leaderboard
+from dc2g_jax.planning.named import NETWORK_RIVALS, RIVALS
+from dc2g_jax.planning.rules import named_settings
+from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax.rollouts.leaderboard import leaders, page, standings
+
+#: The planner that all are compared with.
+_REFERENCE = "frontier"
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(NetworkOptions, OutOptions, ResumeOptions):
+    """Run planners from the same starts in families of maps; write a table, a figure and the page `leaderboard.md`.
+
+    Attributes:
+      planner: planners to compare, frontier among them; package.module:Name for one of your own.
+      family: families of maps: `published` for the published houses, `procedural`, `towns`, `mazes`, `halls`,
+        `offices`, a folder of maps or of OpenStreetMap extracts; package.module:name for a function of your own that
+        returns a `HouseDataset`.
+      split: split of the maps. Choose and tune on `val`.
+      maps: largest number of maps of a family.
+      starts_per_map: sampled starts on each map.
+      most_cells: largest number of cells of a map. Larger ones are left out: their episodes are long.
+      settings: rules, see `run`.
+      seed: seed of the starts.
+    """
+
+    planner: PlannersOption = ("oracle", _REFERENCE, "dc2g", "dc2g_paper", *RIVALS, *NETWORK_RIVALS)
+    family: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = FAMILIES
+    split: Literal["train", "val", "test"] = "test"
+    maps: int = 40
+    starts_per_map: int = 2
+    most_cells: int = 100 * 75
+    settings: SettingsOption = "paper"
+    seed: int = 0
+
+
+def main(options: Options) -> None:
+    """Run all planners in all families, and tell where each stands."""
+    require_positive(options, "maps", "starts_per_map", "most_cells")
+    check_planners(options.planner)
+    if _REFERENCE not in options.planner or len(options.planner) < 2:
+        raise InputError(f"--planner {' '.join(options.planner)}: give {_REFERENCE}, which others are compared with")
+    settings = named_settings(options.settings)
+    dataset = gather(options.family, options.split, options.maps, options.most_cells)
+    network = network_for(options.planner, options.network)
+    out = output_folder(options, "compare", inputs=digests(dataset, network=network))
+    table, began, used = EpisodeTable(out / "episodes.csv"), time.monotonic(), time.process_time()
+    # A step limit for each size of map: planners that fail would take that of the largest on all.
+    runners = []
+    for size in dict.fromkeys(house.terrain.shape for house in dataset.houses):
+        own = tuple(house for house in dataset.houses if house.terrain.shape == size)
+        starts = sample_starts(own, options.starts_per_map, seed=options.seed)
+        runner = Runner(HouseDataset(dataset.name, dataset.source, own), settings, progress=EpisodeProgress())
+        runners.append((runner, starts, {house.name: runner.step_limit for house in own}))
+    results: list[EpisodeResult] = []
+    for planner in options.planner:
+        for runner, starts, _ in runners:
+            results += table.run(runner, starts, [planner], network)
+    minutes, cpu = (time.monotonic() - began) / 60, (time.process_time() - used) / 60
+
+    limit = {house: steps for _, _, of_houses in runners for house, steps in of_houses.items()}
+    standing = standings(results, limit, _REFERENCE)
+    about = "dc2g" if "dc2g" in options.planner else options.planner[-1]
+    first = leaders(results, limit, standing, about)
+    (out / "images").mkdir(exist_ok=True)
+    plot_leaderboard(out / "images" / "leaderboard", standing)
+    spent = "" if options.resume else f", in {minutes:.0f} minutes ({cpu:.0f} of CPU) on {len(jax.devices())} devices"
+    (out / "leaderboard.md").write_text(
+        page(
+            standing,
+            first,
+            about,
+            maps=Counter(family_of(house.name) for house in dataset.houses),
+            settings=f"Settings `{options.settings}`, {settings.sensing_range}-cell sensing, split `{options.split}`.",
+            how=f"{len(results):,} episodes of {len(options.planner)} planners in {len(first)} families{spent}: "
+            f"`{command_written()}`.",
+            figure="images/leaderboard.png",
+        ),
+        encoding="utf-8",
+    )
+    print((out / "leaderboard.md").read_text(encoding="utf-8"))
+    print_files(out)
+
+
+if __name__ == "__main__":
+    command_line(Options, main)
