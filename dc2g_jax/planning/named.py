@@ -55,7 +55,9 @@ def _guarded(estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIE
 #: Planners after other papers, each in a file of its own, which is imported when the planner is asked for: without and
 #: with a network.
 RIVALS: tuple[str, ...] = ("random_frontier", "right_hand", "hysteresis", "cost_utility", "next_best_view")
-NETWORK_RIVALS: tuple[str, ...] = ("frontier_potential", "visible_uncertainty")
+NETWORK_RIVALS: tuple[str, ...] = (
+    "frontier_potential", "visible_uncertainty", "learned_subgoals", "sampled_goals",
+)  # fmt: skip
 
 
 def _rival(name: str, rules: Rules, **estimator: Estimator) -> MapRevisingPlanner:
