@@ -31,6 +31,11 @@ from dc2g_jax.planning.rules import Rules
 PoseValues = Float[Array, "heading h w *batch"]
 
 
+#: Scores that differ by less, relatively, are ties. XLA may compute a score twice and round it otherwise, so that none
+#: would be equal to the lowest.
+_ROUNDING = 1e-5
+
+
 class Moment(NamedTuple):
     """What a planner chooses from.
 
@@ -143,7 +148,8 @@ class ChoosingPlanner(AssessingPlanner):
         moment = self._moment(belief, reachable, candidates, state)
         eligible = poses.unpack(candidates, belief.width) & (moment.distance >= 0)
         score = jnp.where(eligible, self.score(belief, moment), jnp.inf)
-        best = eligible & (score == jnp.min(score, axis=(0, 1, 2)))
+        lowest = jnp.min(score, axis=(0, 1, 2))
+        best = eligible & (score <= lowest + _ROUNDING * (1 + jnp.abs(lowest)))
         return state._replace(subgoals=poses.pack(best), chosen_from=belief.seen)
 
     def assess(self, belief: Belief, state: Chosen) -> tuple[Assessment, Chosen]:

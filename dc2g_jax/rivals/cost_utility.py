@@ -22,7 +22,7 @@ class CostUtility(ChoosingPlanner):
       beta: weight of the cost.
     """
 
-    beta: float = struct.field(pytree_node=False, default=0.1)
+    beta: float = struct.field(pytree_node=False, default=0.03)
 
     def score(self, belief: Belief, moment: Moment) -> PoseValues:
         """Weighted cost less utility."""

@@ -21,7 +21,7 @@ class Hysteresis(ChoosingPlanner):
     """
 
     enough_news: float = struct.field(pytree_node=False, default=0.0)
-    margin: float = struct.field(pytree_node=False, default=6.0)
+    margin: float = struct.field(pytree_node=False, default=3.0)
 
     def score(self, belief: Belief, moment: Moment) -> PoseValues:
         """Actions to the pose, less the margin for the last choice."""
