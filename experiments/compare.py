@@ -1,6 +1,7 @@
 """Compare planners in families of maps: `python -m experiments.compare`."""
 
 import dataclasses
+import itertools
 import time
 from collections import Counter
 from typing import Annotated, Literal
@@ -13,8 +14,8 @@ from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
 from dc2g_jax.cli.options import NetworkOptions, OutOptions, ResumeOptions, require_positive
 from dc2g_jax.cli.outputs import command_written, output_folder, print_files
 from dc2g_jax.datasets.families import FAMILIES, family_of, gather
-from dc2g_jax.datasets.houses import HouseDataset
-from dc2g_jax.datasets.starts import sample_starts
+from dc2g_jax.datasets.houses import House, HouseDataset
+from dc2g_jax.datasets.starts import Start, sample_starts
 from dc2g_jax.errors import InputError
 from dc2g_jax.inspection.figures import plot_leaderboard
 from dc2g_jax.planning.named import NETWORK_RIVALS, RIVALS
@@ -37,8 +38,9 @@ class Options(NetworkOptions, OutOptions, ResumeOptions):
         returns a `HouseDataset`.
       split: split of the maps. Choose and tune on `val`.
       maps: largest number of maps of a family.
-      starts_per_map: sampled starts on each map.
-      most_cells: largest number of cells of a map. Larger ones are left out: their episodes are long.
+      starts: sampled starts in a family, at least; each of its maps has as many.
+      most_cells: largest number of cells of a map. Of a family with maps of several sizes, those of the largest size
+        are taken.
       settings: rules, see `run`.
       seed: seed of the starts.
     """
@@ -46,8 +48,8 @@ class Options(NetworkOptions, OutOptions, ResumeOptions):
     planner: PlannersOption = ("oracle", _REFERENCE, "dc2g", "dc2g_paper", *RIVALS, *NETWORK_RIVALS)
     family: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = FAMILIES
     split: Literal["train", "val", "test"] = "test"
-    maps: int = 40
-    starts_per_map: int = 2
+    maps: int = 48
+    starts: int = 96
     most_cells: int = 100 * 75
     settings: SettingsOption = "paper"
     seed: int = 0
@@ -55,7 +57,7 @@ class Options(NetworkOptions, OutOptions, ResumeOptions):
 
 def main(options: Options) -> None:
     """Run all planners in all families, and tell where each stands."""
-    require_positive(options, "maps", "starts_per_map", "most_cells")
+    require_positive(options, "maps", "starts", "most_cells")
     check_planners(options.planner)
     if _REFERENCE not in options.planner or len(options.planner) < 2:
         raise InputError(f"--planner {' '.join(options.planner)}: give {_REFERENCE}, which others are compared with")
@@ -65,19 +67,24 @@ def main(options: Options) -> None:
     out = output_folder(options, "compare", inputs=digests(dataset, network=network))
     table, began, used = EpisodeTable(out / "episodes.csv"), time.monotonic(), time.process_time()
     # A step limit for each size of map: planners that fail would take that of the largest on all.
-    runners = []
-    for size in dict.fromkeys(house.terrain.shape for house in dataset.houses):
-        own = tuple(house for house in dataset.houses if house.terrain.shape == size)
-        starts = sample_starts(own, options.starts_per_map, seed=options.seed)
-        runner = Runner(HouseDataset(dataset.name, dataset.source, own), settings, progress=EpisodeProgress())
-        runners.append((runner, starts, {house.name: runner.step_limit for house in own}))
+    by_size: dict[tuple[int, ...], list[House]] = {}
+    for house in dataset.houses:
+        by_size.setdefault(house.terrain.shape, []).append(house)
+    maps = Counter(family_of(house.name) for house in dataset.houses)
+    runs: list[tuple[Runner, list[Start]]] = []
+    limit: dict[str, int] = {}
+    for own in by_size.values():
+        runner = Runner(HouseDataset(dataset.name, dataset.source, tuple(own)), settings, progress=EpisodeProgress())
+        counts = [-(-options.starts // maps[family_of(house.name)]) for house in own]
+        starts = [sample_starts([house], count, seed=options.seed) for house, count in zip(own, counts, strict=True)]
+        runs.append((runner, list(itertools.chain(*starts))))
+        limit |= dict.fromkeys((house.name for house in own), runner.step_limit)
     results: list[EpisodeResult] = []
     for planner in options.planner:
-        for runner, starts, _ in runners:
-            results += table.run(runner, starts, [planner], network)
+        for runner, of_all in runs:
+            results += table.run(runner, of_all, [planner], network)
     minutes, cpu = (time.monotonic() - began) / 60, (time.process_time() - used) / 60
 
-    limit = {house: steps for _, _, of_houses in runners for house, steps in of_houses.items()}
     standing = standings(results, limit, _REFERENCE)
     about = "dc2g" if "dc2g" in options.planner else options.planner[-1]
     first = leaders(results, limit, standing, about)
@@ -89,7 +96,7 @@ def main(options: Options) -> None:
             standing,
             first,
             about,
-            maps=Counter(family_of(house.name) for house in dataset.houses),
+            maps=maps,
             settings=f"Settings `{options.settings}`, {settings.sensing_range}-cell sensing, split `{options.split}`.",
             how=f"{len(results):,} episodes of {len(options.planner)} planners in {len(first)} families{spent}: "
             f"`{command_written()}`.",

@@ -1,8 +1,8 @@
 """Families of maps, gathered into one dataset to run planners in all of them: `dc2g compare`."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -30,7 +30,8 @@ def gather(locations: Iterable[str], split: str, most_maps: int, most_cells: int
         name; the published houses `published`.
       split: `train`, `val` or `test`.
       most_maps: largest number of maps of a family. They are spread evenly over its split.
-      most_cells: largest number of cells of a map. Larger ones are left out.
+      most_cells: largest number of cells of a map. Of a family with maps of several sizes, those of the largest size
+        are taken: planners are compiled for every size.
 
     Raises:
       InputError: a dataset cannot be opened, has no usable map in the split, or two have one name.
@@ -48,6 +49,8 @@ def gather(locations: Iterable[str], split: str, most_maps: int, most_cells: int
     for name, dataset in families.items():
         small = [house for house in dataset.houses if house.terrain.size <= most_cells]
         usable = usable_houses(replace(dataset, houses=tuple(small)), split, instead="leave the family out")
+        size = max((house.terrain.shape for house in usable), key=math.prod)
+        usable = [house for house in usable if house.terrain.shape == size]
         chosen = np.unique(np.linspace(0, len(usable) - 1, most_maps).round().astype(int))
         houses += [replace(usable[number], name=f"{name}/{usable[number].name}") for number in chosen.tolist()]
     return HouseDataset("families", "folder", tuple(houses))

@@ -216,7 +216,7 @@ def plain_dataset(kind: str, seed: int = 0) -> HouseDataset:
 
 
 def extract_dataset(folder: str | os.PathLike[str]) -> HouseDataset:
-    """Draw the buildings of a folder of OpenStreetMap extracts, see `dc2g_jax.datasets.osm.neighborhood.drawn_extracts`.
+    """Draw the buildings of a folder of OpenStreetMap extracts, all in the split `test`, on maps of 60 m.
 
     Raises:
         InputError: an extract cannot be read.
@@ -298,9 +298,9 @@ def open_dataset(
     houses, with one line through `log`.
 
     Args:
-        location: a folder in the published layout, of maps, or of OpenStreetMap extracts; one of the words 'procedural',
-            'towns', 'mazes', 'halls' and 'offices'; or `package.module:Name` for a function of your own that returns a
-            `HouseDataset`.
+        location: a folder in the published layout, of maps, or of OpenStreetMap extracts; one of the words
+            'procedural', 'towns', 'mazes', 'halls' and 'offices'; or `package.module:Name` for a function of your own
+            that returns a `HouseDataset`.
         cells: side of the square grids of published and procedural houses; `None` for no sampling.
         log: receives the line about the fallback.
 

@@ -163,9 +163,7 @@ class ChoosingPlanner(AssessingPlanner):
         state = for_some(self._choose, outdated & undecided, (belief, reachable, candidates), state)
         plan = goal_or(belief, reachable, state.subgoals & candidates, self.rules)
         moment = self._moment(belief, reachable, candidates, state)
-        score = jnp.min(
-            jnp.where(poses.unpack(candidates, belief.width), self.score(belief, moment), jnp.inf), axis=0
-        )
+        score = jnp.min(jnp.where(poses.unpack(candidates, belief.width), self.score(belief, moment), jnp.inf), axis=0)
         return Assessment(plan, reachable, candidates, score), state._replace(reachable=reachable)
 
     def revised(self, state: Chosen, changed: Board) -> Chosen:

@@ -78,10 +78,9 @@ def find_regions(belief: Belief, moment: Moment, cost: Float[Array, "h w *batch"
     # One search for all regions: their axis is the last of the batch.
     last = [jnp.moveaxis(values, 0, -1) for values in (x, y)]
     ground = jnp.broadcast_to(moment.reachable[..., None], (*moment.reachable.shape, MOST_REGIONS))
-    ways = search.distances(Pose(*last, jnp.zeros_like(last[0])), ground, belief.width)
+    ways = search.distances(Pose(last[0], last[1], jnp.zeros_like(last[0])), ground, belief.width)
     ways = jnp.min(jnp.where(ways >= 0, ways, moment.distance.size), axis=0)
     between = jnp.stack([regions.at(ways[..., number], belief.width) for number in range(MOST_REGIONS)])
     return regions._replace(
         start=regions.at(actions, belief.width).astype(jnp.float32), between=between.astype(jnp.float32)
     )
-

@@ -10,7 +10,7 @@ from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.planning.frontiers import unseen
 from dc2g_jax.rivals.choosing import ChoosingPlanner, Moment, PoseValues, predicted
-from dc2g_jax.rivals.regions import MOST_REGIONS, find_regions
+from dc2g_jax.rivals.regions import find_regions
 
 
 def sampled_cells(weights: Float[Array, "cell *batch"], count: int) -> Int[Array, "sample *batch"]:
@@ -99,6 +99,4 @@ class SampledGoals(ChoosingPlanner):
         y, x = jnp.divmod(sampled_cells(weights.reshape(-1, *least.shape), self.samples), belief.width)
         there = (jnp.abs(x[:, None] - regions.x) + jnp.abs(y[:, None] - regions.y)).astype(jnp.float32)
         failure = self.failure * self.rules.sensing.radius
-        return regions.score(
-            rollout_costs(regions.start, regions.between, there, failure, regions.present), belief
-        )
+        return regions.score(rollout_costs(regions.start, regions.between, there, failure, regions.present), belief)

@@ -112,9 +112,7 @@ def _success(results: Iterable[EpisodeResult]) -> dict[tuple[str, str], float]:
     return {key: float(np.mean(own)) for key, own in reached.items()}
 
 
-def leaders(
-    results: Sequence[EpisodeResult], limit: Mapping[str, int], table: Standings, planner: str
-) -> list[Leader]:
+def leaders(results: Sequence[EpisodeResult], limit: Mapping[str, int], table: Standings, planner: str) -> list[Leader]:
     """The best planner of each family, and how `planner` compares with it. Planners that know the map are left out."""
     logs, maps = _logarithms(results, limit), _maps(results)
     found = []
@@ -128,9 +126,14 @@ def leaders(
     return found
 
 
+def mean_logarithm(row: Mapping[str, Standing]) -> float:
+    """Mean over families of the logarithm of a planner's ratio."""
+    return sum(math.log(own.ratio) for own in row.values()) / len(row)
+
+
 def in_order(table: Standings) -> list[str]:
     """Planners by the mean over families of the logarithm of their ratio, the best first."""
-    return sorted(table, key=lambda name: sum(math.log(own.ratio) for own in table[name].values()))
+    return sorted(table, key=lambda name: mean_logarithm(table[name]))
 
 
 def _sentence(one: Leader, planner: str) -> str:
@@ -141,6 +144,49 @@ def _sentence(one: Leader, planner: str) -> str:
         return f"- **{one.family}**: {clearly}; {interval} times the steps of the second, `{one.next_best}`."
     clearly = "not first" if one.low > 1 else "not first, but not clearly behind"
     return f"- **{one.family}**: {clearly}; {interval} times the steps of `{one.leader}`."
+
+
+_PAGE = """# Leaderboard
+
+Planners for unknown maps, in families of maps, from the same starts. Each number is the geometric mean of a planner's
+steps relative to frontier exploration (`frontier`): 0.50 is half the steps. An episode that does not reach the door
+counts as its step limit. In parentheses: the number of maps of a family. In italics: planners that know the map. In
+bold: the best of the others in a family. The second column is the mean over families. {settings} Nothing of the
+package was chosen on the split `test`.
+
+{table}
+
+![Steps relative to frontier exploration, by planner and family]({figure})
+
+Dots are the means of the table, lines their 95 % intervals over maps.
+
+## Where `{planner}` is first, and where not
+
+{sentences}
+
+In parentheses: the 95 % interval over maps, paired by start.
+
+## How it was made
+
+{how}
+
+## Your planner, your maps
+
+One line enters a planner, `package.module:Class` ([Write a planner](tutorials/write_a_planner.md)):
+
+```bash
+dc2g compare --planner frontier dc2g my_planner:MyPlanner
+```
+
+One line enters a family: a folder of maps, a folder of OpenStreetMap extracts, or `package.module:name` of a function
+that returns a `HouseDataset` ([Your own map](tutorials/your_own_map.md)):
+
+```bash
+dc2g compare --family mazes my_maps/ my_module:my_dataset
+```
+
+Choose and tune with `--split val`.
+"""
 
 
 def page(
@@ -158,64 +204,17 @@ def page(
       how: how many episodes ran, how long and by which command, in words.
       figure: path of the figure, relative to the page.
     """
-    families = [one.family for one in first]
-    rows = []
+    leader = {one.family: one.leader for one in first}
+    rows = [f"| planner | all | {' | '.join(f'{family} ({maps[family]})' for family in leader)} |"]
+    rows.append(f"|---|{'---|' * (len(leader) + 1)}")
     for name in in_order(table):
-        own = table[name]
-        cells = []
-        for family in families:
-            best = any(one.family == family and one.leader == name for one in first)
-            text = f"**{own[family].ratio:.2f}**" if best else f"{own[family].ratio:.2f}"
-            if own[family].success < 1:
-                text += f" ({100 * (1 - own[family].success):.0f} % fail)"
-            cells.append(text)
-        overall = math.exp(np.mean([math.log(own[family].ratio) for family in families]))
-        rows.append(f"| {f'*`{name}`*' if name in PRIVILEGED else f'`{name}`'} | {overall:.2f} | {' | '.join(cells)} |")
-    head = [f"{family} ({maps[family]})" for family in families]
-    return "\n".join(
-        [
-            "# Leaderboard",
-            "",
-            "Planners for unknown maps, in families of maps, from the same starts. Each number is the geometric mean of",
-            "a planner's steps relative to frontier exploration (`frontier`): 0.50 is half the steps. An episode that",
-            "does not reach the door counts as its step limit. In parentheses: the number of maps of a family. In",
-            "italics: planners that know the map. In bold: the best of the others in a family. The second column is the",
-            f"mean over families. {settings} Nothing was chosen on these maps.",
-            "",
-            f"| planner | all | {' | '.join(head)} |",
-            f"|---|{'---|' * (len(families) + 1)}",
-            *rows,
-            "",
-            f"![Steps relative to frontier exploration, by planner and family]({figure})",
-            "",
-            "Dots are the means of the table, lines their 95 % intervals over maps.",
-            "",
-            f"## Where `{planner}` is first, and where not",
-            "",
-            *(_sentence(one, planner) for one in first),
-            "",
-            "In parentheses: the 95 % interval over maps, paired by start.",
-            "",
-            "## How it was made",
-            "",
-            how,
-            "",
-            "## Your planner, your maps",
-            "",
-            "One line enters a planner, `package.module:Class` ([Write a planner](tutorials/write_a_planner.md)):",
-            "",
-            "```bash",
-            "dc2g compare --planner frontier dc2g my_planner:MyPlanner",
-            "```",
-            "",
-            "One line enters a family: a folder of maps, a folder of OpenStreetMap extracts, or `package.module:name` of",
-            "a function that returns a `HouseDataset` ([Your own map](tutorials/your_own_map.md)):",
-            "",
-            "```bash",
-            "dc2g compare --family mazes my_maps/ my_module:my_dataset",
-            "```",
-            "",
-            "Choose and tune with `--split val`.",
-            "",
-        ]
+        cells = [f"{math.exp(mean_logarithm(table[name])):.2f}"]
+        for family, best in leader.items():
+            own = table[name][family]
+            failed = f" ({100 * (1 - own.success):.0f} % fail)" if own.success < 1 else ""
+            cells.append((f"**{own.ratio:.2f}**" if best == name else f"{own.ratio:.2f}") + failed)
+        rows.append(f"| {f'*`{name}`*' if name in PRIVILEGED else f'`{name}`'} | {' | '.join(cells)} |")
+    sentences = "\n".join(_sentence(one, planner) for one in first)
+    return _PAGE.format(
+        settings=settings, table="\n".join(rows), figure=figure, planner=planner, sentences=sentences, how=how
     )

@@ -1,5 +1,6 @@
 """Maps without classes, as a laser sees them: mazes, halls and offices. Cells are free or occupied; one is the door."""
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -76,7 +77,8 @@ def draw_office(rng: np.random.Generator) -> Bool[np.ndarray, "h w"]:
     for top, bottom in corridors:
         free[top:bottom, 1:-1] = True
     # Rooms reach halfway to the next corridor, or to the outer wall.
-    walls = [0, *((above[1] + below[0]) // 2 for above, below in zip(corridors, corridors[1:], strict=False)), CELLS - 1]
+    halfway = [(above[1] + below[0]) // 2 for above, below in itertools.pairwise(corridors)]
+    walls = [0, *halfway, CELLS - 1]
     for (top, bottom), above, below in zip(corridors, walls, walls[1:], strict=False):
         for first, last, door in ((above + 1, top - 1, top - 1), (bottom + 1, below, bottom)):
             left = 1
@@ -90,8 +92,8 @@ def draw_office(rng: np.random.Generator) -> Bool[np.ndarray, "h w"]:
                     free[row : min(row + 1, last), column : min(column + 2, right)] = False
                 left = right + 1
     for _ in range(rng.integers(1, 3)):  # a corridor across
-        column = int(rng.integers(2, CELLS - 4))
-        free[corridors[0][0] : corridors[-1][1], column : column + 2] = True
+        left = int(rng.integers(2, CELLS - 4))
+        free[corridors[0][0] : corridors[-1][1], left : left + 2] = True
     return free
 
 
