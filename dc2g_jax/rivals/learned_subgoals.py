@@ -1,5 +1,7 @@
 """Learning over subgoals: the order of frontiers with the least expected cost, by Bellman's recursion."""
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float
@@ -77,6 +79,8 @@ class LearnedSubgoals(ChoosingPlanner):
     estimator: Estimator = struct.field(kw_only=True)
     enough_news: float = struct.field(pytree_node=False, default=1.0)
     failure: float = struct.field(pytree_node=False, default=2.0)
+    #: With more, the long program of a choice would be compiled for several batch sizes.
+    robots_a_core: ClassVar[int] = 8
 
     def score(self, belief: Belief, moment: Moment) -> PoseValues:
         """The expected cost at the best cell of each piece of the frontier."""

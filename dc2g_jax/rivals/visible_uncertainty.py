@@ -30,7 +30,6 @@ class VisibleUncertainty(ChoosingPlanner):
     """
 
     estimator: Estimator = struct.field(kw_only=True)
-    enough_news: float = struct.field(pytree_node=False, default=1.0)
 
     def _in_view(self, belief: Belief, values: Float[Array, "h w *batch"]) -> PoseValues:
         """Sum over the unobserved cells that are seen from every pose of values from 0 to 1, in `_BITS` bits."""
