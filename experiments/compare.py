@@ -6,7 +6,6 @@ import time
 from collections import Counter
 from typing import Annotated, Literal
 
-import jax
 import tyro
 
 from dc2g_jax.cli.common import PlannersOption, SettingsOption, check_planners, command_line, digests, network_for
@@ -83,14 +82,13 @@ def main(options: Options) -> None:
     for planner in options.planner:
         for runner, of_all in runs:
             results += table.run(runner, of_all, [planner], network)
-    minutes, cpu = (time.monotonic() - began) / 60, (time.process_time() - used) / 60
+    spent = f"{(time.monotonic() - began) / 60:.1f} minutes, {(time.process_time() - used) / 60:.1f} minutes of CPU"
 
     standing = standings(results, limit, _REFERENCE)
     about = "dc2g" if "dc2g" in options.planner else options.planner[-1]
     first = leaders(results, limit, standing, about)
     (out / "images").mkdir(exist_ok=True)
     plot_leaderboard(out / "images" / "leaderboard", standing)
-    spent = "" if options.resume else f", in {minutes:.0f} minutes ({cpu:.0f} of CPU) on {len(jax.devices())} devices"
     (out / "leaderboard.md").write_text(
         page(
             standing,
@@ -98,13 +96,14 @@ def main(options: Options) -> None:
             about,
             maps=maps,
             settings=f"Settings `{options.settings}`, {settings.sensing_range}-cell sensing, split `{options.split}`.",
-            how=f"{len(results):,} episodes of {len(options.planner)} planners in {len(first)} families{spent}: "
-            f"`{command_written()}`.",
+            how=f"{len(results):,} episodes of {len(options.planner)} planners in {len(first)} families: "
+            f"`{command_written().replace(' --resume', '')}`.",
             figure="images/leaderboard.png",
         ),
         encoding="utf-8",
     )
     print((out / "leaderboard.md").read_text(encoding="utf-8"))
+    print(f"{len(results):,} episodes; this run took {spent}")
     print_files(out)
 
 
