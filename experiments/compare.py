@@ -95,7 +95,7 @@ def main(options: Options) -> None:
             first,
             about,
             maps=maps,
-            settings=f"Settings `{options.settings}`, {settings.sensing_range}-cell sensing, split `{options.split}`.",
+            settings=f"Settings `{options.settings}`,\n{settings.sensing_range}-cell sensing, split `{options.split}`.",
             how=f"{len(results):,} episodes of {len(options.planner)} planners in {len(first)} families: "
             f"`{command_written().replace(' --resume', '')}`.",
             figure="images/leaderboard.png",

@@ -247,7 +247,7 @@ def plot_leaderboard(path: str | Path, table: Standings) -> list[Path]:
     planners = in_order(table)[::-1]
     families = list(table[planners[0]])
     figure = Figure(figsize=(PAGE_WIDTH, 0.9 + 0.19 * len(planners)), layout="constrained")
-    all_axes = figure.subplots(1, len(families), squeeze=False, sharey=True)[0]
+    all_axes = figure.subplots(1, len(families), squeeze=False, sharex=True, sharey=True)[0]
     for axes, family in zip(all_axes, families, strict=True):
         axes.axvline(1, color="#555555", linewidth=0.8)
         for row, planner in enumerate(planners):
@@ -255,13 +255,11 @@ def plot_leaderboard(path: str | Path, table: Standings) -> list[Path]:
             color = "#888888" if planner in PRIVILEGED else "#0072b2" if planner == "dc2g" else "#d55e00"
             axes.hlines(row, own.low, own.high, color=color, linewidth=1.6)
             axes.plot(own.ratio, row, "o", color=color, markersize=3.2)
-        axes.set_xscale("log")
-        low, high = (f(getattr(own[family], end) for own in table.values()) for f, end in ((min, "low"), (max, "high")))
-        ticks = [tick for tick in (0.1, 0.2, 0.5, 1, 2, 5, 10) if low / 1.2 <= tick <= high * 1.2]
-        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-        axes.minorticks_off()
         axes.set_title(family, fontsize=7.5)
         plain_axes(axes, grid="both", label_size=6.5)
+    all_axes[0].set_xscale("log")
+    all_axes[0].set_xticks(ticks := (0.2, 1, 5), [f"{tick:g}" for tick in ticks])
+    all_axes[0].minorticks_off()
     all_axes[0].set_yticks(range(len(planners)), [name.rpartition(":")[2] for name in planners])
     figure.supxlabel("steps relative to frontier exploration: mean of ratios, 95 % interval over maps", fontsize=7.5)
     return save_figure(figure, path, dpi=200)

@@ -155,8 +155,9 @@ hide: [navigation]
 Planners for unknown maps, in families of maps, from the same starts. Each number is the geometric mean of a planner's
 steps relative to frontier exploration (`frontier`): 0.50 is half the steps. An episode that does not reach the door
 counts as its step limit. In parentheses: the number of maps of a family. In italics: planners that know the map. In
-bold: the best of the others in a family. The second column is the mean over families. {settings} Nothing of the
-package was chosen on the split `test`. What each planner does: [rivals](reference/rivals.md).
+bold: the best of the others in a family. The second column is the mean over families. {settings}
+
+Nothing of the package was chosen on the split `test`. What each planner does: [rivals](reference/rivals.md).
 
 {table}
 
