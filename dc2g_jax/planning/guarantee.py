@@ -99,8 +99,7 @@ class Guaranteed(AssessingPlanner):
     factor: float
     slack: float
     virtual_steps: int = struct.field(pytree_node=False, default=2)
-    robots_a_core: ClassVar[int] = DC2G.robots_a_core
-    robots_on_large_maps: ClassVar[int] = DC2G.robots_on_large_maps
+    batch_per_core: ClassVar[int] = DC2G.batch_per_core
 
     def memoryless(self) -> Any:
         """The wrapped planner's own planner with a new state at every step. It has no bound, for lack of a memory."""
