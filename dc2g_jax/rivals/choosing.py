@@ -125,8 +125,8 @@ class ChoosingPlanner(AssessingPlanner):
 
     rules: Rules = struct.field(pytree_node=False)
     enough_news: float = struct.field(pytree_node=False, default=math.inf)
-    robots_a_core: ClassVar[int] = 32
-    robots_on_large_maps: ClassVar[int] = 4
+    #: A choice is made for some robots at a time.
+    batch_per_core: ClassVar[int] = 32
 
     def score(self, belief: Belief, moment: Moment) -> PoseValues:
         """Score of every pose; the lowest of a candidate wins. Values of other poses do not matter."""

@@ -80,7 +80,7 @@ class LearnedSubgoals(ChoosingPlanner):
     enough_news: float = struct.field(pytree_node=False, default=1.0)
     failure: float = struct.field(pytree_node=False, default=2.0)
     #: With more, the long program of a choice would be compiled for several batch sizes.
-    robots_a_core: ClassVar[int] = 8
+    batch_per_core: ClassVar[int] = 8
 
     def score(self, belief: Belief, moment: Moment) -> PoseValues:
         """The expected cost at the best cell of each piece of the frontier."""

@@ -1,6 +1,6 @@
 """The right-hand rule: follow the wall, one hand on it. The oldest way out of a maze."""
 
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -60,8 +60,6 @@ class RightHand(AssessingPlanner):
     """
 
     rules: Rules = struct.field(pytree_node=False)
-    robots_a_core: ClassVar[int] = 32
-    robots_on_large_maps: ClassVar[int] = 1
 
     def init(self, world: World) -> Walk:
         """Before the first step, nothing is known."""

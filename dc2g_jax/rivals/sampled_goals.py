@@ -91,7 +91,7 @@ class SampledGoals(ChoosingPlanner):
     temperature: float = struct.field(pytree_node=False, default=4.0)
     failure: float = struct.field(pytree_node=False, default=2.0)
     #: With more, the long program of a choice would be compiled for several batch sizes.
-    robots_a_core: ClassVar[int] = 8
+    batch_per_core: ClassVar[int] = 8
 
     def score(self, belief: Belief, moment: Moment) -> PoseValues:
         """The mean cost of the simulations, at the best cell of each piece of the frontier."""
