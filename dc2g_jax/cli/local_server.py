@@ -11,7 +11,7 @@ LARGEST_BODY = 1_000_000
 
 #: Headers of every answer: nothing from other hosts is loaded, no other site shows the page in a frame, and files are
 #: what they say they are. NiceGUI's page has scripts and styles in it, and compiles templates.
-ANSWER_HEADERS = {
+_ANSWER_HEADERS = {
     "Content-Security-Policy": (
         "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
         "img-src 'self' data:; font-src 'self' data:; object-src 'none'; base-uri 'none'; form-action 'none'; "
@@ -42,7 +42,7 @@ class OwnOriginOnly:
 
         async def answer(message: Message) -> None:
             if message["type"].endswith("http.response.start"):  # also of a web socket that is refused
-                MutableHeaders(scope=message).update(ANSWER_HEADERS)
+                MutableHeaders(scope=message).update(_ANSWER_HEADERS)
             await send(message)
 
         headers = Headers(scope=scope)

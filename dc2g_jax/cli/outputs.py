@@ -61,7 +61,7 @@ def number_or_null(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-class OutputOptions(Protocol):
+class _OutputOptions(Protocol):
     """Options, as a dataclass, of a command that writes to a folder. With a field `resume`, runs can be resumed."""
 
     @property
@@ -71,7 +71,7 @@ class OutputOptions(Protocol):
 
 
 def output_folder(
-    options: OutputOptions,
+    options: _OutputOptions,
     command: str,
     *,
     free: Collection[str] = (),

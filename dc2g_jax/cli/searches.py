@@ -21,7 +21,7 @@ from dc2g_jax.objectnav.tables import with_interval
 from dc2g_jax.rollouts.results import ResumableTable
 
 #: Printed below every table.
-CAVEAT = (
+_CAVEAT = (
     "The paper's houses differ from these (they are scanned homes, Matterport3D in the Habitat simulator), and so do "
     "its robot's speed and camera; its agent with true costs stops as soon as it sees the object: compare its lines "
     "with each other, not with ours."
@@ -138,7 +138,7 @@ def conclude(
     """
     *others, last = results
     gains = {name: difference(results[last], results[name], resamples=options.resamples) for name in others}
-    print(f"\n{table}\n{CAVEAT}")
+    print(f"\n{table}\n{_CAVEAT}")
     for name, gain in gains.items():
         success, spl = (
             with_interval(value, interval, "+")
@@ -148,7 +148,7 @@ def conclude(
     found = {
         "houses": [house.name for house in houses],
         "split": options.split,
-        "note": CAVEAT,
+        "note": _CAVEAT,
         **facts,
         "differences": {name: gain._asdict() for name, gain in gains.items()},
     }

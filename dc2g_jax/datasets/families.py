@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dc2g_jax.datasets.houses import NAMED, PUBLISHED_NAME, HouseDataset, open_dataset
+from dc2g_jax.datasets.houses import NAMED, HouseDataset, open_dataset
 from dc2g_jax.datasets.starts import usable_houses
 from dc2g_jax.errors import InputError
 
@@ -39,7 +39,7 @@ def gather(locations: Iterable[str], split: str, most_maps: int, most_cells: int
     families: dict[str, HouseDataset] = {}
     for location in locations:
         dataset = open_dataset(None if location == PUBLISHED else location)
-        if location == PUBLISHED and dataset.name != PUBLISHED_NAME:
+        if location == PUBLISHED and dataset.source != "published":
             raise InputError(f"family {PUBLISHED}: is not the published dataset, but {dataset.name}; leave it out")
         name = PUBLISHED if location == PUBLISHED else dataset.name
         if name in families:

@@ -32,7 +32,6 @@ SHIPPED_NETWORK, SHIPPED_NOISY_NETWORK = "weights/compact_unet", "weights/compac
 #: File with the card of a network, written after its weights.
 CARD = "network.json"
 _WEIGHTS = "weights.safetensors"
-_ORBAX_WEIGHTS = "weights"
 _CONFIG = "config.json"
 _STATES = "states"
 
@@ -52,9 +51,9 @@ def _read_compact(facts: Any) -> Architecture:
         widths=tuple(whole_number(width) for width in facts["widths"]),
         quantiles=tuple(map(number, facts["quantiles"])),
         cost_scale=number(facts["cost_scale"]),
-        side=whole_number(facts.get("side", Architecture.side)),
-        patch=whole_number(facts.get("patch", 2)),  # absent from the cards of version 0.1, as is embedding
-        embedding=whole_number(facts.get("embedding", 0)),
+        side=whole_number(facts["side"]),
+        patch=whole_number(facts["patch"]),
+        embedding=whole_number(facts["embedding"]),
     )
 
 
@@ -73,7 +72,7 @@ _KINDS = {
 
 
 def _orbax() -> Any:
-    """Import Orbax, which takes a second and is only needed for training states and networks of version 0.1."""
+    """Import Orbax, which takes a second and is only needed for training states."""
     require_extra("orbax")
     import orbax.checkpoint
 
@@ -147,16 +146,6 @@ def _read_card(folder: Path) -> tuple[_Kind, Any, Any]:
     return kind, known, facts.get("sha256")
 
 
-def _read_orbax_weights(path: Path, shapes: dict[str, Any]) -> dict[str, Any]:
-    """Weights in an Orbax folder, the format of version 0.1."""
-    ocp = _orbax()
-    try:
-        with _quiet(), ocp.StandardCheckpointer() as checkpointer:
-            return checkpointer.restore(path, shapes)
-    except Exception as error:  # Orbax raises many types for a damaged checkpoint
-        raise InputError(f"{path}: cannot be read ({reason(error)}); save or copy the network again") from None
-
-
 def load_network(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork:
     """Load a network of any kind saved by `save_network`.
 
@@ -168,12 +157,8 @@ def load_network(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork
     """
     folder = Path(resource(SHIPPED_NETWORK) if folder is None else folder).absolute()
     kind, architecture, digest = _read_card(folder)
-    shapes, path = shapes_of_weights(kind.network, architecture), folder / _WEIGHTS
-    if not path.exists() and (folder / _ORBAX_WEIGHTS / "_CHECKPOINT_METADATA").is_file():
-        path = folder / _ORBAX_WEIGHTS
-        weights = _read_orbax_weights(path, shapes)
-    else:
-        weights = read_weights(path, shapes, read_safetensors(path)[0])
+    path = folder / _WEIGHTS
+    weights = read_weights(path, shapes_of_weights(kind.network, architecture), read_safetensors(path)[0])
     found = arrays_sha256(weights)
     if digest is None:
         raise InputError(

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from flax import nnx
-from jaxtyping import Array, Float, Shaped, UInt8
+from jaxtyping import Array, Float, Int, Shaped, UInt8
 
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.estimation.weights import fresh_weights, shapes_of_weights, with_weights
@@ -81,28 +81,63 @@ def unpatched(features: Float[Array, "b h2 w2 c2"], side: int) -> Float[Array, "
     return split.reshape(batch, side * height, side * width, -1)
 
 
+#: Rows and columns of a map in the upper left corner of a larger grid; `None` for a map that fills the grid.
+Size = tuple[Int[Array, ""], Int[Array, ""]] | None
+
+
+def reduced(size: Size, factor: int) -> Size:
+    """The size of a map at a lower resolution. An incomplete row or column at the end counts."""
+    return None if size is None else (-(-size[0] // factor), -(-size[1] // factor))
+
+
+class Convolution(nnx.Conv):
+    """A 3x3 convolution that sees zeros beyond the map's edge, also where the grid is larger than the map."""
+
+    def __init__(self, width_in: int, width_out: int, *, stride: int = 1, **options: Any):
+        super().__init__(width_in, width_out, (3, 3), strides=(stride, stride), **options)
+        self.stride = stride
+
+    def __call__(self, features: Float[Array, "b h w c"], size: Size = None) -> Float[Array, "b h2 w2 d"]:
+        """Convolved features; undefined beyond the map, whose size is in cells of the features."""
+        if size is None:
+            return super().__call__(features)
+        stride, shape = self.stride, features.shape[1:3]
+        inside, first, sides = jnp.ones(shape, bool), [], []
+        for axis, (side, map_side) in enumerate(zip(shape, size, strict=True)):
+            inside &= jax.lax.broadcasted_iota(jnp.int32, shape, axis) < map_side
+            # Padding of one cell before the first; none for an even number of cells with stride 2.
+            first.append(((map_side - 1) % stride != 0).astype(jnp.int32))
+            sides.append(stride * (-(-side // stride) - 1) + 3)
+        features = jnp.where(inside[None, :, :, None], features, 0)
+        framed = jnp.pad(features, ((0, 0), (1, stride), (1, stride), (0, 0)))
+        framed = jax.lax.dynamic_slice(framed, (0, *first, 0), (len(features), *sides, features.shape[3]))
+        axes = ("NHWC", "HWIO", "NHWC")
+        kernel, bias = self.kernel[...], self.bias[...]  # type: ignore[index]
+        return jax.lax.conv_general_dilated(framed, kernel, (stride, stride), "VALID", dimension_numbers=axes) + bias
+
+
 class Residual(nnx.Module):
-    """A residual block of two 3x3 convolutions."""
+    """A residual block of two convolutions."""
 
     def __init__(self, width: int, *, rngs: nnx.Rngs):
-        self.first = nnx.Conv(width, width, (3, 3), rngs=rngs)
-        self.second = nnx.Conv(width, width, (3, 3), kernel_init=nnx.initializers.zeros, rngs=rngs)
+        self.first = Convolution(width, width, rngs=rngs)
+        self.second = Convolution(width, width, kernel_init=nnx.initializers.zeros, rngs=rngs)
 
-    def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h w c"]:
+    def __call__(self, features: Float[Array, "b h w c"], size: Size = None) -> Float[Array, "b h w c"]:
         """Refine the features."""
-        return features + self.second(nnx.relu(self.first(nnx.relu(features))))
+        return features + self.second(nnx.relu(self.first(nnx.relu(features), size)), size)
 
 
 class Down(nnx.Module):
     """Halve the resolution."""
 
     def __init__(self, width_in: int, width_out: int, *, rngs: nnx.Rngs):
-        self.halve = nnx.Conv(width_in, width_out, (3, 3), strides=(2, 2), rngs=rngs)
+        self.halve = Convolution(width_in, width_out, stride=2, rngs=rngs)
         self.residual = Residual(width_out, rngs=rngs)
 
-    def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h2 w2 d"]:
+    def __call__(self, features: Float[Array, "b h w c"], size: Size = None) -> Float[Array, "b h2 w2 d"]:
         """Features at half the resolution."""
-        return self.residual(self.halve(nnx.relu(features)))
+        return self.residual(self.halve(nnx.relu(features), size), reduced(size, 2))
 
 
 class Up(nnx.Module):
@@ -113,13 +148,13 @@ class Up(nnx.Module):
         self.residual = Residual(width_out, rngs=rngs)
 
     def __call__(
-        self, features: Float[Array, "b h w c"], skipped: Float[Array, "b h2 w2 d"]
+        self, features: Float[Array, "b h w c"], skipped: Float[Array, "b h2 w2 d"], size: Size = None
     ) -> Float[Array, "b h2 w2 d"]:
-        """Features at twice the resolution."""
+        """Features at twice the resolution, at which the map has this size."""
         narrow = self.narrow(nnx.relu(features))
         doubled = jnp.repeat(jnp.repeat(narrow, 2, axis=1), 2, axis=2)
         # Halving an odd number of rows or columns rounds up.
-        return self.residual(skipped + doubled[:, : skipped.shape[1], : skipped.shape[2]])
+        return self.residual(skipped + doubled[:, : skipped.shape[1], : skipped.shape[2]], size)
 
 
 class CompactUNet(nnx.Module):
@@ -145,19 +180,24 @@ class CompactUNet(nnx.Module):
             setattr(self, f"up{scale}", Up(widths[scale], widths[scale - 1], rngs=rngs))
         self.head = nnx.Linear(embedding or widths[0], area * len(architecture.quantiles), rngs=rngs)
 
-    def __call__(self, terrain: UInt8[Array, "b h w"]) -> Float[Array, "b h w quantiles"]:
-        """Quantiles of every cell's cost-to-go, in cells, from observed class indices (0 = not observed)."""
+    def __call__(self, terrain: UInt8[Array, "b h w"], size: Size = None) -> Float[Array, "b h w quantiles"]:
+        """Quantiles of every cell's cost-to-go, in cells, from observed class indices (0 = not observed).
+
+        Maps smaller than the grid, all of this size, are in its upper left corner, with `OUTSIDE` cells around.
+        """
         height, width = terrain.shape[1:]
         patch, scales = self.architecture.patch, range(1, len(self.architecture.widths))
         classes = jax.nn.one_hot(terrain, len(CLASS_NAMES))
         classes = jnp.pad(classes, ((0, 0), (0, -height % patch), (0, -width % patch), (0, 0)))
         embedded = self.embed(patches(classes, patch))
-        encoded = [self.local(self.narrow(nnx.relu(embedded)) if self.architecture.embedding else embedded)]
+        sizes = [reduced(size, patch << scale) for scale in (0, *scales)]
+        local = self.narrow(nnx.relu(embedded)) if self.architecture.embedding else embedded
+        encoded = [self.local(local, sizes[0])]
         for scale in scales:
-            encoded.append(getattr(self, f"down{scale}")(encoded[-1]))
-        features = self.context(encoded[-1])
+            encoded.append(getattr(self, f"down{scale}")(encoded[-1], sizes[scale - 1]))
+        features = self.context(encoded[-1], sizes[-1])
         for scale in reversed(scales):
-            features = getattr(self, f"up{scale}")(features, encoded[scale - 1])
+            features = getattr(self, f"up{scale}")(features, encoded[scale - 1], sizes[scale - 1])
         if self.architecture.embedding:
             features = self.mix(nnx.relu(jnp.concatenate([features, embedded], axis=-1)))
         cells = unpatched(self.head(nnx.relu(features)), patch)[:, :height, :width]

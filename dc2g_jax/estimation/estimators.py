@@ -23,34 +23,11 @@ from dc2g_jax.grid.world import World
 Estimates = Float[Array, "kept h w *batch"]
 
 
-class Estimator(Protocol):
-    """Estimates the cost-to-go of every cell from a partial map (Algorithm 2, lines 9 and 10).
-
-    Unobserved ground is uncertain, so an estimate is a set of equally likely outcomes: evenly spaced quantiles, or the
-    members of an ensemble. A deterministic estimator gives one outcome.
-    """
-
-    def init(self, world: World) -> Any:
-        """The state for an episode in `world`. Only a privileged estimator may read the world.
-
-        Empty unless a subclass defines it.
-        """
-        del world
-        return ()
-
-    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "outcomes h w *batch"]:
-        """The cost-to-go of every cell given the observed class indices (0 = not observed). Finite, lower is better.
-
-        Quantiles are in ascending order of their levels; those of a network may cross slightly.
-        """
-        ...
-
-
 class Extent:
     """The part of the map that an estimator is given: all of it, as in the paper, or a part defined by a subclass.
 
-    An estimator may have an attribute `extent`; planners that know the robot's pose use it. Hashable, so that it can be
-    a static argument of `jit`.
+    Planners that know the robot's pose use the `extent` of an estimator. Hashable, so that it can be a static argument
+    of `jit`.
     """
 
     #: Cost of cells that have never been estimated.
@@ -70,14 +47,48 @@ class Extent:
 WHOLE_MAP = Extent()
 
 
+class Estimator(Protocol):
+    """Estimates the cost-to-go of every cell from a partial map (Algorithm 2, lines 9 and 10).
+
+    Unobserved ground is uncertain, so an estimate is a set of equally likely outcomes: evenly spaced quantiles, or the
+    members of an ensemble. A deterministic estimator gives one outcome.
+
+    An estimator that does not derive from this class has the defaults of the attributes, too.
+
+    Attributes:
+      in_cells: whether costs are in cells, so that a distance can be added.
+      knows_outside: whether it takes maps in a larger grid, with `OUTSIDE` cells around, as `OnlinePlanner` pads them.
+      extent: the part of the map that it is given.
+    """
+
+    in_cells: ClassVar[bool] = True
+    knows_outside: ClassVar[bool] = False
+    extent: Extent = WHOLE_MAP
+
+    def init(self, world: World) -> Any:
+        """The state for an episode in `world`. Only a privileged estimator may read the world.
+
+        Empty unless a subclass defines it.
+        """
+        del world
+        return ()
+
+    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "outcomes h w *batch"]:
+        """The cost-to-go of every cell given the observed class indices (0 = not observed). Finite, lower is better.
+
+        Quantiles are in ascending order of their levels; those of a network may cross slightly.
+        """
+        ...
+
+
 def extent_of(estimator: Estimator) -> Extent:
-    """The extent of an estimator; the whole map by default."""
-    return getattr(estimator, "extent", WHOLE_MAP)
+    """The `extent` of an estimator."""
+    return getattr(estimator, "extent", Estimator.extent)
 
 
 def answers_in_cells(estimator: Estimator | None) -> bool:
-    """Whether an estimator's costs are in cells, so that a distance can be added. They are by default."""
-    return getattr(estimator, "in_cells", True)
+    """Whether an estimator's costs are `in_cells`."""
+    return getattr(estimator, "in_cells", Estimator.in_cells)
 
 
 #: Smallest and largest batch of an estimator. In tiny batches the last bits of a convolution may depend on the size.
@@ -94,7 +105,7 @@ def _call_sizes(n_robots: int) -> list[int]:
     return [largest >> times for times in halvings if largest >> times >= _FEWEST_MAPS]
 
 
-def for_some(function: Callable[[Any, Any], Any], wanted: Bool[Array, "*batch"], inputs: Any, before: Any) -> Any:
+def update_where(function: Callable[[Any, Any], Any], wanted: Bool[Array, "*batch"], inputs: Any, before: Any) -> Any:
     """Apply a function to some of the robots, a few at a time, and keep the old values of the others.
 
     Args:
@@ -236,7 +247,7 @@ class TranslatorCostToGo(Estimator):
 
 
 @struct.dataclass
-class ExactCostToGo:
+class ExactCostToGo(Estimator):
     """The exact cost-to-go of the hidden map: a perfect, privileged estimator.
 
     Attributes:

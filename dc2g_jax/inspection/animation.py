@@ -15,6 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_COLORS, TRAVERSABLE
+from dc2g_jax.inspection._video import Picture, frequent_colors, write_gif, write_mp4
 from dc2g_jax.inspection.costs import (
     BLOCKED_COLOR,
     COST_COLORS,
@@ -26,7 +27,6 @@ from dc2g_jax.inspection.costs import (
 from dc2g_jax.inspection.episode_figures import goal_marks, outcome
 from dc2g_jax.inspection.figures import hidden_color, map_image, planner_style, present_classes
 from dc2g_jax.inspection.replay import Frames, running_extra_steps
-from dc2g_jax.inspection.video import Picture, frequent_colors, write_gif, write_mp4
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
 
 #: Pixels: largest width and height of all panels together, and the same if cells would have fewer than three pixels;

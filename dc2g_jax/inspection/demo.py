@@ -28,11 +28,11 @@ from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import HEADINGS, every_heading, make_pose
 from dc2g_jax.grid.terrain import CLASS_NAMES, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax.grid.world import World, world_from_terrain
+from dc2g_jax.inspection._legend import score_colors
 from dc2g_jax.inspection.animation import CROSS, MARK_COLOR, ROBOT_COLOR, STAR, SUBGOAL_COLOR, TRIANGLES
 from dc2g_jax.inspection.costs import cost_image
 from dc2g_jax.inspection.episode_figures import goal_marks
 from dc2g_jax.inspection.figures import map_image
-from dc2g_jax.inspection.legend import score_colors
 from dc2g_jax.inspection.replay import first_carry
 from dc2g_jax.planning.decisions import Decision, RobotPose, View, decide
 from dc2g_jax.planning.named import NETWORK_PLANNERS, make_planner

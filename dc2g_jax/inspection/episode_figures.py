@@ -19,6 +19,7 @@ from dc2g_jax.datasets.houses import House
 from dc2g_jax.grid.ground import pieces
 from dc2g_jax.grid.poses import Pose, make_pose, moved
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
+from dc2g_jax.inspection._sheets import DPI, FONT, Sheet, cell_rim, empty_sheet
 from dc2g_jax.inspection.costs import (
     BLOCKED_COLOR,
     COST_COLORS,
@@ -37,7 +38,6 @@ from dc2g_jax.inspection.figures import (
     save_figure,
 )
 from dc2g_jax.inspection.replay import Frames, actions_from_letters, running_extra_steps
-from dc2g_jax.inspection.sheets import DPI, FONT, Sheet, cell_rim, empty_sheet
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
 from dc2g_jax.rollouts.evaluation import EpisodeResult
 from dc2g_jax.rollouts.rollout import NO_ACTION

@@ -16,7 +16,8 @@ from dc2g_jax.datasets.houses import House
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.grid.poses import FORWARD
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
-from dc2g_jax.inspection import legend
+from dc2g_jax.inspection import _legend as legend
+from dc2g_jax.inspection._legend import CostScale
 from dc2g_jax.inspection.columns import (
     SO_FAR,
     centers,
@@ -32,7 +33,6 @@ from dc2g_jax.inspection.columns import (
 )
 from dc2g_jax.inspection.costs import exact_cost_to_go
 from dc2g_jax.inspection.figures import planner_styles
-from dc2g_jax.inspection.legend import CostScale
 from dc2g_jax.inspection.replay import Frames, actions_from_letters, replay_result, running_extra_steps
 from dc2g_jax.planning.decisions import HEADING_NAMES
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL

@@ -17,10 +17,10 @@ from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
 from matplotlib.patches import Patch
 
+from dc2g_jax.inspection._sheets import DPI, FONT, cell_rim
 from dc2g_jax.inspection.costs import end_of_colors
 from dc2g_jax.inspection.driving_figures import ROBOT_ARROW
 from dc2g_jax.inspection.figures import PAGE_WIDTH, save_figure
-from dc2g_jax.inspection.sheets import DPI, FONT, cell_rim
 from dc2g_jax.objectnav.classes import NO_OBJECT, OBJECT_CLASSES, OBJECT_COLORS, SEMANTIC_CLASSES
 from dc2g_jax.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL
 from dc2g_jax.objectnav.worlds import IndoorWorld, Leaf

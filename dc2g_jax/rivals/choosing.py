@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
-from dc2g_jax.estimation.estimators import Estimator, for_some
+from dc2g_jax.estimation.estimators import Estimator, update_where
 from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.gridworld import Belief
@@ -160,7 +160,7 @@ class ChoosingPlanner(AssessingPlanner):
         enough = max(1.0, self.enough_news * len(self.rules.sensing.offsets[0]))
         outdated = (news >= enough) | poses.is_empty(state.subgoals & candidates)
         undecided = ~poses.is_empty(candidates) & ~bitboard.intersects(reachable, belief.goals)
-        state = for_some(self._choose, outdated & undecided, (belief, reachable, candidates), state)
+        state = update_where(self._choose, outdated & undecided, (belief, reachable, candidates), state)
         plan = goal_or(belief, reachable, state.subgoals & candidates, self.rules)
         moment = self._moment(belief, reachable, candidates, state)
         score = jnp.min(jnp.where(poses.unpack(candidates, belief.width), self.score(belief, moment), jnp.inf), axis=0)

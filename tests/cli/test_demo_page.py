@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import importlib.util
 import json
 import os
 import shutil
@@ -15,26 +16,24 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dc2g_jax.cli.commands import demo as command
 from dc2g_jax.errors import require_extra
 from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.inspection.demo import Demo
 from dc2g_jax.planning.decisions import RobotPose
-from experiments import demo as command
 from tests.support.networks import random_network
 from tests.support.places import ROOT
 from tests.support.refusals import refusal
 from tests.support.toy import HOUSE
 
-pytest.importorskip("nicegui", reason="the extra demo is not installed")
-
+if not importlib.util.find_spec("nicegui"):
+    pytest.skip("the extra demo is not installed", allow_module_level=True)
+# NiceGUI, and the page that is written with it, are imported by the tests, as it takes seconds.
 import httpx
 import websockets.exceptions
 import websockets.sync.client
-from nicegui import ui
-from nicegui.testing import user_simulation
 
-from dc2g_jax.cli.demo_page import Page, check_port
 from dc2g_jax.cli.local_server import LARGEST_BODY
 
 
@@ -45,6 +44,10 @@ def broken(rules):
 
 def visited(visit) -> None:
     """Run `visit(user, pages)` on pages with a toy map and frontier exploration; `pages` grows with each visit."""
+    from nicegui.testing import user_simulation
+
+    from dc2g_jax.cli.demo_page import Page
+
     network, pages = random_network(Architecture(widths=(4, 4, 4, 4))), []
 
     def root() -> None:
@@ -86,6 +89,8 @@ def test_a_visitor_steps_scrubs_and_meets_nobody_else():
 
 
 def test_a_visitor_draws_a_map_and_is_told_what_is_wrong():
+    from nicegui import ui
+
     async def visit(user, pages):
         await user.open("/")
         await user.should_see("step 0", retries=200)
@@ -127,6 +132,8 @@ def test_an_extra_that_is_missing_is_named():
 
 
 def test_a_port_that_is_taken():
+    from dc2g_jax.cli.demo_page import check_port
+
     with socket.socket() as holder:
         holder.bind(("127.0.0.1", 0))
         holder.listen()

@@ -19,7 +19,7 @@ from dc2g_jax.grid.terrain import OUTSIDE
 from dc2g_jax.planning.planners import Oracle
 from dc2g_jax.rollouts.evaluation import episodes_from
 from dc2g_jax.rollouts.rollout import rollout
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support.houses import STREET, WALLED, YARD, house, start_poses
 from tests.support.refusals import refusal
 

@@ -17,16 +17,8 @@ import numpy as np
 import pytest
 
 import dc2g_jax as dc2g
-from dc2g_jax.cli.common import command_line
-from dc2g_jax.datasets.houses import load_dataset, save_dataset
-from dc2g_jax.datasets.procedural import PROCEDURAL_SPLIT, draw_house, house_seed
-from dc2g_jax.datasets.starts import sample_starts
-from dc2g_jax.estimation.checkpoints import load_network
-from dc2g_jax.estimation.estimators import ExactCostToGo
-from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD
-from experiments import (
+from dc2g_jax.cli.commands import (
     head_to_head,
-    latency,
     noisy_mapping,
     objectnav_train,
     reproduce_fig5,
@@ -38,14 +30,18 @@ from experiments import (
     train,
     train_translator,
 )
+from dc2g_jax.cli.common import command_line
+from dc2g_jax.datasets.houses import load_dataset
+from dc2g_jax.datasets.procedural import PROCEDURAL_SPLIT, draw_house, house_seed
+from dc2g_jax.datasets.starts import sample_starts
+from dc2g_jax.estimation.checkpoints import load_network
+from dc2g_jax.estimation.estimators import ExactCostToGo
+from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD
+from experiments import latency
 from tests.support.commands import complaint, run
-from tests.support.places import ROOT
+from tests.support.houses import save_dataset
+from tests.support.places import COMMANDS, ROOT
 from tests.support.refusals import refusal
-
-#: Every module of `experiments` that is a command.
-COMMANDS = sorted(
-    path.stem for path in (ROOT / "experiments").glob("*.py") if "command_line(Options" in path.read_text()
-)
 
 
 @pytest.fixture(scope="module")
@@ -437,7 +433,7 @@ def test_a_translator_is_trained_and_judged(few_houses, compact_network, tmp_pat
 
 
 @pytest.mark.filterwarnings("ignore:.*found in sys.modules:RuntimeWarning")
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", [path.stem for path in COMMANDS])
 def test_help_names_every_option(command, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["-m", "--help"])
     with pytest.raises(SystemExit) as ended:

@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 
+from dc2g_jax.cli.commands import compare
 from dc2g_jax.datasets.houses import House, HouseDataset
-from experiments import compare
 from tests.support.maps import drawn
 from tests.support.refusals import refusal
 

@@ -6,9 +6,9 @@ import json
 import pytest
 
 from dc2g_jax.cli import searches
+from dc2g_jax.cli.commands.objectnav_table1 import Options, main
 from dc2g_jax.objectnav.evaluation import SearchResult
 from dc2g_jax.rollouts.results import read_rows
-from experiments.objectnav_table1 import Options, main
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 

@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 
 from dc2g_jax.cli import one_start
+from dc2g_jax.cli.commands import (
+    draw_dataset,
+    draw_episodes,
+    explore_map,
+    reproduce_fig8,
+)
 from dc2g_jax.datasets.houses import map_dataset
 from dc2g_jax.files.class_images import write_class_image
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS
-from experiments import draw_dataset, draw_episodes, explore_map, reproduce_fig8
 from tests.support import toy
 from tests.support.commands import complaint, run
 from tests.support.maps import drawn

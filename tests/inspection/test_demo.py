@@ -17,7 +17,7 @@ from dc2g_jax.planning.decisions import RobotPose
 from dc2g_jax.planning.named import make
 from dc2g_jax.planning.online import OnlinePlanner
 from dc2g_jax.planning.rules import complete_rules
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support.networks import random_network
 from tests.support.refusals import refusal
 from tests.support.toy import HOUSE

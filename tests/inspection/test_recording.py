@@ -14,7 +14,7 @@ from dc2g_jax.estimation.estimators import ExactCostToGo, world_cost_to_go
 from dc2g_jax.grid.poses import FORWARD, make_pose
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.inspection import legend
+from dc2g_jax.inspection import _legend as legend
 from dc2g_jax.inspection import replay as replaying
 from dc2g_jax.inspection.figures import PLANNER_STYLES
 from dc2g_jax.inspection.recording import record_episode
@@ -25,7 +25,7 @@ from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.planning.selection import ExpectedCost, Patience
 from dc2g_jax.rollouts.evaluation import EpisodeResult
 from dc2g_jax.rollouts.statistics import extra_steps
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support.exploration import LowestColumn, PlanAlone
 from tests.support.recordings import read
 

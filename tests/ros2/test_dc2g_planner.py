@@ -18,7 +18,7 @@ from rosbags.rosbag2 import Writer
 from dc2g_jax.planning.metric import MetricPlanner
 from dc2g_jax.planning.metric_map import MetricPose
 from dc2g_jax.planning.online import OnlinePlanner
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps, ros
 from tests.support.places import ROOT
 from tests.support.refusals import refusal

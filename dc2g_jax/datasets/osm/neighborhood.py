@@ -11,7 +11,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from scipy import spatial
 
-from dc2g_jax.datasets.osm.entrances import (
+from dc2g_jax.datasets.osm._entrances import (
     Entry,
     Site,
     Uses,
@@ -21,8 +21,7 @@ from dc2g_jax.datasets.osm.entrances import (
     plan_entry,
     street_points,
 )
-from dc2g_jax.datasets.osm.extract import EXTRACT_ENDINGS, Area, Extract, Line, read_extract
-from dc2g_jax.datasets.osm.shapes import (
+from dc2g_jax.datasets.osm._shapes import (
     Patch,
     fill,
     mapped_shapes,
@@ -31,6 +30,7 @@ from dc2g_jax.datasets.osm.shapes import (
     square_view,
     street_width,
 )
+from dc2g_jax.datasets.osm.extract import EXTRACT_ENDINGS, Area, Extract, Line, read_extract
 from dc2g_jax.datasets.procedural.drawing import PictureFrame, Sketch, resample
 from dc2g_jax.grid.ground import component_numbers
 from dc2g_jax.grid.sampling import ClassImage, resize_nearest, sample_grid

@@ -6,7 +6,7 @@ robot that starts on the road can reach a front door in the map's 50x50 grid.
 
 import numpy as np
 
-from dc2g_jax.datasets.procedural.city import draw_city
+from dc2g_jax.datasets.procedural._city import draw_city
 from dc2g_jax.datasets.procedural.suburbs import SUBURBS, draw_row, draw_suburb
 from dc2g_jax.grid.ground import connected_to_goal
 from dc2g_jax.grid.sampling import ClassImage, sample_grid

@@ -19,8 +19,8 @@ from jaxtyping import Float
 from dc2g_jax.datasets.houses import tell_on_stderr
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.files.reading import opened, parse_json, read_lines, read_object
+from dc2g_jax.objectnav._plans import Furniture, HousePlan, Room, Segment
 from dc2g_jax.objectnav.classes import OTHER, PROCTHOR_CLASSES, ROOM_NAMES
-from dc2g_jax.objectnav.plans import Furniture, HousePlan, Room, Segment
 
 #: Name of the table of boxes, beside the houses.
 BOXES_FILE = "asset_boxes.json"
@@ -54,7 +54,7 @@ class AssetBox(NamedTuple):
     depth: float
 
 
-def read_asset_boxes(path: str | Path) -> dict[str, AssetBox]:
+def _read_asset_boxes(path: str | Path) -> dict[str, AssetBox]:
     """Read the table of boxes: a JSON object `assetId -> {"type": ..., "box": [x, y, z]}`, sizes in meters.
 
     Raises:
@@ -89,7 +89,7 @@ def read_procthor(
       InputError: a file cannot be read or contains no houses, or, if strict, a line is not a valid house.
     """
     path = Path(path)
-    table = read_asset_boxes(path.parent / BOXES_FILE)
+    table = _read_asset_boxes(path.parent / BOXES_FILE)
     houses, skipped = [], 0
     for number, line in _lines(path):
         try:

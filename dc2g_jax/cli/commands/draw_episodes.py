@@ -37,7 +37,7 @@ class Options(DatasetOptions, OutOptions):
     house: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...", help_behavior_hint="")] = ()
 
 
-def ranges_of(result: EpisodeResult) -> str:
+def _ranges_of(result: EpisodeResult) -> str:
     """The sensing ranges of an episode, as part of a file name."""
     return f"-r{result.range}" + (f"-e{result.expanding_range}" if result.expanding_range else "")
 
@@ -67,14 +67,14 @@ def main(options: Options) -> None:
     out = output_folder(options, "draw_episodes")
     by_ranges: dict[str, list[EpisodeResult]] = {}
     for one in results:
-        by_ranges.setdefault(ranges_of(one), []).append(one)
+        by_ranges.setdefault(_ranges_of(one), []).append(one)
     for ranges, some in by_ranges.items() if compared else ():
         name = f"houses{ranges if len(by_ranges) > 1 else ''}"
         plot_house_strips(out / name, some, group_by_house, f"{some[0].range}-cell sensing")
     by_start: dict[str, dict[str, EpisodeResult]] = {}
     for one in results:
         if one.house in options.house:
-            name = f"{one.house}-x{one.x}-y{one.y}-h{one.heading}{ranges_of(one)}"
+            name = f"{one.house}-x{one.x}-y{one.y}-h{one.heading}{_ranges_of(one)}"
             by_start.setdefault(name, {})[one.planner] = one
     for name, own in tqdm(by_start.items(), desc="drawing", unit="figure", file=sys.stderr):
         plot_trajectories(out / name, dataset.house(next(iter(own.values())).house), own)

@@ -114,7 +114,7 @@ def train_group(
     rates = np.stack([learning_rates(config) for config in configs], axis=1)
 
     def networks_of(states: TrainingState) -> list[NetworkCostToGo]:
-        stacked = jax.tree.map(fetch, states.average)
+        stacked = jax.tree.map(fetch, states.trained)
         each = (jax.tree.map(lambda leaf, run=run: leaf[run], stacked) for run in range(len(runs)))
         return [NetworkCostToGo(weights=weights, architecture=recipe.architecture) for weights in each]
 
@@ -123,7 +123,7 @@ def train_group(
         return [prediction_picture(network, shown) for network in networks_of(states)]
 
     def validate(states: TrainingState, step: int, losses: Losses | None) -> list[dict[str, Any]]:
-        errors = np.asarray(sweeps.validation_errors(recipe.architecture, jax.tree.map(fetch, states.average), pairs))
+        errors = np.asarray(sweeps.validation_errors(recipe.architecture, jax.tree.map(fetch, states.trained), pairs))
         left_out = fetch(sweeps.steps_left_out(states))
         return [
             {

@@ -76,7 +76,7 @@ def main(options: Options) -> None:
     begun, robot = run_search(first, site, agent)
 
     track, steps = np.asarray(robot.track), int(robot.periods)
-    ends = Searches(track[None], *(np.array([one]) for one in (robot.status == DECLARED, steps, robot.bumps)))
+    ends = Searches(track[None], *(np.array([one]) for one in (robot.status == DECLARED, steps, robot.collisions)))
     (result,) = results_of(options.agent, [house], [episode], ends)
     to_goal = np.array([bool(one.guidance.to_goal) for one in begun])
     moments = [moment_of(begun[number], agent, options.agent) for number in choose_legs(to_goal, _COLUMNS)]
@@ -95,7 +95,7 @@ def main(options: Options) -> None:
     write_json(out / "search.json", facts)
     outcome = "success" if result.success else "declared too early" if result.declared else "not found in time"
     print(f"{search_name}: {outcome} after {steps} steps ({steps / 10:g} s)")
-    print(f"driven {result.driven:.1f} m, shortest path {result.shortest:.1f} m, bumps {result.bumps}")
+    print(f"driven {result.driven:.1f} m, shortest path {result.shortest:.1f} m, collisions {result.collisions}")
     print_files(out)
 
 

@@ -15,7 +15,7 @@ _STREET_WIDTHS = {"service": 4.5, "pedestrian": 6.0, "residential": 7.5, "living
 _OTHER_STREET_WIDTH, _LANE_WIDTH = 10.0, 3.2
 
 #: Width of a sidewalk along a street, meters.
-SIDEWALK_WIDTH = 1.8
+_SIDEWALK_WIDTH = 1.8
 
 #: Value of `natural` or `highway` -> layer and radius of nodes.
 _NODES = {"tree": ("tree", 1.6), "turning_circle": ("road", 7.0)}
@@ -118,7 +118,7 @@ def sidewalk_sides(tags: Tags) -> tuple[bool, bool] | None:
 
 def sidewalks(line: Line, sides: tuple[bool, bool], cell: float) -> list[Patch]:
     """Sidewalks along a street, on its left and right."""
-    half, beside = street_width(line.tags) / 2, max(SIDEWALK_WIDTH, CONNECTED * cell)
+    half, beside = street_width(line.tags) / 2, max(_SIDEWALK_WIDTH, CONNECTED * cell)
     if all(sides):
         return [Patch("pavement", strip(line.points, 2 * (half + beside)))]
     if not any(sides):

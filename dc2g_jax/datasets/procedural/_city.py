@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from dc2g_jax.datasets.procedural._streets import Curb, Sidewalks, Streets, lay_streets
 from dc2g_jax.datasets.procedural.drawing import (
     PictureFrame,
     Placement,
@@ -23,7 +24,6 @@ from dc2g_jax.datasets.procedural.drawing import (
     view_around,
 )
 from dc2g_jax.datasets.procedural.lots import car
-from dc2g_jax.datasets.procedural.streets import Curb, Sidewalks, Streets, lay_streets
 from dc2g_jax.grid.sampling import ClassImage
 
 #: Layer -> shape in a building's frame: the sidewalk's inner edge is y = 0, the street toward negative y.

@@ -26,7 +26,14 @@ from dc2g_jax.objectnav.collecting import CollectionConfig, collect, random_view
 from dc2g_jax.objectnav.data import JourneySet
 from dc2g_jax.objectnav.houses import IndoorHouse, houses_sha256, indoor_houses
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
-from dc2g_jax.objectnav.midlevel import EncoderArchitecture, ImageEncoder, encoder_task, load_encoder, vector_size
+from dc2g_jax.objectnav.midlevel import (
+    EncoderArchitecture,
+    EncoderTraining,
+    ImageEncoder,
+    encoder_task,
+    load_encoder,
+    vector_size,
+)
 from dc2g_jax.objectnav.networks import ABLATIONS, INPUT_CHANNELS, CostMapArchitecture, CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, save_costs
 from dc2g_jax.objectnav.training import (
@@ -35,13 +42,11 @@ from dc2g_jax.objectnav.training import (
     Recipe,
     figures,
     first_state,
-    learning_rate_schedule,
-    train_step,
     validation_samples,
 )
 from dc2g_jax.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
-from dc2g_jax.training.cost_to_go import TrainingState
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
+from dc2g_jax.training.step import TrainingState, supervised_step
 
 #: Training houses for the encoder and pictures of each, if no encoder is given.
 _ENCODER_HOUSES, _PICTURES_A_HOUSE = 200, 40
@@ -116,7 +121,7 @@ class Options(TrainingOptions, Pauses):
         return CostMapConfig(architecture, recipe, steps=self.steps, batch_size=self.batch_size, seed=self.seed)
 
 
-def open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
+def _open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
     """The given encoder, or the one of this run, which is trained if it does not exist."""
     own, folder = options.out / ENCODER_FILE, options.out / "encoder"
     if options.encoder is not None and not own.exists():
@@ -128,17 +133,15 @@ def open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
         houses[:_ENCODER_HOUSES], _PICTURES_A_HOUSE, options.collection.data_seed, options.collection.largest
     )
     made = {"command": command_written(), "commit": commit()}
+    training = EncoderTraining(EncoderArchitecture(), options.encoder_steps, seed=options.seed)
     task = encoder_task(
-        EncoderArchitecture(),
+        training,
         views,
-        steps=options.encoder_steps,
         save=lambda encoder, losses: write_network(
             own, encoder.weights, encoder.architecture, {"losses": losses, **made}
         ),
-        seed=options.seed,
     )
-    facts = {"steps": options.encoder_steps, "seed": options.seed}
-    checkpoints = TrainingCheckpoints(folder, EncoderArchitecture(), facts, first_state=lambda _: task.init())
+    checkpoints = TrainingCheckpoints(folder, training, first_state=lambda _: task.init())
     train(task, folder, checkpoints, Pauses(0, options.minutes_per_checkpoint), options.track)
     # Load the half-precision weights that will be used.
     return load_encoder(own)
@@ -163,10 +166,10 @@ def training_task(
     """The training task. Each validation saves the network."""
     batches = validation_samples(validation, config, options.validation_samples)
     mesh = mesh_for_batch(config.batch_size)
-    data, rate = replicate(data, mesh), learning_rate_schedule(config)
+    data, rate = replicate(data, mesh), config.learning_rates()
 
     def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
-        weights = first_copy(state.average if config.recipe.average_decay else state.weights)
+        weights = first_copy(state.trained)
         estimator = CostMapEstimator(weights=weights, architecture=config.architecture)
         latest = None if loss is None else float(loss)
         found = {"step": step, "training_loss": latest, **figures(estimator, batches, config)}
@@ -184,7 +187,7 @@ def training_task(
     return Task(
         steps=config.steps,
         init=functools.partial(first_state, config),
-        step=lambda state: train_step(state, data, config=config, mesh=mesh),
+        step=lambda state: supervised_step(state, data, training=config, mesh=mesh),
         validate=validate,
         validated=Log(options.out).by_step(),
         place=functools.partial(replicate, mesh=mesh),
@@ -214,7 +217,7 @@ def main(options: Options) -> None:
     houses = read("train", count=count)
     largest = options.validation_houses
     unknown = read("val", count=largest if options.houses == PROCEDURAL else None)[:largest]
-    encoder = open_encoder(options, houses)
+    encoder = _open_encoder(options, houses)
     collection = options.collection
     data = kept(options.out / "data.npz", functools.partial(collect, houses, encoder, collection), len(houses))
     apart = dataclasses.replace(collection, data_seed=collection.data_seed + _VALIDATION_SEED)

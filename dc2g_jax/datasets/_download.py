@@ -35,13 +35,13 @@ OTHER_URLS = (
 FOLDER_NAME = "driveways_bing_iros19"
 #: Where the authors keep it.
 ORIGIN = f"data/datasets/{FOLDER_NAME} from github.com/mit-acl/dc2g"
-MANIFEST_NAME = "driveways_bing_iros19.sha256"
+_MANIFEST_NAME = "driveways_bing_iros19.sha256"
 
 TIMEOUT_SECONDS = 10.0
 #: Time for the server to answer before the network counts as unavailable.
 PROBE_SECONDS = 6.0
 #: Retries per file; pooch waits 1 s before the first and 2 s before the second.
-RETRIES = 2
+_RETRIES = 2
 
 _REMEDY = "pass --dataset FOLDER (or set DC2G_DATA) with a copy of the dataset, or 'procedural'"
 
@@ -62,7 +62,7 @@ def read_manifest(path: Path | None = None) -> dict[str, str]:
     Raises:
         InputError: the file is missing or empty, or a line is malformed.
     """
-    path = resource(MANIFEST_NAME) if path is None else Path(path)
+    path = resource(_MANIFEST_NAME) if path is None else Path(path)
     entries = {}
     for number, line in enumerate(read_text(path, "install the package again", at_most=FACTS).splitlines(), start=1):
         match = re.fullmatch(r"([0-9a-f]{64})  (\S.*)", line)
@@ -148,7 +148,7 @@ def _download(
         Path(file).write_bytes(answer.content)
 
     pooch.get_logger().setLevel("WARNING")  # the progress bar is enough
-    store = pooch.create(path=folder, base_url=base_urls[0], registry=dict(entries), retry_if_failed=RETRIES)
+    store = pooch.create(path=folder, base_url=base_urls[0], registry=dict(entries), retry_if_failed=_RETRIES)
     bar = tqdm(
         total=len(entries),
         initial=len(entries) - len(missing),

@@ -26,13 +26,13 @@ ARM = 0.8
 STOP = 0.2
 
 #: A cell of the target's class counts if this many such cells lie in the 5 x 5 cells around it.
-LEAST_CELLS = 3
+_LEAST_CELLS = 3
 
 
 def without_specks(cells: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
     """The cells of a class with enough such cells around them. Isolated cells are usually false positives."""
     around = jax.lax.reduce_window(cells.astype(jnp.int32), 0, jax.lax.add, (5, 5), (1, 1), "SAME")
-    return cells & (around >= LEAST_CELLS)
+    return cells & (around >= _LEAST_CELLS)
 
 
 def footprint(radius: float, cell_size: float) -> Bool[np.ndarray, "n n"]:

@@ -22,8 +22,8 @@ from dc2g_jax.objectnav.worlds import IndoorWorld, Objects
 PLAN_CELL_SIZE = 0.05
 
 #: Height of walls, and their thickness unless cells are larger; meters.
-WALL_HEIGHT = 2.5
-WALL_THICKNESS = 0.1
+_WALL_HEIGHT = 2.5
+_WALL_THICKNESS = 0.1
 
 #: Margin of the grid around a house, meters. With cells of 5 or 10 cm, walls on whole decimeters then fill whole cells.
 MARGIN = 0.25
@@ -141,9 +141,9 @@ def world_from_plan(plan: HousePlan, cell_size: float = PLAN_CELL_SIZE) -> Indoo
     floor = _floor(grid, plan.rooms)
     walls = _walls(grid, plan)
     rooms = np.where(walls, 0, floor).astype(np.uint8)
-    heights = np.where(walls, WALL_HEIGHT, 0).astype(np.float32)
+    heights = np.where(walls, _WALL_HEIGHT, 0).astype(np.float32)
     instances = np.full(heights.shape, -1, np.int16)
-    housed = [entry for entry in zip(plan.furniture, rooms_at(plan), strict=True) if entry[1]]
+    housed = [entry for entry in zip(plan.furniture, _rooms_at(plan), strict=True) if entry[1]]
     # In order of height: the highest object covers the others.
     for number, (piece, room) in sorted(enumerate(housed), key=lambda entry: entry[1][0].top):
         place, cells = _footprint(grid, piece, rooms, room)
@@ -166,7 +166,7 @@ def world_from_plan(plan: HousePlan, cell_size: float = PLAN_CELL_SIZE) -> Indoo
     )
 
 
-def rooms_at(plan: HousePlan) -> list[int]:
+def _rooms_at(plan: HousePlan) -> list[int]:
     """The number of the room that contains the center of each piece of furniture, counted from 1; 0 outside."""
     x, y = np.array([(piece.x, piece.y) for piece in plan.furniture]).reshape(-1, 2).T
     found = np.zeros(len(x), int)
@@ -218,7 +218,7 @@ def _strip(grid: _Grid, segment: Segment, thickness: float) -> tuple[tuple[slice
     (x0, y0), (x1, y1) = segment
     length = math.hypot(x1 - x0, y1 - y0) or 1.0
     along = (x1 - x0) / length, (y1 - y0) / length
-    wall = max(WALL_THICKNESS, grid.cell_size * (abs(along[0]) + abs(along[1])))
+    wall = max(_WALL_THICKNESS, grid.cell_size * (abs(along[0]) + abs(along[1])))
     angle = math.atan2(along[1], along[0])
     box = Furniture(0, (x0 + x1) / 2, (y0 + y1) / 2, math.hypot(x1 - x0, y1 - y0), thickness * wall, angle, 0)
     return _covered(grid, box if thickness > 1 else box._replace(width=box.width + wall))

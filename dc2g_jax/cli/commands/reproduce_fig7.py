@@ -56,13 +56,13 @@ class Options(DatasetOptions, NetworkOptions, StepLimitOptions, OutOptions, Resu
 
 
 #: Groups of the sampled episodes in tables, in order; `test` holds all episodes.
-PAPER_GROUPS = ("same_neighborhood", "new_neighborhood", "urban", "test")
+_PAPER_GROUPS = ("same_neighborhood", "new_neighborhood", "urban", "test")
 
 #: Number of summary columns for a single house, which has no interval over houses.
 _OF_A_HOUSE = Summary._fields.index("mean_low")
 
 
-def sampled_episodes(dataset: HouseDataset, options: Options) -> tuple[Runner, list[Start]]:
+def _sampled_episodes(dataset: HouseDataset, options: Options) -> tuple[Runner, list[Start]]:
     """A runner and sampled starts: the same number in every test house that can be run, so that houses weigh equally.
 
     Raises:
@@ -116,7 +116,7 @@ def print_table(title: str, table: Table, groups: tuple[str, ...]) -> None:
         print(f"{planner:{width}}{cells}{100 * row[groups[-1]].success:>9.1f}%")
 
 
-def write_tables(out: Path, tables: dict[str, Table], entries: dict[str, list[ExtraSteps]]) -> None:
+def _write_tables(out: Path, tables: dict[str, Table], entries: dict[str, list[ExtraSteps]]) -> None:
     """Write `summary.csv` (by planner and group) and `houses.csv` (by planner and house)."""
     groups = [
         (settings, planner, group, *(round(value, 4) for value in summary))
@@ -137,7 +137,7 @@ def write_tables(out: Path, tables: dict[str, Table], entries: dict[str, list[Ex
     write_table(out / "houses.csv", columns, houses)
 
 
-def as_json(table: Table) -> dict[str, dict[str, dict[str, float]]]:
+def _as_json(table: Table) -> dict[str, dict[str, dict[str, float]]]:
     """The columns of a table that `results.json` holds."""
     keys = ("mean_extra", "mean_low", "mean_high", "median_extra", "success", "episodes")
     return {
@@ -161,7 +161,7 @@ def main(options: Options) -> None:
             "them, or --settings paper for sampled starts"
         )
     network = network_for(options.planner, options.network)
-    sampled = None if options.settings == "published" else sampled_episodes(dataset, options)
+    sampled = None if options.settings == "published" else _sampled_episodes(dataset, options)
     out = output_folder(options, "reproduce_fig7", inputs=digests(dataset, network=network))
     table = EpisodeTable(out / "episodes.csv")
     label = "procedural houses" if dataset.source == "procedural" else dataset.name
@@ -191,14 +191,14 @@ def main(options: Options) -> None:
             ExtraSteps(one.planner, group_of(dataset.house(one.house)) or "test", one.house, one.extra, one.success)
             for one in results["paper"]
         ]
-        tables["paper"] = tabulate(entries["paper"], PAPER_GROUPS)
+        tables["paper"] = tabulate(entries["paper"], _PAPER_GROUPS)
         houses = len({episode.house for episode in entries["paper"]})
         print_table(
             f"Sampled starts, {options.starts_per_house} in each of {houses} test houses, 8-cell sensing ({label})",
             tables["paper"],
-            PAPER_GROUPS,
+            _PAPER_GROUPS,
         )
-    write_tables(out, tables, entries)
+    _write_tables(out, tables, entries)
     whose = "" if options.network is None else f" Network: {options.network}."
     plot_extra_steps(out / "fig7", tables, f"Houses: {label}.{whose}")
     for settings, part in results.items():
@@ -212,8 +212,8 @@ def main(options: Options) -> None:
         "source": dataset.source,
         "seed": options.seed,
         "seconds": round(time.perf_counter() - began, 1),
-        "published": as_json(tables.get("published", {})),
-        "paper": as_json(tables.get("paper", {})),
+        "published": _as_json(tables.get("published", {})),
+        "paper": _as_json(tables.get("paper", {})),
         "frontier_over_dc2g": ratio,
     }
     write_json(out / "results.json", facts)

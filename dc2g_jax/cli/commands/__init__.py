@@ -6,7 +6,6 @@ The module imports nothing heavy, so that `dc2g --help` is fast.
 import difflib
 import importlib
 import importlib.metadata
-import importlib.util
 import os
 import sys
 from types import TracebackType
@@ -14,7 +13,7 @@ from typing import Annotated, Any, NoReturn, Union
 
 from dc2g_jax.errors import InputError, reader_may_leave, require_extra
 
-#: Command name -> its module in `experiments`, and its description.
+#: Command name -> its module here, and its description. `python -m experiments.MODULE` runs it in a checkout.
 COMMANDS = {
     "fig4": ("reproduce_fig4", "Fig. 4: predictions of a network on whole and partial maps of test houses"),
     "fig5": ("reproduce_fig5", "Fig. 5: three losses compared throughout training"),
@@ -25,7 +24,6 @@ COMMANDS = {
     "run": ("run_episodes", "run planners from the starts in a CSV file"),
     "head-to-head": ("head_to_head", "the authors' network against ours on the 400 published episodes"),
     "compare": ("compare", "all planners in all families of maps: a table, a figure and the page leaderboard.md"),
-    "unknown-dimensions": ("unknown_dimensions", "planning without knowing the size of the map"),
     "noisy-mapping": ("noisy_mapping", "drives from camera to door with increasing noise"),
     "map check": ("check_map", "check a map of your own"),
     "map explore": ("explore_map", "run planners on a map of your own"),
@@ -42,10 +40,6 @@ COMMANDS = {
     "objectnav table1": ("objectnav_table1", "dense cost maps, Table I: searching houses for objects"),
     "objectnav table2": ("objectnav_table2", "dense cost maps, Table II: inputs of the network"),
     "objectnav train": ("objectnav_train", "train the network that predicts cost maps indoors"),
-    "latency": ("latency", "time the decisions of the online planner"),
-    "mapping-speed": ("mapping_speed", "time the integration of depth images into maps"),
-    "benchmark": ("benchmark", "time planners, environment, kernels and network beside other implementations"),
-    "compile-for": ("compile_for", "compile the hot programs for a GPU, without needing one"),
 }
 
 #: First words of commands of two words.
@@ -113,9 +107,8 @@ def _overview(group: str = "") -> str:
 
 
 def _module(name: str) -> Any:
-    """A module of `experiments`. A wheel has it inside the package."""
-    package = "dc2g_jax.experiments" if importlib.util.find_spec("dc2g_jax.experiments") else "experiments"
-    return importlib.import_module(f"{package}.{name}")
+    """The module of a command."""
+    return importlib.import_module(f"{__name__}.{name}")
 
 
 def _print_completion(shell: str) -> NoReturn:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from dc2g_jax.grid.ground import component_numbers, connected_to
-from dc2g_jax.objectnav.cost_maps import footprint
+from dc2g_jax.objectnav._cost_maps import footprint
 from dc2g_jax.objectnav.worlds import IndoorWorld
 
 #: Radius of the robot, meters.

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage, spatial
 
+from dc2g_jax.datasets.osm._shapes import CONNECTED, Patch, street_width
 from dc2g_jax.datasets.osm.extract import Area, Line, Spot
-from dc2g_jax.datasets.osm.shapes import CONNECTED, Patch, street_width
 from dc2g_jax.datasets.procedural.drawing import (
     PictureFrame,
     Placement,
@@ -231,7 +231,7 @@ class Site:
         return np.array([column + 0.5, row + 0.5]) / self.view.scale + self.view.corner
 
 
-def mapped_doors(site: Site, entrances: Sequence[Spot]) -> list[Placement]:
+def _mapped_doors(site: Site, entrances: Sequence[Spot]) -> list[Placement]:
     """Frames of the entrances on a building's outline: of the main ones, or else of all."""
     if not entrances:
         return []
@@ -259,7 +259,7 @@ def _on_outline(point: Points, building: Area) -> bool:
     return False
 
 
-def front_of(site: Site, rng: np.random.Generator) -> int | None:
+def _front_of(site: Site, rng: np.random.Generator) -> int | None:
     """A place for a front door: a point of the walls that faces a street, with nothing between.
 
     The street of the address comes first, then any other, then alleys. The place is drawn from those nearly as close to
@@ -326,7 +326,7 @@ def add_driveway(site: Site, rng: np.random.Generator, front: Placement | None) 
     return [], None
 
 
-def add_walkway(site: Site, rng: np.random.Generator, door: Placement, start: Points | None) -> list[Patch] | None:
+def _add_walkway(site: Site, rng: np.random.Generator, door: Placement, start: Points | None) -> list[Patch] | None:
     """A walkway to a door, from a driveway, or straight from the nearest ground that leads to a street.
 
     Args:
@@ -366,19 +366,19 @@ def plan_entry(site: Site, entrances: Sequence[Spot], rng: np.random.Generator, 
       only_mapped: whether to add nothing.
     """
     size = max(1.0, site.cell)
-    doors = mapped_doors(site, entrances)
+    doors = _mapped_doors(site, entrances)
     outlines = [door.place(size * rectangle(-1.2, -0.8, 1.2, 0.9)) for door in doors]
     if only_mapped:
         return Entry(outlines, mapped=True) if doors else "no front door is mapped"
     mapped = bool(doors)
     if not mapped:
-        front = front_of(site, rng)
+        front = _front_of(site, rng)
         if front is None:
             return "no wall faces a street with nothing between"
         doors = [site.walls.frame(front)]
         outlines = [doors[0].place(door_outline(rng, (0.0, 0.0), size))]
     driveway, start = add_driveway(site, rng, doors[0])
-    walks = [add_walkway(site, rng, door, start if door is doors[0] else None) for door in doors]
+    walks = [_add_walkway(site, rng, door, start if door is doors[0] else None) for door in doors]
     added = [shape for walk in walks if walk for shape in walk] + driveway
     reached = [outline for outline, walk in zip(outlines, walks, strict=True) if walk is not None]
     return Entry(reached, mapped, added) if reached else "no ground leads to its mapped doors"

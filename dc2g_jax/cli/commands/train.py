@@ -186,7 +186,7 @@ def training_task(
         return dataclasses.replace(state, weights=fresh[0], average=fresh[1])
 
     def network_of(state: TrainingState) -> NetworkCostToGo:
-        return NetworkCostToGo(weights=first_copy(state.average), architecture=config.architecture)
+        return NetworkCostToGo(weights=first_copy(state.trained), architecture=config.architecture)
 
     def watch(state: TrainingState, step: int, loss: Losses | None) -> None:
         if recording is None:

@@ -27,7 +27,7 @@ from dc2g_jax.objectnav.training import CostMapConfig, figures, validation_sampl
 from dc2g_jax.rollouts.results import ResumableTable
 
 #: Partial maps per prediction.
-MAPS_A_BATCH = CostMapConfig.batch_size
+_MAPS_A_BATCH = CostMapConfig.batch_size
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,8 +79,8 @@ def main(options: Options) -> None:
     """Predict and search; print and write the table."""
     if options.agent not in ON_NETWORK:
         raise InputError(f"--agent {options.agent}: give {' or '.join(ON_NETWORK)}, which use a network")
-    if options.maps < MAPS_A_BATCH or options.maps % MAPS_A_BATCH:
-        raise InputError(f"--maps {options.maps}: give a multiple of {MAPS_A_BATCH}")
+    if options.maps < _MAPS_A_BATCH or options.maps % _MAPS_A_BATCH:
+        raise InputError(f"--maps {options.maps}: give a multiple of {_MAPS_A_BATCH}")
     networks = open_networks(options.networks)
     houses, episodes = options.places()
     inputs = digests(houses=[house.world for house in houses], networks=networks)

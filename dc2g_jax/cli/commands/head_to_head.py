@@ -37,7 +37,7 @@ class Options(DatasetOptions, NetworkOptions, OutOptions, ResumeOptions):
     seed: int = 0
 
 
-def print_comparison(tables: dict[str, dict[str, Any]]) -> None:
+def _print_comparison(tables: dict[str, dict[str, Any]]) -> None:
     """Print the comparisons, one column per group."""
     rows = (
         ("episodes", "{episodes}"),
@@ -77,7 +77,7 @@ def main(options: Options) -> None:
     groups = published.by_group(pairs)
     bootstrap = {"resamples": options.resamples, "seed": options.seed}
     tables = {group: published.compare(own, **bootstrap) for group, own in groups.items()}
-    print_comparison(tables)
+    _print_comparison(tables)
     shorter, count = published.houses_where_frontier_is_shorter(pairs), len({pair.house for pair in pairs})
     print(f"\nHouses of {count} in which frontier exploration is shorter on average:")
     for whose, houses in shorter.items():
