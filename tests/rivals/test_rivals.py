@@ -29,7 +29,7 @@ from dc2g_jax.rivals.sampled_goals import rollout_costs, sampled_cells
 from dc2g_jax.rivals.visible_uncertainty import VisibleUncertainty
 from dc2g_jax.rollouts.evaluation import action_letters
 from dc2g_jax.rollouts.rollout import Episodes, rollout
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.planning.test_planners import scattered
 from tests.support.exploration import SENSING, Scattered, belief_of, random_moment, random_worlds
 from tests.support.refusals import refusal
