@@ -1,4 +1,4 @@
-"""Parts of the user's own by name, `package.module:Name`: planners, estimators, losses, settings."""
+"""Parts of the user's own by name, `package.module:Name`: planners, estimators, datasets, losses, settings."""
 
 import importlib
 import re

@@ -15,8 +15,11 @@ import numpy as np
 
 from dc2g_jax.datasets._download import ORIGIN, NetworkUnavailable, fetch_dataset, matches_published
 from dc2g_jax.datasets.maps import CELLS_FILE, MAP_ENDINGS, SPLITS, map_files, read_map_folder, sampled
+from dc2g_jax.datasets.osm.neighborhood import drawn_extracts, extract_files
 from dc2g_jax.datasets.procedural import procedural_houses
-from dc2g_jax.errors import InputError
+from dc2g_jax.datasets.procedural.plain import PLAIN, plain_maps
+from dc2g_jax.datasets.procedural.towns import drawn_towns
+from dc2g_jax.errors import InputError, short
 from dc2g_jax.files.class_images import (
     PALETTE_FILE,
     read_class_image,
@@ -24,13 +27,17 @@ from dc2g_jax.files.class_images import (
 )
 from dc2g_jax.files.tables import read_table
 from dc2g_jax.grid.world import World, world_from_terrain
+from dc2g_jax.own_parts import is_own_part, own_part
 
 SPLIT_FILES = dict(zip(SPLITS, ("training_houses.csv", "validation_houses.csv", "testing_houses.csv"), strict=True))
 _IMAGE_FOLDER = "full_semantic"
 _PUBLISHED_NAME = "driveways_bing_iros19"
 
-#: Location that stands for the procedural houses.
-PROCEDURAL = "procedural"
+#: Locations that stand for the procedural houses, and for the drawn towns.
+PROCEDURAL, TOWNS = "procedural", "towns"
+
+#: Locations that are words instead of folders.
+NAMED = (PROCEDURAL, TOWNS, *PLAIN)
 
 _TEST_GROUPS = {"001": "same_neighborhood", "002": "new_neighborhood", "004": "urban"}
 
@@ -191,6 +198,33 @@ def procedural_dataset(seed: int = 0, *, cells: int | None = 50, split: str | No
     )
 
 
+@functools.lru_cache(maxsize=4)
+def town_dataset(seed: int = 0) -> HouseDataset:
+    """Return the drawn towns, see `dc2g_jax.datasets.procedural.towns`, each on its own grid."""
+    return HouseDataset(
+        TOWNS if seed == 0 else f"{TOWNS}-{seed}",
+        PROCEDURAL,
+        tuple(House(town, split, sampled(town, classes, None)) for town, split, classes in drawn_towns(seed)),
+    )
+
+
+@functools.lru_cache(maxsize=4)
+def plain_dataset(kind: str, seed: int = 0) -> HouseDataset:
+    """Return maps without classes of one of the kinds of `dc2g_jax.datasets.procedural.plain.PLAIN`."""
+    houses = (House(name, split, sampled(name, classes, None)) for name, split, classes in plain_maps(kind, seed))
+    return HouseDataset(kind if seed == 0 else f"{kind}-{seed}", PROCEDURAL, tuple(houses))
+
+
+def extract_dataset(folder: str | os.PathLike[str]) -> HouseDataset:
+    """Draw the buildings of a folder of OpenStreetMap extracts, all in the split `test`, on maps of 60 m.
+
+    Raises:
+        InputError: an extract cannot be read.
+    """
+    houses = (House(name, "test", sampled(name, classes, 50)) for name, classes in drawn_extracts(Path(folder)))
+    return HouseDataset(Path(folder).resolve().name, "folder", tuple(houses))
+
+
 def map_dataset(folder: str | os.PathLike[str]) -> HouseDataset:
     """Read a folder of maps of any size, see `dc2g_jax.datasets.maps.read_map_folder`.
 
@@ -225,8 +259,10 @@ def open_dataset(
     houses, with one line through `log`.
 
     Args:
-        location: a folder in the published layout, a folder of maps, or the word 'procedural'.
-        cells: side of the square grids; `None` for no sampling. A folder of maps defines its own grid size.
+        location: a folder in the published layout, of maps, or of OpenStreetMap extracts; one of the words
+            'procedural', 'towns', 'mazes', 'halls' and 'offices'; or `package.module:Name` for a function of your own
+            that returns a `HouseDataset`.
+        cells: side of the square grids of published and procedural houses; `None` for no sampling.
         log: receives the line about the fallback.
 
     Raises:
@@ -252,13 +288,26 @@ def open_dataset(
 def _open_location(location: str, setting: str, cells: int | None) -> HouseDataset:
     if location == PROCEDURAL:
         return procedural_dataset(cells=cells)
+    if location == TOWNS:
+        return town_dataset()
+    if location in PLAIN:
+        return plain_dataset(location)
+    if is_own_part(location):
+        made = own_part("dataset", location, NAMED)()
+        if not isinstance(made, HouseDataset):
+            raise InputError(f"dataset {location!r}: returns {short(type(made).__name__)}; return a HouseDataset")
+        return made
     try:
         folder = Path(location).expanduser()
         found = bool(location) and folder.is_dir()
     except (OSError, RuntimeError):
         found = False
     if not found:
-        raise InputError(f"{location!r}: {setting} is not an existing folder; give a dataset's folder or 'procedural'")
+        raise InputError(
+            f"{location!r}: {setting} is not an existing folder; give a dataset's folder, or one of {', '.join(NAMED)}"
+        )
+    if extract_files(folder):
+        return extract_dataset(folder)
     return map_dataset(folder) if _is_map_folder(folder) else load_dataset(folder, cells=cells)
 
 

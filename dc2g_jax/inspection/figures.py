@@ -20,6 +20,7 @@ from matplotlib.typing import ColorType
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_COLORS, FIGURE_RGB
 from dc2g_jax.rollouts.evaluation import EpisodeResult
+from dc2g_jax.rollouts.leaderboard import PRIVILEGED, Standings, in_order
 from dc2g_jax.rollouts.statistics import Summary
 
 Table = Mapping[str, Mapping[str, Summary]]
@@ -230,6 +231,37 @@ def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float
     figure.supxlabel(
         f"extra steps, authors' network (%)\ncross: means; each against its own oracle; axes {_SCALE_NOTE}", fontsize=9
     )
+    return save_figure(figure, path, dpi=200)
+
+
+def plot_leaderboard(path: str | Path, table: Standings) -> list[Path]:
+    """Draw steps relative to the reference, with a panel for each family, the best planner at the top.
+
+    Args:
+      path: output path without ending.
+      table: planner -> family -> standing.
+
+    Returns:
+      The files written: PNG, SVG and PDF.
+    """
+    planners = in_order(table)[::-1]
+    families = list(table[planners[0]])
+    figure = Figure(figsize=(PAGE_WIDTH, 0.9 + 0.19 * len(planners)), layout="constrained")
+    all_axes = figure.subplots(1, len(families), squeeze=False, sharex=True, sharey=True)[0]
+    for axes, family in zip(all_axes, families, strict=True):
+        axes.axvline(1, color="#555555", linewidth=0.8)
+        for row, planner in enumerate(planners):
+            own = table[planner][family]
+            color = "#888888" if planner in PRIVILEGED else "#0072b2" if planner == "dc2g" else "#d55e00"
+            axes.hlines(row, own.low, own.high, color=color, linewidth=1.6)
+            axes.plot(own.ratio, row, "o", color=color, markersize=3.2)
+        axes.set_title(family, fontsize=7.5)
+        plain_axes(axes, grid="both", label_size=6.5)
+    all_axes[0].set_xscale("log")
+    all_axes[0].set_xticks(ticks := (0.2, 1, 5), [f"{tick:g}" for tick in ticks])
+    all_axes[0].minorticks_off()
+    all_axes[0].set_yticks(range(len(planners)), [name.rpartition(":")[2] for name in planners])
+    figure.supxlabel("steps relative to frontier exploration: mean of ratios, 95 % interval over maps", fontsize=7.5)
     return save_figure(figure, path, dpi=200)
 
 

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dc2g_jax.datasets.houses import PROCEDURAL
+from dc2g_jax.datasets.houses import PROCEDURAL, House, HouseDataset
 from dc2g_jax.datasets.maps import SPLITS
+from dc2g_jax.datasets.procedural.plain import with_door
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.digests import arrays_sha256
 from dc2g_jax.grid.ground import component_numbers
@@ -166,3 +167,32 @@ def _split_file(folder: Path, split: str) -> Path:
         if path.is_file():
             return path
     raise InputError(f"{folder}: has no {' or '.join(path.name for path in paths)}; give a folder of ProcTHOR houses")
+
+
+#: Cells of a floor plan's map, and its least number of rooms.
+_MAP_CELLS, _FEWEST_ROOMS = 50, 4
+
+#: Floor plans of each split, the first of which are to choose on.
+_MAPS = {"val": 100, "test": 100}
+
+
+def floor_plan_dataset(seed: int = 0) -> HouseDataset:
+    """Procedural houses seen from above, as maps without classes: free or occupied cells, and a door to find.
+
+    The longer side of a house fills the map. Houses have four rooms at least; the door is a free cell at random.
+    """
+    houses: list[House] = []
+    for split, count in _MAPS.items():
+        index = found = 0
+        while found < count:
+            plan, rng = draw_plan(seed, split, index), np.random.default_rng([seed, index])
+            index += 1
+            if len(plan.rooms) < _FEWEST_ROOMS:
+                continue
+            sides = world_from_plan(plan, PLAN_CELL_SIZE).free.shape
+            free = world_from_plan(plan, max(sides) * PLAN_CELL_SIZE / _MAP_CELLS + 1e-3).free
+            classes = with_door(np.pad(free, [(0, _MAP_CELLS - side) for side in free.shape]), rng)
+            if classes is not None:
+                houses.append(House(f"{split}-{index - 1}", split, classes))
+                found += 1
+    return HouseDataset("floor_plans", PROCEDURAL, tuple(houses))

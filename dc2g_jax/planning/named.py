@@ -52,11 +52,34 @@ def _guarded(estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIE
     return Guaranteed(planner, planner.rules, factor=2.0, slack=3.0)
 
 
+#: Planners after other papers, each in a file of its own, which is imported when the planner is asked for: without and
+#: with a network.
+RIVALS: tuple[str, ...] = ("random_frontier", "right_hand", "hysteresis", "cost_utility", "next_best_view")
+NETWORK_RIVALS: tuple[str, ...] = (
+    "frontier_potential", "visible_uncertainty", "learned_subgoals", "sampled_goals",
+)  # fmt: skip
+
+
+def _rival(name: str, rules: Rules, **estimator: Estimator) -> MapRevisingPlanner:
+    """A planner after another paper. The class `NextBestView` is in the file of `next_best_view`."""
+    rival = own_part("planner", f"dc2g_jax.rivals.{name}:{name.title().replace('_', '')}", RIVALS)
+    return rival(rules, **estimator)
+
+
+def _rival_on_network(name: str, estimator: Estimator, rules: Rules, patience: Patience = ENDLESS) -> Any:
+    """The same with a network, whose costs are in cells. It has no patience."""
+    del patience
+    if not answers_in_cells(estimator):
+        raise InputError(f"the planner {name!r} needs costs in cells; give another network")
+    return _rival(name, rules, estimator=estimator)
+
+
 #: Planners without a network, called with the rules.
 _PLANNERS_BY_RULES: Mapping[str, Callable[[Rules], MapRevisingPlanner]] = {
     "oracle": lambda rules: Oracle(),
     "frontier": Frontier,
     "true_cost_to_go": lambda rules: DC2G(ExactCostToGo(), rules),
+    **{name: functools.partial(_rival, name) for name in RIVALS},
 }
 
 #: Planners with a network, called with the network, the rules and, optionally, their patience.
@@ -65,13 +88,14 @@ NETWORK_PLANNERS: Mapping[str, Callable[..., Any]] = {
     "dc2g": functools.partial(_on_network, ExpectedCost(distance_weight=0.5)),
     "dc2g_uncertain": functools.partial(_on_network, QuantileCost(level=0.7, distance_weight=0.5)),
     "dc2g_guarded": _guarded,
+    **{name: functools.partial(_rival_on_network, name) for name in NETWORK_RIVALS},
 }
 
 #: Planners of the figures and tables unless others are chosen, in their order.
 FIGURE_PLANNERS: tuple[str, ...] = ("oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go")
 
 #: All planner names.
-PLANNERS: tuple[str, ...] = (*FIGURE_PLANNERS, "dc2g_paper", "dc2g_guarded")
+PLANNERS: tuple[str, ...] = (*FIGURE_PLANNERS, "dc2g_paper", "dc2g_guarded", *RIVALS, *NETWORK_RIVALS)
 
 
 def make(

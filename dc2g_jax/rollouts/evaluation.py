@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, UInt8
 
-from dc2g_jax.datasets.houses import PROCEDURAL, HouseDataset, open_dataset, procedural_dataset, stack_worlds
+from dc2g_jax.datasets.houses import PROCEDURAL, House, HouseDataset, open_dataset, procedural_dataset, stack_worlds
 from dc2g_jax.datasets.starts import Start, sample_starts, usable_houses
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.estimation.estimators import Estimator, extent_of
@@ -190,9 +190,13 @@ class Runner:
         progress: Callable[[str, int, int], None] | None = None,
     ):
         self._dataset = dataset
-        self._index = {house.name: number for number, house in enumerate(dataset.houses)}
-        # All houses of the dataset, even unused ones, so that the same compiled program serves all calls.
-        self._worlds = stack_worlds(dataset.houses)
+        # All houses of a size, even unused ones, so that the same compiled program serves all calls.
+        by_size: dict[tuple[int, ...], list[House]] = collections.defaultdict(list)
+        for house in dataset.houses:
+            by_size[house.terrain.shape].append(house)
+        self._worlds = {size: stack_worlds(houses) for size, houses in by_size.items()}
+        self._size = {house.name: house.terrain.shape for house in dataset.houses}
+        self._index = {house.name: number for houses in by_size.values() for number, house in enumerate(houses)}
         self._settings = settings
         if step_limit is None:
             step_limit = max([STEP_LIMIT, *(_default_step_limit(house.terrain) for house in dataset.houses)])
@@ -216,17 +220,22 @@ class Runner:
         Args:
           planner: the planner.
           rules: rules with the robots' field of view.
-          starts: first poses.
+          starts: first poses, in houses of one size.
           name: name for progress reports.
 
         Raises:
           KeyError: a start is in a house that the dataset does not have.
+          ValueError: the houses differ in size.
           InputError: the planner lacks a part of the protocol, or gives up because its estimator estimates NaN.
         """
         for needed in ("init", "plan"):
             if not hasattr(planner, needed):
                 who = name or type(planner).__name__
                 raise InputError(f"planner {who!r}: has no {needed}; dc2g_jax.check_planner tells what a planner needs")
+        sizes = {self._size[start.house] for start in starts}
+        if len(sizes) != 1:
+            raise ValueError(f"starts in houses of {len(sizes)} sizes; give starts in houses of one size")
+        worlds = self._worlds[sizes.pop()]
         episodes = episodes_from(starts, self._index)
 
         def report(finished: int) -> None:
@@ -236,7 +245,7 @@ class Runner:
         report(0)  # before minutes of compilation, perhaps
         done = rollout(
             planner,
-            self._worlds,
+            worlds,
             episodes,
             sensing=rules.sensing,
             step_limit=self.step_limit,
@@ -245,7 +254,7 @@ class Runner:
         estimator, gave_up = getattr(planner, "estimator", None), np.flatnonzero(done.mode == GAVE_UP)
         if estimator is not None and gave_up.size:
             first = int(gave_up[0])
-            world = jax.tree.map(lambda leaf: leaf[..., self._index[starts[first].house]], self._worlds)
+            world = jax.tree.map(lambda leaf: leaf[..., self._index[starts[first].house]], worlds)
             pose = jax.tree.map(lambda leaf: leaf[first], episodes.start)
             actions = jnp.asarray(done.actions[first][: done.steps[first]], jnp.int32)
             if _estimates_nan(estimator, world, pose, actions, sensing=rules.sensing):
@@ -303,11 +312,11 @@ class Runner:
                 )
             if terrain[start.y, start.x] == FRONT_DOOR:
                 raise ValueError(f"{start}: stands on a front door already; start elsewhere")
-        by_ranges: dict[tuple[int | None, int | None], list[int]] = collections.defaultdict(list)
+        together: dict[tuple[Any, ...], list[int]] = collections.defaultdict(list)
         for number, start in enumerate(starts):
-            by_ranges[start.sensing_range, start.expanding_range].append(number)
+            together[start.sensing_range, start.expanding_range, self._size[start.house]].append(number)
         results: dict[tuple[str, int], EpisodeResult] = {}
-        for numbers in by_ranges.values():
+        for numbers in together.values():
             chosen = [starts[number] for number in numbers]
             rules = self.rules(chosen[0])
             key = rules, tuple(chosen)

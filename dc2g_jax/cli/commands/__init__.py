@@ -23,6 +23,7 @@ COMMANDS = {
     "fig9": ("reproduce_fig9", "Fig. 9: a vehicle with a camera drives to a front door"),
     "run": ("run_episodes", "run planners from the starts in a CSV file"),
     "head-to-head": ("head_to_head", "the authors' network against ours on the 400 published episodes"),
+    "compare": ("compare", "all planners in all families of maps: a table, a figure and the page leaderboard.md"),
     "noisy-mapping": ("noisy_mapping", "drives from camera to door with increasing noise"),
     "map check": ("check_map", "check a map of your own"),
     "map explore": ("explore_map", "run planners on a map of your own"),

@@ -3,8 +3,9 @@
 import functools
 import itertools
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -29,7 +30,7 @@ from dc2g_jax.datasets.osm._shapes import (
     square_view,
     street_width,
 )
-from dc2g_jax.datasets.osm.extract import Area, Extract, Line
+from dc2g_jax.datasets.osm.extract import EXTRACT_ENDINGS, Area, Extract, Line, read_extract
 from dc2g_jax.datasets.procedural.drawing import PictureFrame, Sketch, resample
 from dc2g_jax.grid.ground import component_numbers
 from dc2g_jax.grid.sampling import ClassImage, resize_nearest, sample_grid
@@ -189,6 +190,32 @@ class Neighborhood:
         center = view.corner + self._meters / 2
         added = np.where(classes == mapped.classes(), np.uint8(UNKNOWN), classes)
         return BuildingMap(*self._extract.degrees(center), classes, added)
+
+
+def extract_files(folder: Path) -> list[Path]:
+    """The OpenStreetMap extracts in a folder, by name."""
+    return sorted(path for ending in EXTRACT_ENDINGS for path in folder.glob(f"*{ending}"))
+
+
+def drawn_extracts(folder: Path, meters: float = 60.0, cells: int = 50) -> Iterator[tuple[str, ClassImage]]:
+    """Name and class indices, uint8 [H W], of the buildings of all extracts in a folder that have a street in reach.
+
+    What is not mapped is added, with seed 0.
+
+    Args:
+      folder: the folder.
+      meters: side of the maps.
+      cells: columns and rows of the grid that they are sampled to.
+
+    Raises:
+      InputError: an extract cannot be read.
+    """
+    for path in extract_files(folder):
+        here = Neighborhood(read_extract(path), meters=meters, cells=cells, seed=0, only_mapped=False)
+        for building in here.buildings:
+            drawn = here.map_of(building)
+            if isinstance(drawn, BuildingMap):
+                yield f"{path.name.partition('.')[0]}-{building.name}", drawn.classes
 
 
 def _has_beside(line: Line, mapped: spatial.KDTree) -> bool:

@@ -1,0 +1,35 @@
+"""The command that compares planners in families of maps."""
+
+import dataclasses
+
+import numpy as np
+
+from dc2g_jax.cli.commands import compare
+from dc2g_jax.datasets.houses import House, HouseDataset
+from tests.support.maps import drawn
+from tests.support.refusals import refusal
+
+YARD = drawn("####D#.. ..#.P... ..##P... SSSSSSSS RRRRRRRR")
+MINE = "dc2g_jax.planning.planners:Frontier"
+
+
+def yards() -> HouseDataset:
+    houses = [House(f"yard{number}", "val", np.roll(YARD, number, axis=1)) for number in range(2)]
+    return HouseDataset("yards", "folder", tuple(houses))
+
+
+def test_a_planner_and_a_family_of_ones_own(tmp_path, capsys):
+    options = compare.Options(
+        planner=("oracle", "frontier", MINE), family=(f"{__name__}:yards",), split="val", starts=3, out=tmp_path / "out"
+    )
+    compare.main(options)
+    text = (tmp_path / "out" / "leaderboard.md").read_text()
+    assert f"| `{MINE}` | 1.00 | **1.00** |" in text or "| `frontier` | 1.00 | **1.00** |" in text
+    assert "| planner | all | yards (2) |" in text
+    assert "12 episodes of 3 planners in 1 families: " in text
+    assert (tmp_path / "out" / "images" / "leaderboard.png").stat().st_size > 1000
+    capsys.readouterr()
+    compare.main(dataclasses.replace(options, resume=True))
+    assert (tmp_path / "out" / "leaderboard.md").read_text() == text
+    assert "episode/s" not in capsys.readouterr().err  # nothing is run again
+    refusal(lambda: compare.main(dataclasses.replace(options, planner=("oracle", MINE))), "frontier", "--planner")

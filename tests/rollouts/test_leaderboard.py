@@ -1,0 +1,64 @@
+"""Planners compared in families: ratios, who is first, and the page."""
+
+import math
+
+import pytest
+
+from dc2g_jax.planning.rules import complete_rules
+from dc2g_jax.rollouts.evaluation import EpisodeResult
+from dc2g_jax.rollouts.leaderboard import in_order, leaders, page, standings
+
+#: Steps of each planner from three starts on two mazes, and from one in a house; the last start of `slow` fails.
+STEPS = {"oracle": (5, 10, 10, 20), "frontier": (10, 20, 40, 50), "fast": (5, 10, 20, 60), "slow": (20, 40, 80, 3)}
+HOUSES = ("mazes/a", "mazes/a", "mazes/b", "houses/c")
+LIMIT = {"mazes/a": 100, "mazes/b": 100, "houses/c": 200}
+FAILED = ("slow", "houses/c")
+
+RESULTS = [
+    EpisodeResult(house, 1, number, 0, complete_rules(8).sensing.radius, None, planner, (planner, house) != FAILED,
+                  steps, 5, 20.0 * steps - 100, "to_goal", "F" * steps)
+    for planner, of in STEPS.items()
+    for number, (house, steps) in enumerate(zip(HOUSES, of, strict=True))
+]  # fmt: skip
+
+
+def test_ratios_are_geometric_means_of_pairs():
+    table = standings(RESULTS, LIMIT)
+    assert table["fast"]["mazes"].ratio == pytest.approx(1 / 2)
+    assert table["fast"]["mazes"][1:] == (pytest.approx(1 / 2), pytest.approx(1 / 2), 1.0, 3)
+    assert table["frontier"]["houses"].ratio == 1
+    oracle = table["oracle"]["mazes"]
+    assert oracle.ratio == pytest.approx(math.exp((2 * math.log(1 / 2) + math.log(1 / 4)) / 3))
+    assert (oracle.low, oracle.high) == (pytest.approx(1 / 4), pytest.approx(1 / 2))  # one map or the other
+
+
+def test_a_failure_counts_as_the_step_limit():
+    slow = standings(RESULTS, LIMIT)["slow"]["houses"]
+    assert (slow.ratio, slow.success) == (pytest.approx(200 / 50), 0)
+
+
+def test_who_is_first():
+    table = standings(RESULTS, LIMIT)
+    assert in_order(table) == ["oracle", "fast", "frontier", "slow"]
+    mazes, houses = leaders(RESULTS, LIMIT, table, "fast")
+    assert (mazes.family, mazes.leader, mazes.next_best, mazes.ratio) == (
+        "mazes",
+        "fast",
+        "frontier",
+        pytest.approx(0.5),
+    )
+    assert (houses.leader, houses.ratio, houses.low) == ("frontier", pytest.approx(1.2), pytest.approx(1.2))
+
+
+def test_the_page_says_where_a_planner_is_first_and_where_not():
+    table = standings(RESULTS, LIMIT)
+    first = leaders(RESULTS, LIMIT, table, "fast")
+    text = page(
+        table, first, "fast", maps={"mazes": 2, "houses": 1}, settings="Rules.", how="By hand.", figure="a.png"
+    )  # fmt: skip
+    assert "| planner | all | mazes (2) | houses (1) |" in text
+    assert "| `fast` | 0.77 | **0.50** | 1.20 |" in text
+    assert "| *`oracle`* | 0.40 | 0.40 | 0.40 |" in text
+    assert "| `slow` | 2.83 | 2.00 | 4.00 (100 % fail) |" in text
+    assert "- **mazes**: first; 0.50 (0.50 to 0.50) times the steps of the second, `frontier`." in text
+    assert "- **houses**: not first; 1.20 (1.20 to 1.20) times the steps of `frontier`." in text
