@@ -6,6 +6,8 @@ bound is in docs/how_it_works/planner.md.
 """
 
 import dataclasses
+import functools
+from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -13,10 +15,13 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Int
 
+from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.gridworld import Belief
+from dc2g_jax.grid.ground import STREETS_A_SIDE
 from dc2g_jax.grid.poses import FORWARD_ACTION, Pose, every_heading, moved
+from dc2g_jax.grid.terrain import ROAD
 from dc2g_jax.grid.world import World
 from dc2g_jax.planning.frontiers import unseen
 from dc2g_jax.planning.planners import (
@@ -36,9 +41,6 @@ from dc2g_jax.planning.rules import Rules
 
 #: Actions that undo a move forward (two turns, forward, two turns) and a turn.
 _UNDO_FORWARD, _UNDO_TURN = 5, 1
-
-#: Part of the slack that must be left before a robot that returned to the shadow may leave it again.
-_RENEWED = 0.5
 
 
 class Shadow(NamedTuple):
@@ -77,9 +79,14 @@ class GuaranteedState(NamedTuple):
     led: Bool[Array, "*batch"]
 
 
+def everywhere(belief: Belief) -> Bool[Array, "*batch"]:
+    """A bound on every map."""
+    return jnp.ones(belief.pose.x.shape, bool)
+
+
 @struct.dataclass
 class Guaranteed(AssessingPlanner):
-    """Any planner, with a bound on its actions: `factor * F + slack * (rows + columns)` at most.
+    """Any planner, with a bound on its actions: `factor * F + slack * (rows + columns) + actions` at most.
 
     `F` is the number of actions of `Frontier` with these rules from the same start. The bound holds on every map on
     which frontier exploration reaches a goal, whatever the wrapped planner decides, if cells keep their class. On other
@@ -92,6 +99,11 @@ class Guaranteed(AssessingPlanner):
       slack: additional actions as a multiple of the rows and columns of the map, at least 0. With factor 1 and slack 0,
         the actions are frontier's; with infinite slack, the wrapped planner's.
       virtual_steps: most actions of the shadow per decision, at least 1. The bound holds for any number.
+      actions: additional actions whatever the size of the map, at least 0.
+      renewed: part of the slack that must be left before a robot that returned to the shadow may leave it again. With
+        infinity, it goes with the shadow until the wrapped planner heads for a goal.
+      where: whether a robot is bounded, given its belief. While it is not, it follows the wrapped planner. A robot that
+        has taken more actions than the bound allows when it becomes bounded returns to the shadow.
     """
 
     planner: MapRevisingPlanner
@@ -99,6 +111,9 @@ class Guaranteed(AssessingPlanner):
     factor: float
     slack: float
     virtual_steps: int = struct.field(pytree_node=False, default=2)
+    actions: float = 0.0
+    renewed: float = 0.5
+    where: Callable[[Belief], Bool[Array, "*batch"]] = struct.field(pytree_node=False, default=everywhere)
     robots_a_core: ClassVar[int] = DC2G.robots_a_core
     robots_on_large_maps: ClassVar[int] = DC2G.robots_on_large_maps
 
@@ -180,15 +195,74 @@ class Guaranteed(AssessingPlanner):
         # Goals count whatever the wrapped planner says of them, or it could break the bound by changing its mind.
         subgoals = poses.only(target, *belief.goals.shape[:2]) | every_heading(belief.goals)
         back = plan_to(belief, subgoals, belief.traversable, jnp.where(to_goal, TO_GOAL, EXPLORE))
-        slack = self.slack * (belief.height + belief.width)
+        slack = self.slack * (belief.height + belief.width) + self.actions
         left = self.factor * shadow.steps + slack - state.taken - jnp.where(there, 0, back.length)
         affordable = left >= 1 + jnp.where(wrapped.action == FORWARD_ACTION, _UNDO_FORWARD, _UNDO_TURN)
-        led = ~affordable | (state.led & (left < _RENEWED * slack))
+        led = ~affordable | (state.led & (left < self.renewed * slack))
         ahead = _next_pose(belief, belief.pose, wrapped.action)
         possible = bitboard.contains(belief.traversable, ahead.x, ahead.y) & (wrapped.mode != GAVE_UP)
         free = possible & affordable & (~led | to_goal)
-        without_bound = (shadow.mode == GAVE_UP) | (back.mode == GAVE_UP)
+        without_bound = (shadow.mode == GAVE_UP) | (back.mode == GAVE_UP) | ~self.where(belief)
         return _chosen(free | without_bound, wrapped, back), led
+
+
+def in_narrow_streets(belief: Belief) -> Bool[Array, "*batch"]:
+    """Whether most of the road that a robot has seen is narrower than a tenth of the map's longer side.
+
+    No training map is like this: each shows one house with its surroundings. A town has narrower streets. Cells that
+    have not been observed count as road. On maps without road, the answer is no.
+    """
+    planes = [plane if ROAD >> bit & 1 else ~plane for bit, plane in enumerate(belief.classes)]
+    road = functools.reduce(jnp.bitwise_and, planes) & belief.seen
+    side = max(belief.height, belief.width) // STREETS_A_SIDE
+    corners = bitboard.complement(_spread(belief.seen & ~road, side, -1), belief.width)
+    wide = road & _spread(corners, side, 1)
+    return 2 * bitboard.count(wide) < bitboard.count(road)
+
+
+def _spread(cells: Board, side: int, way: int) -> Board:
+    """The squares of this side whose upper left (way 1) or lower right corners (way -1) are the cells."""
+    reach = 1
+    while reach < side:
+        step = min(reach, side - reach)
+        cells = cells | bitboard.shift(cells, way * step, 0)
+        cells = cells | bitboard.shift(cells, 0, way * step)
+        reach += step
+    return cells
+
+
+@struct.dataclass
+class CautiousDC2G(DC2G):
+    """`DC2G`, bounded on maps unlike those of its network's training (see docs/notebook/towns.md).
+
+    On maps larger than these, a robot in narrow streets takes at most 2.5 times the actions of frontier exploration and
+    50 more. Elsewhere, and without a memory, this is `DC2G`.
+    """
+
+    def _is_bounded(self, world: World) -> bool:
+        """Whether there is a bound on maps of this size."""
+        return self.memory and max(world.height, world.width) > Architecture.side
+
+    @property
+    def _bound(self) -> Guaranteed:
+        """The planner with its bound."""
+        planner = DC2G(**{field.name: getattr(self, field.name) for field in dataclasses.fields(DC2G)})
+        return Guaranteed(
+            planner, self.rules, factor=2.5, slack=0.0, actions=50.0, renewed=jnp.inf, where=in_narrow_streets
+        )
+
+    def init(self, world: World) -> Any:
+        """The state of `DC2G`, or of its bound."""
+        return self._bound.init(world) if self._is_bounded(world) else super().init(world)
+
+    def assess(self, belief: Belief, state: Any) -> tuple[Assessment, Any]:
+        """Decide as `DC2G`, within the bound."""
+        return self._bound.assess(belief, state) if self._is_bounded(belief) else super().assess(belief, state)
+
+    def revised(self, state: Any, changed: Board) -> Any:
+        """The state after these cells changed their class."""
+        bounded = isinstance(state, GuaranteedState)
+        return self._bound.revised(state, changed) if bounded else super().revised(state, changed)
 
 
 def _same(a: Pose, b: Pose) -> Bool[Array, "*batch"]:

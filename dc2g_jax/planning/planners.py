@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float, Int, UInt8
 
-from dc2g_jax.estimation.estimators import Estimates, Estimator, NetworkCostToGo, extent_of, for_some
+from dc2g_jax.estimation.estimators import Estimates, Estimator, Extent, NetworkCostToGo, extent_of, for_some
 from dc2g_jax.estimation.padding import PaddedNetwork, mirrored
 from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.bitboard import Board
@@ -293,6 +293,7 @@ class DC2G(AssessingPlanner):
       patience: penalty for staying near promising cells that reveal no goal.
       enough_news: share of the cells in the field of view that has to be newly seen before the planner decides anew; it
         also does when its subgoal reveals nothing more. 0 to decide anew as soon as any cell is.
+      extent: part of the map that the estimator is given; `None` for the estimator's own.
       memory: whether the state is kept between steps. If not, for a single robot, each estimate averages all views.
     """
 
@@ -305,6 +306,7 @@ class DC2G(AssessingPlanner):
     headings: Callable[[Belief, PoseSet], PoseSet] = struct.field(pytree_node=False, default=any_heading)
     patience: Patience = struct.field(pytree_node=False, default=ENDLESS)
     enough_news: float = struct.field(pytree_node=False, default=0.0)
+    extent: Extent | None = struct.field(pytree_node=False, default=None)
     memory: bool = struct.field(pytree_node=False, default=True)
     #: A network needs less time per map in larger batches.
     robots_a_core: ClassVar[int] = 64
@@ -314,14 +316,14 @@ class DC2G(AssessingPlanner):
         """This planner for a single robot with a new state at every step, on maps of any size."""
         network = self.estimator
         estimator = PaddedNetwork(network) if isinstance(network, NetworkCostToGo) else network
-        return dataclasses.replace(self, estimator=estimator, patience=ENDLESS, memory=False)
+        return dataclasses.replace(self, estimator=estimator, patience=ENDLESS, extent=None, memory=False)
 
     def init(self, world: World) -> "ExplorationState":
         """Nothing is reachable before the first observation. The estimator initializes its own state."""
         nothing = jnp.zeros_like(world.traversable)
         estimator_state = self.estimator.init(world)
         told = jax.eval_shape(self._told, world.terrain, estimator_state)
-        prior = extent_of(self.estimator).prior
+        prior = (self.extent or extent_of(self.estimator)).prior
         choice = Choice(
             estimates=tuple(jnp.full(told.shape, prior, jnp.float32) for _ in self.views),
             estimated_from=nothing,
@@ -407,7 +409,7 @@ class DC2G(AssessingPlanner):
             terrain = jnp.where(bitboard.unpack(belief.outside, belief.width), jnp.uint8(OUTSIDE), terrain)
         # Without the barrier, XLA would unpack every cell again for each of a network's one-hot inputs.
         terrain = jax.lax.optimization_barrier(terrain)
-        extent, ask = extent_of(self.estimator), functools.partial(self._told, state=estimator_state)
+        extent, ask = self.extent or extent_of(self.estimator), functools.partial(self._told, state=estimator_state)
         part = extent.part(terrain, belief.pose)
         answer = in_turn(ask, part, self.views, before.view) if self.memory else at_once(ask, part, self.views)
         latest = extent.merged(answer, belief.pose, before.estimates[0])
