@@ -119,49 +119,69 @@ class Window(Extent):
     side: int = _TRAINED_SIDE
     prior: float = float(_TRAINED_SIDE)
 
-    def _first(self, pose: Pose, shape: tuple[int, ...]) -> tuple[Int[Array, "*batch"], Int[Array, "*batch"]]:
-        """First row and column of the window on a map of this shape."""
-        del shape
+    def _first(self, pose: Pose) -> tuple[Int[Array, "*batch"], Int[Array, "*batch"]]:
+        """First row and column of the window."""
         return pose.y - self.side // 2, pose.x - self.side // 2
 
     def part(self, terrain: UInt8[Array, "h w *batch"], pose: Pose) -> UInt8[Array, "side side *batch"]:
         """The window. Cells beyond the map are unobserved."""
-        (top, left), inside = self._first(pose, terrain.shape), _count(self.side, pose.x)
+        (top, left), inside = self._first(pose), _count(self.side, pose.x)
         return _read(terrain[None], top + inside, left + inside, jnp.uint8(UNKNOWN))[0]
 
     def merged(self, answer: Float[Array, "kept side side *batch"], pose: Pose, before: Estimates) -> Estimates:
         """The new estimates in the window and the old ones around it."""
-        (top, left), (height, width) = self._first(pose, before.shape[1:]), before.shape[1:3]
+        (top, left), (height, width) = self._first(pose), before.shape[1:3]
         return _read(answer, _count(height, pose.x) - top, _count(width, pose.x) - left, before)
 
 
 @dataclasses.dataclass(frozen=True)
-class Surroundings(Window):
-    """The whole map if it is small, else a window as near to the robot as the map's edges allow.
+class Surroundings(Extent):
+    """In towns, a window that is moved into the map; elsewhere the whole map.
 
-    A map that is a little larger than those of the training may show a house in smaller cells, and is read as a whole.
-    A much larger one shows a town, of which the network knows one house with its surroundings.
+    The network knows one house with its surroundings. It resamples larger maps to the size of its training maps, which
+    is right for a house in smaller cells, but in a town it would see nothing of the walks. So the window is magnified
+    to the size of the map beforehand.
 
     Attributes:
-      whole: longest side of the maps that are read as a whole.
+      zooms: whether each robot is in a town.
+      side: longer side of the window, which has the aspect ratio of the map, in cells.
+      prior: cost of cells that have never been inside.
     """
 
-    whole: int = 2 * _TRAINED_SIDE
+    zooms: Bool[Array, "*batch"]
+    side: int = _TRAINED_SIDE
+    prior: float = float(_TRAINED_SIDE)
 
-    def _first(self, pose: Pose, shape: tuple[int, ...]) -> tuple[Int[Array, "*batch"], Int[Array, "*batch"]]:
-        """First row and column of the window, which is moved into the map. It is longer than a shorter side."""
-        top, left = super()._first(pose, shape)
-        return tuple(  # type: ignore[return-value]
-            jnp.clip(first, 0, max(size - self.side, 0)) for first, size in zip((top, left), shape, strict=False)
-        )
+    def _window(self, pose: Pose, shape: tuple[int, ...]) -> list[tuple[Int[Array, "*batch"], int, int]]:
+        """First cell, length and length of the map along each axis."""
+        sizes = [-(-size * self.side // max(shape)) for size in shape]
+        return [
+            (jnp.clip(at - size // 2, 0, length - size), size, length)
+            for at, size, length in zip((pose.y, pose.x), sizes, shape, strict=True)
+        ]
 
-    def part(self, terrain: UInt8[Array, "h w *batch"], pose: Pose) -> UInt8[Array, "h2 w2 *batch"]:
-        """The whole map, or the window."""
-        return terrain if max(terrain.shape[:2]) <= self.whole else super().part(terrain, pose)
+    def part(self, terrain: UInt8[Array, "h w *batch"], pose: Pose) -> UInt8[Array, "h w *batch"]:
+        """The whole map, or the window in its size."""
 
-    def merged(self, answer: Float[Array, "kept h2 w2 *batch"], pose: Pose, before: Estimates) -> Estimates:
+        def read(first: Int[Array, "*batch"], size: int, length: int) -> Int[Array, "length *batch"]:
+            cell = _count(length, pose.x)
+            return jnp.where(self.zooms, first + nearest_pixel(cell, size, length), cell)
+
+        rows, columns = (read(*axis) for axis in self._window(pose, terrain.shape[:2]))
+        return _read(terrain[None], rows, columns, jnp.uint8(UNKNOWN))[0]
+
+    def merged(self, answer: Float[Array, "kept h w *batch"], pose: Pose, before: Estimates) -> Estimates:
         """The new estimates, and the old ones around the window."""
-        return answer if max(before.shape[1:3]) <= self.whole else super().merged(answer, pose, before)
+
+        def read(first: Int[Array, "*batch"], size: int, length: int) -> Int[Array, "length *batch"]:
+            cell = _count(length, pose.x)
+            inside = (cell >= first) & (cell < first + size)
+            within = jnp.where(inside, nearest_pixel(cell - first, length, size), -1)
+            return jnp.where(self.zooms, within, cell)
+
+        rows, columns = (read(*axis) for axis in self._window(pose, before.shape[1:3]))
+        scale = jnp.where(self.zooms, self.side / max(before.shape[1:3]), 1.0)
+        return _read(scale * answer, rows, columns, before)
 
 
 @struct.dataclass

@@ -8,9 +8,6 @@ from scipy import ndimage
 
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
 
-#: Widths of the widest street along the longer side of a map, at most, on all maps that networks are trained on.
-STREETS_A_SIDE = 10
-
 
 class Piece(NamedTuple):
     """A connected set of cells.

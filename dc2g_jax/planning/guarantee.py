@@ -6,7 +6,6 @@ bound is in docs/how_it_works/planner.md.
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
@@ -19,9 +18,8 @@ from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.gridworld import Belief
-from dc2g_jax.grid.ground import STREETS_A_SIDE
 from dc2g_jax.grid.poses import FORWARD_ACTION, Pose, every_heading, moved
-from dc2g_jax.grid.terrain import ROAD
+from dc2g_jax.grid.streets import in_town
 from dc2g_jax.grid.world import World
 from dc2g_jax.planning.frontiers import unseen
 from dc2g_jax.planning.planners import (
@@ -206,37 +204,12 @@ class Guaranteed(AssessingPlanner):
         return _chosen(free | without_bound, wrapped, back), led
 
 
-def in_narrow_streets(belief: Belief) -> Bool[Array, "*batch"]:
-    """Whether most of the road that a robot has seen is narrower than a tenth of the map's longer side.
-
-    No training map is like this: each shows one house with its surroundings. A town has narrower streets. Cells that
-    have not been observed count as road. On maps without road, the answer is no.
-    """
-    planes = [plane if ROAD >> bit & 1 else ~plane for bit, plane in enumerate(belief.classes)]
-    road = functools.reduce(jnp.bitwise_and, planes) & belief.seen
-    side = max(belief.height, belief.width) // STREETS_A_SIDE
-    corners = bitboard.complement(_spread(belief.seen & ~road, side, -1), belief.width)
-    wide = road & _spread(corners, side, 1)
-    return 2 * bitboard.count(wide) < bitboard.count(road)
-
-
-def _spread(cells: Board, side: int, way: int) -> Board:
-    """The squares of this side whose upper left (way 1) or lower right corners (way -1) are the cells."""
-    reach = 1
-    while reach < side:
-        step = min(reach, side - reach)
-        cells = cells | bitboard.shift(cells, way * step, 0)
-        cells = cells | bitboard.shift(cells, 0, way * step)
-        reach += step
-    return cells
-
-
 @struct.dataclass
 class CautiousDC2G(DC2G):
-    """`DC2G`, bounded on maps unlike those of its network's training (see docs/notebook/towns.md).
+    """`DC2G`, bounded in towns, which are unlike the training maps of its network (see docs/notebook/towns.md).
 
-    On maps larger than these, a robot in narrow streets takes at most 2.5 times the actions of frontier exploration and
-    50 more. Elsewhere, and without a memory, this is `DC2G`.
+    A robot in a town takes at most 2.5 times the actions of frontier exploration and 50 more. Elsewhere, and without a
+    memory, this is `DC2G`.
     """
 
     def _is_bounded(self, world: World) -> bool:
@@ -247,9 +220,7 @@ class CautiousDC2G(DC2G):
     def _bound(self) -> Guaranteed:
         """The planner with its bound."""
         planner = DC2G(**{field.name: getattr(self, field.name) for field in dataclasses.fields(DC2G)})
-        return Guaranteed(
-            planner, self.rules, factor=2.5, slack=0.0, actions=50.0, renewed=jnp.inf, where=in_narrow_streets
-        )
+        return Guaranteed(planner, self.rules, factor=2.5, slack=0.0, actions=50.0, renewed=jnp.inf, where=in_town)
 
     def init(self, world: World) -> Any:
         """The state of `DC2G`, or of its bound."""

@@ -8,7 +8,6 @@ from typing import Any
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, ExactCostToGo, NetworkCostToGo, answers_in_cells
-from dc2g_jax.estimation.extents import Surroundings
 from dc2g_jax.own_parts import own_part
 from dc2g_jax.planning.frontiers import facing_most
 from dc2g_jax.planning.guarantee import CautiousDC2G, Guaranteed
@@ -45,7 +44,7 @@ def _on_network(
         headings=facing_most,
         patience=patience,
         enough_news=1 / 3,
-        extent=Surroundings() if isinstance(estimator, NetworkCostToGo) else None,
+        magnifies=isinstance(estimator, NetworkCostToGo),
     )
 
 
