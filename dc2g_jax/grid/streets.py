@@ -16,6 +16,9 @@ from dc2g_jax.grid.terrain import ROAD
 #: houses, it fits 10 times at most.
 _STREETS_A_SIDE = 12
 
+#: Longest side of the maps that show a house, by their size, in cells: twice the side of the training maps.
+_LONGEST_SIDE_OF_A_HOUSE = 100
+
 
 def street_width(terrain: UInt8[np.ndarray, "h w"]) -> int:
     """Width of the widest street in cells: the side of the largest square of road; 0 without road."""
@@ -31,14 +34,16 @@ def is_town(terrain: UInt8[np.ndarray, "h w"]) -> bool:
 
 
 def in_town(belief: Belief) -> Bool[Array, "*batch"]:
-    """Whether most of the road that a robot has seen is narrow for the size of the map.
+    """Whether most of the road that a robot has seen is narrow for the size of the map; no without road.
 
-    Cells that have not been observed may be road. Without road, the answer is no.
+    Streets are taken to go on where nothing has been observed on small maps, and to end there on large ones.
     """
     planes = [plane if ROAD >> bit & 1 else ~plane for bit, plane in enumerate(belief.classes)]
     road = functools.reduce(jnp.bitwise_and, planes) & belief.seen
-    side = max(belief.height, belief.width) // _STREETS_A_SIDE
-    corners = bitboard.complement(_spread(belief.seen & ~road, side, -1), belief.width)
+    longest = max(belief.height, belief.width)
+    side = longest // _STREETS_A_SIDE
+    ends = belief.seen & ~road if longest <= _LONGEST_SIDE_OF_A_HOUSE else bitboard.complement(road, belief.width)
+    corners = bitboard.complement(_spread(ends, side, -1), belief.width)
     wide = road & _spread(corners, side, 1)
     return 2 * bitboard.count(wide) < bitboard.count(road)
 

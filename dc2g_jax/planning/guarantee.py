@@ -77,6 +77,10 @@ class GuaranteedState(NamedTuple):
     led: Bool[Array, "*batch"]
 
 
+#: Part of the slack that must be left before a robot that returned to the shadow may leave it again.
+_RENEWED = 0.5
+
+
 def everywhere(belief: Belief) -> Bool[Array, "*batch"]:
     """A bound on every map."""
     return jnp.ones(belief.pose.x.shape, bool)
@@ -98,8 +102,8 @@ class Guaranteed(AssessingPlanner):
         the actions are frontier's; with infinite slack, the wrapped planner's.
       virtual_steps: most actions of the shadow per decision, at least 1. The bound holds for any number.
       actions: additional actions whatever the size of the map, at least 0.
-      renewed: part of the slack that must be left before a robot that returned to the shadow may leave it again. With
-        infinity, it goes with the shadow until the wrapped planner heads for a goal.
+      renewed: actions that must be left before a robot that returned to the shadow may leave it again, for each of the
+        shadow's actions; beyond half of the slack.
       where: whether a robot is bounded, given its belief. While it is not, it follows the wrapped planner. A robot that
         has taken more actions than the bound allows when it becomes bounded returns to the shadow.
     """
@@ -110,7 +114,7 @@ class Guaranteed(AssessingPlanner):
     slack: float
     virtual_steps: int = struct.field(pytree_node=False, default=2)
     actions: float = 0.0
-    renewed: float = 0.5
+    renewed: float = 0.0
     where: Callable[[Belief], Bool[Array, "*batch"]] = struct.field(pytree_node=False, default=everywhere)
     robots_a_core: ClassVar[int] = DC2G.robots_a_core
     robots_on_large_maps: ClassVar[int] = DC2G.robots_on_large_maps
@@ -196,7 +200,7 @@ class Guaranteed(AssessingPlanner):
         slack = self.slack * (belief.height + belief.width) + self.actions
         left = self.factor * shadow.steps + slack - state.taken - jnp.where(there, 0, back.length)
         affordable = left >= 1 + jnp.where(wrapped.action == FORWARD_ACTION, _UNDO_FORWARD, _UNDO_TURN)
-        led = ~affordable | (state.led & (left < self.renewed * slack))
+        led = ~affordable | (state.led & (left < _RENEWED * slack + self.renewed * shadow.steps))
         ahead = _next_pose(belief, belief.pose, wrapped.action)
         possible = bitboard.contains(belief.traversable, ahead.x, ahead.y) & (wrapped.mode != GAVE_UP)
         free = possible & affordable & (~led | to_goal)
@@ -220,7 +224,7 @@ class CautiousDC2G(DC2G):
     def _bound(self) -> Guaranteed:
         """The planner with its bound."""
         planner = DC2G(**{field.name: getattr(self, field.name) for field in dataclasses.fields(DC2G)})
-        return Guaranteed(planner, self.rules, factor=2.5, slack=0.0, actions=50.0, renewed=jnp.inf, where=in_town)
+        return Guaranteed(planner, self.rules, factor=2.5, slack=0.0, actions=50.0, renewed=0.7, where=in_town)
 
     def init(self, world: World) -> Any:
         """The state of `DC2G`, or of its bound."""

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from dc2g_jax.datasets.houses import open_dataset, town_dataset
+from dc2g_jax.datasets.map_report import unlike_training
 from dc2g_jax.datasets.procedural.towns import TOWN_SIZES, draw_town
 from dc2g_jax.datasets.starts import sample_starts, why_no_episode
 from dc2g_jax.grid.ground import connected_to, pieces
-from dc2g_jax.grid.terrain import FRONT_DOOR, HOUSE, ROAD, TRAVERSABLE
+from dc2g_jax.grid.terrain import FREE, FRONT_DOOR, GRASS, HOUSE, ROAD, TRAVERSABLE
 
 
 def test_there_are_a_hundred_towns_to_choose_on_and_a_hundred_aside():
@@ -37,3 +38,18 @@ def test_a_town_depends_on_its_arguments_alone():
     for wrong in ((-1, 90, 60), (0, 59, 60)):
         with pytest.raises(ValueError, match="give a seed of at least 0"):
             draw_town(*wrong)
+
+
+def test_a_town_is_named_with_the_cells_to_try(street):
+    town = np.full((200, 300), GRASS, np.uint8)
+    town[50:60] = town[:, 150:158] = ROAD
+    town_line, cells_line = unlike_training(town, (300, 200))
+    assert "streets of 10 of 300 cells" in town_line
+    assert "try --cells 150 100" in cells_line
+    # Where streets are as wide as they should be, or a finer grid would need more pixels, there is nothing to try.
+    assert len(unlike_training(town[::2, ::2], (300, 200))) == 1
+    assert len(unlike_training(town[::5, ::5], (60, 40))) == 1
+    assert len(unlike_training(town[::5, ::5], (300, 200))) == 2
+    assert unlike_training(street, street.shape[::-1]) == []
+    (no_road,) = unlike_training(np.where(town == ROAD, np.uint8(FREE), town), (300, 200))
+    assert "no road" in no_road

@@ -35,9 +35,9 @@ def test_planners_on_a_network_have_the_parameters_that_were_chosen():
     assert paper == DC2G(ExactCostToGo(), RULES)
     assert dc2g.selection == ExpectedCost(distance_weight=0.5)
     assert uncertain == dataclasses.replace(dc2g, selection=QuantileCost(level=0.7, distance_weight=0.5))
-    alone = NETWORK_PLANNERS["dc2g"](ExactCostToGo(), RULES, STEP_PATIENCE, DC2G)
+    alone = NETWORK_PLANNERS["dc2g"](ExactCostToGo(), dc2g.rules, STEP_PATIENCE, DC2G)
     assert isinstance(dc2g, CautiousDC2G)
-    assert dataclasses.asdict(dc2g) == dataclasses.asdict(alone)
+    assert all(getattr(dc2g, field.name) == getattr(alone, field.name) for field in dataclasses.fields(DC2G))
     assert guarded == Guaranteed(alone, alone.rules, factor=2.0, slack=3.0)
     # Where a decision is not an action, there is no bound on actions.
     assert type(NETWORK_PLANNERS["dc2g"](ExactCostToGo(), RULES, ENDLESS)) is DC2G
