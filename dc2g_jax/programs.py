@@ -11,7 +11,9 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax
+import jax.numpy as jnp
 from jax.experimental.xla_metadata import set_xla_metadata
+from jax.extend.core import Jaxpr, JaxprEqn, jaxprs_in_params
 
 #: Programs that each function keeps, by the classes they were traced for; the oldest one is dropped. A process can map
 #: only so much memory: on a CPU, rollout programs of some 200 classes exhausted it.
@@ -78,6 +80,54 @@ class jit:
         return sum(program._cache_size() for program in self._programs.values())
 
 
+# fmt: off
+#: Primitives that XLA compiles within one operation of a CPU. Others call a library, or have no code there.
+_WITHIN_ONE_OPERATION = frozenset({
+    "abs", "add", "and", "argmax", "argmin", "broadcast_in_dim", "clamp", "closed_call", "concatenate", "cond",
+    "convert_element_type", "copy", "cumsum", "div", "dynamic_slice", "dynamic_update_slice", "eq", "exp", "floor",
+    "gather", "ge", "gt", "integer_pow", "iota", "is_finite", "jit", "le", "log", "lt", "max", "min", "mul", "ne",
+    "neg", "not", "optimization_barrier", "or", "pad", "pjit", "platform_index", "population_count", "reduce_and",
+    "reduce_max", "reduce_min", "reduce_or", "reduce_sum", "rem", "reshape", "rev", "round", "scan", "select_n",
+    "shift_left", "shift_right_arithmetic", "shift_right_logical", "sign", "slice", "sqrt", "square", "squeeze",
+    "stack", "stop_gradient", "sub", "transpose", "while", "xor", "xla_metadata_value",
+})
+# fmt: on
+
+#: Compiler options of programs with a part that is `one_operation`. Otherwise XLA divides loops among threads and large
+#: sums in two, for which it has no code within an operation. Cores are devices here, so no speed is lost.
+ONE_OPERATION_OPTIONS = {
+    "xla_disable_hlo_passes": "cpu-parallel-task-assigner,small-while-loop-hoisting,tree_reduction_rewriter"
+}
+
+
+def is_one_operation(jaxpr: Jaxpr) -> bool:
+    """Whether XLA compiles a program within one operation of a CPU.
+
+    It does not if the program calls a network, sorts, calls back, reduces floating-point numbers, or scatters values to
+    more than one place.
+    """
+
+    def fits(equation: JaxprEqn) -> bool:
+        name = equation.primitive.name
+        inputs: list[Any] = [variable.aval for variable in equation.invars]
+        if name == "scatter":
+            return inputs[1].size == inputs[1].shape[-1]  # the second input tells the places
+        if name.startswith("reduce_") and jnp.issubdtype(inputs[0].dtype, jnp.inexact):
+            return False
+        return name in _WITHIN_ONE_OPERATION and all(map(is_one_operation, jaxprs_in_params(equation.params)))
+
+    return all(map(fits, jaxpr.eqns))
+
+
+def _called(function: Callable[..., _Result], program: Any, args: Any, **attributes: str) -> _Result:
+    """`function(*args)` within a program; on a CPU, a call of its compiled `program` with these attributes."""
+
+    def call(*args: Any) -> _Result:
+        return jax.tree.map(functools.partial(set_xla_metadata, inlineable="false", **attributes), program(*args))
+
+    return jax.lax.platform_dependent(*args, cpu=call, default=function)
+
+
 def apart(function: Callable[..., _Result], *args: Any) -> _Result:
     """`function(*args)` within a program, compiled by itself on a CPU.
 
@@ -87,9 +137,21 @@ def apart(function: Callable[..., _Result], *args: Any) -> _Result:
       function: a pure function.
       *args: its arguments.
     """
-    program = jit(function)
+    return _called(function, jit(function), args)
 
-    def call(*args: Any) -> _Result:
-        return jax.tree.map(functools.partial(set_xla_metadata, inlineable="false"), program(*args))
 
-    return jax.lax.platform_dependent(*args, cpu=call, default=program)
+def one_operation(function: Callable[..., _Result], *args: Any) -> _Result:
+    """`function(*args)` within a program, as a single operation of the runtime on a CPU if `is_one_operation`.
+
+    On boards of a few hundred words, starting an operation takes longer than computing it, and a planner step has some
+    150 of them. The whole program must be compiled with `ONE_OPERATION_OPTIONS`.
+
+    Args:
+      function: a pure function.
+      *args: its arguments.
+    """
+    if not is_one_operation(jax.jit(functools.partial(function)).trace(*args).jaxpr.jaxpr):
+        return function(*args)
+    # XLA ends the process where an operation does not use one of its arguments, so each of them is also a result.
+    program = jax.jit(lambda *args: (function(*args), args))
+    return jax.lax.optimization_barrier(_called(program, program, args, xla_cpu_small_call="true"))[0]

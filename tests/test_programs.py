@@ -6,6 +6,7 @@ import sys
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 from flax import struct
 
@@ -33,6 +34,10 @@ BOUNDARIES = (
     "pictures",
     "benchmark",
 )
+
+
+#: A constant that is too large for the code of one operation.
+TABLE = np.arange(40 * 99, dtype=np.int32).reshape(40, 99)
 
 
 @pytest.fixture(scope="module")
@@ -95,3 +100,40 @@ def test_programs_of_classes_long_gone_are_dropped(monkeypatch):
         assert int(added(kind(1, jnp.int32(0)))) == number
     assert added.compiled_count() == 3
     assert int(added(kinds[0](1, jnp.int32(0)))) == 0
+
+
+@pytest.mark.parametrize(
+    ("function", "fits"),
+    [
+        (lambda cells: cells.sum(), True),
+        (lambda cells: jnp.asarray(cells).at[0, cells[0, 0] % 9].set(7), True),
+        (lambda cells: jnp.where(cells > 3, jnp.cumsum(cells, axis=0), jax.lax.population_count(cells)), True),
+        (lambda cells: jax.lax.cond(cells[0, 0] > 3, lambda: cells + TABLE, lambda: cells - cells.argmax(0)), True),
+        (lambda cells: cells.astype(jnp.float32).sum(), False),
+        (lambda cells: jnp.zeros(99).at[cells[0]].add(1.0), False),
+        (lambda cells: jnp.sort(cells, axis=0), False),
+        (lambda cells: cells.astype(jnp.float32) @ cells.astype(jnp.float32).T, False),
+        (lambda cells: jax.pure_callback(np.sort, jax.ShapeDtypeStruct((40, 99), np.int32), cells), False),
+    ],
+)  # fmt: skip
+def test_one_operation_where_the_compiler_has_code_for_it_and_the_same_result_elsewhere(function, fits):
+    cells = np.random.default_rng(0).integers(9, size=(40, 99), dtype=np.int32)
+    run = programs.jit(
+        lambda cells: programs.one_operation(function, cells), compiler_options=programs.ONE_OPERATION_OPTIONS
+    )
+    assert programs.is_one_operation(jax.make_jaxpr(function)(cells).jaxpr) == fits
+    assert ("xla_cpu_small_call" in run.lower(cells).as_text()) == fits
+    np.testing.assert_allclose(run(cells), function(cells), rtol=1e-6)
+
+
+def test_one_operation_may_do_without_an_argument():
+    """XLA finds that the argument does not matter, and would end the process."""
+
+    def only_one(cells, number):
+        return jax.lax.fori_loop(0, 3, lambda _, sums: sums + cells[None].at[number].get(mode="clip"), cells)
+
+    run = jax.jit(
+        lambda *args: programs.one_operation(only_one, *args), compiler_options=programs.ONE_OPERATION_OPTIONS
+    )
+    cells = np.arange(40)
+    np.testing.assert_array_equal(run(cells, 7), 4 * cells)

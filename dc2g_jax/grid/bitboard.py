@@ -138,7 +138,7 @@ def shift(board: Board, dx: int, dy: int) -> Board:
 
 def neighbors(board: Board) -> Board:
     """Cells with a 4-neighbor in the set."""
-    return shift(board, 1, 0) | shift(board, -1, 0) | shift(board, 0, 1) | shift(board, 0, -1)
+    return cells_that_see(board, ((1, 0), (-1, 0), (0, 1), (0, -1)))
 
 
 def flood(seed: Board, free: Board) -> Board:
@@ -183,7 +183,7 @@ def cells_that_see(targets: Board, offsets: Offsets) -> Board:
     n_words, height, *batch = targets.shape
     rows = max((abs(dy) for dys in by_column.values() for dy in dys), default=0)
     words = max((word_count(abs(dx)) for dx in by_column), default=0)
-    framed = jnp.pad(targets, [(words, words + 1), (rows, rows)] + [(0, 0) for _ in batch])
+    framed = jnp.pad(targets, [(words, words), (rows, rows)] + [(0, 0) for _ in batch])
 
     def rows_together(dys: list[int], first_word: int) -> Board:
         columns = framed[words + first_word : words + first_word + n_words]

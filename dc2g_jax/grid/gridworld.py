@@ -3,6 +3,7 @@
 Pure functions on one robot or on a batch of robots. Batch axes come last, see `dc2g_jax.grid.bitboard`.
 """
 
+import dataclasses
 import functools
 
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ from jaxtyping import Array, Bool, Int, UInt8, UInt32
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.poses import Pose, moved
 from dc2g_jax.grid.sensing import Kernel
+from dc2g_jax.grid.windows import window_around
 from dc2g_jax.grid.world import World, world_from_terrain
 
 
@@ -38,6 +40,10 @@ class Belief(World):
     outside: UInt32[Array, "n_words h *batch"] | None = None
 
 
+#: Fields of a belief that are boards.
+BOARDS = ("classes", "traversable", "goals", "seen")
+
+
 def belief_of(world: World, pose: Pose, steps: Int[Array, "*batch"], seen: UInt32[Array, "n_words h *batch"]) -> Belief:
     """The belief of a robot that has observed these cells of a world."""
     return Belief(
@@ -59,8 +65,17 @@ def reset(world: World, pose: Pose, sensing: Kernel) -> Belief:
 def step(world: World, belief: Belief, action: Int[Array, "*batch"], sensing: Kernel) -> Belief:
     """Take one action, then observe. Shapes and dtypes of the belief do not change."""
     pose = moved(belief.pose, action, belief.height, belief.width)
-    seen = belief.seen | sensing.visible(pose, world.opaque, world.width)
-    return belief_of(world, pose, belief.steps + 1, seen)
+    n_words, height, *batch = belief.seen.shape
+    if batch != [1]:
+        seen = belief.seen | sensing.visible(pose, world.opaque, world.width)
+        return belief_of(world, pose, belief.steps + 1, seen)
+    # One robot changes what is near it. The other words of large boards stay as they are.
+    window = window_around(pose, 1 + bitboard.word_count(2 * sensing.radius), 2 * sensing.radius + 1, (n_words, height))
+    near = window.cut(world)
+    visible = sensing.visible(window.pose(pose), near.opaque, world.width - window.column)
+    part = belief_of(near, pose, belief.steps + 1, window.cut(belief.seen) | visible)
+    boards = {name: window.put(getattr(belief, name), getattr(part, name)) for name in BOARDS}
+    return dataclasses.replace(part, **boards)
 
 
 def at_goal(world: World, pose: Pose) -> Bool[Array, "*batch"]:

@@ -44,7 +44,7 @@ class Kernel:
                 array[heading, dy + self.radius, dx + self.radius] = True
         return array
 
-    def visible(self, pose: Pose, opaque: Board, width: int) -> Board:
+    def visible(self, pose: Pose, opaque: Board, width: int | Int[Array, ""]) -> Board:
         """The in-bounds cells that are seen from a pose.
 
         Args:
@@ -52,7 +52,7 @@ class Kernel:
           opaque: cells that hide what is behind them. This kernel ignores them.
           width: columns of the grid.
         """
-        n_words, height, n_rows = bitboard.word_count(width), opaque.shape[1], 2 * self.radius + 3
+        (n_words, height), n_rows = opaque.shape[:2], 2 * self.radius + 3
         row = jax.lax.broadcasted_iota(jnp.int32, (height, *pose.x.shape), 0)
         kernel_row = jnp.clip(row - pose.y + self.radius + 1, 0, n_rows - 1) + pose.heading * n_rows
         word_start = WORD_BITS * jax.lax.broadcasted_iota(jnp.int32, (n_words, height, *pose.x.shape), 0)
@@ -108,7 +108,7 @@ class OccludedKernel(Kernel):
     something unobserved does observe something new there.
     """
 
-    def visible(self, pose: Pose, opaque: Board, width: int) -> Board:
+    def visible(self, pose: Pose, opaque: Board, width: int | Int[Array, ""]) -> Board:
         """The in-bounds cells that are seen from a pose, see `Kernel.visible`."""
         height = opaque.shape[1]
         dx, dy, parents = (jnp.asarray(table)[pose.heading] for table in self._tree())

@@ -1,6 +1,7 @@
 """Decisions of one robot from distances, candidates and scores, in plain NumPy and Python."""
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -67,9 +68,6 @@ class Decision:
       subgoal: last pose of the plan; `None` if the planner gave up.
       path: poses from the robot's own to the subgoal, inclusive, along a shortest plan over observed ground.
       actions: the actions of the plan as letters, one fewer than poses. The first one is `action`.
-      candidates: candidates for exploration, one per cell: the subgoal first, then in ascending order of score. Empty
-        in the other modes.
-      why: the reason, in one sentence.
     """
 
     action: str | None
@@ -77,8 +75,20 @@ class Decision:
     subgoal: RobotPose | None
     path: tuple[RobotPose, ...]
     actions: str
-    candidates: tuple[Candidate, ...]
-    why: str
+    _rank: Callable[[], tuple[Candidate, ...]] = dataclasses.field(repr=False, compare=False)
+
+    @functools.cached_property
+    def candidates(self) -> tuple[Candidate, ...]:
+        """Candidates for exploration, one per cell: the subgoal first, then in ascending order of score.
+
+        Empty in the other modes. Ranked when first asked for.
+        """
+        return self._rank()
+
+    @functools.cached_property
+    def why(self) -> str:
+        """The reason, in one sentence."""
+        return explain(self.mode, self.path, self.candidates)
 
 
 class View(NamedTuple):
@@ -105,7 +115,7 @@ class View(NamedTuple):
 
 
 def decide(view: View, left: int, top: int) -> Decision:
-    """Make a decision: path, actions, ranked candidates and the reason.
+    """Make a decision.
 
     Args:
       view: inputs of the decision.
@@ -120,19 +130,11 @@ def decide(view: View, left: int, top: int) -> Decision:
     if view.mode != TO_GOAL and np.isnan(view.score[chosen_from]).any():
         raise InputError("the estimated cost-to-go is not a number (NaN) in some cell; check the estimator's weights")
     if view.mode == GAVE_UP:
-        return Decision(None, mode, None, (), "", (), explain(mode, (), ()))
+        return Decision(None, mode, None, (), "", tuple)
     plan, actions = shortest_plan(view.distance, view.subgoals)
     path = tuple(RobotPose(left + x, top + y, heading) for x, y, heading in plan)
-    ranked = _ranked(view, plan[-1], left, top) if view.mode == EXPLORE else ()
-    return Decision(
-        action=actions[0] if actions else None,
-        mode=mode,
-        subgoal=path[-1],
-        path=path,
-        actions=actions,
-        candidates=ranked,
-        why=explain(mode, path, ranked),
-    )
+    rank = functools.partial(_ranked, view, plan[-1], left, top) if view.mode == EXPLORE else tuple
+    return Decision(actions[0] if actions else None, mode, path[-1], path, actions, rank)
 
 
 def shortest_plan(
@@ -144,14 +146,17 @@ def shortest_plan(
       distance: actions from the robot to every pose, -1 for unreachable poses.
       targets: poses to reach, at least one of them reachable.
     """
-    targets = targets & (distance >= 0)
-    length = int(distance[targets].min())
-    framed = np.pad(distance, ((0, 0), (1, 1), (1, 1)), constant_values=-1)
+    rows, columns = distance.shape[1:]
+    reached = np.flatnonzero(targets & (distance >= 0))
+    lengths = distance.reshape(-1)[reached]
+    length = int(lengths.min())
+    heading, y, x = (index.tolist() for index in np.unravel_index(reached[lengths == length], distance.shape))
     # Poses on shortest plans, layer by layer from the targets back to the robot.
-    layers = [{(int(x), int(y), int(heading)) for heading, y, x in np.argwhere(targets & (distance == length))}]
+    layers = [set(zip(x, y, heading, strict=True))]
     for done in reversed(range(length)):
         before = {pose for later in layers[-1] for pose in _next_to(later, -1)}
-        layers.append({(x, y, heading) for x, y, heading in before if framed[heading, y + 1, x + 1] == done})
+        inside = ((x, y, heading) for x, y, heading in before if 0 <= x < columns and 0 <= y < rows)
+        layers.append({(x, y, heading) for x, y, heading in inside if distance[heading, y, x] == done})
     (pose,) = layers.pop()
     path, letters = [pose], ""
     for layer in reversed(layers):

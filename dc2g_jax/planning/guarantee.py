@@ -116,8 +116,7 @@ class Guaranteed(AssessingPlanner):
     actions: float = 0.0
     renewed: float = 0.0
     where: Callable[[Belief], Bool[Array, "*batch"]] = struct.field(pytree_node=False, default=everywhere)
-    robots_a_core: ClassVar[int] = DC2G.robots_a_core
-    robots_on_large_maps: ClassVar[int] = DC2G.robots_on_large_maps
+    batch_per_core: ClassVar[int] = DC2G.batch_per_core
 
     def memoryless(self) -> Any:
         """The wrapped planner's own planner with a new state at every step. It has no bound, for lack of a memory."""

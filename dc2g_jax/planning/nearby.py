@@ -5,98 +5,95 @@ the robot then holds all that the decision depends on.
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int, UInt32
+from jaxtyping import Array, Bool, Int
 
-from dc2g_jax.grid import bitboard, search
+from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.bitboard import WORD_BITS, Board
-from dc2g_jax.grid.gridworld import Belief
+from dc2g_jax.grid.gridworld import BOARDS, Belief
 from dc2g_jax.grid.poses import Pose
-from dc2g_jax.grid.search import FirstAction
-from dc2g_jax.planning.rules import Rules
+from dc2g_jax.grid.windows import Window, window_around
 from dc2g_jax.programs import apart
 
 #: Words and rows of a window: 15 cells or more on either side of the robot.
-_WORDS, _ROWS = 2, 32
+_WORDS, _ROWS = 2, 48
 
 
-class Nearby(NamedTuple):
-    """A decision to explore, made from the ground around the robot.
+class Decided(NamedTuple):
+    """A decision without its poses.
 
     Attributes:
-      certain: whether the whole map gives the same decision.
-      reachable: reachable cells of the whole map; only some of them where the decision is not certain.
-      first: first action toward the nearest frontier-expanding pose.
+      action: the next action.
+      mode: plan mode, see `dc2g_jax.planning.planners`.
+      length: number of actions of the plan.
+      reachable: reachable cells.
     """
 
-    certain: Bool[Array, ""]
+    action: Int[Array, "*batch"]
+    mode: Int[Array, "*batch"]
+    length: Int[Array, "*batch"]
     reachable: Board
-    first: FirstAction
 
 
-def _margin(window: tuple[Array, Array], pose: Pose, n_words: int, height: int) -> Int[Array, ""]:
+def _margin(window: Window, pose: Pose, n_words: int, height: int) -> Int[Array, ""]:
     """Cells between the robot and the nearest side of the window beyond which the map goes on.
 
     Args:
-      window: first word and first row.
+      window: the window.
       pose: the robot's, in the window.
       n_words: words in a row of the map.
       height: rows of the map.
     """
-    (word, row), x, y = window, pose.x[0], pose.y[0]
+    x, y = pose.x[0], pose.y[0]
     sides = (
-        (word > 0, x),
-        (word + _WORDS < n_words, _WORDS * WORD_BITS - 1 - x),
-        (row > 0, y),
-        (row + _ROWS < height, _ROWS - 1 - y),
+        (window.word > 0, x),
+        (window.word + window.words < n_words, window.words * WORD_BITS - 1 - x),
+        (window.row > 0, y),
+        (window.row + window.rows < height, window.rows - 1 - y),
     )
     return jnp.min(jnp.stack([jnp.where(goes_on, cells, WORD_BITS * n_words + height) for goes_on, cells in sides]))
 
 
-def nearby(belief: Belief, before: Board, rules: Rules) -> Nearby | None:
-    """Decide where to explore from the ground around the robot.
+def nearby(
+    belief: Belief, before: Board, decide: Callable[[Belief, Board], Decided], reach: int | None
+) -> tuple[Decided, Bool[Array, ""]] | None:
+    """Decide from the ground around the robot.
 
     Args:
       belief: what the robot knows.
       before: cells known to be reachable, such as those of the step before.
-      rules: what counts as frontier.
+      decide: makes a decision to go to the nearest frontier-expanding pose, or to a reachable goal, from a belief and
+        cells known to be reachable.
+      reach: distance beyond which only reachability matters to a pose, see `dc2g_jax.planning.rules.Rules`.
 
     Returns:
-      The decision; `None` for several robots, on small maps, and where `rules` do not say how far they look.
+      The decision, and whether the whole map gives the same unless the robot gave up; if not, only some of its
+      reachable cells may be there.
+      `None` for several robots, on small maps, and without `reach`.
     """
     n_words, height, *batch = before.shape
-    if batch != [1] or n_words <= _WORDS or height <= _ROWS or rules.reach is None:
+    if batch != [1] or n_words <= _WORDS or height <= _ROWS or reach is None:
         return None
-    word = jnp.clip((belief.pose.x[0] - WORD_BITS // 2) // WORD_BITS, 0, n_words - _WORDS)
-    row = jnp.clip(belief.pose.y[0] - _ROWS // 2, 0, height - _ROWS)
-
-    def cut(board: UInt32[Array, "*planes n_words h 1"]) -> UInt32[Array, "*planes words rows 1"]:
-        words = jax.lax.dynamic_slice_in_dim(board, word, _WORDS, axis=-3)
-        return jax.lax.dynamic_slice_in_dim(words, row, _ROWS, axis=-2)
-
+    window = window_around(belief.pose, _WORDS, _ROWS, (n_words, height))
     # A window has whole words. Bits beyond the map's last column are outside the map.
-    outside = jnp.asarray(~bitboard.full(height, belief.width))[..., None]
+    outside = jnp.broadcast_to(jnp.asarray(~bitboard.full(1, belief.width))[..., None], (n_words, height, 1))
     part = dataclasses.replace(
         belief,
-        pose=Pose(belief.pose.x - WORD_BITS * word, belief.pose.y - row, belief.pose.heading),
+        pose=window.pose(belief.pose),
         width=_WORDS * WORD_BITS,
-        outside=cut(outside if belief.outside is None else outside | belief.outside),
-        **{name: cut(getattr(belief, name)) for name in ("classes", "seen", "traversable", "goals")},
+        outside=window.cut(outside if belief.outside is None else outside | belief.outside),
+        **{name: window.cut(getattr(belief, name)) for name in BOARDS},
     )
-
-    def decide(part: Belief, before: Board) -> tuple[Board, FirstAction]:
-        robot = bitboard.single(part.pose.x, part.pose.y, _WORDS, _ROWS)
-        ground = bitboard.flood(robot | before, part.traversable)
-        return ground, search.first_action(part.pose, rules.frontier_expanding(part, ground), ground)
-
-    ground, first = apart(decide, part, cut(before))
-    reachable = jax.lax.dynamic_update_slice(before, ground, (word, row, 0))
+    near = apart(decide, part, window.cut(before))
+    reachable = window.put(before, near.reachable)
     # These cells are connected to the robot. If no step leads out of them, they are all that is reachable.
-    leads_out = bitboard.neighbors(reachable) & ~reachable & belief.traversable
-    explores = first.found & bitboard.is_empty(leads_out | (reachable & belief.goals))
+    all_reachable = bitboard.is_empty(bitboard.neighbors(reachable) & ~reachable & belief.traversable)
+    goals, goals_near = bitboard.count(reachable & belief.goals), bitboard.count(near.reachable & part.goals)
     # Poses no farther away than the nearest one found have all that they depend on within the window.
-    within = first.length + rules.reach <= _margin((word, row), part.pose, n_words, height)
-    return Nearby((explores & within)[0], reachable, first)
+    depends_on = near.length + jnp.where(goals_near > 0, 0, reach)
+    within = depends_on <= _margin(window, part.pose, n_words, height)
+    certain = all_reachable & (goals == goals_near) & within
+    return near._replace(reachable=reachable), certain[0]

@@ -30,7 +30,7 @@ from dc2g_jax.planning.decisions import Decision, RobotPose, View, decide
 from dc2g_jax.planning.named import make
 from dc2g_jax.planning.planners import Assessment, Planner, assess, measured
 from dc2g_jax.planning.rules import Rules, complete_rules
-from dc2g_jax.programs import jit
+from dc2g_jax.programs import ONE_OPERATION_OPTIONS, jit, one_operation
 
 #: Planners that only need the robot's map, and no memory.
 ONLINE_PLANNERS = ("frontier", "dc2g", "dc2g_uncertain")
@@ -52,13 +52,17 @@ def view_fields(belief: Belief, assessment: Assessment) -> tuple[Any, ...]:
     return distance, assessment.plan.mode, subgoals, candidates, assessment.cost_to_go, score, assessment.penalty
 
 
-@functools.partial(jit, static_argnames=("rules",))
+@functools.partial(jit, static_argnames=("rules",), compiler_options=ONE_OPERATION_OPTIONS)
 def _look(planner: Planner, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"], *, rules: Rules) -> tuple[Any, ...]:
     """The fields of a `View`, given class indices that are `OUTSIDE` beyond the map, and column, row and heading."""
-    observed = jnp.where(terrain == OUTSIDE, jnp.uint8(UNKNOWN), terrain)
-    belief = dataclasses.replace(belief_from_map(observed, Pose(*pose)), outside=bitboard.pack(terrain == OUTSIDE))
-    assessment, _ = assess(planner, belief, planner.init(world_from_terrain(observed)), rules)
-    return view_fields(belief, assessment)
+
+    def look(planner: Planner, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]) -> tuple[Any, ...]:
+        observed = jnp.where(terrain == OUTSIDE, jnp.uint8(UNKNOWN), terrain)
+        belief = dataclasses.replace(belief_from_map(observed, Pose(*pose)), outside=bitboard.pack(terrain == OUTSIDE))
+        assessment, _ = assess(planner, belief, planner.init(world_from_terrain(observed)), rules)
+        return view_fields(belief, assessment)
+
+    return one_operation(look, planner, terrain, pose)
 
 
 class OnlinePlanner:
@@ -172,7 +176,7 @@ class OnlinePlanner:
     def _view(self, terrain: UInt8[np.ndarray, "h w"], robot: RobotPose) -> View:
         """The inputs of a decision, computed in one call of the device."""
         looked = _look(self._planner, terrain, np.array(robot, np.int32), rules=self.rules)
-        return View(*jax.device_get(looked))
+        return View(*jax.tree.map(np.asarray, looked))
 
 
 def _shapes_up_to(rows: int, columns: int, *, larger_than: int) -> list[tuple[int, int]]:

@@ -30,7 +30,7 @@ from dc2g_jax.grid.streets import in_town
 from dc2g_jax.grid.terrain import OUTSIDE
 from dc2g_jax.grid.world import World
 from dc2g_jax.planning import frontiers
-from dc2g_jax.planning.nearby import Nearby, nearby
+from dc2g_jax.planning.nearby import Decided, nearby
 from dc2g_jax.planning.rules import Rules
 from dc2g_jax.planning.selection import ENDLESS, ExpectedCost, Patience, Selection
 
@@ -84,12 +84,11 @@ class Planner(Protocol):
     """The interface of a planner. Both methods are pure and traced.
 
     Attributes:
-      robots_a_core: number of robots to simulate side by side on one CPU core.
-      robots_on_large_maps: the same for maps whose boards do not fit into its caches.
+      batch_per_core: number of robots to simulate side by side on one CPU core. A single one is fastest, except for a
+        network, which needs less time per map in larger batches. May be left out.
     """
 
-    robots_a_core: ClassVar[int]
-    robots_on_large_maps: ClassVar[int]
+    batch_per_core: ClassVar[int] = 1
 
     def init(self, world: World) -> Any:
         """The planner's state at the start of an episode in `world`.
@@ -134,10 +133,6 @@ def plan_to(belief: Belief, subgoals: PoseSet, ground: Board, mode: int | Int[Ar
 @struct.dataclass
 class Oracle(AssessingPlanner):
     """Shortest plan to the nearest goal on the whole map: the lower bound for all planners."""
-
-    #: Many robots fill a core's vector lanes, and so do the rows of a single one; numbers in between do not.
-    robots_a_core: ClassVar[int] = 32
-    robots_on_large_maps: ClassVar[int] = 1
 
     def init(self, world: World) -> tuple[Board, Board]:
         """The whole map: traversable cells and goal cells."""
@@ -190,15 +185,23 @@ def measured(
     return distance, jnp.where(jnp.any(candidates, axis=0), score, jnp.nan)
 
 
-def _explore_or_finish(belief: Belief, reachable: Board, subgoals: PoseSet, rules: Rules) -> Plan:
+def _subgoals(
+    belief: Belief, reachable: Board, candidates: PoseSet, rules: Rules
+) -> tuple[PoseSet, Int[Array, "*batch"]]:
+    """Poses to head for (Algorithm 2, lines 5 and 9): those of the goal if it is reachable, else the candidates."""
+    goals = reachable & belief.goals
+    goal_reachable = ~bitboard.is_empty(goals)
+    poses_of_goal = rules.goal_poses(belief, goals, reachable)
+    return jnp.where(goal_reachable, poses_of_goal, candidates), jnp.where(goal_reachable, TO_GOAL, EXPLORE)
+
+
+def _explore_or_finish(belief: Belief, reachable: Board, candidates: PoseSet, rules: Rules) -> Plan:
     """Algorithm 2 after the choice of the subgoal: go to the goal if it is reachable, else explore.
 
     Gives up if neither is reachable: nothing is left to explore, or an estimate is NaN.
     """
-    goals = reachable & belief.goals
-    goal_reachable = ~bitboard.is_empty(goals)
-    targets = jnp.where(goal_reachable, rules.goal_poses(belief, goals, reachable), subgoals)
-    return plan_to(belief, targets, reachable, jnp.where(goal_reachable, TO_GOAL, EXPLORE))
+    subgoals, mode = _subgoals(belief, reachable, candidates, rules)
+    return plan_to(belief, subgoals, reachable, mode)
 
 
 @struct.dataclass
@@ -206,33 +209,32 @@ class Frontier(AssessingPlanner):
     """Frontier exploration: go to the nearest frontier-expanding pose (Yamauchi's frontier, the paper's baseline)."""
 
     rules: Rules = struct.field(pytree_node=False)
-    robots_a_core: ClassVar[int] = Oracle.robots_a_core
-    robots_on_large_maps: ClassVar[int] = Oracle.robots_on_large_maps
     knows_outside: ClassVar[bool] = True
 
     def init(self, world: World) -> Board:
         """Nothing is reachable before the first observation."""
         return jnp.zeros_like(world.traversable)
 
+    def decide(self, belief: Belief, before: Board) -> Decided:
+        """The decision by all of a map, given cells that are known to be reachable."""
+        reachable = reachable_cells(belief, before)
+        plan = _explore_or_finish(belief, reachable, self.rules.frontier_expanding(belief, reachable), self.rules)
+        return Decided(plan.action, plan.mode, plan.length, reachable)
+
     def assess(self, belief: Belief, state: Board) -> tuple[Assessment, Board]:
         """Head for the nearest frontier-expanding pose, or for the goal once it is reachable."""
-        near = nearby(belief, state, self.rules)
-
-        def by_the_whole_map() -> tuple[Assessment, Board]:
-            reachable = reachable_cells(belief, state)
-            candidates = self.rules.frontier_expanding(belief, reachable)
-            plan = _explore_or_finish(belief, reachable, candidates, self.rules)
-            return Assessment(plan, reachable, candidates), reachable
-
-        def by_what_is_near(near: Nearby) -> tuple[Assessment, Board]:
-            candidates = self.rules.frontier_expanding(belief, near.reachable)
-            mode = jnp.full_like(near.first.length, EXPLORE)
-            plan = Plan(action=near.first.action, mode=mode, length=near.first.length, subgoals=candidates)
-            return Assessment(plan, near.reachable, candidates), near.reachable
-
+        near = nearby(belief, state, self.decide, self.rules.reach)
         if near is None:
-            return by_the_whole_map()
-        return jax.lax.cond(near.certain, lambda: by_what_is_near(near), by_the_whole_map)
+            decided = self.decide(belief, state)
+        else:
+            there, certain = near
+            certain &= there.mode[0] != GAVE_UP
+            decided = jax.lax.cond(certain, lambda: there, lambda: self.decide(belief, there.reachable))
+        reachable = decided.reachable
+        candidates = self.rules.frontier_expanding(belief, reachable)
+        subgoals, _ = _subgoals(belief, reachable, candidates, self.rules)
+        plan = Plan(decided.action, decided.mode, decided.length, subgoals)
+        return Assessment(plan, reachable, candidates), reachable
 
     def revised(self, state: Board, changed: Board) -> Board:
         """An empty state, since ground can be lost."""
@@ -312,9 +314,7 @@ class DC2G(AssessingPlanner):
     enough_news: float = struct.field(pytree_node=False, default=0.0)
     magnifies: bool = struct.field(pytree_node=False, default=False)
     memory: bool = struct.field(pytree_node=False, default=True)
-    #: A network needs less time per map in larger batches.
-    robots_a_core: ClassVar[int] = 64
-    robots_on_large_maps: ClassVar[int] = 16
+    batch_per_core: ClassVar[int] = 64
 
     def memoryless(self) -> "DC2G":
         """This planner for a single robot with a new state at every step, on maps of any size."""

@@ -26,7 +26,7 @@ class Rules:
       goal_poses: `(belief, reachable goal cells, reachable) ->` poses to head for when a goal is reachable.
       expanding_range: range of the kernel of `frontier_expanding` in cells, if it has one.
       reach: distance in cells, along x or y, beyond which only reachability matters to whether a pose is worth
-        exploring from; `None` if there is no such limit.
+        exploring from; and nothing matters to which pose of a goal is headed for. `None` if there is no such limit.
     """
 
     sensing: Kernel

@@ -274,10 +274,9 @@ def check_planner(planner: Planner) -> None:
       InputError: the first of these that does not hold, with what was expected and what was found.
     """
     who = _check_tree("planner", planner, "init", "plan")
-    for name in ("robots_a_core", "robots_on_large_maps"):
-        number = getattr(planner, name, None)
-        if not (isinstance(number, int) and number > 0):
-            raise InputError(f"{who}: {name} is {short(number)}; expected a number of robots, 1 or more")
+    batch = getattr(planner, "batch_per_core", 1)
+    if not (isinstance(batch, int) and batch > 0):
+        raise InputError(f"{who}: batch_per_core is {short(batch)}; expected a number of robots, 1 or more")
     if hasattr(planner, "estimator"):
         check_estimator(planner.estimator)
     sensing = getattr(planner, "rules", complete_rules(_SENSING_RANGE)).sensing

@@ -227,7 +227,7 @@ class Runner:
           ValueError: the houses differ in size.
           InputError: the planner lacks a part of the protocol, or gives up because its estimator estimates NaN.
         """
-        for needed in ("init", "plan", "robots_a_core", "robots_on_large_maps"):
+        for needed in ("init", "plan"):
             if not hasattr(planner, needed):
                 who = name or type(planner).__name__
                 raise InputError(f"planner {who!r}: has no {needed}; dc2g_jax.check_planner tells what a planner needs")

@@ -22,7 +22,7 @@ from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.sensing import Kernel
 from dc2g_jax.grid.world import World
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, Planner
-from dc2g_jax.programs import jit
+from dc2g_jax.programs import ONE_OPERATION_OPTIONS, jit, one_operation
 from dc2g_jax.rollouts.devices import deal, dealt_counts, gather, mesh_of, on_each, platform, replicate, serve_paced
 
 #: Step limit of an episode in the published results.
@@ -39,9 +39,6 @@ _ACCELERATOR_WORDS = 65536 * 100
 
 #: Share of an accelerator's slots that are refilled together. Refilling takes as long as a step there, so slots wait.
 _REFILLED_TOGETHER = 1 / 32
-
-#: Words of a board of 85 x 85 cells. On larger maps, the boards of many robots do not fit into a core's caches.
-_LARGEST_CACHED_BOARD = 256
 
 
 @struct.dataclass
@@ -215,16 +212,19 @@ def _record(state: _State) -> _State:
     )
 
 
-@functools.partial(jit, static_argnames=("mesh", "sensing", "step_limit"), donate_argnames=("states",))
+@functools.partial(
+    jit,
+    static_argnames=("mesh", "sensing", "step_limit"),
+    donate_argnames=("states",),
+    compiler_options=ONE_OPERATION_OPTIONS,
+)
 def _run(
     states: _State, n_steps: Int[Array, ""], queues: _Queue, planner: Planner,
     *, mesh: Mesh, sensing: Kernel, step_limit: int,
 ) -> _State:  # fmt: skip
     """Take at most `n_steps` planner steps in every slot of every device, and refill slots as robots finish."""
 
-    def run(own: tuple[_State, _Queue], n_steps: Int[Array, ""], planner: Planner) -> _State:
-        state, queue = own
-
+    def run(state: _State, queue: _Queue, n_steps: Int[Array, ""], planner: Planner) -> _State:
         def few_finished(slots: _Slots) -> Bool[Array, ""]:
             if platform(mesh) == "cpu":
                 return ~jnp.any(slots.finished)
@@ -246,7 +246,10 @@ def _run(
 
         return jax.lax.while_loop(go_on, until_some_finish, (state, jnp.int32(0)))[0]
 
-    return on_each(run, mesh, (states, queues), n_steps, planner)
+    def own(dealt: tuple[_State, _Queue], n_steps: Int[Array, ""], planner: Planner) -> _State:
+        return one_operation(run, *dealt, n_steps, planner)
+
+    return on_each(own, mesh, (states, queues), n_steps, planner)
 
 
 @jit
@@ -280,11 +283,10 @@ def _first_states(
 
 def _default_slots(planner: Planner, worlds: World, platform: str) -> int:
     """The default number of slots of a device."""
-    n_words, height = worlds.goals.shape[:2]
     if platform != "cpu":
+        n_words, height = worlds.goals.shape[:2]
         return max(1, 1 << (_ACCELERATOR_WORDS // (n_words * height)).bit_length() >> 1)
-    cached = n_words * height <= _LARGEST_CACHED_BOARD
-    return planner.robots_a_core if cached else planner.robots_on_large_maps
+    return getattr(planner, "batch_per_core", Planner.batch_per_core)
 
 
 def rollout(

@@ -69,7 +69,8 @@ def test_a_walk_is_the_episode_of_the_plain_implementation(frontier):
 def test_decisions_are_those_of_the_planner_on_a_robot(frontier):
     robot = OnlinePlanner("frontier", sensing_range=SENSING, largest=HOUSE.terrain.shape)
     for moment in frontier.moments:
-        assert robot.plan(np.where(moment.seen, HOUSE.terrain, 0).astype(np.uint8), moment.pose) == moment.decision
+        decision = robot.plan(np.where(moment.seen, HOUSE.terrain, 0).astype(np.uint8), moment.pose)
+        assert (decision, decision.why) == (moment.decision, moment.decision.why)
 
 
 def test_pictures_have_a_pixel_for_each_cell(frontier):

@@ -13,38 +13,44 @@ from dc2g_jax.grid.sensing import line_of_sight
 from dc2g_jax.grid.terrain import ROAD
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.nearby import nearby
-from dc2g_jax.planning.planners import EXPLORE, Frontier
+from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL, Frontier
 from dc2g_jax.planning.rules import complete_rules, reference_rules
 from tests.support.exploration import random_worlds
 
-STEPS = 80
+STEPS = 160
 
 
-@pytest.mark.parametrize("rules", [complete_rules(10, line_of_sight), reference_rules(9)])
+def near_decision(belief, before, planner):
+    """The decision of one robot from the ground around it, and whether it is certain, along a batch axis."""
+    near, certain = nearby(belief, before, planner.decide, planner.rules.reach)
+    return near, certain[None] & (near.mode != GAVE_UP)
+
+
+@pytest.mark.parametrize("rules", [complete_rules(10, line_of_sight), reference_rules(14)])
 def test_a_certain_decision_is_that_of_the_whole_map(rules):
-    terrains, starts = random_worlds((45, 83), 700, episodes=12)
+    terrains, starts = random_worlds((60, 83), 700, doors=6, episodes=24)
     worlds = world_from_terrain(np.moveaxis(terrains, 0, -1))
     planner = Frontier(rules)
 
     def decide_alone(belief, before):
-        near = nearby(*jax.tree.map(lambda leaf: leaf[..., None], (belief, before)), rules)
-        return near.certain, near.reachable[..., 0], near.first.action[0], near.first.length[0]
+        one = jax.tree.map(lambda leaf: leaf[..., None], (belief, before))
+        return jax.tree.map(lambda leaf: leaf[..., 0], near_decision(*one, planner))
 
     def step(carry, _):
         belief, before = carry
         plan, reachable = planner.plan(belief, before)
         each = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), (belief, before))
-        certain, nearby_reachable, action, length = jax.lax.map(lambda one: decide_alone(*one), each)
-        same = (action == plan.action) & (length == plan.length) & (plan.mode == EXPLORE)
-        same &= jnp.all(jnp.moveaxis(nearby_reachable, 0, -1) == reachable, axis=(0, 1))
+        near, certain = jax.lax.map(lambda one: decide_alone(*one), each)
+        same = (near.action == plan.action) & (near.length == plan.length) & (near.mode == plan.mode)
+        same &= jnp.all(jnp.moveaxis(near.reachable, 0, -1) == reachable, axis=(0, 1))
         return (gridworld.step(worlds, belief, plan.action, rules.sensing), reachable), (certain, same, plan.mode)
 
     first = gridworld.reset(worlds, make_pose(*np.array(starts).T), rules.sensing)
     run = jax.jit(lambda: jax.lax.scan(step, (first, planner.init(worlds)), length=STEPS)[1])
     certain, same, mode = map(np.asarray, run())
     assert same[certain].all()
-    exploring = mode == EXPLORE
-    assert 0.2 < certain[exploring].mean() < 1
+    assert all(certain[mode == each].mean() > 0.2 for each in (EXPLORE, TO_GOAL))
+    assert not certain.all()
 
 
 def with_few_unseen(shape: tuple[int, int], pose: np.ndarray, offsets: np.ndarray):
@@ -62,15 +68,15 @@ def decided_nearby(belief, rules):
     """Each robot's decision from the ground around it: whether it is certain, its first action, and its length."""
 
     def alone(one):
-        near = nearby(one, one.seen, rules)
-        return near.certain, near.first.action[0], near.first.length[0]
+        near, certain = near_decision(one, one.seen, Frontier(rules))
+        return certain[0], near.action[0], near.length[0]
 
     each = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0)[..., None], belief)
     return map(np.asarray, jax.jit(functools.partial(jax.lax.map, alone))(each))
 
 
 def test_what_is_unseen_beyond_any_side_of_the_window_counts():
-    shape, rules, rng = (50, 150), complete_rules(2), np.random.default_rng(0)
+    shape, rules, rng = (60, 150), complete_rules(2), np.random.default_rng(0)
     pose = rng.integers(0, [[shape[1]], [shape[0]], [4]], (3, 500))
     belief = with_few_unseen(shape, pose, rng.integers(-30, 31, (2, 3, 500)))
     plan, _ = jax.jit(Frontier(rules).plan)(belief, belief.seen)

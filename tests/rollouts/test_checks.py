@@ -46,9 +46,6 @@ def test_the_authors_rules_do_not_always_end_an_exploration():
 class Fair:
     """Frontier exploration. The planners below break one rule each."""
 
-    robots_a_core = 8
-    robots_on_large_maps = 1
-
     def init(self, world) -> Any:
         return Frontier(RULES).init(world)
 
@@ -79,7 +76,7 @@ class OpenRules(Fair):
 
 @struct.dataclass
 class NoCount(Fair):
-    robots_a_core = 0
+    batch_per_core = 0
 
 
 @struct.dataclass
@@ -204,7 +201,7 @@ class Follows(Fair):
         (Undecorated(), "is no pytree; expected a class decorated with flax.struct.dataclass"),
         (NoPlan(), "has no method plan; expected the methods init and plan"),
         (OpenRules(), "expected an array, or a static field: struct.field(pytree_node=False)"),
-        (NoCount(), "robots_a_core is 0; expected a number of robots, 1 or more"),
+        (NoCount(), "batch_per_core is 0; expected a number of robots, 1 or more"),
         (BarePlan(), "plan returns 'Plan'; expected a tuple of a Plan and a state"),
         (ShortMode(), "plan of one robot, .mode is int8[]; expected int32[]"),
         (OneStateForAll(), "state of a batch, ['visits'] is float32[3]; expected float32[3, 9]"),

@@ -10,14 +10,15 @@ from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.planners import DC2G, EXPLORE, GAVE_UP, TO_GOAL, Frontier, Oracle
-from dc2g_jax.planning.rules import complete_rules
+from dc2g_jax.planning.rules import complete_rules, reference_rules
 from dc2g_jax.planning.selection import ReservationCost
 from dc2g_jax.rollouts import devices
 from dc2g_jax.rollouts import rollout as rollout_module
-from dc2g_jax.rollouts.evaluation import episodes_from
+from dc2g_jax.rollouts.evaluation import action_letters, episodes_from
 from dc2g_jax.rollouts.rollout import NO_ACTION, Episodes, Trajectories, rollout
 from experiments.baselines import numpy_gridworld as oracle
 from tests.support import maps
+from tests.support.exploration import random_worlds
 
 RULES = complete_rules(3)
 SHAPE = (8, 10)
@@ -186,3 +187,24 @@ def test_a_network_leads_each_robot_as_if_it_were_alone(terrains):
     for number in range(0, N_EPISODES, 7):
         alone = run(terrains, jax.tree.map(lambda leaf, n=number: leaf[n : n + 1], episodes), planner)
         assert_equal(alone, jax.tree.map(lambda leaf, n=number: leaf[n : n + 1], together))
+
+
+@pytest.mark.slow
+def test_rollouts_of_random_sizes_and_ranges_are_those_of_the_plain_program():
+    """One robot a core, so that each rollout is one operation of the runtime."""
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        height, width = (int(2 ** rng.uniform(2, 7)) for _ in range(2))
+        reach = int(rng.integers(2, 20))
+        settings = ("complete", "reference")[seed % 2]
+        rules = complete_rules(reach) if settings == "complete" else reference_rules(reach)
+        terrains, starts = random_worlds((height, width), 10 * seed, episodes=3)
+        episodes = Episodes(world=jnp.arange(3), start=make_pose(*np.array(starts).T))
+        done = run(terrains, episodes, Frontier(rules), sensing=rules.sensing, slots=None)
+        for number, start in enumerate(starts):
+            success, letters, _ = oracle.run_episode(
+                terrains[number], start, "frontier", rules=settings, sensing_radius=reach, expanding_radius=reach,
+                max_steps=60,
+            )  # fmt: skip
+            assert (action_letters(done, number), done.success[number]) == (letters, success), (seed, number)
+        jax.clear_caches()

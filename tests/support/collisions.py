@@ -9,6 +9,7 @@ only traced, not compiled: that is enough for the second to get it.
 import contextlib
 import functools
 import inspect
+import itertools
 import json
 from collections.abc import Callable
 from typing import Any
@@ -54,7 +55,8 @@ def colliding_jit(function: Callable | None = None, **options: Any) -> Any:
     @functools.wraps(function)
     def call(*args, **kwargs):
         nonlocal holds_first
-        args = tuple(arg if name in static else mistaken(arg) for name, arg in zip(parameters, args, strict=False))
+        named = itertools.chain(parameters, itertools.repeat(""))  # the last one may stand for any number
+        args = tuple(arg if name in static else mistaken(arg) for name, arg in zip(named, args, strict=False))
         kwargs = {name: arg if name in static else mistaken(arg) for name, arg in kwargs.items()}
         if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((args, kwargs))):
             before = len(_calls)

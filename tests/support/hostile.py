@@ -30,8 +30,7 @@ class Hostile:
     """
 
     rules: Rules = struct.field(pytree_node=False)
-    robots_a_core: ClassVar[int] = 64
-    robots_on_large_maps: ClassVar[int] = 16
+    batch_per_core: ClassVar[int] = 64
 
     def init(self, world):
         kind = jnp.arange(world.goals.shape[2], dtype=jnp.int32) % KINDS
