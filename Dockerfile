@@ -5,8 +5,6 @@ FROM python:3.13-slim
 ARG EXTRAS=all
 COPY pyproject.toml README.md LICENSE /source/
 COPY dc2g_jax /source/dc2g_jax
-COPY experiments /source/experiments
-COPY data /source/data
 RUN pip install --no-cache-dir "/source[${EXTRAS}]" && rm -r /source
 
 # Downloads and compiled programs: mount a volume here to keep them.

@@ -6,6 +6,9 @@ from .planning.named import PLANNERS as PLANNERS
 from .rollouts.evaluation import evaluate as evaluate
 from .rollouts.evaluation import Results as Results
 from .rollouts.evaluation import EpisodeResult as EpisodeResult
+from .training.train import train as train
+from .training.cost_to_go import TrainingConfig as TrainingConfig
+from .training.cost_to_go_data import DataConfig as DataConfig
 from .inspection.figures import plot_results as plot_results
 from .planning.online import OnlinePlanner as OnlinePlanner
 from .planning.decisions import Decision as Decision

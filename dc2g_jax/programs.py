@@ -150,8 +150,8 @@ def one_operation(function: Callable[..., _Result], *args: Any) -> _Result:
       function: a pure function.
       *args: its arguments.
     """
-    if not is_one_operation(jax.jit(functools.partial(function)).trace(*args).jaxpr.jaxpr):
-        return function(*args)
     # XLA ends the process where an operation does not use one of its arguments, so each of them is also a result.
     program = jax.jit(lambda *args: (function(*args), args))
+    if not is_one_operation(program.trace(*args).jaxpr.jaxpr):
+        return program(*args)[0]  # traced once, for looking at it and for calling it
     return jax.lax.optimization_barrier(_called(program, program, args, xla_cpu_small_call="true"))[0]

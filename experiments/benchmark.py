@@ -9,7 +9,7 @@ from typing import Literal
 import jax
 
 from dc2g_jax.cli.common import command_line
-from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, require_positive
+from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, SharedOptions, require_positive
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.datasets.houses import open_dataset
 from dc2g_jax.errors import InputError
@@ -57,7 +57,7 @@ _ABOUT = (
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DatasetOptions, NetworkOptions, OutOptions):
+class Options(DatasetOptions, NetworkOptions, OutOptions, SharedOptions):
     """Measure planners, environment, kernels and network, side by side with plain C, Numba, NumPy and libraries.
 
     Writes `benchmark.json`, `benchmark.md` and `benchmark.png` and prints the table; the first two after each row.

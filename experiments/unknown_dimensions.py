@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from dc2g_jax.cli.common import command_line, digests
-from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
+from dc2g_jax.cli.episodes import EpisodeTable
 from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax.cli.outputs import output_folder, print_files
 from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
@@ -28,6 +28,7 @@ from dc2g_jax.grid.terrain import UNKNOWN
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import PlannerSource, Runner
+from dc2g_jax.rollouts.progress import EpisodeProgress
 from dc2g_jax.rollouts.statistics import summarize
 from dc2g_jax.training.cost_to_go_data import drawn_houses
 

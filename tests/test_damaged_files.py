@@ -24,9 +24,8 @@ from hypothesis import HealthCheck, given, settings
 from PIL import Image
 
 from dc2g_jax.cli.outputs import _read_run
-from dc2g_jax.cli.training_sets import kept_arrays
-from dc2g_jax.datasets.download import read_manifest
-from dc2g_jax.datasets.houses import load_dataset, map_dataset, save_dataset
+from dc2g_jax.datasets._download import read_manifest
+from dc2g_jax.datasets.houses import load_dataset, map_dataset
 from dc2g_jax.datasets.maps import Goal, read_map
 from dc2g_jax.datasets.osm.extract import read_extract
 from dc2g_jax.datasets.osm.neighborhood import Neighborhood
@@ -39,6 +38,7 @@ from dc2g_jax.estimation.weights import fresh_weights, write_network
 from dc2g_jax.files.atomic import write_json
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES
 from dc2g_jax.mapping.sequences import Shot, read_frame, read_picture, read_sequence, write_sequence
+from dc2g_jax.objectnav._procthor import read_procthor
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, SmallEncoder, load_encoder
 from dc2g_jax.objectnav.networks import (
     CostMapArchitecture,
@@ -47,18 +47,18 @@ from dc2g_jax.objectnav.networks import (
     load_estimator,
     save_estimator,
 )
-from dc2g_jax.objectnav.procthor import read_procthor
 from dc2g_jax.rollouts.evaluation import EpisodeResult
 from dc2g_jax.rollouts.results import ResumableTable, read_rows, write_rows
 from dc2g_jax.training.cost_to_go_data import check_masks
 from dc2g_jax.training.loop import Log
 from dc2g_jax.training.mask_collection import Masks
 from dc2g_jax.training.tracking import Curve
+from dc2g_jax.training.training_sets import kept_arrays
 from tests.support import house_lines, occupancy
 from tests.support.damage import damaged
 from tests.support.frames import CAMERA, random_frame
 from tests.support.hamlet import hamlet
-from tests.support.houses import DATASET, STREET, YARD
+from tests.support.houses import DATASET, STREET, YARD, save_dataset
 from tests.support.memory import forget_most_memory, memory
 from tests.support.toy import RESULTS
 
@@ -112,7 +112,7 @@ def write_transparent_occupancy(folder: Path) -> None:
 
 
 def read_occupancy(folder: Path) -> None:
-    read_map(folder / "lab.yaml", goals=[Goal(0.1, 0.1, "metres")])
+    read_map(folder / "lab.yaml", goals=[Goal(0.1, 0.1, "meters")])
 
 
 def write_recording(folder: Path) -> None:

@@ -23,8 +23,8 @@ from dc2g_jax.cli.options import ResumeOptions
 from dc2g_jax.cli.outputs import RUN_FILE
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.atomic import is_unfinished
+from tests.support import places
 from tests.support.faults import FAULTS, Death, Fault, faulty, points
-from tests.support.places import ROOT
 from tests.support.resumable import COMMANDS, Command, write_houses
 
 #: What `FAULT_AT` asks for: a command, a fault, the number of an operation.
@@ -106,7 +106,7 @@ def try_all(name: str, houses: str, folder: Path, patch: pytest.MonkeyPatch, eve
 
 
 def test_every_command_that_can_be_resumed_is_tried():
-    modules = [path.stem for path in (ROOT / "experiments").glob("*.py") if "command_line(Options" in path.read_text()]
+    modules = [path.stem for path in places.COMMANDS]
     resumable = {
         name for name in modules if issubclass(importlib.import_module(f"experiments.{name}").Options, ResumeOptions)
     }

@@ -6,7 +6,7 @@ import functools
 import numpy as np
 import pytest
 
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support.places import SHARED
 
 GOLDEN = SHARED / "golden"

@@ -43,3 +43,9 @@ def test_ci_runs_on_the_versions_of_python_that_are_promised():
     run = read(".github/workflows/ci.yml")["jobs"]["test"]["strategy"]["matrix"]["python-version"]
     assert [match[1] for match in promised if match] == run
     assert PROJECT["requires-python"] == f">={run[0]}"
+
+
+def test_the_version_is_the_same_everywhere():
+    first = re.search(r"^## \[(.+?)\]", (ROOT / "CHANGELOG.md").read_text(), flags=re.M)
+    assert first is not None
+    assert first[1] == read("CITATION.cff")["version"] == PROJECT["version"]

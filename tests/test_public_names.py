@@ -40,7 +40,7 @@ import dc2g_jax.vehicles.fleet
 from dc2g_jax.cli import commands
 
 env, params = dc2g.make_env("FrontDoor-v0", dataset="procedural", split="val")
-print(len(dc2g.evaluate("frontier", "procedural", split="val", starts_per_house=1)))
+print(len(dc2g.evaluate("frontier", "procedural", split="val", starts_per_house=1, progress=False)))
 seen = np.full((8, 9), 3, np.uint8)
 print(dc2g.OnlinePlanner("frontier", largest=(8, 9)).plan(seen, (2, 3, 0)).mode, len(dc2g.make("dc2g").views))
 try:

@@ -1,1 +1,1 @@
-"""The command line: code shared by the commands in `experiments`."""
+"""The command line: the commands, and the code that they share."""

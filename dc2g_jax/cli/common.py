@@ -35,8 +35,8 @@ DatasetOption = Annotated[str | None, tyro.conf.arg(metavar="FOLDER", help_behav
 NetworkOption = Annotated[str | Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")]
 
 #: One planner and several: names in `dc2g_jax.planning.named.PLANNERS`, or `package.module:Name`.
-PlannerOption = Annotated[str, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
-PlannersOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
+PlannerOption = Annotated[str, tyro.conf.arg(metavar="NAME")]
+PlannersOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME")]
 
 #: Rules: a name in `dc2g_jax.planning.rules.SETTINGS`, or `package.module:Name`.
 SettingsOption = Annotated[str, tyro.conf.arg(metavar="NAME")]
@@ -52,8 +52,10 @@ def command_line(options: type[_Options], main: Callable[[_Options], None]) -> N
     with reader_may_leave():
         parsed = tyro.cli(options, prog=program(), config=(tyro.conf.FlagCreatePairsOff,))
     try:
-        join_processes(parsed.coordinator, parsed.num_processes, parsed.process_id)
-        use_devices(parsed.devices)
+        machine = getattr(parsed, "machine", None)
+        if machine is not None:
+            join_processes(machine.coordinator, machine.num_processes, machine.process_id)
+        use_devices(None if machine is None else machine.devices)
         if jax.distributed.is_initialized():
             parsed = _silent_unless_first(parsed)
         keep_compiled_programs()

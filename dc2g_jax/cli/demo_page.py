@@ -5,7 +5,7 @@ import io
 import socket
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import UInt8
@@ -20,7 +20,15 @@ from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.grid.terrain import FIGURE_COLORS
 from dc2g_jax.inspection.animation import MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR
 from dc2g_jax.inspection.costs import COST_COLORS
-from dc2g_jax.inspection.demo import Demo, cost_picture, map_picture, open_maps, start_marks, walk_marks
+from dc2g_jax.inspection.demo import (
+    Demo,
+    cost_picture,
+    map_picture,
+    open_dropped,
+    open_maps,
+    start_marks,
+    walk_marks,
+)
 from dc2g_jax.inspection.figures import planner_style
 from dc2g_jax.planning.named import PLANNERS
 
@@ -54,6 +62,7 @@ def serve(
     estimator: Estimator,
     *,
     port: int,
+    token: str,
     open_browser: bool,
 ) -> None:
     """Serve the page on 127.0.0.1 until Ctrl-C. Each visitor has separate state.
@@ -63,6 +72,7 @@ def serve(
       planners: names of the planners that run at first, including the user's own.
       estimator: network of planners that use one.
       port: port to listen on.
+      token: secret that the first address must have, see `OwnOriginOnly`; empty for none.
       open_browser: whether to open the page in a browser.
 
     Raises:
@@ -71,10 +81,12 @@ def serve(
     check_port(port)
     # A web site elsewhere must not reach the page, nor by a name of its own for this machine.
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=["127.0.0.1", "localhost"])
-    app.add_middleware(OwnOriginOnly)
-    print(f"Serving the page at http://127.0.0.1:{port}; press Ctrl-C to stop", flush=True)
+    app.add_middleware(OwnOriginOnly, token=token)
+    path = f"/?token={token}" if token else "/"
+    print(f"Serving the page at http://127.0.0.1:{port}{path}; press Ctrl-C to stop", flush=True)
     ui.run(
-        lambda: Page(Demo(maps, planners, estimator)), host="127.0.0.1", port=port, show=open_browser, reload=False,
+        lambda: Page(Demo(maps, planners, estimator)), host="127.0.0.1", port=port,
+        show=path if open_browser else False, reload=False,
         title="dc2g demo", favicon="🚪", language="en-US", show_welcome_message=False,
     )  # fmt: skip
 
@@ -100,7 +112,7 @@ class Page:
     """The page of one visitor, for a state."""
 
     def __init__(self, state: Demo):
-        self.state = state
+        self.state, self.client = state, ui.context.client
         self.shown = 0
         self.last: tuple[int, int] | None = None
         self.panels: dict[str, tuple[ui.label, Any, ui.label]] = {}
@@ -122,8 +134,18 @@ class Page:
             with ui.tab_panel("Draw").classes("p-0 gap-2"):
                 self._draw()
         tabs.on_value_change(self._changed_tab)
+        self._follow(self.client.request.query_params.get("map", ""))
         self.timer = ui.timer(_PAUSE, self.forward, active=False)
         ui.timer(0.05, self.restart, once=True)
+
+    def _follow(self, link: str) -> None:
+        """Take the map from the address of the page, if it holds one."""
+        if link:
+            try:
+                self.state.follow(link)
+                self.choice.value = None
+            except InputError as error:
+                ui.notify(str(error), type="negative", multi_line=True)
 
     def _settings(self) -> None:
         """The drawer: map, planners, sensing range and weights."""
@@ -133,6 +155,8 @@ class Page:
         with ui.input("Open a folder or map file").classes("w-full").props("dense") as place:
             place.on("keydown.enter", lambda: self._open(place.value))
             ui.button(icon="folder_open", on_click=lambda: self._open(place.value)).props("flat dense")
+        drop = ui.upload(label="or drop a .npy or .png here", auto_upload=True, on_upload=self._dropped)
+        drop.classes("w-full").props("flat bordered accept=.npy,.png")
         offered = {name: planner_style(name).label for name in dict.fromkeys((*PLANNERS, *state.planners))}
         planners = ui.select(offered, label="Planners", value=state.planners, multiple=True).props("use-chips")
         planners.classes("w-full").on_value_change(lambda event: self._set("planners", list(event.value)))
@@ -173,7 +197,8 @@ class Page:
         """Tools and the canvas."""
         with ui.row().classes("w-full items-start gap-4"):
             with ui.column().classes("w-full md:w-72 gap-2"):
-                self.tool = ui.toggle({"paint": "Paint", "robot": "Place robot"}, value="paint").props("dense")
+                tools = {"paint": "Paint", "rectangle": "Rectangle", "robot": "Place robot"}
+                self.tool = ui.toggle(tools, value="paint").props("dense")
                 ui.label("Drag to paint. Click to place the robot, and click it to turn it.").classes("text-sm")
                 self.swatches: dict[str, ui.button] = {}
                 with ui.element("div").classes("w-full grid grid-cols-3 md:grid-cols-2"):
@@ -186,6 +211,7 @@ class Page:
                 ui.label("Brush width in cells").classes("text-sm")
                 self.width = ui.toggle([1, 2, 3, 5], value=1).props("dense")
                 with ui.row().classes("gap-2"):
+                    ui.button("Undo", icon="undo", on_click=self._undo).props("flat dense")
                     ui.button("Empty map", icon="crop_square", on_click=self._blank).props("flat dense")
                     ui.button("Save as .npy", icon="download", on_click=self._save).props("flat dense")
             self.canvas = ui.interactive_image(
@@ -228,6 +254,11 @@ class Page:
             self.busy.set_visibility(False)
         self._make_panels()
         self.show(0)
+        # So that a reload, or whoever gets the address, has what was drawn.
+        link = self.state.link if self.choice.value is None else ""
+        self.client.run_javascript(
+            f"history.replaceState(null, '', '{'?map=' * bool(link)}{link}' || location.pathname)"
+        )
 
     def _make_panels(self) -> None:
         """One panel for each planner."""
@@ -319,16 +350,30 @@ class Page:
     async def _new_start(self) -> None:
         await self._changed(lambda: self.state.sample_start(int(np.random.default_rng().integers(2**31))))
 
+    async def _dropped(self, event: events.UploadEventArguments) -> None:
+        """Offer the map of a dropped file, and choose it."""
+        data, name = await event.file.read(), event.file.name
+        self._offer(await self._work(lambda: open_dropped(name, data)))
+
     async def _open(self, location: str) -> None:
         """Offer the maps of a folder or file, and choose the first."""
-        maps = await self._work(lambda: open_maps(location))
+        self._offer(await self._work(lambda: open_maps(location)))
+
+    def _offer(self, maps: dict[str, UInt8[np.ndarray, "h w"]] | Literal[False]) -> None:
+        """Offer maps, and choose the first."""
         if maps:
             self.state.maps = maps
             self.choice.value = None  # a map may have the name of the one before
             self.choice.set_options(list(maps), value=next(iter(maps)))
 
+    def _undo(self) -> None:
+        self.choice.value = None
+        self.state.undo()
+        self._redraw_canvas()
+
     def _blank(self) -> None:
         self.choice.value = None
+        self.state.keep()
         self.state.blank()
         self._redraw_canvas()
 
@@ -342,12 +387,21 @@ class Page:
         """Paint, or place the robot."""
         height, width = self.state.terrain.shape
         cell = min(max(int(event.image_x), 0), width - 1), min(max(int(event.image_y), 0), height - 1)
-        if event.type == "pointerup" or (event.type == "pointermove" and self.last is None):
+        if event.type == "pointerdown":
+            self.state.keep()
+        if event.type == "pointerup" and self.tool.value == "rectangle" and self.last is not None:
+            self.choice.value = None
+            self.state.fill(self.last, cell, self.brush)
+            self.last = None
+        elif event.type == "pointerup" or (event.type == "pointermove" and self.last is None):
             self.last = None
             return
-        if self.tool.value == "robot":
+        elif self.tool.value == "robot":
             if event.type == "pointerdown":
                 self.state.place(*cell)
+        elif self.tool.value == "rectangle":
+            self.last = self.last or cell
+            return
         elif cell != self.last:
             self.choice.value = None
             self.state.paint(self.last or cell, cell, self.brush, self.width.value)

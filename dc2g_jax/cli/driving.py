@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dc2g_jax.cli.common import ImageSizeOption
-from dc2g_jax.cli.episodes import EpisodeProgress
-from dc2g_jax.cli.outputs import CommandOptions
+from dc2g_jax.cli.options import SharedOptions
 from dc2g_jax.datasets.houses import House
 from dc2g_jax.datasets.starts import Start
 from dc2g_jax.errors import InputError
@@ -22,6 +21,7 @@ from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.rules import complete_rules
 from dc2g_jax.planning.selection import ENDLESS
 from dc2g_jax.rollouts.evaluation import episodes_from
+from dc2g_jax.rollouts.progress import EpisodeProgress
 from dc2g_jax.rollouts.statistics import house_bootstrap
 from dc2g_jax.vehicles.drive import ARRIVED, STATUS_NAMES, Equipment, StatusName
 from dc2g_jax.vehicles.fleet import drive_all, sites_of
@@ -35,7 +35,7 @@ SECONDS_LIMIT = 500.0
 
 
 @dataclasses.dataclass(frozen=True)
-class DrivingOptions(CommandOptions):
+class DrivingOptions(SharedOptions):
     """Robots that drive with a camera.
 
     Attributes:

@@ -1,42 +1,19 @@
-"""Episodes of commands: their progress, and their table `episodes.csv`."""
+"""Episodes of commands: their table `episodes.csv`."""
 
 import functools
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-
-from tqdm import tqdm
 
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.datasets.starts import Start, published_episodes
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Planners, Runner, by_name
+from dc2g_jax.rollouts.progress import EpisodeProgress
 from dc2g_jax.rollouts.results import ResumableTable
 
 #: Maximum number of episodes of a planner to run and write together. It limits memory, and the loss after a kill.
 EPISODES_A_SHARD = 65_536
-
-
-class EpisodeProgress:
-    """One progress bar per planner, for `dc2g_jax.rollouts.evaluation.Runner`.
-
-    Args:
-      leave: whether bars stay when they are finished.
-    """
-
-    def __init__(self, *, leave: bool = True) -> None:
-        self._leave = leave
-        self._bar: tqdm | None = None
-
-    def __call__(self, planner: str, finished: int, episodes: int) -> None:
-        """Show the number of finished episodes of a planner."""
-        if self._bar is None:
-            self._bar = tqdm(total=episodes, desc=f"{planner:>16}", unit="episode", leave=self._leave, file=sys.stderr)
-        self._bar.update(finished - self._bar.n)
-        if finished >= episodes:
-            self._bar.close()
-            self._bar = None
 
 
 class EpisodeTable(ResumableTable[EpisodeResult]):

@@ -1,6 +1,7 @@
 """Protection of a server on this machine from other web sites that the user's browser shows."""
 
-from urllib.parse import urlsplit
+import secrets
+from urllib.parse import parse_qs, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
@@ -9,9 +10,12 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 #: Largest body of a request, in bytes.
 LARGEST_BODY = 1_000_000
 
+#: Name of the cookie with the token.
+_COOKIE = "dc2g_token"
+
 #: Headers of every answer: nothing from other hosts is loaded, no other site shows the page in a frame, and files are
 #: what they say they are. NiceGUI's page has scripts and styles in it, and compiles templates.
-ANSWER_HEADERS = {
+_ANSWER_HEADERS = {
     "Content-Security-Policy": (
         "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
         "img-src 'self' data:; font-src 'self' data:; object-src 'none'; base-uri 'none'; form-action 'none'; "
@@ -28,27 +32,47 @@ class OwnOriginOnly:
     A page of the server itself sends the server's own address as its `Origin`. Programs other than browsers send none.
     The `Host` must be checked too, as by Starlette's `TrustedHostMiddleware`.
 
+    With a token, as Jupyter has one, other users of the machine are refused: the first address must end in
+    `?token=...`, and a cookie holds it from then on.
+
     Args:
       app: the application behind it.
+      token: the token; empty for none.
     """
 
-    def __init__(self, app: ASGIApp):
-        self.app = app
+    def __init__(self, app: ASGIApp, token: str = ""):
+        self.app, self._token = app, token.encode()
+
+    def _knows_token(self, scope: Scope, headers: Headers) -> bool:
+        """Whether a request has the token in its address or its cookie."""
+        given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
+        cookies = (part.strip().partition("=") for part in headers.get("cookie", "").split(";"))
+        given += [value for name, _, value in cookies if name == _COOKIE]
+        return any(secrets.compare_digest(one.encode(), self._token) for one in given)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Refuse a request, or pass it on."""
         if scope["type"] == "lifespan":
             return await self.app(scope, receive, send)
 
+        cookie = ""
+
         async def answer(message: Message) -> None:
             if message["type"].endswith("http.response.start"):  # also of a web socket that is refused
-                MutableHeaders(scope=message).update(ANSWER_HEADERS)
+                MutableHeaders(scope=message).update(_ANSWER_HEADERS)
+                if cookie:
+                    MutableHeaders(scope=message).append("set-cookie", cookie)
             await send(message)
 
         headers = Headers(scope=scope)
         origin = headers.get("origin")
         if origin is not None and urlsplit(origin).netloc != headers.get("host"):
             return await PlainTextResponse("pages of other origins are refused", 403)(scope, receive, answer)
+        if self._token:
+            if not self._knows_token(scope, headers):
+                refused = "open the address with ?token= that dc2g demo has printed"
+                return await PlainTextResponse(refused, 403)(scope, receive, answer)
+            cookie = f"{_COOKIE}={self._token.decode()}; HttpOnly; SameSite=Strict; Path=/"
         if scope["type"] == "websocket":
             return await self.app(scope, receive, send)
         body = await _body(headers, receive)

@@ -31,14 +31,14 @@ class MapOptions(CommandOptions):
       map: class image (.png), array of class indices (.npy), or YAML file of a ROS occupancy map.
       palette: CSV file with the columns class,r,g,b: the colors of the classes in an image.
       goals: goals besides the front doors on the map: x and y of each.
-      goal_unit: unit of the goals: `cells` for columns and rows of the grid, `metres` for the map frame of a ROS map.
+      goal_unit: unit of the goals: `cells` for columns and rows of the grid, `meters` for the map frame of a ROS map.
       cells: columns and rows of the grid that the map is resampled to; by default one cell per pixel.
     """
 
     map: tyro.conf.Positional[Path]
     palette: Annotated[Path | None, tyro.conf.arg(metavar="CSV", help_behavior_hint="")] = None
     goals: Annotated[tuple[tuple[float, float], ...], tyro.conf.arg(metavar="X Y ...", help_behavior_hint="")] = ()
-    goal_unit: Literal["cells", "metres"] = "cells"
+    goal_unit: Literal["cells", "meters"] = "cells"
     cells: Annotated[tuple[int, int] | None, tyro.conf.arg(metavar="COLUMNS ROWS", help_behavior_hint="")] = None
 
 

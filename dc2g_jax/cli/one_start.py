@@ -4,14 +4,15 @@ import dataclasses
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
+import tyro
 from tqdm import tqdm
 
 from dc2g_jax.cli.common import PlannersOption, check_planners, network_for
-from dc2g_jax.cli.episodes import EpisodeProgress, EpisodeTable
+from dc2g_jax.cli.episodes import EpisodeTable
 from dc2g_jax.cli.map_options import StartOption
-from dc2g_jax.cli.options import NetworkOptions, OutOptions
+from dc2g_jax.cli.options import NetworkOptions, OutOptions, SharedOptions
 from dc2g_jax.cli.outputs import output_folder, print_files
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.starts import Start
@@ -25,13 +26,14 @@ from dc2g_jax.inspection.replay import replay_result
 from dc2g_jax.planning.planners import GAVE_UP, MODE_NAMES
 from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax.rollouts.progress import EpisodeProgress
 
 #: Bytes that the replay of an episode needs per cell and step, and the limit for all replays together.
 _REPLAY_BYTES, _MOST_BYTES = 45, 6e9
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class OneStartOptions(NetworkOptions, OutOptions):
+class OneStartOptions(NetworkOptions, OutOptions, SharedOptions):
     """One episode, run by several planners.
 
     Attributes:
@@ -42,8 +44,8 @@ class OneStartOptions(NetworkOptions, OutOptions):
         own.
       sensing_range: number of cells that a robot sees ahead.
       animation: formats of the animation.
-      figures: `none` draws neither figures nor the animation, which take most of the time on large maps.
-      record: `none` writes no rerun recording, which takes most of the space on large maps.
+      figures: draw figures and the animation, which take most of the time on large maps; `--no-figures` turns them off.
+      record: write a rerun recording, which takes most of the space on large maps; `--no-record` turns it off.
     """
 
     start: StartOption = None
@@ -51,8 +53,8 @@ class OneStartOptions(NetworkOptions, OutOptions):
     planner: PlannersOption = ("dc2g", "frontier")
     sensing_range: int = 8
     animation: tuple[Literal["gif", "mp4"], ...] = ("gif",)
-    figures: Literal["all", "none"] = "all"
-    record: Literal["all", "none"] = "all"
+    figures: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
+    record: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
 
     def check_sensing_range(self) -> None:
         """Check that the sensing range is supported.
@@ -130,7 +132,7 @@ def _draw(
     network: Estimator | None,
 ) -> None:
     """Write the figures, animations and recording of the episodes in `results`, given by planner."""
-    figures, record = options.figures == "all", options.record == "all"
+    figures, record = options.figures, options.record
     if figures:
         plot_trajectories(out / "trajectories", house, results)
     if not (figures or record):

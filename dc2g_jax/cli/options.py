@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from dc2g_jax.cli.common import DatasetOption, NetworkOption
-from dc2g_jax.cli.outputs import CommandOptions
+from dc2g_jax.cli.outputs import CommandOptions, Machines
 from dc2g_jax.errors import InputError
 from dc2g_jax.training.tracking import TrackerName
 
@@ -59,7 +59,18 @@ class OutOptions(CommandOptions):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ResumeOptions(CommandOptions):
+class SharedOptions(CommandOptions):
+    """Work that devices and processes can share.
+
+    Attributes:
+      machine: where the command runs; it does not affect the results.
+    """
+
+    machine: tyro.conf.OmitArgPrefixes[Machines] = dataclasses.field(default_factory=Machines)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ResumeOptions(SharedOptions):
     """Runs that can be resumed.
 
     Attributes:

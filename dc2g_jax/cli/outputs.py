@@ -30,7 +30,12 @@ RUN_FILE = "run.json"
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CommandOptions:
-    """Options of every command. They affect where it runs, not its results.
+    """Options of a command."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Machines:
+    """Devices and processes that share the work. They do not affect the results.
 
     Attributes:
       devices: number of accelerators, or of CPU cores, to use in each process; all by default.
@@ -50,7 +55,7 @@ class CommandOptions:
 _LARGEST_RECORD = 2**24
 
 #: Options that may always change when a run is resumed.
-WHERE = ("out", "resume", "track", *(field.name for field in dataclasses.fields(CommandOptions)))
+WHERE = ("out", "resume", "track", *(field.name for field in dataclasses.fields(Machines)))
 
 #: Folders that this process writes to, as absolute paths in order, each with the open file that locks it.
 _held: dict[Path, int | None] = {}
@@ -61,7 +66,7 @@ def number_or_null(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-class OutputOptions(Protocol):
+class _OutputOptions(Protocol):
     """Options, as a dataclass, of a command that writes to a folder. With a field `resume`, runs can be resumed."""
 
     @property
@@ -71,7 +76,7 @@ class OutputOptions(Protocol):
 
 
 def output_folder(
-    options: OutputOptions,
+    options: _OutputOptions,
     command: str,
     *,
     free: Collection[str] = (),

@@ -7,8 +7,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from dc2g_jax.cli.episodes import EpisodeProgress
-from dc2g_jax.cli.options import OutOptions, ResumeOptions, require_positive
+from dc2g_jax.cli.options import OutOptions, ResumeOptions, SharedOptions, require_positive
 from dc2g_jax.cli.outputs import print_files
 from dc2g_jax.datasets.houses import PROCEDURAL
 from dc2g_jax.files.atomic import write_json
@@ -18,10 +17,11 @@ from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
 from dc2g_jax.objectnav.mapping import IndoorMapSettings
 from dc2g_jax.objectnav.searches import TIME_LIMIT, Search, sample_episodes, search_all
 from dc2g_jax.objectnav.tables import with_interval
+from dc2g_jax.rollouts.progress import EpisodeProgress
 from dc2g_jax.rollouts.results import ResumableTable
 
 #: Printed below every table.
-CAVEAT = (
+_CAVEAT = (
     "The paper's houses differ from these (they are scanned homes, Matterport3D in the Habitat simulator), and so do "
     "its robot's speed and camera; its agent with true costs stops as soon as it sees the object: compare its lines "
     "with each other, not with ours."
@@ -29,11 +29,11 @@ CAVEAT = (
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SearchOptions(OutOptions):
+class SearchOptions(OutOptions, SharedOptions):
     """A search for an object in a house.
 
     Attributes:
-      houses: folder of ProcTHOR houses (`train`, `val` and `test`.jsonl.gz, `asset_boxes.json`), or `procedural` for
+      dataset: folder of ProcTHOR houses (`train`, `val` and `test`.jsonl.gz, `asset_boxes.json`), or `procedural` for
         the procedural floor plans.
       split: `val` to make choices, `test` to report results.
       samples: plans that the controller samples at each step.
@@ -41,7 +41,7 @@ class SearchOptions(OutOptions):
       seed: seed of starts, targets and the robots' noise.
     """
 
-    houses: Annotated[str, tyro.conf.arg(metavar="FOLDER")] = PROCEDURAL
+    dataset: Annotated[str, tyro.conf.arg(metavar="FOLDER")] = PROCEDURAL
     split: Literal["val", "test"] = "test"
     samples: int = CONTROLLER.samples
     limit: int = TIME_LIMIT
@@ -72,14 +72,14 @@ class ComparisonOptions(SearchOptions, ResumeOptions):
         """
         require_positive(self, "count", "episodes", "samples", "limit", "resamples")
         houses = indoor_houses(
-            self.houses, self.split, count=self.count, cell_size=IndoorMapSettings.cell_size, strict=self.strict
+            self.dataset, self.split, count=self.count, cell_size=IndoorMapSettings.cell_size, strict=self.strict
         )
         return houses, sample_episodes(houses, self.episodes, seed=self.seed)
 
     @property
     def described(self) -> str:
         """The houses in words."""
-        kind = "procedural floor plans" if self.houses == PROCEDURAL else f"houses of {self.houses}"
+        kind = "procedural floor plans" if self.dataset == PROCEDURAL else f"houses of {self.dataset}"
         return f"{self.count} {kind}, {self.split}"
 
 
@@ -138,7 +138,7 @@ def conclude(
     """
     *others, last = results
     gains = {name: difference(results[last], results[name], resamples=options.resamples) for name in others}
-    print(f"\n{table}\n{CAVEAT}")
+    print(f"\n{table}\n{_CAVEAT}")
     for name, gain in gains.items():
         success, spl = (
             with_interval(value, interval, "+")
@@ -148,7 +148,7 @@ def conclude(
     found = {
         "houses": [house.name for house in houses],
         "split": options.split,
-        "note": CAVEAT,
+        "note": _CAVEAT,
         **facts,
         "differences": {name: gain._asdict() for name, gain in gains.items()},
     }

@@ -18,8 +18,9 @@ from dc2g_jax.training.cost_to_go import check_numbers
 from dc2g_jax.training.image_evaluation import metrics_over_pairs
 from dc2g_jax.training.image_pairs import ImageSet, MaskKind, draw_image_pairs, image_set
 from dc2g_jax.training.loop import Log, Losses, Pauses, Task, train
+from dc2g_jax.training.step import TrainingState, supervised_step
 from dc2g_jax.training.tracking import TrackerName
-from dc2g_jax.training.translator import TranslatorConfig, TranslatorState, init_translator, translator_step
+from dc2g_jax.training.translator import TranslatorConfig, TranslatorTraining, first_state, run_key
 
 #: Steps between progress updates. A step takes seconds on a CPU.
 _STEPS_PER_LOOK = 10
@@ -123,8 +124,8 @@ def train_translator(
       InputError: the folder holds a run with other options or more steps, or the loss is not finite.
     """
     require_steps(options.steps, out)
-    first_state, mesh = partial(init_translator, seed=seed), mesh_for_batch(config.batch_size)
-    pairs = replicate(data.train, mesh)
+    begin, mesh = partial(first_state, seed=seed), mesh_for_batch(config.batch_size)
+    pairs = replicate((run_key(seed), data.train), mesh)
     draw = partial(
         draw_image_pairs,
         batch_size=config.batch_size,
@@ -132,8 +133,10 @@ def train_translator(
         augment=options.augment,
     )
 
-    def validate(state: TranslatorState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
-        network = TranslatorCostToGo(weights=first_copy(state.generator), architecture=config.architecture)
+    training = TranslatorTraining(config, draw)
+
+    def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
+        network = TranslatorCostToGo(weights=first_copy(state.weights["generator"]), architecture=config.architecture)
         card = {
             "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks}), "
             f"{100 * options.whole_share:g} % of pairs whole" + ", shifted, enlarged and mirrored" * options.augment,
@@ -153,8 +156,8 @@ def train_translator(
 
     task = Task(
         steps=options.steps,
-        init=partial(first_state, config),
-        step=lambda state: translator_step(state, pairs, config=config, draw_batch=draw, mesh=mesh),
+        init=partial(begin, config),
+        step=lambda state: supervised_step(state, pairs, training=training, mesh=mesh),
         validate=validate,
         validated=Log(out).by_step(),
         place=partial(replicate, mesh=mesh),
@@ -164,5 +167,5 @@ def train_translator(
     )
     names = ("masks", "train_masks", "whole_share", "augment")
     facts = {"seed": seed, "dataset": dataset.name, **{name: getattr(options, name) for name in names}}
-    checkpoints = TrainingCheckpoints(out, config, facts, first_state=first_state)
+    checkpoints = TrainingCheckpoints(out, config, facts, first_state=begin)
     train(task, out, checkpoints, options, track)

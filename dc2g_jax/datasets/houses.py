@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dc2g_jax.datasets.download import ORIGIN, NetworkUnavailable, fetch_dataset, matches_published
+from dc2g_jax.datasets._download import ORIGIN, NetworkUnavailable, fetch_dataset, matches_published
 from dc2g_jax.datasets.maps import CELLS_FILE, MAP_ENDINGS, SPLITS, map_files, read_map_folder, sampled
 from dc2g_jax.datasets.procedural import procedural_houses
 from dc2g_jax.datasets.procedural.towns import drawn_towns
@@ -22,15 +22,13 @@ from dc2g_jax.files.class_images import (
     PALETTE_FILE,
     read_class_image,
     read_palette,
-    write_class_image,
-    write_palette,
 )
 from dc2g_jax.files.tables import read_table
 from dc2g_jax.grid.world import World, world_from_terrain
 
 SPLIT_FILES = dict(zip(SPLITS, ("training_houses.csv", "validation_houses.csv", "testing_houses.csv"), strict=True))
-IMAGE_FOLDER = "full_semantic"
-PUBLISHED_NAME = "driveways_bing_iros19"
+_IMAGE_FOLDER = "full_semantic"
+_PUBLISHED_NAME = "driveways_bing_iros19"
 
 #: Locations that stand for the procedural houses, and for the drawn towns.
 PROCEDURAL, TOWNS = "procedural", "towns"
@@ -167,7 +165,7 @@ def load_dataset(folder: str | os.PathLike[str], *, cells: int | None = 50) -> H
                 )
             houses.append(House(name, split, sampled(str(path), read_class_image(path, palette), cells)))
         if matches_published(folder):
-            return HouseDataset(PUBLISHED_NAME, "published", tuple(houses))
+            return HouseDataset(_PUBLISHED_NAME, "published", tuple(houses))
         return HouseDataset(folder.resolve().name, "folder", tuple(houses))
     except OSError as error:
         where = error.filename or folder
@@ -175,8 +173,10 @@ def load_dataset(folder: str | os.PathLike[str], *, cells: int | None = 50) -> H
 
 
 @functools.lru_cache(maxsize=4)
-def procedural_dataset(seed: int = 0, *, cells: int | None = 50) -> HouseDataset:
+def procedural_dataset(seed: int = 0, *, cells: int | None = 50, split: str | None = None) -> HouseDataset:
     """Return the procedural houses, sampled to `cells` x `cells` like images from a folder (`None`: no sampling).
+
+    With a `split`, the others are not drawn: drawing all takes seconds.
 
     Raises:
         InputError: `cells` is less than 1 or more than the maps have pixels.
@@ -186,8 +186,8 @@ def procedural_dataset(seed: int = 0, *, cells: int | None = 50) -> HouseDataset
         name,
         PROCEDURAL,
         tuple(
-            House(house, split, sampled(f"procedural house {house}", classes, cells))
-            for house, split, classes in procedural_houses(seed)
+            House(house, of, sampled(f"procedural house {house}", classes, cells))
+            for house, of, classes in procedural_houses(seed, split)
         ),
     )
 
@@ -216,45 +216,6 @@ def map_dataset(folder: str | os.PathLike[str]) -> HouseDataset:
     for house in houses:
         _check_name(folder, house.name)
     return HouseDataset(folder.resolve().name, "folder", houses)
-
-
-def save_dataset(dataset_images: Iterable[tuple[str, str, np.ndarray]], folder: str | os.PathLike[str]) -> Path:
-    """Write class images in the published layout, as RGB PNGs.
-
-    Args:
-        dataset_images: `(name, split, classes uint8 [H W])` of each house; consumed once, in order.
-        folder: folder to write to, new or empty.
-
-    Returns:
-        The folder, which `load_dataset` reads back.
-
-    Raises:
-        InputError: the folder is not empty or cannot be written, or a name, split or image is invalid.
-    """
-    folder = Path(folder)
-    names: dict[str, list[str]] = {}
-    try:
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise InputError(f"{folder}: exists and is not an empty folder; name a new one")
-        for name, split, classes in dataset_images:
-            if split not in SPLIT_FILES:
-                known = ", ".join(SPLIT_FILES)
-                raise InputError(f"{folder}: house {name!r} has the split {split!r}; use one of: {known}")
-            _check_name(folder, name)
-            if any(name in others for others in names.values()):
-                raise InputError(f"{folder}: house {name!r} is given twice; names must be unique")
-            image = _image_path(folder, split, name)
-            image.parent.mkdir(parents=True, exist_ok=True)
-            write_class_image(image, classes)
-            names.setdefault(split, []).append(name)
-        if not names:
-            raise InputError(f"{folder}: there are no houses to save; give at least one")
-        for split, listed in names.items():
-            (folder / SPLIT_FILES[split]).write_text("\n".join(["house_id", *listed, ""]), encoding="utf-8")
-        write_palette(folder)
-    except OSError as error:
-        raise InputError(f"{error.filename or folder}: cannot be written ({error.strerror})") from None
-    return folder
 
 
 def tell_on_stderr(line: str) -> None:
@@ -318,7 +279,7 @@ def _open_location(location: str, setting: str, cells: int | None) -> HouseDatas
 
 def _is_map_folder(folder: Path) -> bool:
     """Whether a folder contains maps and nothing of the published layout. False for folders that cannot be listed."""
-    published = [folder / name for name in (IMAGE_FOLDER, *SPLIT_FILES.values())]
+    published = [folder / name for name in (_IMAGE_FOLDER, *SPLIT_FILES.values())]
     try:
         return not any(path.exists() for path in published) and bool(map_files(folder))
     except OSError:
@@ -326,7 +287,7 @@ def _is_map_folder(folder: Path) -> bool:
 
 
 def _check_folder(folder: Path) -> None:
-    needed = f"{PALETTE_FILE}, {IMAGE_FOLDER}/ and house lists such as {SPLIT_FILES['test']}"
+    needed = f"{PALETTE_FILE}, {_IMAGE_FOLDER}/ and house lists such as {SPLIT_FILES['test']}"
     if not folder.exists():
         raise InputError(f"{folder}: no such folder; give a folder with {needed}")
     if not folder.is_dir():
@@ -346,9 +307,9 @@ def _read_house_lists(folder: Path) -> dict[str, tuple[str, str]]:
     listed: dict[str, tuple[str, str]] = {}
     for split, file_name in SPLIT_FILES.items():
         path = folder / file_name
-        if not path.exists() and not any((folder / IMAGE_FOLDER / split).glob("world*.png")):
+        if not path.exists() and not any((folder / _IMAGE_FOLDER / split).glob("world*.png")):
             continue
-        remedy = f"list the houses of {IMAGE_FOLDER}/{split} there, one a line below the header house_id"
+        remedy = f"list the houses of {_IMAGE_FOLDER}/{split} there, one a line below the header house_id"
         for line, row in read_table(path, ["house_id"], remedy=remedy):
             name = row["house_id"]
             _check_name(f"{path}: line {line}", name)
@@ -367,4 +328,4 @@ def _check_name(where: object, name: str) -> None:
 
 
 def _image_path(folder: Path, split: str, name: str) -> Path:
-    return folder / IMAGE_FOLDER / split / f"world{name}.png"
+    return folder / _IMAGE_FOLDER / split / f"world{name}.png"

@@ -39,12 +39,12 @@ class Goal(NamedTuple):
     Attributes:
       x: column of the grid, or meters in the map frame.
       y: row of the grid, growing downward, or meters in the map frame.
-      unit: `cells`, or `metres` for ROS maps.
+      unit: `cells`, or `meters` for ROS maps.
     """
 
     x: float
     y: float
-    unit: Literal["cells", "metres"] = "cells"
+    unit: Literal["cells", "meters"] = "cells"
 
 
 def read_map(
@@ -171,7 +171,7 @@ def _with_goals(
         name = f"goal ({goal.x:g}, {goal.y:g})"
         if not (math.isfinite(goal.x) and math.isfinite(goal.y)):
             raise InputError(f"{where}: {name} is not finite; give two finite numbers")
-        if goal.unit == "metres":
+        if goal.unit == "meters":
             if occupancy is None:
                 raise InputError(f"{where}: {name} is in meters, which only a ROS map knows; give its column and row")
             name += " in meters"
@@ -278,10 +278,10 @@ def _read_goals(path: Path, names: Sequence[str]) -> Mapping[str, list[Goal]]:
         if name not in names:
             close = difflib.get_close_matches(name, names, n=3, cutoff=0.5) or sorted(names)[:3]
             raise InputError(f"{path}: line {line}: {short(name)} is not a map; use {' or '.join(close)}")
-        if unit not in ("cells", "metres"):
-            raise InputError(f"{path}: line {line} has the unit {short(unit)}; write cells or metres")
+        if unit not in ("cells", "meters"):
+            raise InputError(f"{path}: line {line} has the unit {short(unit)}; write cells or meters")
         x, y = (finite_number(f"{path}: line {line}: {column!r}", row[column], "write a number") for column in "xy")
-        goals.setdefault(name, []).append(Goal(x, y, "cells" if unit == "cells" else "metres"))
+        goals.setdefault(name, []).append(Goal(x, y, "cells" if unit == "cells" else "meters"))
     return goals
 
 

@@ -17,7 +17,7 @@ _PATCHES = 16
 _SEED, _ATTEMPTS, _ITERATIONS = 0, 10, 200
 
 
-class SimilarityScale(NamedTuple):
+class _SimilarityScale(NamedTuple):
     """The training maps as bags of words.
 
     Attributes:
@@ -51,17 +51,17 @@ def _bag(
     return np.bincount(np.argmin(distance, axis=1), minlength=len(vocabulary)) / _PATCHES**2
 
 
-def similarity_scale(training: UInt8[np.ndarray, "maps s s"]) -> SimilarityScale:
+def similarity_scale(training: UInt8[np.ndarray, "maps s s"]) -> _SimilarityScale:
     """Learn the vocabulary from the training maps by k-means. The result is deterministic."""
     features = np.concatenate([patch_histograms(terrain) for terrain in training])
     words = min(VOCABULARY, len(np.unique(features, axis=0)))
     cv2.setRNGSeed(_SEED)
     until = (cv2.TERM_CRITERIA_MAX_ITER + cv2.TERM_CRITERIA_EPS, _ITERATIONS, 1e-5)
     centers = cv2.kmeans(features, words, None, until, _ATTEMPTS, cv2.KMEANS_PP_CENTERS)[2]  # type: ignore[call-overload]
-    return SimilarityScale(centers, np.stack([_bag(terrain, centers) for terrain in training]))
+    return _SimilarityScale(centers, np.stack([_bag(terrain, centers) for terrain in training]))
 
 
-def distance_to_training(terrain: UInt8[np.ndarray, "s s"], scale: SimilarityScale) -> float:
+def distance_to_training(terrain: UInt8[np.ndarray, "s s"], scale: _SimilarityScale) -> float:
     """Distance of a map to the most similar training map: 0 for equal bags of words, 1 for no word in common.
 
     This is half the L1 distance between the bags, both of sum 1. The paper calls it the similarity score.

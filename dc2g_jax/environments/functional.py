@@ -37,7 +37,7 @@ from dc2g_jax.grid.world import World
 from dc2g_jax.rollouts.rollout import NO_ACTION, STEP_LIMIT
 
 #: Reward of every action.
-STEP_REWARD = -1.0
+_STEP_REWARD = -1.0
 
 #: Default range of the field of view in cells, as in the paper.
 SENSING_RANGE = 8
@@ -164,7 +164,7 @@ class FrontDoor:
         # The robot stays in place if the cell ahead is not traversable.
         action = jnp.where(bitboard.contains(world.traversable, ahead.x, ahead.y), action, NO_ACTION)
         belief = gridworld.step(world, state.belief, action, self.sensing)
-        reward = jnp.full((), STEP_REWARD, jnp.float32)
+        reward = jnp.full((), _STEP_REWARD, jnp.float32)
         terminated = gridworld.at_goal(world, belief.pose)
         truncated = ~terminated & (belief.steps >= params.step_limit)
         state = State(house=state.house, belief=belief, episode_return=state.episode_return + reward)

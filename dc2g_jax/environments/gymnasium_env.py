@@ -45,13 +45,13 @@ except ModuleNotFoundError as error:
     ) from None
 
 #: Approximate length of the longer side of a rendered frame, pixels.
-FRAME_SIDE = 400
+_FRAME_SIDE = 400
 
 #: Color of the robot in a frame, RGB; no class has it.
 RENDERED_ROBOT_COLOR = (240, 228, 66)
 
 #: Least half-length of the robot in a frame, pixels.
-RENDERED_ROBOT_RADIUS = 9
+_RENDERED_ROBOT_RADIUS = 9
 
 #: The process that imported this module, and with it JAX.
 _IMPORTED_BY = os.getpid()
@@ -328,13 +328,13 @@ def frame(terrain: UInt8[np.ndarray, "h w"], pose: Int[np.ndarray, "3"]) -> UInt
       terrain: observed class indices.
       pose: column, row and heading.
     """
-    scale = max(FRAME_SIDE // max(terrain.shape), 4)
+    scale = max(_FRAME_SIDE // max(terrain.shape), 4)
     picture = Image.fromarray(np.repeat(np.repeat(FIGURE_RGB[terrain], scale, axis=0), scale, axis=1))
     x, y, heading = pose
     ahead = np.array(FORWARD[heading])
     aside = np.array([-ahead[1], ahead[0]])
     corners = np.array([ahead, 0.8 * aside - 0.9 * ahead, -0.8 * aside - 0.9 * ahead])
     middle = np.array([x + 0.5, y + 0.5]) * scale
-    triangle = middle + corners * max(0.45 * scale, RENDERED_ROBOT_RADIUS)
+    triangle = middle + corners * max(0.45 * scale, _RENDERED_ROBOT_RADIUS)
     ImageDraw.Draw(picture).polygon(triangle.ravel().tolist(), fill=RENDERED_ROBOT_COLOR, outline=(34, 34, 34))
     return np.array(picture)

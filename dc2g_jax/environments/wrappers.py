@@ -1,4 +1,4 @@
-"""The environment for training loops written for gymnax before version 1.0, such as those of PureJaxRL."""
+"""The environment with flat observations, for PureJaxRL's training loops and for gymnax's own wrappers."""
 
 import dataclasses
 from typing import Any
@@ -13,7 +13,7 @@ from dc2g_jax.grid.terrain import OUTSIDE
 
 @dataclasses.dataclass(frozen=True)
 class FlattenObservation:
-    """`FrontDoor` with flat observations, and with the five values of gymnax's former `step`.
+    """`FrontDoor` with flat observations.
 
     An observation is the egocentric view (`dc2g_jax.environments.functional.one_hot_view`) as one row of ones and
     zeros, float32. This replaces PureJaxRL's `FlattenObservationWrapper`.
@@ -21,10 +21,23 @@ class FlattenObservation:
     Attributes:
       environment: the environment.
       radius: cells seen in each direction.
+      six_values: whether `step` gives the six values of gymnax 1.0, for its own wrappers, as in
+        `LogWrapper(FlattenObservation(env, six_values=True))`; else the five of versions before, as in PureJaxRL.
     """
 
     environment: FrontDoor
     radius: int = 8
+    six_values: bool = False
+
+    @property
+    def name(self) -> str:
+        """The name of the environment."""
+        return self.environment.name
+
+    @property
+    def num_actions(self) -> int:
+        """The number of actions."""
+        return self.environment.num_actions
 
     @property
     def default_params(self) -> Params | None:
@@ -46,15 +59,22 @@ class FlattenObservation:
         return self._flat(observation), state
 
     def step(
-        self, key: PRNGKeyArray, state: State, action: Int[Array, ""], params: Params | None = None
-    ) -> tuple[Float[Array, "inputs"], State, Float[Array, ""], Bool[Array, ""], dict[str, Any]]:
+        self, key: PRNGKeyArray, state: State, action: int | Int[Array, ""], params: Params | None = None
+    ) -> (
+        tuple[Float[Array, "inputs"], State, Float[Array, ""], Bool[Array, ""], dict[str, Any]]
+        | tuple[Float[Array, "inputs"], State, Float[Array, ""], Bool[Array, ""], Bool[Array, ""], dict[str, Any]]
+    ):
         """Take one action, see `FrontDoor.step`.
 
         Returns:
-          Observation; state; reward; whether the episode has ended; and information about it. The final observation is
-          left out, because PureJaxRL keeps the information of all steps.
+          Observation; state; reward; whether the episode has ended, as one value or as `terminated` and `truncated`;
+          and information about it. With one value the final observation is left out, because PureJaxRL keeps the
+          information of all steps.
         """
         observation, state, reward, terminated, truncated, info = self.environment.step(key, state, action, params)
+        if self.six_values:
+            info["final_observation"] = self._flat(info["final_observation"])
+            return self._flat(observation), state, reward, terminated, truncated, info
         del info["final_observation"]
         return self._flat(observation), state, reward, terminated | truncated, info
 

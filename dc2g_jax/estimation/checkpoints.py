@@ -16,7 +16,7 @@ import numpy as np
 from flax import nnx
 
 from dc2g_jax.errors import InputError, require_extra, short
-from dc2g_jax.estimation.compact_unet import Architecture, CompactUNet
+from dc2g_jax.estimation.compact_unet import COMPACT_UNET, Architecture, network_class
 from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.pix2pix import Generator, TranslatorArchitecture
 from dc2g_jax.estimation.weights import read_safetensors, read_weights, shapes_of_weights, write_safetensors
@@ -32,7 +32,6 @@ SHIPPED_NETWORK, SHIPPED_NOISY_NETWORK = "weights/compact_unet", "weights/compac
 #: File with the card of a network, written after its weights.
 CARD = "network.json"
 _WEIGHTS = "weights.safetensors"
-_ORBAX_WEIGHTS = "weights"
 _CONFIG = "config.json"
 _STATES = "states"
 
@@ -40,11 +39,11 @@ TrainedNetwork = NetworkCostToGo | TranslatorCostToGo
 
 
 class _Kind(NamedTuple):
-    """A kind of network: its estimator, the function that reads its architecture, and its class."""
+    """A kind of network: its estimator, the functions that read its architecture, and its class from that."""
 
     estimator: type[TrainedNetwork]
     read_architecture: Callable[[Any], Any]
-    network: type[nnx.Module]
+    network: Callable[[Any], type[nnx.Module]]
 
 
 def _read_compact(facts: Any) -> Architecture:
@@ -52,9 +51,10 @@ def _read_compact(facts: Any) -> Architecture:
         widths=tuple(whole_number(width) for width in facts["widths"]),
         quantiles=tuple(map(number, facts["quantiles"])),
         cost_scale=number(facts["cost_scale"]),
-        side=whole_number(facts.get("side", Architecture.side)),
-        patch=whole_number(facts.get("patch", 2)),  # absent from the cards of version 0.1, as is embedding
-        embedding=whole_number(facts.get("embedding", 0)),
+        side=whole_number(facts["side"]),
+        patch=whole_number(facts["patch"]),
+        embedding=whole_number(facts["embedding"]),
+        network=facts.get("network", COMPACT_UNET),
     )
 
 
@@ -67,13 +67,13 @@ def _read_translator(facts: Any) -> TranslatorArchitecture:
 
 
 _KINDS = {
-    "compact_unet": _Kind(NetworkCostToGo, _read_compact, CompactUNet),
-    "pix2pix": _Kind(TranslatorCostToGo, _read_translator, Generator),
+    "compact_unet": _Kind(NetworkCostToGo, _read_compact, network_class),
+    "pix2pix": _Kind(TranslatorCostToGo, _read_translator, lambda architecture: Generator),
 }
 
 
 def _orbax() -> Any:
-    """Import Orbax, which takes a second and is only needed for training states and networks of version 0.1."""
+    """Import Orbax, which takes a second and is only needed for training states."""
     require_extra("orbax")
     import orbax.checkpoint
 
@@ -139,22 +139,12 @@ def _read_card(folder: Path) -> tuple[_Kind, Any, Any]:
     architecture: Any = facts.get("architecture")
     try:
         known = kind.read_architecture(architecture)
-        shapes_of_weights(kind.network, known)
+        shapes_of_weights(kind.network(known), known)
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise InputError(
             f"{folder / CARD}: architecture {short(architecture)} is not one of this network's ({error}); {remedy}"
         ) from None
     return kind, known, facts.get("sha256")
-
-
-def _read_orbax_weights(path: Path, shapes: dict[str, Any]) -> dict[str, Any]:
-    """Weights in an Orbax folder, the format of version 0.1."""
-    ocp = _orbax()
-    try:
-        with _quiet(), ocp.StandardCheckpointer() as checkpointer:
-            return checkpointer.restore(path, shapes)
-    except Exception as error:  # Orbax raises many types for a damaged checkpoint
-        raise InputError(f"{path}: cannot be read ({reason(error)}); save or copy the network again") from None
 
 
 def load_network(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork:
@@ -168,12 +158,8 @@ def load_network(folder: str | os.PathLike[str] | None = None) -> TrainedNetwork
     """
     folder = Path(resource(SHIPPED_NETWORK) if folder is None else folder).absolute()
     kind, architecture, digest = _read_card(folder)
-    shapes, path = shapes_of_weights(kind.network, architecture), folder / _WEIGHTS
-    if not path.exists() and (folder / _ORBAX_WEIGHTS / "_CHECKPOINT_METADATA").is_file():
-        path = folder / _ORBAX_WEIGHTS
-        weights = _read_orbax_weights(path, shapes)
-    else:
-        weights = read_weights(path, shapes, read_safetensors(path)[0])
+    path = folder / _WEIGHTS
+    weights = read_weights(path, shapes_of_weights(kind.network(architecture), architecture), read_safetensors(path)[0])
     found = arrays_sha256(weights)
     if digest is None:
         raise InputError(

@@ -1,4 +1,4 @@
-"""A compact U-Net that maps a partial map to the cost-to-go of every cell."""
+"""A compact U-Net that maps a partial map to the cost-to-go of every cell; networks of the user's own in its place."""
 
 import dataclasses
 import functools
@@ -7,12 +7,16 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from flax import nnx
-from jaxtyping import Array, Float, Shaped, UInt8
+from jaxtyping import Array, Float, Int, Shaped, UInt8
 
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.estimation.weights import fresh_weights, shapes_of_weights, with_weights
 from dc2g_jax.grid.terrain import CLASS_NAMES
+from dc2g_jax.own_parts import own_part
 from dc2g_jax.programs import jit
+
+#: Name of the class below among networks.
+COMPACT_UNET = "compact_unet"
 
 #: Largest side of a patch in cells, and largest number of scales.
 _LARGEST_PATCH, _MOST_SCALES = 64, 16
@@ -26,7 +30,7 @@ _LONGEST_SIDE = 4096
 
 @dataclasses.dataclass(frozen=True)
 class Architecture:
-    """Architecture of a `CompactUNet`.
+    """Architecture of a `CompactUNet`, or of a network of the user's own, which uses what it likes of it.
 
     Attributes:
       widths: channels at each scale, from the finest; each scale has half the resolution of the one before.
@@ -37,6 +41,7 @@ class Architecture:
       patch: side of a square patch, in cells. The finest scale has one position for each patch.
       embedding: number of hidden features of each patch, from which the first scale and the output are computed. With 0
         there are none: the first scale is linear in the cells of a patch, and the output uses the scales alone.
+      network: `compact_unet`, or `package.module:Name` for a class of the user's own, see `network_class`.
 
     Raises:
       InputError: an attribute is out of its range.
@@ -48,6 +53,7 @@ class Architecture:
     side: int = 50
     patch: int = 5
     embedding: int = 64
+    network: str = COMPACT_UNET
 
     def __post_init__(self) -> None:
         if not 2 <= len(self.widths) <= _MOST_SCALES or not 1 <= min(self.widths) <= max(self.widths) <= _WIDEST:
@@ -81,28 +87,63 @@ def unpatched(features: Float[Array, "b h2 w2 c2"], side: int) -> Float[Array, "
     return split.reshape(batch, side * height, side * width, -1)
 
 
+#: Rows and columns of a map in the upper left corner of a larger grid; `None` for a map that fills the grid.
+Size = tuple[Int[Array, ""], Int[Array, ""]] | None
+
+
+def reduced(size: Size, factor: int) -> Size:
+    """The size of a map at a lower resolution. An incomplete row or column at the end counts."""
+    return None if size is None else (-(-size[0] // factor), -(-size[1] // factor))
+
+
+class Convolution(nnx.Conv):
+    """A 3x3 convolution that sees zeros beyond the map's edge, also where the grid is larger than the map."""
+
+    def __init__(self, width_in: int, width_out: int, *, stride: int = 1, **options: Any):
+        super().__init__(width_in, width_out, (3, 3), strides=(stride, stride), **options)
+        self.stride = stride
+
+    def __call__(self, features: Float[Array, "b h w c"], size: Size = None) -> Float[Array, "b h2 w2 d"]:
+        """Convolved features; undefined beyond the map, whose size is in cells of the features."""
+        if size is None:
+            return super().__call__(features)
+        stride, shape = self.stride, features.shape[1:3]
+        inside, first, sides = jnp.ones(shape, bool), [], []
+        for axis, (side, map_side) in enumerate(zip(shape, size, strict=True)):
+            inside &= jax.lax.broadcasted_iota(jnp.int32, shape, axis) < map_side
+            # Padding of one cell before the first; none for an even number of cells with stride 2.
+            first.append(((map_side - 1) % stride != 0).astype(jnp.int32))
+            sides.append(stride * (-(-side // stride) - 1) + 3)
+        features = jnp.where(inside[None, :, :, None], features, 0)
+        framed = jnp.pad(features, ((0, 0), (1, stride), (1, stride), (0, 0)))
+        framed = jax.lax.dynamic_slice(framed, (0, *first, 0), (len(features), *sides, features.shape[3]))
+        axes = ("NHWC", "HWIO", "NHWC")
+        kernel, bias = self.kernel[...], self.bias[...]  # type: ignore[index]
+        return jax.lax.conv_general_dilated(framed, kernel, (stride, stride), "VALID", dimension_numbers=axes) + bias
+
+
 class Residual(nnx.Module):
-    """A residual block of two 3x3 convolutions."""
+    """A residual block of two convolutions."""
 
     def __init__(self, width: int, *, rngs: nnx.Rngs):
-        self.first = nnx.Conv(width, width, (3, 3), rngs=rngs)
-        self.second = nnx.Conv(width, width, (3, 3), kernel_init=nnx.initializers.zeros, rngs=rngs)
+        self.first = Convolution(width, width, rngs=rngs)
+        self.second = Convolution(width, width, kernel_init=nnx.initializers.zeros, rngs=rngs)
 
-    def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h w c"]:
+    def __call__(self, features: Float[Array, "b h w c"], size: Size = None) -> Float[Array, "b h w c"]:
         """Refine the features."""
-        return features + self.second(nnx.relu(self.first(nnx.relu(features))))
+        return features + self.second(nnx.relu(self.first(nnx.relu(features), size)), size)
 
 
 class Down(nnx.Module):
     """Halve the resolution."""
 
     def __init__(self, width_in: int, width_out: int, *, rngs: nnx.Rngs):
-        self.halve = nnx.Conv(width_in, width_out, (3, 3), strides=(2, 2), rngs=rngs)
+        self.halve = Convolution(width_in, width_out, stride=2, rngs=rngs)
         self.residual = Residual(width_out, rngs=rngs)
 
-    def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h2 w2 d"]:
+    def __call__(self, features: Float[Array, "b h w c"], size: Size = None) -> Float[Array, "b h2 w2 d"]:
         """Features at half the resolution."""
-        return self.residual(self.halve(nnx.relu(features)))
+        return self.residual(self.halve(nnx.relu(features), size), reduced(size, 2))
 
 
 class Up(nnx.Module):
@@ -113,13 +154,13 @@ class Up(nnx.Module):
         self.residual = Residual(width_out, rngs=rngs)
 
     def __call__(
-        self, features: Float[Array, "b h w c"], skipped: Float[Array, "b h2 w2 d"]
+        self, features: Float[Array, "b h w c"], skipped: Float[Array, "b h2 w2 d"], size: Size = None
     ) -> Float[Array, "b h2 w2 d"]:
-        """Features at twice the resolution."""
+        """Features at twice the resolution, at which the map has this size."""
         narrow = self.narrow(nnx.relu(features))
         doubled = jnp.repeat(jnp.repeat(narrow, 2, axis=1), 2, axis=2)
         # Halving an odd number of rows or columns rounds up.
-        return self.residual(skipped + doubled[:, : skipped.shape[1], : skipped.shape[2]])
+        return self.residual(skipped + doubled[:, : skipped.shape[1], : skipped.shape[2]], size)
 
 
 class CompactUNet(nnx.Module):
@@ -145,38 +186,83 @@ class CompactUNet(nnx.Module):
             setattr(self, f"up{scale}", Up(widths[scale], widths[scale - 1], rngs=rngs))
         self.head = nnx.Linear(embedding or widths[0], area * len(architecture.quantiles), rngs=rngs)
 
-    def __call__(self, terrain: UInt8[Array, "b h w"]) -> Float[Array, "b h w quantiles"]:
-        """Quantiles of every cell's cost-to-go, in cells, from observed class indices (0 = not observed)."""
+    def __call__(self, terrain: UInt8[Array, "b h w"], size: Size = None) -> Float[Array, "b h w quantiles"]:
+        """Quantiles of every cell's cost-to-go, in cells, from observed class indices (0 = not observed).
+
+        Maps smaller than the grid, all of this size, are in its upper left corner, with `OUTSIDE` cells around.
+        """
         height, width = terrain.shape[1:]
         patch, scales = self.architecture.patch, range(1, len(self.architecture.widths))
         classes = jax.nn.one_hot(terrain, len(CLASS_NAMES))
         classes = jnp.pad(classes, ((0, 0), (0, -height % patch), (0, -width % patch), (0, 0)))
         embedded = self.embed(patches(classes, patch))
-        encoded = [self.local(self.narrow(nnx.relu(embedded)) if self.architecture.embedding else embedded)]
+        sizes = [reduced(size, patch << scale) for scale in (0, *scales)]
+        local = self.narrow(nnx.relu(embedded)) if self.architecture.embedding else embedded
+        encoded = [self.local(local, sizes[0])]
         for scale in scales:
-            encoded.append(getattr(self, f"down{scale}")(encoded[-1]))
-        features = self.context(encoded[-1])
+            encoded.append(getattr(self, f"down{scale}")(encoded[-1], sizes[scale - 1]))
+        features = self.context(encoded[-1], sizes[-1])
         for scale in reversed(scales):
-            features = getattr(self, f"up{scale}")(features, encoded[scale - 1])
+            features = getattr(self, f"up{scale}")(features, encoded[scale - 1], sizes[scale - 1])
         if self.architecture.embedding:
             features = self.mix(nnx.relu(jnp.concatenate([features, embedded], axis=-1)))
         cells = unpatched(self.head(nnx.relu(features)), patch)[:, :height, :width]
         return self.architecture.cost_scale * (1 + cells)
 
 
-#: Random initial weights for `(architecture, key)`, see `dc2g_jax.estimation.weights`.
-init_weights = functools.partial(fresh_weights, CompactUNet)
+def network_class(architecture: Architecture) -> type[nnx.Module]:
+    """The class of an architecture's network, `CompactUNet` or one of the user's own.
+
+    It is called as `network(architecture, rngs=...)`. The network maps observed class indices, uint8 `[b h w]`
+    (0 = not observed), to the quantiles of every cell's cost-to-go in cells, float32 `[b h w quantiles]`, for maps of
+    any size.
+
+    Raises:
+      InputError: it cannot be imported, is no such class, or its answer has another shape.
+    """
+    if architecture.network == COMPACT_UNET:
+        return CompactUNet
+    found = own_part("network", architecture.network, (COMPACT_UNET,))
+    if not (isinstance(found, type) and issubclass(found, nnx.Module)):
+        raise InputError(f"network {architecture.network!r}: is {short(found)}; give a subclass of flax.nnx.Module")
+    return found
+
+
+def check_network(architecture: Architecture) -> None:
+    """Check, without computing anything, that a network of the user's own can be made and answers in the right shape.
+
+    Raises:
+      InputError: it cannot or does not; see also `network_class`.
+    """
+    side, name = architecture.side, architecture.network
+    network = network_class(architecture)
+    weights = shapes_of_weights(network, architecture)
+    maps = jax.ShapeDtypeStruct((1, side, side), jnp.uint8)
+    answer = jax.eval_shape(lambda weights, maps: with_weights(network, architecture, weights)(maps), weights, maps)
+    wanted = (1, side, side, len(architecture.quantiles))
+    if answer.shape != wanted or not jnp.issubdtype(answer.dtype, jnp.floating):
+        raise InputError(
+            f"network {name!r}: answers with {answer.dtype}{list(answer.shape)} for a map of {side} x {side} cells; "
+            f"expected float32{list(wanted)}"
+        )
+
+
+def init_weights(architecture: Architecture, key: Array) -> dict[str, Any]:
+    """Random initial weights, see `dc2g_jax.estimation.weights`."""
+    return fresh_weights(network_class(architecture), architecture, key)
 
 
 def apply(
     architecture: Architecture, weights: dict[str, Any], terrain: UInt8[Array, "b h w"]
 ) -> Float[Array, "b h w quantiles"]:
     """Run the network on a batch of partial maps: quantiles of the cost-to-go in cells."""
-    return with_weights(CompactUNet, architecture, weights)(terrain)
+    return with_weights(network_class(architecture), architecture, weights)(terrain)
 
 
 def multiply_accumulates(architecture: Architecture, height: int, width: int) -> int:
     """Multiply-accumulates per map: half of the floating-point operations that XLA counts."""
     maps = jax.ShapeDtypeStruct((1, height, width), jnp.uint8)
-    lowered = jit(functools.partial(apply, architecture)).lower(shapes_of_weights(CompactUNet, architecture), maps)
+    lowered = jit(functools.partial(apply, architecture)).lower(
+        shapes_of_weights(network_class(architecture), architecture), maps
+    )
     return round((lowered.cost_analysis() or {})["flops"] / 2)

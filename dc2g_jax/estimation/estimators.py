@@ -1,5 +1,6 @@
 """Estimators map a partial map to the cost-to-go of every cell; lower is better."""
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from typing import Any, ClassVar, Protocol
@@ -10,7 +11,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, UInt8
 
 from dc2g_jax.estimation import compact_unet, images
-from dc2g_jax.estimation.compact_unet import Architecture
+from dc2g_jax.estimation.compact_unet import COMPACT_UNET, Architecture
 from dc2g_jax.estimation.pix2pix import Generator, TranslatorArchitecture
 from dc2g_jax.estimation.weights import with_weights
 from dc2g_jax.grid import bitboard, search
@@ -23,34 +24,11 @@ from dc2g_jax.grid.world import World
 Estimates = Float[Array, "kept h w *batch"]
 
 
-class Estimator(Protocol):
-    """Estimates the cost-to-go of every cell from a partial map (Algorithm 2, lines 9 and 10).
-
-    Unobserved ground is uncertain, so an estimate is a set of equally likely outcomes: evenly spaced quantiles, or the
-    members of an ensemble. A deterministic estimator gives one outcome.
-    """
-
-    def init(self, world: World) -> Any:
-        """The state for an episode in `world`. Only a privileged estimator may read the world.
-
-        Empty unless a subclass defines it.
-        """
-        del world
-        return ()
-
-    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "outcomes h w *batch"]:
-        """The cost-to-go of every cell given the observed class indices (0 = not observed). Finite, lower is better.
-
-        Quantiles are in ascending order of their levels; those of a network may cross slightly.
-        """
-        ...
-
-
 class Extent:
     """The part of the map that an estimator is given: all of it, as in the paper, or a part defined by a subclass.
 
-    An estimator may have an attribute `extent`; planners that know the robot's pose use it. Hashable, so that it can be
-    a static argument of `jit`.
+    Planners that know the robot's pose use the `extent` of an estimator. Hashable, so that it can be a static argument
+    of `jit`.
     """
 
     #: Cost of cells that have never been estimated.
@@ -70,14 +48,48 @@ class Extent:
 WHOLE_MAP = Extent()
 
 
+class Estimator(Protocol):
+    """Estimates the cost-to-go of every cell from a partial map (Algorithm 2, lines 9 and 10).
+
+    Unobserved ground is uncertain, so an estimate is a set of equally likely outcomes: evenly spaced quantiles, or the
+    members of an ensemble. A deterministic estimator gives one outcome.
+
+    An estimator that does not derive from this class has the defaults of the attributes, too.
+
+    Attributes:
+      in_cells: whether costs are in cells, so that a distance can be added.
+      knows_outside: whether it takes maps in a larger grid, with `OUTSIDE` cells around, as `OnlinePlanner` pads them.
+      extent: the part of the map that it is given.
+    """
+
+    in_cells: ClassVar[bool] = True
+    knows_outside: ClassVar[bool] = False
+    extent: Extent = WHOLE_MAP
+
+    def init(self, world: World) -> Any:
+        """The state for an episode in `world`. Only a privileged estimator may read the world.
+
+        Empty unless a subclass defines it.
+        """
+        del world
+        return ()
+
+    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "outcomes h w *batch"]:
+        """The cost-to-go of every cell given the observed class indices (0 = not observed). Finite, lower is better.
+
+        Quantiles are in ascending order of their levels; those of a network may cross slightly.
+        """
+        ...
+
+
 def extent_of(estimator: Estimator) -> Extent:
-    """The extent of an estimator; the whole map by default."""
-    return getattr(estimator, "extent", WHOLE_MAP)
+    """The `extent` of an estimator."""
+    return getattr(estimator, "extent", Estimator.extent)
 
 
 def answers_in_cells(estimator: Estimator | None) -> bool:
-    """Whether an estimator's costs are in cells, so that a distance can be added. They are by default."""
-    return getattr(estimator, "in_cells", True)
+    """Whether an estimator's costs are `in_cells`."""
+    return getattr(estimator, "in_cells", Estimator.in_cells)
 
 
 #: Smallest and largest batch of an estimator. In tiny batches the last bits of a convolution may depend on the size.
@@ -94,7 +106,7 @@ def _call_sizes(n_robots: int) -> list[int]:
     return [largest >> times for times in halvings if largest >> times >= _FEWEST_MAPS]
 
 
-def for_some(function: Callable[[Any, Any], Any], wanted: Bool[Array, "*batch"], inputs: Any, before: Any) -> Any:
+def update_where(function: Callable[[Any, Any], Any], wanted: Bool[Array, "*batch"], inputs: Any, before: Any) -> Any:
     """Apply a function to some of the robots, a few at a time, and keep the old values of the others.
 
     Args:
@@ -152,15 +164,17 @@ def zero_without_classes(
 
 @struct.dataclass
 class NetworkCostToGo(Estimator):
-    """The estimate of a trained network.
+    """The estimate of a trained network, the compact one or one of the user's own.
 
     Attributes:
       weights: the network's weights.
       architecture: the network's architecture.
+      summary: applied to the outcomes of a network of the user's own, see `summarized`; `None` for the outcomes.
     """
 
     weights: Any
     architecture: Architecture = struct.field(pytree_node=False)
+    summary: Callable[[Array], Array] | None = struct.field(pytree_node=False, default=None)
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "outcomes h w *batch"]:
         """The network's estimate for partial maps, in cells, with one outcome per quantile.
@@ -179,17 +193,25 @@ class NetworkCostToGo(Estimator):
         answers = compact_unet.apply(self.architecture, self.weights, jnp.moveaxis(shrunk, -1, 0))
         cells = jnp.moveaxis(answers, (-1, 0), (2, -1)).reshape(rows, columns, -1, *batch)
         costs = longest / self.architecture.side * jnp.moveaxis(resize_nearest(cells, height, width), 2, 0)
-        return zero_without_classes(terrain, costs)
+        costs = zero_without_classes(terrain, costs)
+        return costs if self.summary is None else self.summary(costs)
+
+    @property
+    def is_compact(self) -> bool:
+        """Whether the network is a `CompactUNet`, whose layers are known."""
+        return self.architecture.network == COMPACT_UNET
 
     def summarized(self, summary: Callable[[Array], Array]) -> "NetworkCostToGo":
-        """A faster network that computes only a weighted sum of this one's outcomes, such as their mean.
+        """An estimator that computes only a weighted sum of this one's outcomes, such as their mean.
 
-        Its last layer computes the sum, since outcomes are linear in the weights of that layer. It is for planners. Its
-        architecture still lists the quantiles of this network.
+        The last layer of the compact network computes the sum, which is faster, since outcomes are linear in the
+        weights of that layer. It is for planners. Its architecture still lists the quantiles of this network.
 
         Args:
           summary: the sum, see `dc2g_jax.planning.selection.linear`.
         """
+        if not self.is_compact:
+            return dataclasses.replace(self, summary=summary)
         area, quantiles = self.architecture.patch**2, len(self.architecture.quantiles)
 
         def summed(leaf: Array) -> Array:
@@ -236,7 +258,7 @@ class TranslatorCostToGo(Estimator):
 
 
 @struct.dataclass
-class ExactCostToGo:
+class ExactCostToGo(Estimator):
     """The exact cost-to-go of the hidden map: a perfect, privileged estimator.
 
     Attributes:

@@ -48,8 +48,23 @@ def _span(lines: Bool[Array, "n *batch"]) -> tuple[Int[Array, "*batch"], Int[Arr
     return first.astype(jnp.int32), (after_last - first).astype(jnp.int32)
 
 
+class _Wrapping(Estimator):
+    """What estimators that wrap another one have of it."""
+
+    estimator: Estimator
+
+    @property
+    def in_cells(self) -> bool:  # type: ignore[override]
+        """Whether the estimator's costs are in cells."""
+        return answers_in_cells(self.estimator)
+
+    def init(self, world: World) -> Any:
+        """The state of the wrapped estimator."""
+        return self.estimator.init(world)
+
+
 @struct.dataclass
-class CroppedEstimator:
+class CroppedEstimator(_Wrapping):
     """Estimate on the square around all observed cells, rescaled to a fixed size (the authors' later code).
 
     Costs are multiplied by the scale, so they stay in cells. Cells beyond the square, all unobserved, get the cost of
@@ -65,15 +80,6 @@ class CroppedEstimator:
     estimator: Estimator
     side: int = struct.field(pytree_node=False, default=_TRAINED_SIDE)
     margin: int = struct.field(pytree_node=False, default=2)
-
-    @property
-    def in_cells(self) -> bool:
-        """Whether the estimator's costs are in cells."""
-        return answers_in_cells(self.estimator)
-
-    def init(self, world: World) -> Any:
-        """The state of the wrapped estimator."""
-        return self.estimator.init(world)
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "outcomes h w *batch"]:
         """The estimate for the square, with nearest-neighbor resampling in both directions."""
@@ -185,7 +191,7 @@ class Surroundings(Extent):
 
 
 @struct.dataclass
-class WindowedEstimator:
+class WindowedEstimator(_Wrapping):
     """Estimate on a window around the robot. The planner provides the robot's pose.
 
     Attributes:
@@ -196,15 +202,6 @@ class WindowedEstimator:
 
     estimator: Estimator
     extent: Window = struct.field(pytree_node=False, default=Window())
-
-    @property
-    def in_cells(self) -> bool:
-        """Whether the estimator's costs are in cells."""
-        return answers_in_cells(self.estimator)
-
-    def init(self, world: World) -> Any:
-        """The state of the wrapped estimator."""
-        return self.estimator.init(world)
 
     def estimate(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Float[Array, "outcomes h w *batch"]:
         """The estimate for a map that is the window itself."""

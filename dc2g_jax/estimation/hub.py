@@ -9,6 +9,7 @@ import jax
 from dc2g_jax.errors import InputError, require_extra, short
 from dc2g_jax.estimation.checkpoints import CARD, TrainedNetwork, load_network, reason, save_network
 from dc2g_jax.estimation.estimators import Estimator
+from dc2g_jax.files.reading import read_object
 from dc2g_jax.own_parts import is_own_part, own_part
 
 #: Prefix of places on the Hub.
@@ -34,7 +35,8 @@ def local_folder(place: str | os.PathLike[str]) -> Path:
       place: a folder; or a string, `hf://owner/name` or `hf://owner/name@revision` with a branch, tag or commit.
 
     Raises:
-      InputError: it is not in the cache and cannot be downloaded, or the extra `hub` is not installed.
+      InputError: it is not in the cache and cannot be downloaded, its card names code to import, or the extra `hub` is
+        not installed.
     """
     if not str(place).startswith(_HUB):
         return Path(place)
@@ -42,11 +44,20 @@ def local_folder(place: str | os.PathLike[str]) -> Path:
     import huggingface_hub
 
     try:
-        return Path(huggingface_hub.snapshot_download(repository, revision=revision, allow_patterns=_FILES))
+        folder = Path(huggingface_hub.snapshot_download(repository, revision=revision, allow_patterns=_FILES))
     except Exception as error:  # from several libraries
         raise InputError(
             f"{place}: cannot be downloaded ({reason(error)}); check the name, and the connection to the Hub"
         ) from None
+    card = read_object(folder / CARD, "give another network") if (folder / CARD).is_file() else {}
+    architecture = card.get("architecture")
+    named = architecture.get("network") if isinstance(architecture, dict) else None
+    if is_own_part(named):
+        raise InputError(
+            f"{place}: its card names the class {named!r}, which loading it would import; if you trust that, give the "
+            f"folder that it was downloaded to: {folder}"
+        )
+    return folder
 
 
 def load(place: str | os.PathLike[str] | None = None) -> Estimator:

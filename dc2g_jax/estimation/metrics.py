@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float, Int
 from dc2g_jax.estimation.images import brightness, looks_traversable
 
 #: Gray pixels that are brighter than this are close to a goal (section IV-A3).
-LOW_COST_BRIGHTNESS = 0.9
+_LOW_COST_BRIGHTNESS = 0.9
 
 
 class ImageMetrics(NamedTuple):
@@ -66,9 +66,9 @@ class Comparison(NamedTuple):
         return ImageMetrics(self.l1 / pictures, low.precision, low.recall, drivable.precision, drivable.recall)
 
 
-def low_cost(image: Float[Array, "h w 3"]) -> Bool[Array, "h w"]:
+def _low_cost(image: Float[Array, "h w 3"]) -> Bool[Array, "h w"]:
     """Pixels with low cost-to-go (V > 0.9 and S < 0.3)."""
-    return looks_traversable(image) & (brightness(image) > LOW_COST_BRIGHTNESS)
+    return looks_traversable(image) & (brightness(image) > _LOW_COST_BRIGHTNESS)
 
 
 def _counts(predicted: Bool[Array, "h w"], true: Bool[Array, "h w"]) -> Counts:
@@ -79,6 +79,6 @@ def compare_images(predicted: Float[Array, "h w 3"], true: Float[Array, "h w 3"]
     """Compare a predicted image with the true one; use `jax.vmap` for several."""
     return Comparison(
         l1=jnp.mean(jnp.abs(predicted - true)),
-        low=_counts(low_cost(predicted), low_cost(true)),
+        low=_counts(_low_cost(predicted), _low_cost(true)),
         traversable=_counts(looks_traversable(predicted), looks_traversable(true)),
     )

@@ -106,12 +106,11 @@ def export_onnx(network: Estimator, path: str | Path) -> None:
       path: the file; replaced if it exists.
 
     Raises:
-      InputError: the network is a translator or an estimator of the user's own, or the file cannot be written.
+      InputError: the network is a translator or one of the user's own, or the file cannot be written.
     """
-    if not isinstance(network, NetworkCostToGo):
+    if not isinstance(network, NetworkCostToGo) or not network.is_compact:
         raise InputError(
-            "the network is a translator of pictures or an estimator of your own; give a compact network, from "
-            "`dc2g train`"
+            "the network is a translator of pictures or one of your own; give a compact network, from `dc2g train`"
         )
     graph, architecture = _Graph(), network.architecture
     found = _add_network(graph, network)

@@ -4,14 +4,11 @@ The map is in the grid's upper left corner. All other cells are `OUTSIDE`. The r
 convolutions see nothing beyond the map's edge, and larger maps than those of the training are resampled.
 """
 
-import functools
-import itertools
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import ClassVar
 
-import jax
 import jax.numpy as jnp
-from flax import nnx, struct
+from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt8
 
 from dc2g_jax.estimation.compact_unet import CompactUNet
@@ -19,35 +16,6 @@ from dc2g_jax.estimation.estimators import Estimator, NetworkCostToGo, zero_with
 from dc2g_jax.estimation.weights import with_weights
 from dc2g_jax.grid.sampling import nearest_pixel
 from dc2g_jax.grid.terrain import OUTSIDE
-
-
-def _convolved(
-    map_shape: tuple[Int[Array, ""], ...],
-    grid_shape: tuple[int, ...],
-    features: Float[Array, "1 h w c"],
-    kernel: Float[Array, "3 3 c d"],
-    strides: tuple[int, int],
-    padding: str,
-    **options: Any,
-) -> Float[Array, "1 h2 w2 d"]:
-    """`jax.lax.conv_general_dilated` with padding `SAME`, applied to the map's part of the features.
-
-    Both shapes are in patches. The features' shape tells how often the grid was halved; the map was halved as often.
-    """
-    del padding
-    stride, shape = strides[0], features.shape[1:3]
-    halvings = next(number for number in itertools.count() if tuple(-(-size >> number) for size in grid_shape) == shape)
-    inside, first, sizes = jnp.ones(shape, bool), [], []
-    for axis, size in enumerate(shape):
-        map_size = -(-map_shape[axis] >> halvings)
-        inside &= jax.lax.broadcasted_iota(jnp.int32, shape, axis) < map_size
-        # Padding of one cell before the first; none for an even number of cells with stride 2.
-        first.append(((map_size - 1) % stride != 0).astype(jnp.int32))
-        sizes.append(stride * (-(-size // stride) - 1) + 3)
-    features = jnp.where(inside[None, :, :, None], features, 0)
-    framed = jnp.pad(features, ((0, 0), (1, stride), (1, stride), (0, 0)))
-    framed = jax.lax.dynamic_slice(framed, (0, *first, 0), (1, *sizes, features.shape[3]))
-    return jax.lax.conv_general_dilated(framed, kernel, strides, "VALID", **options)
 
 
 @struct.dataclass
@@ -75,12 +43,7 @@ class PaddedNetwork(Estimator):
         architecture = self.network.architecture
         shrunk, map_shape, cells, cell_side = _shrunk(grid, architecture.side)
         network = with_weights(CompactUNet, architecture, self.network.weights)
-        map_patches = tuple(-(-size // architecture.patch) for size in map_shape)
-        grid_patches = tuple(-(-size // architecture.patch) for size in shrunk.shape)
-        for _, module in nnx.iter_modules(network):
-            if isinstance(module, nnx.Conv):
-                module.conv_general_dilated = functools.partial(_convolved, map_patches, grid_patches)
-        answer = cell_side * network(shrunk[None])[0][cells]
+        answer = cell_side * network(shrunk[None], map_shape)[0][cells]
         return zero_without_classes(terrain, jnp.moveaxis(answer, -1, 0).reshape(-1, *terrain.shape))
 
 

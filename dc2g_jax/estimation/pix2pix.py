@@ -31,7 +31,7 @@ _DROPOUT, _DROPOUT_LEVELS = 0.5, 3
 _DISCRIMINATOR_HALVINGS = 3
 
 #: Data types for computations; weights are always float32.
-COMPUTE_DTYPES = {"float32": jnp.float32, "bfloat16": jnp.bfloat16}
+_COMPUTE_DTYPES = {"float32": jnp.float32, "bfloat16": jnp.bfloat16}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,8 +54,8 @@ class TranslatorArchitecture:
             raise InputError(f"size {self.size}: give a power of two from 32 to 4096")
         if not 1 <= self.base_filters <= 1024:
             raise InputError(f"base_filters {self.base_filters}: give a number from 1 to 1024")
-        if self.compute_dtype not in COMPUTE_DTYPES:
-            raise InputError(f"compute_dtype {self.compute_dtype!r}: use one of: {', '.join(COMPUTE_DTYPES)}")
+        if self.compute_dtype not in _COMPUTE_DTYPES:
+            raise InputError(f"compute_dtype {self.compute_dtype!r}: use one of: {', '.join(_COMPUTE_DTYPES)}")
 
     @property
     def widths(self) -> tuple[int, ...]:
@@ -133,7 +133,7 @@ class Generator(nnx.Module):
     """The U-Net: an encoder down to a single pixel, and a decoder with skip connections at each level."""
 
     def __init__(self, architecture: TranslatorArchitecture, *, rngs: nnx.Rngs):
-        widths, dtype = architecture.widths, COMPUTE_DTYPES[architecture.compute_dtype]
+        widths, dtype = architecture.widths, _COMPUTE_DTYPES[architecture.compute_dtype]
         self.levels = len(widths)
         innermost = self.levels - 1
         for level, width in enumerate(widths):
@@ -165,7 +165,7 @@ class Discriminator(nnx.Module):
     """The 70x70 PatchGAN: for every patch, the log-odds that an image is the true one for a given input."""
 
     def __init__(self, architecture: TranslatorArchitecture, *, rngs: nnx.Rngs):
-        filters, dtype = architecture.base_filters, COMPUTE_DTYPES[architecture.compute_dtype]
+        filters, dtype = architecture.base_filters, _COMPUTE_DTYPES[architecture.compute_dtype]
         self.layers = _DISCRIMINATOR_HALVINGS + 2
         width_in = 6
         for layer in range(self.layers):

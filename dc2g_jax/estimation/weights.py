@@ -142,7 +142,7 @@ def read_network(
       read_architecture: converts JSON to the architecture.
 
     Returns:
-      Weights in float32, architecture and card. The card is empty for files of version 0.1 without one.
+      Weights in float32, architecture and card. The card is empty for files without one.
 
     Raises:
       InputError: the file cannot be read or holds no such network.

@@ -36,10 +36,10 @@ FIGURE_COLORS = {name: color for name, (_, color) in _COLORS.items()}
 FIGURE_RGB = np.array([list(bytes.fromhex(color[1:])) for color in FIGURE_COLORS.values()], np.uint8)
 
 #: Largest number of classes: indices are bytes, the two highest values mark unknown colors while reading images.
-MOST_CLASSES = 254
-if len(CLASS_NAMES) > MOST_CLASSES:
+_MOST_CLASSES = 254
+if len(CLASS_NAMES) > _MOST_CLASSES:
     raise ValueError(
-        f"{len(CLASS_NAMES)} terrain classes do not fit into a byte; merge some, {MOST_CLASSES} are possible"
+        f"{len(CLASS_NAMES)} terrain classes do not fit into a byte; merge some, {_MOST_CLASSES} are possible"
     )
 
 #: Bits in a class index.

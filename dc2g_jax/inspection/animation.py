@@ -12,9 +12,10 @@ from matplotlib import colormaps
 from matplotlib.colors import to_rgb
 from PIL import Image, ImageDraw, ImageFont
 
-from dc2g_jax.datasets.houses import House
+from dc2g_jax.datasets.houses import House, tell_on_stderr
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_COLORS, TRAVERSABLE
+from dc2g_jax.inspection._video import Picture, frequent_colors, h264_encoder, write_gif, write_mp4
 from dc2g_jax.inspection.costs import (
     BLOCKED_COLOR,
     COST_COLORS,
@@ -22,11 +23,11 @@ from dc2g_jax.inspection.costs import (
     cost_shares,
     exact_cost_to_go,
     highest_cost,
+    predicts,
 )
 from dc2g_jax.inspection.episode_figures import goal_marks, outcome
 from dc2g_jax.inspection.figures import hidden_color, map_image, planner_style, present_classes
 from dc2g_jax.inspection.replay import Frames, running_extra_steps
-from dc2g_jax.inspection.video import Picture, frequent_colors, write_gif, write_mp4
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
 
 #: Pixels: largest width and height of all panels together, and the same if cells would have fewer than three pixels;
@@ -118,7 +119,7 @@ def _layout(n_panels: int, height: int, width: int) -> _Layout:
     return _Layout(scale, column, corners, (whole_width + whole_width % 2, whole_height + whole_height % 2))
 
 
-def _font(name: str) -> ImageFont.FreeTypeFont:
+def font(name: str) -> ImageFont.FreeTypeFont:
     """One of matplotlib's fonts."""
     return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / f"{name}.ttf", _FONT)
 
@@ -191,7 +192,7 @@ class _Painter:
         self._panels = panels
         self._layout = layout
         self._extra = [running_extra_steps(panel.frames) for panel in panels]
-        self._font, self._bold = _font("DejaVuSans"), _font("DejaVuSans-Bold")
+        self._font, self._bold = font("DejaVuSans"), font("DejaVuSans-Bold")
         side = int(np.clip(2.6 * layout.scale, 11, 24))
         self._robots = [_mark(triangle, ROBOT_COLOR, side + 3) for triangle in TRIANGLES]
         self._start, self._subgoal = _mark(_CIRCLE, MARK_COLOR, side * 2 // 3), _mark(CROSS, SUBGOAL_COLOR, side - 1)
@@ -285,6 +286,10 @@ class _Painter:
         x, upper, lower = corner[0], corner[1] - _CAPTION + 2, corner[1] - _CAPTION + 19
         if panel.cost:
             draw.text((x, upper), "predicted cost-to-go", _INK, self._font)
+            assert panel.frames.cost_to_go is not None
+            if not predicts(panel.frames.cost_to_go[frame]):
+                draw.text((x, lower), "no prediction", _PALE_INK, self._font)
+                return
             self._draw_scale(draw, x, lower, in_cells=panel.frames.in_cells)
             return
         draw.text((x, upper), style.label, style.color, self._bold)
@@ -316,10 +321,14 @@ def _doing(frames: Frames, frame: int) -> str:
     return {EXPLORE: "exploring", TO_GOAL: "goal seen", GAVE_UP: "gave up"}[int(frames.mode[frame])]
 
 
+def every_nth(last: int) -> list[int]:
+    """Numbers from 0 to `last`, both included, evenly spaced: at most as many as an animation has pictures."""
+    return [*range(0, last, -(-max(last, 1) // _MOST_PICTURES)), last]
+
+
 def steps_shown(frames_by_planner: Mapping[str, Frames]) -> list[int]:
     """The steps with a picture: all, or every second, third ... step of a long episode, and always the last."""
-    last = max(len(frames) for frames in frames_by_planner.values()) - 1
-    return [*range(0, last, -(-max(last, 1) // _MOST_PICTURES)), last]
+    return every_nth(max(len(frames) for frames in frames_by_planner.values()) - 1)
 
 
 def pictures(house: House, frames_by_planner: Mapping[str, Frames], steps: Iterable[int]) -> Iterator[Picture]:
@@ -342,36 +351,72 @@ def pictures(house: House, frames_by_planner: Mapping[str, Frames], steps: Itera
         yield painter.paint(step)
 
 
+def write_animation(
+    path: str | Path,
+    shown: Iterator[Picture],
+    sample: Iterable[Picture],
+    colors: Sequence[str],
+    count: int,
+    frames_per_second: int,
+) -> Path:
+    """Write an animation. Where the encoder of MP4 is missing, a GIF takes its place, with a line on the error stream.
+
+    Args:
+      path: file to write; its ending gives the format, `.gif` or `.mp4`.
+      shown: the pictures.
+      sample: some of them, from which the colors of a GIF are chosen.
+      colors: colors, as `#rrggbb`, that a GIF surely has.
+      count: number of pictures.
+      frames_per_second: pictures per second; the last one stays longer.
+
+    Returns:
+      The path of the file.
+
+    Raises:
+      InputError: the ending is not known, or the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".gif", ".mp4"):
+        raise InputError(f"{path}: is not an animation; give a name that ends in .gif or .mp4")
+    if path.suffix.lower() == ".mp4" and h264_encoder() is None:
+        path = path.with_suffix(".gif")
+        tell_on_stderr(f'{path}: is no MP4, as there is no encoder for it; run: pip install "dc2g_jax[all]"')
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix.lower() == ".gif":
+            durations = [1 / frames_per_second] * (count - 1) + [_LAST_SECONDS]
+            write_gif(path, shown, frequent_colors(sample, colors), durations)
+        else:
+            write_mp4(path, shown, frames_per_second, _LAST_SECONDS)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); name a file in a folder of yours") from None
+    return path
+
+
 def animate(
     path: str | Path, house: House, frames_by_planner: Mapping[str, Frames], *, frames_per_second: int = 12
 ) -> Path:
     """Write an animation of planners from one start, side by side, see `pictures` and `steps_shown`.
 
     Args:
-      path: file to write; its ending gives the format, `.gif` or `.mp4`.
+      path: file to write, see `write_animation`.
       house: the house.
       frames_by_planner: planner name -> its replayed episode, all from one start.
       frames_per_second: pictures per second.
 
     Returns:
-      The path.
+      The path of the file.
 
     Raises:
-      InputError: the ending is not known, the file cannot be written, or the encoder of MP4 is not installed.
+      InputError: see `write_animation`.
     """
-    path = Path(path)
-    if path.suffix.lower() not in (".gif", ".mp4"):
-        raise InputError(f"{path}: is not an animation; give a name that ends in .gif or .mp4")
     steps = steps_shown(frames_by_planner)
-    shown = pictures(house, frames_by_planner, steps)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if path.suffix.lower() == ".gif":
-            sample = pictures(house, frames_by_planner, steps[:: max(1, len(steps) // _SAMPLE)] + steps[-1:])
-            durations = [1 / frames_per_second] * (len(steps) - 1) + [_LAST_SECONDS]
-            write_gif(path, shown, frequent_colors(sample, (MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR)), durations)
-        else:
-            write_mp4(path, shown, frames_per_second, _LAST_SECONDS)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); name a file in a folder of yours") from None
-    return path
+    sample = steps[:: max(1, len(steps) // _SAMPLE)] + steps[-1:]
+    return write_animation(
+        path,
+        pictures(house, frames_by_planner, steps),
+        pictures(house, frames_by_planner, sample),
+        (MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR),
+        len(steps),
+        frames_per_second,
+    )

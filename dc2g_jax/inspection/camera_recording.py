@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.grid.terrain import CLASS_NAMES
-from dc2g_jax.inspection import legend
+from dc2g_jax.inspection import _legend as legend
 from dc2g_jax.inspection.columns import SO_FAR, first_view, image_style, open_recording, send, send_images
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, points
 from dc2g_jax.mapping.checks import check_frame

@@ -23,7 +23,7 @@ SO_FAR = rrb.VisibleTimeRanges(
 )
 
 #: Address of a viewer on this machine that was started with `rerun`.
-VIEWER = "rerun+http://127.0.0.1:9876/proxy"
+_VIEWER = "rerun+http://127.0.0.1:9876/proxy"
 
 
 def viewer_sink(address: str) -> rr.GrpcSink:
@@ -35,7 +35,7 @@ def viewer_sink(address: str) -> rr.GrpcSink:
     try:
         return rr.GrpcSink(address)
     except (RuntimeError, ValueError) as error:
-        raise InputError(f"{address}: is no address of a viewer ({error}); give {VIEWER}, or what it says") from None
+        raise InputError(f"{address}: is no address of a viewer ({error}); give {_VIEWER}, or what it says") from None
 
 
 def open_recording(

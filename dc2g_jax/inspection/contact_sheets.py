@@ -31,7 +31,7 @@ _GROUPS = {
 }
 
 
-class SheetRow(NamedTuple):
+class _SheetRow(NamedTuple):
     """A row of maps.
 
     Attributes:
@@ -48,17 +48,17 @@ class SheetRow(NamedTuple):
         return (_HEADLINE if self.headline else 0.0) + _SIDE + _NAME
 
 
-def contact_pages(houses: Sequence[House]) -> list[list[SheetRow]]:
+def contact_pages(houses: Sequence[House]) -> list[list[_SheetRow]]:
     """Rows of houses by page. Houses are ordered by group and name."""
     by_group: dict[str, list[House]] = {group: [] for group in _GROUPS}
     for house in sorted(houses, key=lambda house: house.name):
         by_group.setdefault(group_of(house) or house.split, []).append(house)
     room = _PAGE_HEIGHT - _HEAD - _FOOT
-    pages: list[list[SheetRow]] = [[]]
+    pages: list[list[_SheetRow]] = [[]]
     for group, own in by_group.items():
         for first in range(0, len(own), _COLUMNS):
             headline = "" if first else f"{_GROUPS.get(group, group)}: {len(own)}"
-            row = SheetRow(headline, own[first : first + _COLUMNS])
+            row = _SheetRow(headline, own[first : first + _COLUMNS])
             if pages[-1] and sum(above.height for above in pages[-1]) + row.height > room:
                 pages.append([])
             pages[-1].append(row)
@@ -100,7 +100,7 @@ def _map_axes(figure: Figure, house: House, x: float, y: float) -> Axes:
     )
 
 
-def plot_contact_page(path: str | Path, title: str, number: str, rows: Sequence[SheetRow]) -> list[Path]:
+def plot_contact_page(path: str | Path, title: str, number: str, rows: Sequence[_SheetRow]) -> list[Path]:
     """Draw a page of houses of any sizes. A star marks a door; text below a map says why no episode can be run in it.
 
     Args:

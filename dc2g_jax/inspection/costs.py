@@ -56,17 +56,22 @@ def cost_shares(frames: Frames, high: float) -> Float[np.ndarray, "t h w"]:
     return frames.cost_to_go / (high if frames.in_cells else 1.0)
 
 
+def predicts(costs: Float[np.ndarray, "*t h w"]) -> Bool[np.ndarray, "*t"]:
+    """Whether costs predict anything. Costs of 0 everywhere, as a network's on a map without classes, do not."""
+    return np.asarray(np.any(costs, axis=(-2, -1)))
+
+
 def cost_image(
     share: Float[np.ndarray, "h w"], shown: Bool[np.ndarray, "h w"], blocked: Bool[np.ndarray, "h w"]
 ) -> Float[np.ndarray, "h w 3"]:
-    """Colors of costs, RGB from 0 to 1. Costs of 0 everywhere predict nothing and are not shown.
+    """Colors of costs, RGB from 0 to 1. Costs without a prediction are not shown, see `predicts`.
 
     Args:
       share: costs relative to the cost at the end of the colors.
       shown: cells whose cost is shown.
       blocked: cells known not to be traversable; the remaining cells have not been observed.
     """
-    shown = shown & np.any(share)
+    shown = shown & predicts(share)
     colors = colormaps[COST_COLORS](np.clip(np.where(shown, share, 0), 0, 1))[..., :3]
     image = np.where(shown[..., None], colors, np.array(to_rgb(UNSEEN_COLOR)))
     return np.where(blocked[..., None], np.array(to_rgb(BLOCKED_COLOR)), image)

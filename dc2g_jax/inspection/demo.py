@@ -7,6 +7,8 @@ import base64
 import dataclasses
 import functools
 import io
+import tempfile
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,17 +24,17 @@ from dc2g_jax.datasets.maps import draw_map
 from dc2g_jax.datasets.starts import sample_starts
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator, answers_in_cells
-from dc2g_jax.files.class_images import PALETTE_FILE, read_palette
+from dc2g_jax.files.class_images import PALETTE_FILE, read_palette, write_palette
 from dc2g_jax.grid import bitboard, gridworld, search
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import HEADINGS, every_heading, make_pose
 from dc2g_jax.grid.terrain import CLASS_NAMES, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax.grid.world import World, world_from_terrain
+from dc2g_jax.inspection._legend import score_colors
 from dc2g_jax.inspection.animation import CROSS, MARK_COLOR, ROBOT_COLOR, STAR, SUBGOAL_COLOR, TRIANGLES
 from dc2g_jax.inspection.costs import cost_image
 from dc2g_jax.inspection.episode_figures import goal_marks
 from dc2g_jax.inspection.figures import map_image
-from dc2g_jax.inspection.legend import score_colors
 from dc2g_jax.inspection.replay import first_carry
 from dc2g_jax.planning.decisions import Decision, RobotPose, View, decide
 from dc2g_jax.planning.named import NETWORK_PLANNERS, make_planner
@@ -43,6 +45,9 @@ from dc2g_jax.programs import jit
 
 #: Side length in cells of the map to draw on, and the map size for which marks are one cell large.
 BLANK_SIDE, _USUAL_SIDE = 40, 50
+
+#: Most drawings that `undo` goes back, most characters of a link, and most cells of a map in one.
+_MOST_KEPT, _LONGEST_LINK, _MOST_CELLS = 200, 4000, 2**20
 
 
 class Moment(NamedTuple):
@@ -153,6 +158,7 @@ class Demo:
         usual: Any = make_planner("dc2g", self._rules, estimator)
         self.distance_weight, self.gain_weight = usual.selection.distance_weight, usual.gain_weight
         self.walks: dict[str, Walk] = {}
+        self._kept: list[tuple[UInt8[np.ndarray, "h w"], RobotPose]] = []
         self.choose(next(iter(maps)))
 
     @property
@@ -193,6 +199,46 @@ class Demo:
             )
         self.walks = {}
 
+    def fill(self, begin: tuple[int, int], end: tuple[int, int], name: str) -> None:
+        """Fill the rectangle between two cells, each given by column and row, with a class."""
+        (left, right), (top, bottom) = (sorted(edges) for edges in zip(begin, end, strict=True))
+        self.terrain[top : bottom + 1, left : right + 1] = CLASS_NAMES.index(name)
+        self.walks = {}
+
+    def keep(self) -> None:
+        """Keep the map and the start for `undo`."""
+        self._kept = [*self._kept[1 - _MOST_KEPT :], (self.terrain.copy(), self.start)]
+
+    def undo(self) -> None:
+        """Go back to the map and the start that were kept last; does nothing if there are none."""
+        if self._kept:
+            self.terrain, self.start = self._kept.pop()
+            self.walks = {}
+
+    @property
+    def link(self) -> str:
+        """Map and start as letters for an address, see `follow`; empty if they would be too long."""
+        numbers = np.array([*self.terrain.shape, *self.start], "<u2").tobytes()
+        text = base64.urlsafe_b64encode(zlib.compress(numbers + self.terrain.tobytes(), 9)).decode().rstrip("=")
+        return text if len(text) <= _LONGEST_LINK else ""
+
+    def follow(self, link: str) -> None:
+        """Take map and start from a link.
+
+        Raises:
+          InputError: it holds no map.
+        """
+        try:
+            packed = base64.urlsafe_b64decode(link + "=" * (-len(link) % 4))
+            data = zlib.decompressobj().decompress(packed, _MOST_CELLS)
+            height, width, x, y, heading = np.frombuffer(data[:10], "<u2").tolist()
+            terrain = np.frombuffer(data[10:], np.uint8).reshape(height, width).copy()
+            if terrain.max() >= len(CLASS_NAMES) or x >= width or y >= height or heading >= HEADINGS:
+                raise ValueError("a number is out of range")
+        except (ValueError, zlib.error):
+            raise InputError("the address holds no map; copy the whole of it, or draw anew") from None
+        self.terrain, self.start, self.walks = terrain, RobotPose(x, y, heading), {}
+
     def begin(self) -> None:
         """Put all planners at the start, without a decision.
 
@@ -221,6 +267,27 @@ class Demo:
         for walk in self.walks.values():
             walk.step()
         return not all(walk.over for walk in self.walks.values())
+
+
+def open_dropped(name: str, data: bytes) -> dict[str, UInt8[np.ndarray, "h w"]]:
+    """The map in a file's bytes, by its name: an array of classes, or a picture in the colors of the dataset.
+
+    Raises:
+      InputError: it is no such file.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / Path(name).name
+        try:
+            path.write_bytes(data)
+        except OSError:
+            raise InputError(f"{name}: cannot be the name of a file; rename it") from None
+        if path.suffix.lower() not in (".npy", ".png"):
+            raise InputError(f"{name}: is no map; drop a .npy or .png file")
+        write_palette(path.parent)
+        try:
+            return open_maps(str(path))
+        except InputError as error:
+            raise InputError(str(error).replace(f"{folder}/", "")) from None
 
 
 def open_maps(location: str | None) -> dict[str, UInt8[np.ndarray, "h w"]]:

@@ -36,7 +36,7 @@ def plot_noise(
     Args:
       path: output path without ending.
       levels: levels of noise.
-      results: `trained NETWORK, noise LEVEL` and `gridworld, SETTINGS` -> results, as in `experiments.noisy_mapping`.
+      results: `trained NETWORK, noise LEVEL` and `gridworld, SETTINGS` -> results, as in `cli.commands.noisy_mapping`.
       caption: description of drives and houses.
 
     Returns:

@@ -19,6 +19,7 @@ from dc2g_jax.datasets.houses import House
 from dc2g_jax.grid.ground import pieces
 from dc2g_jax.grid.poses import Pose, make_pose, moved
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
+from dc2g_jax.inspection._sheets import DPI, FONT, Sheet, cell_rim, empty_sheet
 from dc2g_jax.inspection.costs import (
     BLOCKED_COLOR,
     COST_COLORS,
@@ -26,6 +27,7 @@ from dc2g_jax.inspection.costs import (
     cost_shares,
     exact_cost_to_go,
     highest_cost,
+    predicts,
 )
 from dc2g_jax.inspection.figures import (
     class_patch,
@@ -37,7 +39,6 @@ from dc2g_jax.inspection.figures import (
     save_figure,
 )
 from dc2g_jax.inspection.replay import Frames, actions_from_letters, running_extra_steps
-from dc2g_jax.inspection.sheets import DPI, FONT, Sheet, cell_rim, empty_sheet
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
 from dc2g_jax.rollouts.evaluation import EpisodeResult
 from dc2g_jax.rollouts.rollout import NO_ACTION
@@ -242,6 +243,8 @@ def _draw_costs(panels: Sequence[Axes], house: House, frames: Frames, chosen: Se
     for axes, frame in zip(panels, chosen, strict=True):
         seen = frames.seen[frame]
         _draw_cost(axes, share[frame], seen & ground, seen & ~ground)
+        if not predicts(share[frame]):
+            axes.text(0.5, 0.97, "no prediction", ha="center", va="top", transform=axes.transAxes, fontsize=FONT)
         _draw_robot(axes, frames, frame)
 
 

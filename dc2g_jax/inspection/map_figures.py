@@ -16,8 +16,8 @@ from matplotlib.patheffects import withStroke
 from dc2g_jax.files.class_images import Palette
 from dc2g_jax.grid.ground import connected_to_goal, goals_without_ground, pieces
 from dc2g_jax.grid.terrain import FIGURE_COLORS, FRONT_DOOR, TRAVERSABLE
+from dc2g_jax.inspection._sheets import cell_rim
 from dc2g_jax.inspection.figures import class_patch, present_classes, save_figure
-from dc2g_jax.inspection.sheets import cell_rim
 
 _LEADING, _ISLAND, _BLOCKED = "#bfe0f2", "#e69f00", "#5b606b"
 _MARKER: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "black", "markeredgewidth": 0.8, "clip_on": False}

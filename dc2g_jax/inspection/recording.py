@@ -16,7 +16,8 @@ from dc2g_jax.datasets.houses import House
 from dc2g_jax.estimation.estimators import Estimator
 from dc2g_jax.grid.poses import FORWARD
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
-from dc2g_jax.inspection import legend
+from dc2g_jax.inspection import _legend as legend
+from dc2g_jax.inspection._legend import CostScale
 from dc2g_jax.inspection.columns import (
     SO_FAR,
     centers,
@@ -30,9 +31,8 @@ from dc2g_jax.inspection.columns import (
     send_images,
     send_lines,
 )
-from dc2g_jax.inspection.costs import exact_cost_to_go
+from dc2g_jax.inspection.costs import exact_cost_to_go, predicts
 from dc2g_jax.inspection.figures import planner_styles
-from dc2g_jax.inspection.legend import CostScale
 from dc2g_jax.inspection.replay import Frames, actions_from_letters, replay_result, running_extra_steps
 from dc2g_jax.planning.decisions import HEADING_NAMES
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL
@@ -51,7 +51,9 @@ def _send_maps(stream: rr.RecordingStream, entity: str, frames: Frames, scale: C
     if frames.cost_to_go is not None:
         known = frames.seen & TRAVERSABLE[frames.terrain]
         scale = scale if frames.in_cells else legend.RELATIVE
-        images.append(("cost_to_go", scale.context(), 0, scale.classes(frames.cost_to_go, known)))
+        costs = scale.classes(frames.cost_to_go, known)
+        costs[known & ~predicts(frames.cost_to_go)[:, None, None]] = legend.NO_PREDICTION
+        images.append(("cost_to_go", scale.context(), 0, costs))
     for name, context, order, classes in images:
         image_style(stream, f"{entity}/{name}", context, order)
         send_images(stream, f"{entity}/{name}", np.arange(len(frames)), classes.astype(np.uint8, copy=False))

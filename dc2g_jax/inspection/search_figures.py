@@ -17,10 +17,10 @@ from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
 from matplotlib.patches import Patch
 
+from dc2g_jax.inspection._sheets import DPI, FONT, cell_rim
 from dc2g_jax.inspection.costs import end_of_colors
 from dc2g_jax.inspection.driving_figures import ROBOT_ARROW
 from dc2g_jax.inspection.figures import PAGE_WIDTH, save_figure
-from dc2g_jax.inspection.sheets import DPI, FONT, cell_rim
 from dc2g_jax.objectnav.classes import NO_OBJECT, OBJECT_CLASSES, OBJECT_COLORS, SEMANTIC_CLASSES
 from dc2g_jax.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL
 from dc2g_jax.objectnav.worlds import IndoorWorld, Leaf
@@ -28,12 +28,19 @@ from dc2g_jax.objectnav.worlds import IndoorWorld, Leaf
 #: Low costs are green and high costs red, as in the paper. Brightness decreases too, so they also differ in grayscale.
 _COSTS = LinearSegmentedColormap.from_list("costs", ["#a8e6a1", "#f5e663", "#f4a13a", "#d3411e", "#7d0d12"])
 
-_FLOOR, _WALL, _PATH, _ROBOT, _TARGET, _PLANS = "#d9d9d9", "#4d4d57", "#0000ff", "#e8000b", "#d400a8", "#0026c8"
+_FLOOR, _WALL, PATH_COLOR, ROBOT_COLOR, TARGET_COLOR, _PLANS = (
+    "#d9d9d9",
+    "#4d4d57",
+    "#0000ff",
+    "#e8000b",
+    "#d400a8",
+    "#0026c8",
+)
 
 #: Space beside the panels, and above and below them, inches; margin around the house, meters.
 _BESIDE, _AROUND, _MARGIN = 0.55, 1.35, 0.3
 
-_ROWS = ("true map", "robot's map", "cost map")
+ROWS = ("true map", "robot's map", "cost map")
 
 
 class SearchMoment(NamedTuple):
@@ -99,28 +106,29 @@ def plot_search(
       The files written: PNG, SVG and PDF.
     """
     size, classes = float(world.cell_size), np.asarray(world.classes)
-    left, right, bottom, top = _extent(np.asarray(world.free | world.obstacle), size)
+    left, right, bottom, top = extent_of(np.asarray(world.free | world.obstacle), size)
     panel = (PAGE_WIDTH - _BESIDE) / len(moments)
     height = 3 * min(panel, 2.2) * (top - bottom) / (right - left) + _AROUND
     figure = Figure(figsize=(PAGE_WIDTH, height), layout=ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.02))
     panels = figure.subplots(3, len(moments), squeeze=False, sharex=True, sharey=True)
-    high = _highest(moments, (left, right, bottom, top), size)
-    house = _map_image(classes, np.asarray(world.free), np.asarray(world.walls))
-    around = cv2.dilate(np.pad(classes == target, 2).astype(np.uint8), np.ones((3, 3))) > 0
-    rim = (np.array(cell_rim(around)) - 1.5) * (size, -size)
+    high = highest_of(moments, (left, right, bottom, top), size)
+    house = map_image(classes, np.asarray(world.free), np.asarray(world.walls))
+    rim = rim_of(classes == target, size)
     for (true, own, costs), moment in zip(panels.T, moments, strict=True):
         x, y, yaw = (float(value) for value in track[moment.step, :3])
         true.set_title(f"step {moment.step}\n{moment.doing}", fontsize=FONT, pad=3)
         _show(true, house, (0, 0), size)
-        true.add_collection(LineCollection(list(rim), colors=_TARGET, linewidths=0.9, capstyle="projecting"))
-        true.plot(*track[: moment.step + 1, :2].T, color=_PATH, linewidth=1.3)
-        _show(own, _robots_map(moment.cells), moment.origin, size)
-        _show(costs, _cost_image(moment.costs, high), moment.corner, size)
+        true.add_collection(LineCollection(list(rim), colors=TARGET_COLOR, linewidths=0.9, capstyle="projecting"))
+        true.plot(*track[: moment.step + 1, :2].T, color=PATH_COLOR, linewidth=1.3)
+        _show(own, robots_map(moment.cells), moment.origin, size)
+        _show(costs, cost_image(moment.costs, high), moment.corner, size)
         costs.add_collection(LineCollection(list(moment.plans), colors=_PLANS, linewidths=0.3, alpha=0.35))
         arrow = MarkerStyle(ROBOT_ARROW).rotated(rad=yaw)
         for axes in (true, own, costs):
-            axes.plot(x, y, marker=arrow, color=_ROBOT, markeredgecolor="white", markeredgewidth=0.4, markersize=6.5)
-    for axes, name in zip(panels[:, 0], _ROWS, strict=True):
+            axes.plot(
+                x, y, marker=arrow, color=ROBOT_COLOR, markeredgecolor="white", markeredgewidth=0.4, markersize=6.5
+            )
+    for axes, name in zip(panels[:, 0], ROWS, strict=True):
         axes.set_ylabel(name, fontsize=FONT)
     for axes in panels.flat:
         axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[])
@@ -150,26 +158,32 @@ def plot_prediction(path: str | Path, found: PredictedMap, title: str) -> list[P
     high = float(np.max(true_cost, initial=1.0, where=np.isfinite(true_cost)))
     no_class = np.zeros(cells.shape, np.uint8)
     images = {
-        "robot's map": _robots_map(cells),
-        "predicted occupancy": _map_image(no_class, ~occupied, occupied),
-        "true occupancy": _map_image(no_class, ~truly_occupied, truly_occupied),
-        "predicted cost": _cost_image(cost, high),
-        "true cost": _cost_image(true_cost, high),
+        "robot's map": robots_map(cells),
+        "predicted occupancy": map_image(no_class, ~occupied, occupied),
+        "true occupancy": map_image(no_class, ~truly_occupied, truly_occupied),
+        "predicted cost": cost_image(cost, high),
+        "true cost": cost_image(true_cost, high),
     }
     for axes, (name, image) in zip(panels.values(), images.items(), strict=True):
         axes.imshow(image, interpolation="nearest")
         axes.set_title(name, fontsize=FONT, pad=3)
         axes.set(xticks=[], yticks=[])
         axes.spines[:].set(color="#888888", linewidth=0.5)
-    panels["m"].plot(*(len(no_class) // 2,) * 2, "o", color=_ROBOT, markersize=4)
+    panels["m"].plot(*(len(no_class) // 2,) * 2, "o", color=ROBOT_COLOR, markersize=4)
     _cost_bar(figure, high, [panels["c"], panels["t"]])
     figure.suptitle(title, fontsize=FONT)
     return save_figure(figure, path, DPI)
 
 
-def _cost_image(costs: Float[np.ndarray, "h w"], high: float) -> Float[np.ndarray, "h w 4"]:
+def cost_image(costs: Float[np.ndarray, "h w"], high: float) -> Float[np.ndarray, "h w 4"]:
     """Colors of costs up to `high`; transparent where infinite."""
     return _COSTS(costs / high) * np.isfinite(costs)[..., None]
+
+
+def rim_of(cells: Bool[np.ndarray, "h w"], size: float) -> Float[np.ndarray, "lines 2 2"]:
+    """Lines around cells, one cell away from them: x and y of both ends, meters."""
+    around = cv2.dilate(np.pad(cells, 2).astype(np.uint8), np.ones((3, 3))) > 0
+    return (np.array(cell_rim(around)) - 1.5) * (size, -size)
 
 
 def _cost_bar(figure: Figure, high: float, panels: Any, **options: Any) -> None:
@@ -181,14 +195,14 @@ def _cost_bar(figure: Figure, high: float, panels: Any, **options: Any) -> None:
     bar.outline.set_linewidth(0.5)  # type: ignore[operator]
 
 
-def _extent(house: Bool[np.ndarray, "h w"], size: float) -> tuple[float, float, float, float]:
+def extent_of(house: Bool[np.ndarray, "h w"], size: float) -> tuple[float, float, float, float]:
     """Smallest and largest x, then y, of a house with its margin, meters."""
     rows, columns = np.nonzero(house)
     x, y = (columns.min(), columns.max() + 1), (-rows.max() - 1, -rows.min())
     return x[0] * size - _MARGIN, x[1] * size + _MARGIN, y[0] * size - _MARGIN, y[1] * size + _MARGIN
 
 
-def _highest(moments: Sequence[SearchMoment], extent: tuple[float, float, float, float], size: float) -> float:
+def highest_of(moments: Sequence[SearchMoment], extent: tuple[float, float, float, float], size: float) -> float:
     """The cost at the end of the colors, meters: nearly all costs in the panels are lower."""
     left, right, bottom, top = extent
     shown = []
@@ -202,15 +216,15 @@ def _highest(moments: Sequence[SearchMoment], extent: tuple[float, float, float,
     return end_of_colors(shown)
 
 
-def _robots_map(cells: UInt32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
+def robots_map(cells: UInt32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
     """Colors of a robot's map. A cell with several classes shows the first one, so goals take precedence."""
     bits = (cells[..., None] >> np.arange(EXPLORED_CHANNEL + 1, dtype=np.uint32)) & 1 == 1
     own = bits[..., :SEMANTIC_CLASSES]
     classes = np.where(own.any(axis=-1), own.argmax(axis=-1) + 1, NO_OBJECT)
-    return _map_image(classes, bits[..., EXPLORED_CHANNEL], bits[..., OBSTACLE_CHANNEL])
+    return map_image(classes, bits[..., EXPLORED_CHANNEL], bits[..., OBSTACLE_CHANNEL])
 
 
-def _map_image(
+def map_image(
     classes: Int[np.ndarray, "h w"] | UInt8[np.ndarray, "h w"], floor: Bool[np.ndarray, "h w"],
     walls: Bool[np.ndarray, "h w"],
 ) -> UInt8[np.ndarray, "h w 3"]:  # fmt: skip
@@ -231,16 +245,16 @@ def _legend(classes: UInt8[np.ndarray, "h w"], target: int) -> list[Any]:
     """The entries of the legend: the classes that occur in the house, lines and marks."""
     found = [int(index) for index in np.unique(classes) if index not in (NO_OBJECT, target)]
     patches = [
-        (f"target: {OBJECT_CLASSES[target]}", OBJECT_COLORS[target] / 255, _TARGET, 1.4),
+        (f"target: {OBJECT_CLASSES[target]}", OBJECT_COLORS[target] / 255, TARGET_COLOR, 1.4),
         *((OBJECT_CLASSES[index], OBJECT_COLORS[index] / 255, "#777777", 0.4) for index in found),
         ("wall, obstacle", _WALL, "#777777", 0.4),
         ("free floor", _FLOOR, "#777777", 0.4),
         ("unexplored", "white", "#777777", 0.4),
     ]
-    lines = (("path so far", _PATH, 1.5), ("sampled plans", _PLANS, 0.5))
+    lines = (("path so far", PATH_COLOR, 1.5), ("sampled plans", _PLANS, 0.5))
     return [
         *(Patch(facecolor=face, edgecolor=edge, linewidth=width, label=name) for name, face, edge, width in patches),
         *(Line2D([], [], color=color, linewidth=width, label=name) for name, color, width in lines),
-        Line2D([], [], color=_ROBOT, marker=MarkerStyle(ROBOT_ARROW), markeredgecolor="white", markeredgewidth=0.4,
+        Line2D([], [], color=ROBOT_COLOR, marker=MarkerStyle(ROBOT_ARROW), markeredgecolor="white", markeredgewidth=0.4,
                markersize=6.5, linestyle="", label="robot"),
     ]  # fmt: skip

@@ -21,9 +21,9 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.estimation import compact_unet
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.grid.terrain import FIGURE_RGB
-from dc2g_jax.inspection import legend
+from dc2g_jax.inspection import _legend as legend
+from dc2g_jax.inspection._legend import CostScale
 from dc2g_jax.inspection.columns import TIMELINE, curve_style, first_view, image_style, open_recording
-from dc2g_jax.inspection.legend import CostScale
 from dc2g_jax.planning.planners import Frontier
 from dc2g_jax.planning.rules import complete_rules
 from dc2g_jax.programs import jit

@@ -39,7 +39,7 @@ UNSEEN = -128
 MOST_CONFIDENT = 15
 
 #: Largest number of voxels in a map: as many as 32-bit integers can count for each class.
-MOST_VOXELS = 2 ** (31 - CLASS_BITS) - 1
+_MOST_VOXELS = 2 ** (31 - CLASS_BITS) - 1
 
 _CONFIDENCE_BITS = MOST_CONFIDENT.bit_length()
 
@@ -286,8 +286,8 @@ def _check_settings(settings: MapSettings) -> None:
         value = getattr(settings, name)
         if not (isinstance(value, int | np.integer) and value > 0):
             raise InputError(f"{name} is {value!r}; give a whole number above 0")
-    if math.prod(settings.shape) > MOST_VOXELS:
-        raise InputError(f"a map of {settings.shape} has more than {MOST_VOXELS} voxels; make them larger or fewer")
+    if math.prod(settings.shape) > _MOST_VOXELS:
+        raise InputError(f"a map of {settings.shape} has more than {_MOST_VOXELS} voxels; make them larger or fewer")
     for name in ("cell_size", "level_height", "reach"):
         value = getattr(settings, name)
         if not (math.isfinite(value) and value > 0):

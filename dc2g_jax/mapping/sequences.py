@@ -36,16 +36,16 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import PALETTE_FILE, Palette, read_class_image, read_palette
 from dc2g_jax.files.png import MOST_PIXELS, read_png, write_png
 from dc2g_jax.files.reading import TEXT, finite_number, read_bytes, read_text
+from dc2g_jax.mapping._quaternions import quaternion_from_rotation, rotation_from_quaternion
 from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics, check_shapes
 from dc2g_jax.mapping.checks import check_intrinsics
-from dc2g_jax.mapping.quaternions import quaternion_from_rotation, rotation_from_quaternion
 from dc2g_jax.mapping.semantic_map import MapSettings
 
 #: Units of a depth image per meter.
 DEPTH_UNITS = 5000.0
 
 #: Largest time difference between images and poses of one moment, seconds, as in the benchmark's own tools.
-TOLERANCE = 0.02
+_TOLERANCE = 0.02
 
 #: Files of a folder.
 DEPTH_LIST, CLASS_LIST, PICTURE_LIST = "depth.txt", "classes.txt", "rgb.txt"
@@ -55,7 +55,7 @@ POSE_LIST, CAMERA_FILE = "groundtruth.txt", "camera.txt"
 _FARTHEST = 1e7
 
 #: Most cells of a map that covers a recording.
-_MOST_CELLS = 2**24
+MOST_CELLS = 2**24
 
 #: Largest number of shots per second: times are written in microseconds.
 _HIGHEST_RATE = 100_000
@@ -68,7 +68,7 @@ _CAMERA_FIELDS = ("focal_x", "focal_y", "center_x", "center_y", "width", "height
 _TIME = operator.itemgetter(0)
 
 
-class FrameFiles(NamedTuple):
+class _FrameFiles(NamedTuple):
     """A depth image with the class image, color image and pose nearest in time.
 
     Attributes:
@@ -98,7 +98,7 @@ class ImageSequence:
     """
 
     intrinsics: Intrinsics
-    moments: tuple[FrameFiles, ...]
+    moments: tuple[_FrameFiles, ...]
     skipped: int
     palette: Palette | None
 
@@ -110,7 +110,7 @@ class Shot(NamedTuple):
     picture: UInt8[np.ndarray, "h w 3"] | None = None
 
 
-def read_sequence(folder: str | Path, tolerance: float = TOLERANCE) -> ImageSequence:
+def read_sequence(folder: str | Path, tolerance: float = _TOLERANCE) -> ImageSequence:
     """Read the lists of a recording and match their entries by time.
 
     Args:
@@ -132,7 +132,7 @@ def read_sequence(folder: str | Path, tolerance: float = TOLERANCE) -> ImageSequ
     for time, file in depth:
         class_file, picture, pose = (_nearest(listed, time, tolerance) for listed in (classes, pictures, poses))
         if class_file is not None and pose is not None:
-            moments.append(FrameFiles(time, file, class_file, picture, pose))
+            moments.append(_FrameFiles(time, file, class_file, picture, pose))
     if not moments:
         raise InputError(
             f"{folder}: none of its {len(depth)} depth images has a class image and a pose within {tolerance:g} "
@@ -142,7 +142,7 @@ def read_sequence(folder: str | Path, tolerance: float = TOLERANCE) -> ImageSequ
     return ImageSequence(intrinsics, tuple(moments), len(depth) - len(moments), palette)
 
 
-def read_frame(sequence: ImageSequence, moment: FrameFiles) -> Frame:
+def read_frame(sequence: ImageSequence, moment: _FrameFiles) -> Frame:
     """Read the depth and class images of a moment; NumPy arrays on the host.
 
     Raises:
@@ -161,7 +161,7 @@ def read_frame(sequence: ImageSequence, moment: FrameFiles) -> Frame:
     return Frame(depth=depth, classes=labels, pose=moment.pose)
 
 
-def read_picture(moment: FrameFiles) -> bytes | None:
+def read_picture(moment: _FrameFiles) -> bytes | None:
     """The encoded bytes of a moment's color image; `None` if it has none.
 
     Raises:
@@ -205,9 +205,9 @@ def covered(sequence: ImageSequence, cell_size: float, reach: float) -> tuple[Im
     low = np.floor((ways.min(axis=0) - reach) / cell_size)
     high = np.ceil((ways.max(axis=0) + reach) / cell_size)
     columns, rows = (high - low).astype(int).tolist()
-    if rows * columns > _MOST_CELLS:
+    if rows * columns > MOST_CELLS:
         raise InputError(
-            f"the camera's path needs a map of {columns} x {rows} cells of {cell_size:g} m, more than {_MOST_CELLS} in "
+            f"the camera's path needs a map of {columns} x {rows} cells of {cell_size:g} m, more than {MOST_CELLS} in "
             f"all; give larger cells, or repair {POSE_LIST}"
         )
     offset = cell_size * np.array([-low[0], -high[1], 0.0])

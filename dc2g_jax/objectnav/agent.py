@@ -18,9 +18,17 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
 from dc2g_jax.mapping.camera import Frame, Intrinsics
-from dc2g_jax.objectnav.cost_maps import STOP, cost_lookup, dense_costs
-from dc2g_jax.objectnav.mapping import IndoorMap, IndoorMapSettings, empty_map, grid_cell, integrate, square, stood_on
-from dc2g_jax.objectnav.starts import ROBOT_RADIUS
+from dc2g_jax.objectnav._cost_maps import STOP, cost_lookup, dense_costs
+from dc2g_jax.objectnav._starts import ROBOT_RADIUS
+from dc2g_jax.objectnav.mapping import (
+    IndoorMap,
+    IndoorMapSettings,
+    empty_map,
+    grid_cell,
+    integrate,
+    mark_explored,
+    square,
+)
 from dc2g_jax.objectnav.worlds import IndoorWorld
 from dc2g_jax.vehicles import mppi
 from dc2g_jax.vehicles.mppi import CostOfPose, MPPISettings
@@ -28,7 +36,7 @@ from dc2g_jax.vehicles.robot import DRIVING, SimulatedRobot
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, drive, wrapped
 
 #: Floor within this distance counts as explored, meters. The camera never sees it, and robots would return to look.
-FOOTROOM = 0.6
+_FOOTROOM = 0.6
 
 #: Limits of an indoor robot, about the speed of a person in a room.
 LIMITS = VehicleLimits(
@@ -287,11 +295,11 @@ def look(robot: _Robot, frame: Frame, image: UInt8[Array, "48 64 3"] | None, kno
     robot = dataclasses.replace(
         robot,
         key=key,
-        map=stood_on(seen, position, FOOTROOM, agent.mapping),
+        map=mark_explored(seen, position, _FOOTROOM, agent.mapping),
         local_middle=grid_cell(position, cell_size),
     )
     guidance = agent.guide.guide(own_key, observed(robot, image), known, agent)
-    return dataclasses.replace(robot, guidance=guidance, costs=filled_costs(guidance.distance, cell_size))
+    return dataclasses.replace(robot, guidance=guidance, costs=_filled_costs(guidance.distance, cell_size))
 
 
 def steer(robot: _Robot, agent: Agent) -> tuple[_Robot, Float[Array, "2"]]:
@@ -316,7 +324,7 @@ def arrives(robot: Searcher, position: Float[Array, "2"], agent: Agent) -> Bool[
     return robot.guidance.to_goal & (cost_at(robot, position, agent) <= STOP)
 
 
-def filled_costs(distance: Float[Array, "n n"], cell_size: float) -> Float[Array, "n n"]:
+def _filled_costs(distance: Float[Array, "n n"], cell_size: float) -> Float[Array, "n n"]:
     """Costs for the controller: the distance where finite, elsewhere costs that lead back to such cells.
 
     A cell with infinite distance costs more than all of its neighbors with finite distance, so that a shorter distance

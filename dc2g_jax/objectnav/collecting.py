@@ -12,14 +12,14 @@ from jaxtyping import Array, Bool, Float, Float16, Int, UInt8, UInt16
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.mapping.scene import Scene
+from dc2g_jax.objectnav._cost_maps import distance_for_vehicle, inflated, with_tight_cells
+from dc2g_jax.objectnav._exploring import NEVER, Journey, explore
+from dc2g_jax.objectnav._starts import ROBOT_RADIUS, largest_region
 from dc2g_jax.objectnav.camera import CameraView, camera_pose, view
 from dc2g_jax.objectnav.classes import GOALS
-from dc2g_jax.objectnav.cost_maps import distance_for_vehicle, inflated, with_tight_cells
 from dc2g_jax.objectnav.data import JourneySet, cell_codes, in_millimeters
-from dc2g_jax.objectnav.exploring import NEVER, Journey, explore
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.midlevel import ImageEncoder
-from dc2g_jax.objectnav.starts import ROBOT_RADIUS, largest_region
 from dc2g_jax.objectnav.worlds import IndoorWorld, padded_alike, painted, scene
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import deal, gather, mesh_of, on_each, replicate
@@ -67,7 +67,7 @@ def usable(houses: Sequence[IndoorHouse], largest: int) -> list[IndoorWorld]:
     return padded_alike(worlds)
 
 
-def random_places(world: IndoorWorld, count: int, rng: np.random.Generator) -> Int[np.ndarray, "place 2"]:
+def _random_places(world: IndoorWorld, count: int, rng: np.random.Generator) -> Int[np.ndarray, "place 2"]:
     """Rows and columns of random cells in the largest part of a house that a robot can drive about.
 
     Args:
@@ -117,7 +117,7 @@ def _views(
 def _given(world: IndoorWorld, config: CollectionConfig, number: int) -> tuple:
     """What one house is collected from: the house, its scene and colors, places, starts and random key."""
     rng = np.random.default_rng((config.data_seed, number))
-    places = random_places(world, config.places + config.journeys, rng)
+    places = _random_places(world, config.places + config.journeys, rng)
     key = jax.random.key_data(jax.random.fold_in(jax.random.key(config.data_seed), number))
     return world, scene(world), painted(world, rng), places[: config.places], places[config.places :], key
 
@@ -203,7 +203,7 @@ def random_views(
     taken = []
     for number, world in enumerate(usable(houses, largest)):
         rng = np.random.default_rng((seed, number))
-        cells = jnp.asarray(random_places(world, count, rng))
+        cells = jnp.asarray(_random_places(world, count, rng))
         headings = jnp.asarray(rng.uniform(-np.pi, np.pi, count), jnp.float32)
         views = _views(scene(world), jnp.asarray(painted(world, rng)), cells, headings)
         taken.append(jax.tree.map(np.asarray, views))

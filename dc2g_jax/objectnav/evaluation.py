@@ -20,11 +20,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from dc2g_jax.grid.fast_marching import geodesic_distance
+from dc2g_jax.objectnav._cost_maps import straight_distance, with_tight_cells
+from dc2g_jax.objectnav._starts import REACH, passable
 from dc2g_jax.objectnav.classes import NO_OBJECT, OBJECT_CLASSES
-from dc2g_jax.objectnav.cost_maps import straight_distance, with_tight_cells
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.searches import Search, Searches
-from dc2g_jax.objectnav.starts import REACH, passable
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.statistics import house_bootstrap
 from dc2g_jax.vehicles.footprint import cell_at
@@ -48,7 +48,7 @@ class SearchResult(NamedTuple):
       driven: length of the driven path, meters.
       distance: distance to success at the end (DTS), meters.
       steps: control periods.
-      bumps: control periods in which an obstacle stopped the robot.
+      collisions: control periods in which an obstacle stopped the robot.
       acceleration: meters per second squared.
       turn_acceleration: radians per second squared.
       jerk: meters per second cubed.
@@ -68,7 +68,7 @@ class SearchResult(NamedTuple):
     driven: float
     distance: float
     steps: int
-    bumps: int
+    collisions: int
     acceleration: float
     turn_acceleration: float
     jerk: float
@@ -136,7 +136,7 @@ def results_of(
                 driven=driven,
                 distance=0.0 if succeeds[last] else float(distance[last]),
                 steps=steps,
-                bumps=int(searches.bumps[number]),
+                collisions=int(searches.collisions[number]),
                 acceleration=acceleration[0],
                 turn_acceleration=acceleration[1],
                 jerk=jerk[0],
@@ -167,7 +167,7 @@ class SearchSummary(NamedTuple):
       acceleration: meters per second squared, and radians per second squared.
       jerk: meters per second cubed, and radians per second cubed.
       declared: share of episodes in which the robot declared success.
-      bumps: control periods in which an obstacle stopped it.
+      collisions: control periods in which an obstacle stopped it.
     """
 
     episodes: int
@@ -180,7 +180,7 @@ class SearchSummary(NamedTuple):
     acceleration: tuple[float, float]
     jerk: tuple[float, float]
     declared: float
-    bumps: float
+    collisions: float
 
 
 def summarize(results: Sequence[SearchResult], *, resamples: int = 10_000) -> SearchSummary:
@@ -210,7 +210,7 @@ def summarize(results: Sequence[SearchResult], *, resamples: int = 10_000) -> Se
         acceleration=(mean("acceleration"), mean("turn_acceleration")),
         jerk=(mean("jerk"), mean("turn_jerk")),
         declared=mean("declared"),
-        bumps=mean("bumps"),
+        collisions=mean("collisions"),
     )
 
 

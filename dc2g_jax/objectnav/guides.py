@@ -15,9 +15,9 @@ from dc2g_jax.errors import InputError
 from dc2g_jax.grid.fast_marching import geodesic_distance, travel_cost
 from dc2g_jax.grid.search import FOUR_CONNECTED
 from dc2g_jax.grid.shifting import shifted
+from dc2g_jax.objectnav._cost_maps import distance_to_object, inflated, without_specks
 from dc2g_jax.objectnav.agent import Agent, Guidance, Guide, Observation
 from dc2g_jax.objectnav.classes import GOALS, NO_OBJECT
-from dc2g_jax.objectnav.cost_maps import distance_to_object, inflated, without_specks
 from dc2g_jax.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, has, has_any_class, square, window
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 from dc2g_jax.objectnav.worlds import IndoorWorld
@@ -53,7 +53,7 @@ class TrueCost(Guide):
 
 
 @struct.dataclass
-class NoIdea(Guide):
+class NullGuide(Guide):
     """Guide without information, for steering that does not use a guide."""
 
     def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: Agent) -> Guidance:

@@ -11,16 +11,16 @@ from dc2g_jax.datasets.maps import SPLITS
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.digests import arrays_sha256
 from dc2g_jax.grid.ground import component_numbers
+from dc2g_jax.objectnav._plans import PLAN_CELL_SIZE, HousePlan, world_from_plan
+from dc2g_jax.objectnav._procthor import BOXES_FILE, read_procthor
+from dc2g_jax.objectnav._starts import passable
 from dc2g_jax.objectnav.floor_plans.furnishing import furnish
 from dc2g_jax.objectnav.floor_plans.layouts import draw_layout
 from dc2g_jax.objectnav.floor_plans.placing import CHECK_CELLS, Floor, RoomSketch
-from dc2g_jax.objectnav.plans import PLAN_CELL_SIZE, HousePlan, world_from_plan
-from dc2g_jax.objectnav.procthor import BOXES_FILE, read_procthor
-from dc2g_jax.objectnav.starts import passable
 from dc2g_jax.objectnav.worlds import IndoorWorld
 
 #: File endings of houses.
-ENDINGS = (".jsonl.gz", ".jsonl")
+_ENDINGS = (".jsonl.gz", ".jsonl")
 
 _ATTEMPTS = 100
 
@@ -105,7 +105,7 @@ def indoor_houses(
     if location == PROCEDURAL:
         plans = [(index, draw_plan(seed, split, index)) for index in range(count or 20)]
     else:
-        path = split_file(Path(location), split)
+        path = _split_file(Path(location), split)
         plans = read_procthor(path, strict=strict)
         if count is not None and count > len(plans):
             raise InputError(f"{path}: has {len(plans)} houses, less than {count}; ask for fewer")
@@ -150,18 +150,18 @@ def houses_sha256(location: str | os.PathLike[str]) -> str | None:
     """
     if location == PROCEDURAL:
         return None
-    files = [split_file(Path(location), split) for split in ("train", "val")]
+    files = [_split_file(Path(location), split) for split in ("train", "val")]
     files += [path for path in [Path(location) / BOXES_FILE] if path.is_file()]
     return arrays_sha256({path.name: np.fromfile(path, np.uint8) for path in files})
 
 
-def split_file(folder: Path, split: str) -> Path:
+def _split_file(folder: Path, split: str) -> Path:
     """The file of a split.
 
     Raises:
         InputError: the folder has no file of the split.
     """
-    paths = [folder / f"{split}{ending}" for ending in ENDINGS]
+    paths = [folder / f"{split}{ending}" for ending in _ENDINGS]
     for path in paths:
         if path.is_file():
             return path

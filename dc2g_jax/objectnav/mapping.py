@@ -209,7 +209,7 @@ def _floor_in_view(
     return in_view & usable[row, column] & (frame.depth[row, column] >= forward)
 
 
-def stood_on(
+def mark_explored(
     indoor_map: IndoorMap, position: Float[Array, "2"], radius: float, settings: IndoorMapSettings
 ) -> IndoorMap:
     """Mark the cells around the robot as explored, whether it has seen them or not.

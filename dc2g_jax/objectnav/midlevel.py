@@ -23,8 +23,9 @@ from dc2g_jax.estimation.weights import fresh_weights, read_network, read_safete
 from dc2g_jax.objectnav.camera import VIEW_SIZE, CameraView
 from dc2g_jax.objectnav.classes import OBJECT_CLASSES
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import divide, first_copy, mesh_for_batch, replicate
+from dc2g_jax.rollouts.devices import first_copy, mesh_for_batch, replicate
 from dc2g_jax.training.loop import Losses, Task
+from dc2g_jax.training.step import Supervised, TrainingState, state_of, supervised_step
 
 #: Side of the blocks of pixels for which the default encoder is trained to answer, and rows and columns of them.
 _BLOCK = 4
@@ -200,70 +201,69 @@ def task_losses(answers: Answers, views: CameraView) -> dict[str, Float[Array, "
     }
 
 
-@struct.dataclass
-class EncoderState:
-    """State of the training of the default encoder.
+@dataclasses.dataclass(frozen=True)
+class EncoderTraining(Supervised):
+    """Training of the default encoder on images.
 
     Attributes:
-      step: number of optimizer steps.
-      weights: weights of the encoder.
-      optimizer: state of the optimizer.
-    """
-
-    step: Int[Array, ""]
-    weights: Any
-    optimizer: Any
-
-
-def encoder_task(
-    architecture: EncoderArchitecture,
-    views: CameraView,
-    *,
-    steps: int,
-    save: Callable[[TrainedEncoder, dict[str, float]], None],
-    batch_size: int = 64,
-    seed: int = 0,
-) -> Task[EncoderState]:
-    """The training of the default encoder on images. The result is reproducible by seed to the bit.
-
-    Args:
       architecture: architecture of the encoder.
-      views: all images.
       steps: number of optimizer steps.
-      save: called at each validation with the encoder and its losses on the first images.
       batch_size: images per step.
       seed: seed of weights and batches.
     """
-    optimizer = optax.adam(optax.cosine_decay_schedule(2e-3, max(steps, 1)))
 
-    def init() -> EncoderState:
-        weights = fresh_weights(SmallEncoder, architecture, jax.random.key(seed))
-        return EncoderState(step=jnp.int32(0), weights=weights, optimizer=optimizer.init(weights))
+    architecture: EncoderArchitecture
+    steps: int
+    batch_size: int = 64
+    seed: int = 0
 
-    @jit
-    def losses(weights: Any, views: CameraView) -> dict[str, Float[Array, ""]]:
-        network = with_weights(SmallEncoder, architecture, weights)
+    def first_state(self) -> TrainingState:
+        """The state before the first step."""
+        weights = fresh_weights(SmallEncoder, self.architecture, jax.random.key(self.seed))
+        return state_of(weights, self.optimizer())
+
+    def optimizer(self) -> optax.GradientTransformation:
+        """Adam, with a cosine decay of the learning rate to zero."""
+        return optax.adam(optax.cosine_decay_schedule(2e-3, max(self.steps, 1)))
+
+    def draw(self, data: CameraView, step: Int[Array, ""]) -> CameraView:
+        """Random images."""
+        key = jax.random.fold_in(jax.random.key(self.seed + 1), step)
+        chosen = jax.random.randint(key, (self.batch_size,), 0, len(data.image))
+        return jax.tree.map(lambda leaf: leaf[chosen], data)
+
+    def losses(self, weights: Any, views: CameraView) -> dict[str, Float[Array, ""]]:
+        """See `task_losses`."""
+        network = with_weights(SmallEncoder, self.architecture, weights)
         return task_losses(network.answer(network.encode(views.image)), views)
 
-    @functools.partial(jit, donate_argnames="state")
-    def step(state: EncoderState, views: CameraView) -> tuple[EncoderState, Float[Array, ""]]:
-        key = jax.random.fold_in(jax.random.key(seed + 1), state.step)
-        chosen = jax.random.randint(key, (batch_size,), 0, len(views.image))
-        batch = divide(jax.tree.map(lambda leaf: leaf[chosen], views), mesh)
-        loss, gradients = jax.value_and_grad(lambda weights: sum(losses(weights, batch).values(), jnp.float32(0)))(
+    def gradient(self, state: TrainingState, data: CameraView, batch: CameraView) -> tuple[Float[Array, ""], Any]:
+        """The sum of the losses, and its gradient."""
+        return jax.value_and_grad(lambda weights: sum(self.losses(weights, batch).values(), jnp.float32(0)))(
             state.weights
         )
-        updates, optimizer_state = optimizer.update(gradients, state.optimizer, state.weights)
-        weights = optax.apply_updates(state.weights, updates)
-        return EncoderState(step=state.step + 1, weights=weights, optimizer=optimizer_state), loss
 
-    def validate(state: EncoderState, step: int, loss: Losses | None) -> list[dict[str, float]]:
+
+def encoder_task(
+    training: EncoderTraining, views: CameraView, save: Callable[[TrainedEncoder, dict[str, float]], None]
+) -> Task[TrainingState]:
+    """The task of training the default encoder. The result is reproducible by seed to the bit.
+
+    Args:
+      training: the training.
+      views: all images.
+      save: called at each validation with the encoder and its losses on the first images.
+    """
+    losses = jit(training.losses)
+
+    def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, float]]:
         weights = first_copy(state.weights)
         found = {name: float(loss) for name, loss in losses(weights, validation_views).items()}
-        save(TrainedEncoder(weights=weights, architecture=architecture), found)
+        save(TrainedEncoder(weights=weights, architecture=training.architecture), found)
         return [{"step": step, **found}]
 
     validation_views = jax.tree.map(lambda leaf: leaf[:_VALIDATION_VIEWS], views)
-    mesh = mesh_for_batch(batch_size)
+    mesh = mesh_for_batch(training.batch_size)
     views, place = replicate(views, mesh), functools.partial(replicate, mesh=mesh)
-    return Task(steps, init, lambda state: step(state, views), validate, place=place, name="encoder")
+    step = functools.partial(supervised_step, data=views, training=training, mesh=mesh)
+    return Task(training.steps, training.first_state, step, validate, place=place, name="encoder")

@@ -10,12 +10,12 @@ from dc2g_jax.estimation.hub import local_folder
 from dc2g_jax.files.resources import resource
 from dc2g_jax.objectnav.agent import CONTROLLER, MPC, Agent, Guide, LookAround, RandomUntilSeen, Steering
 from dc2g_jax.objectnav.camera import indoor_camera
-from dc2g_jax.objectnav.guides import GoalReacher, NearestFrontier, NoIdea, Predicted, PromisingFrontier, TrueCost
+from dc2g_jax.objectnav.guides import GoalReacher, NearestFrontier, NullGuide, Predicted, PromisingFrontier, TrueCost
 from dc2g_jax.objectnav.networks import CostMapEstimator
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts, load_costs
 
 #: The shipped network and its encoder.
-SHIPPED_INDOOR_NETWORK = "weights/cost_maps_indoors"
+_SHIPPED_INDOOR_NETWORK = "weights/cost_maps_indoors"
 
 #: Names of the agents.
 AgentName = Literal["true_cost", "random", "frontier", "predicted", "promising"]
@@ -26,7 +26,7 @@ ON_NETWORK = ("promising", "predicted")
 
 def open_costs(place: str | Path | None) -> PredictedCosts[CostMapEstimator]:
     """The network in a place, or the shipped one."""
-    return load_costs(resource(SHIPPED_INDOOR_NETWORK) if place is None else local_folder(place))
+    return load_costs(resource(_SHIPPED_INDOOR_NETWORK) if place is None else local_folder(place))
 
 
 def costs_for(agents: Iterable[str], place: str | Path | None) -> PredictedCosts[CostMapEstimator] | None:
@@ -50,7 +50,7 @@ def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLE
     if name == "true_cost":
         guide, steering = TrueCost(), MPC()
     elif name == "random":
-        guide, steering = GoalReacher(NoIdea()), RandomUntilSeen()
+        guide, steering = GoalReacher(NullGuide()), RandomUntilSeen()
     elif name == "frontier":
         guide = GoalReacher(NearestFrontier())
     elif costs is None:

@@ -19,7 +19,7 @@ from dc2g_jax.objectnav.networks import CostMapEstimator, fused_cost, load_estim
 NETWORK_FILE, ENCODER_FILE = "network.safetensors", "encoder.safetensors"
 
 
-class CostEstimator(Protocol):
+class _CostEstimator(Protocol):
     """Predicts costs from a partial map. Implementations are pytrees."""
 
     def estimate(
@@ -43,7 +43,7 @@ class CostEstimator(Protocol):
         ...
 
 
-_Estimator = TypeVar("_Estimator", bound=CostEstimator)
+_Estimator = TypeVar("_Estimator", bound=_CostEstimator)
 
 
 @struct.dataclass
@@ -104,7 +104,7 @@ def load_costs(folder: Path) -> PredictedCosts[CostMapEstimator]:
     """
     for name in (NETWORK_FILE, ENCODER_FILE):
         if not (folder / name).is_file():
-            raise InputError(f"{folder}: has no {name}; give a folder that experiments.objectnav_train has written")
+            raise InputError(f"{folder}: has no {name}; give a folder that `dc2g objectnav train` has written")
     (estimator, card), encoder = load_estimator(folder / NETWORK_FILE), load_encoder(folder / ENCODER_FILE)
     if card.get("cell_size", IndoorMapSettings.cell_size) != IndoorMapSettings.cell_size:
         raise InputError(

@@ -3,7 +3,6 @@
 What comes of them is judged in `dc2g_jax.objectnav.evaluation`.
 """
 
-import functools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -11,19 +10,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jax.sharding import Mesh
-from jaxtyping import Array, Bool, Float, Int, UInt32
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.objectnav._starts import sample_starts
 from dc2g_jax.objectnav.agent import DECLARED, Agent
 from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.simulation import IndoorRobot, IndoorSite, leg, reset, site_of
-from dc2g_jax.objectnav.starts import sample_starts
 from dc2g_jax.objectnav.worlds import pad_world
-from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import deal, gather, mesh_of, on_each, replicate
-from dc2g_jax.vehicles.robot import run_to_end
+from dc2g_jax.rollouts.devices import deal, gather, mesh_of, replicate
+from dc2g_jax.vehicles.robot import at_starts, run_to_end
 
 #: Control periods of an episode: 50 s (section III-C).
 TIME_LIMIT = 500
@@ -58,13 +55,13 @@ class Searches:
       track: see `dc2g_jax.objectnav.simulation.IndoorRobot`.
       declared: did the robot say that it was there?
       steps: control periods.
-      bumps: of these, those in which it ran into something.
+      collisions: of these, those in which it ran into something.
     """
 
     track: Float[np.ndarray, "episodes time 5"]
     declared: Bool[np.ndarray, "episodes"]
     steps: Int[np.ndarray, "episodes"]
-    bumps: Int[np.ndarray, "episodes"]
+    collisions: Int[np.ndarray, "episodes"]
 
 
 def sample_episodes(houses: Sequence[IndoorHouse], per_house: int, *, seed: int = 0) -> list[Search]:
@@ -145,12 +142,12 @@ def search_all(
     targets = np.array([GOALS.index(OBJECT_CLASSES.index(episode.target)) for episode in episodes], np.int32)
     agent, sites = replicate((agent, sites), mesh)
     keys, starts, targets, where = deal((keys, starts, targets, where), count, mesh)
-    robots = _reset(keys, starts, targets, agent, mesh=mesh, limit=limit)
+    robots = at_starts(keys, (starts, targets), agent, mesh=mesh, reset=at_start, number=limit)
     robots = run_to_end(
         robots, leg, where, sites, agent, limit=limit, count=count, first_steps=_FIRST_LEGS, on_progress=on_progress
     )
-    track, status, steps, bumps = gather((robots.track, robots.status, robots.periods, robots.bumps), count)
-    return Searches(track=track, declared=status == DECLARED, steps=steps, bumps=bumps)
+    track, status, steps, collisions = gather((robots.track, robots.status, robots.periods, robots.collisions), count)
+    return Searches(track=track, declared=status == DECLARED, steps=steps, collisions=collisions)
 
 
 def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[IndoorSite, dict[str, int]]:
@@ -167,15 +164,9 @@ def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[IndoorSite, dic
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sites), {house.name: n for n, house in enumerate(houses)}
 
 
-@functools.partial(jit, static_argnames=("mesh", "limit"))
-def _reset(
-    keys: UInt32[Array, "devices own key"], starts: Float[Array, "devices own 3"], targets: Int[Array, "devices own"],
-    agent: Agent, *, mesh: Mesh, limit: int,
-) -> IndoorRobot:  # fmt: skip
-    def on_device(own: tuple[Array, Array, Array], agent: Agent) -> IndoorRobot:
-        def one(key: Array, start: Array, target: Array) -> IndoorRobot:
-            return reset(jax.random.wrap_key_data(key), start, target, agent, limit)
-
-        return jax.vmap(one)(*own)
-
-    return on_each(on_device, mesh, (keys, starts, targets), agent)
+def at_start(
+    key: Key[Array, ""], own: tuple[Float[Array, "3"], Int[Array, ""]], agent: Agent, limit: int
+) -> IndoorRobot:
+    """The robot at its start, given start and target; for `dc2g_jax.vehicles.robot.at_starts`."""
+    start, target = own
+    return reset(key, start, target, agent, limit)

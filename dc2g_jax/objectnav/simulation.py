@@ -45,11 +45,11 @@ class IndoorRobot(Searcher):
     """State of a simulated robot.
 
     Attributes:
-      bumps: control periods in which an obstacle stopped the robot.
+      collisions: control periods in which an obstacle stopped the robot.
       track: x, y, yaw, speed and turn rate at the start and after each control period; constant after the end.
     """
 
-    bumps: Int[Array, ""]
+    collisions: Int[Array, ""]
     track: Float[Array, "time 5"]
 
 
@@ -83,7 +83,7 @@ def reset(
     """
     searcher = begin(key, at_rest(start[:2], start[2]), target, agent)
     track = jnp.tile(_tracked(searcher.vehicle), (limit + 1, 1))
-    return IndoorRobot(**vars(searcher), bumps=jnp.int32(0), track=track)
+    return IndoorRobot(**vars(searcher), collisions=jnp.int32(0), track=track)
 
 
 def _camera_of(robot: Searcher) -> CameraPose:
@@ -114,7 +114,7 @@ def act(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
     return dataclasses.replace(
         robot,
         vehicle=vehicle,
-        bumps=robot.bumps + bumped,
+        collisions=robot.collisions + bumped,
         status=jnp.where(arrives(robot, vehicle.position, agent), DECLARED, robot.status).astype(jnp.int32),
         track=jnp.where(jnp.arange(len(robot.track))[:, None] < robot.periods, robot.track, _tracked(vehicle)),
     )

@@ -22,7 +22,7 @@ ABLATION_TITLES = {"both": "both", "semantic": "only semantic map", "midlevel": 
 METRICS = ("MPA", "mF1", "mIoU", "aAP5", "aAP9")
 
 
-class Table1Line(NamedTuple):
+class _Table1Line(NamedTuple):
     """A row of Table I of the paper; see `SearchSummary`."""
 
     success: float
@@ -33,7 +33,7 @@ class Table1Line(NamedTuple):
     jerk: tuple[float, float]
 
 
-class Table2Line(NamedTuple):
+class _Table2Line(NamedTuple):
     """A row of Table II of the paper: `METRICS` in percent, success, SPL and distance to success in meters."""
 
     metrics: tuple[float, ...]
@@ -44,20 +44,20 @@ class Table2Line(NamedTuple):
 
 #: Table I of the paper. `predicted` is its "Our Approach".
 PAPER_TABLE1 = {
-    "true_cost": Table1Line(1.000, 0.922, 0.211, 147.459, (0.15, 2.041), (2.371, 35.006)),
-    "random": Table1Line(0.250, 0.208, 7.214, 402.795, (1.607, 8.920), (28.004, 156.095)),
-    "predicted": Table1Line(0.447, 0.329, 4.542, 327.877, (0.673, 7.318), (11.788, 128.158)),
+    "true_cost": _Table1Line(1.000, 0.922, 0.211, 147.459, (0.15, 2.041), (2.371, 35.006)),
+    "random": _Table1Line(0.250, 0.208, 7.214, 402.795, (1.607, 8.920), (28.004, 156.095)),
+    "predicted": _Table1Line(0.447, 0.329, 4.542, 327.877, (0.673, 7.318), (11.788, 128.158)),
 }
 
 #: Table II of the paper.
 PAPER_TABLE2 = {
-    "semantic": Table2Line((79.17, 76.32, 63.34, 36.49, 32.47), 0.377, 0.290, 4.803),
-    "midlevel": Table2Line((79.11, 76.32, 63.47, 37.21, 33.11), 0.402, 0.287, 4.716),
-    "both": Table2Line((78.76, 75.89, 62.93, 37.45, 33.39), 0.447, 0.329, 4.542),
+    "semantic": _Table2Line((79.17, 76.32, 63.34, 36.49, 32.47), 0.377, 0.290, 4.803),
+    "midlevel": _Table2Line((79.11, 76.32, 63.47, 37.21, 33.11), 0.402, 0.287, 4.716),
+    "both": _Table2Line((78.76, 75.89, 62.93, 37.45, 33.39), 0.447, 0.329, 4.542),
 }
 
 #: Of these, the paper gives F1 and IoU of each class for its own network alone, in percent (section IV-A).
-PAPER_OF_CLASSES = (71.08, 80.68, 56.79, 69.06)
+_PAPER_OF_CLASSES = (71.08, 80.68, 56.79, 69.06)
 
 
 def with_interval(value: float, interval: tuple[float, float], sign: str = "") -> str:
@@ -73,7 +73,7 @@ def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
 def table1(summaries: Mapping[str, SearchSummary]) -> str:
     """Table I: a row for each agent, given by name, followed by the paper's row if it has one."""
 
-    def figures(one: SearchSummary | Table1Line) -> list[str]:
+    def figures(one: SearchSummary | _Table1Line) -> list[str]:
         pairs = (f"{along:.2f}, {turning:.2f}" for along, turning in (one.acceleration, one.jerk))
         return [f"{one.distance:.2f}", f"{one.steps:.1f}", *pairs]
 
@@ -97,12 +97,12 @@ def table2(metrics: Mapping[str, Mapping[str, float]], summaries: Mapping[str, S
     rows = [["", *(f"{name} %" for name in METRICS), "success", "SPL", "DTS m"]]
     for name, one in summaries.items():
         paper = PAPER_TABLE2[name]
-        ours = Table2Line(tuple(metrics[name][metric] for metric in METRICS), one.success, one.spl, one.distance)
+        ours = _Table2Line(tuple(metrics[name][metric] for metric in METRICS), one.success, one.spl, one.distance)
         for title, line in ((ABLATION_TITLES[name], ours), ("the paper's", paper)):
             found = (f"{value:.2f}" for value in line.metrics)
             rows.append([title, *found, f"{line.success:.3f}", f"{line.spl:.3f}", f"{line.distance:.2f}"])
     values = {ABLATION_TITLES[name]: [found[score] for score in OF_CLASSES] for name, found in metrics.items()}
-    values["the paper's (both)"] = list(PAPER_OF_CLASSES)
+    values["the paper's (both)"] = list(_PAPER_OF_CLASSES)
     of_classes = [["", *(f"{score} %" for score in OF_CLASSES)]]
     of_classes += [[title, *(f"{value:.2f}" for value in own)] for title, own in values.items()]
     lines = [_line(row, (18, *[7] * 8)) for row in rows]

@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jax.sharding import Mesh
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from dc2g_jax.estimation.weights import fresh_weights
 from dc2g_jax.objectnav import networks
+from dc2g_jax.objectnav._losses import LossWeights, total_loss
 from dc2g_jax.objectnav.data import (
     ALL_SYMMETRIES,
     LOCAL,
@@ -24,13 +24,12 @@ from dc2g_jax.objectnav.data import (
     Samples,
     draw_samples,
 )
-from dc2g_jax.objectnav.losses import LossWeights, total_loss
 from dc2g_jax.objectnav.mapping import network_maps
 from dc2g_jax.objectnav.metrics import FIVE_ACTIONS, NINE_ACTIONS, action_accuracy, confusion, occupancy_scores
 from dc2g_jax.objectnav.networks import CostMapArchitecture, CostMapEstimator, Prediction, fused_cost
 from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import divide
-from dc2g_jax.training.cost_to_go import TrainingState, check_numbers, loss_or_nan, running_average
+from dc2g_jax.training.cost_to_go import check_numbers
+from dc2g_jax.training.step import Supervised, TrainingState, state_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,7 +74,7 @@ RECIPES = {"better": BETTER_RECIPE, "paper": PAPER_RECIPE}
 
 
 @dataclasses.dataclass(frozen=True)
-class CostMapConfig:
+class CostMapConfig(Supervised):
     """Configuration of a training run.
 
     Attributes:
@@ -100,28 +99,43 @@ class CostMapConfig:
     def __post_init__(self) -> None:
         check_numbers(self.recipe.peak, steps=self.steps, batch_size=self.batch_size)
 
+    @property
+    def average_decay(self) -> float:
+        """That of the recipe."""
+        return self.recipe.average_decay
 
-def learning_rate_schedule(config: CostMapConfig) -> optax.Schedule:
-    """`step ->` learning rate of the recipe."""
-    recipe, warmup = config.recipe, round(config.recipe.warmup * config.steps)
-    return optax.warmup_cosine_decay_schedule(0.0, recipe.peak, warmup, max(config.steps, warmup + 1), recipe.last)
+    def learning_rates(self) -> optax.Schedule:
+        """`step ->` learning rate of the recipe."""
+        recipe, warmup = self.recipe, round(self.recipe.warmup * self.steps)
+        return optax.warmup_cosine_decay_schedule(0.0, recipe.peak, warmup, max(self.steps, warmup + 1), recipe.last)
 
+    def optimizer(self) -> optax.GradientTransformation:
+        """The optimizer of the recipe with its learning rates."""
+        return OPTIMIZERS[self.recipe.optimizer](self.learning_rates(), self.recipe.weight_decay)
 
-def optimizer(config: CostMapConfig) -> optax.GradientTransformation:
-    """The optimizer of the recipe with its learning-rate schedule."""
-    return OPTIMIZERS[config.recipe.optimizer](learning_rate_schedule(config), config.recipe.weight_decay)
+    def draw(self, data: JourneySet, step: Int[Array, ""]) -> Samples:
+        """The batch of a step, which only depends on the seed and the step."""
+        _, batches_key = jax.random.split(jax.random.key(self.seed))
+        return draw_samples(
+            jax.random.fold_in(batches_key, step),
+            data,
+            batch_size=self.batch_size,
+            symmetries=self.recipe.symmetries,
+            normalize=NORMALIZATIONS[self.recipe.normalization],
+        )
+
+    def gradient(self, state: TrainingState, data: JourneySet, batch: Samples) -> tuple[Float[Array, ""], Any]:
+        """The mean loss of a batch, and its gradient."""
+        of_weights = jax.value_and_grad(lambda weights: mean_loss(self, weights, batch), has_aux=True)
+        (loss, _), gradient = of_weights(state.weights)
+        return loss, gradient
 
 
 def first_state(config: CostMapConfig) -> TrainingState:
     """The state before the first step."""
     weights_key, _ = jax.random.split(jax.random.key(config.seed))
     weights = fresh_weights(networks.CostMapNetwork, config.architecture, weights_key)
-    return TrainingState(
-        step=jnp.int32(0),
-        weights=weights,
-        average=jax.tree.map(jnp.array, weights),
-        optimizer=optimizer(config).init(weights),
-    )
+    return state_of(weights, config.optimizer(), config.average_decay)
 
 
 def mean_loss(
@@ -133,38 +147,6 @@ def mean_loss(
     of_map = functools.partial(total_loss, weights=config.loss_weights)
     loss, losses = jax.tree.map(jnp.mean, jax.vmap(of_map)(prediction, samples.occupied, samples.cost))
     return loss, (losses, prediction)
-
-
-@functools.partial(jit, static_argnames=("config", "mesh"), donate_argnames="state")
-def train_step(
-    state: TrainingState, data: JourneySet, *, config: CostMapConfig, mesh: Mesh
-) -> tuple[TrainingState, Float[Array, ""]]:
-    """Take one optimizer step. The old state is donated.
-
-    The batch depends only on the seed and the number of the step, so interrupted and resumed training gives the same
-    weights as training without interruption.
-
-    Returns:
-      The new state and the loss, see `dc2g_jax.training.cost_to_go.loss_or_nan`.
-    """
-    recipe = config.recipe
-    _, batches_key = jax.random.split(jax.random.key(config.seed))
-    samples = draw_samples(
-        jax.random.fold_in(batches_key, state.step),
-        data,
-        batch_size=config.batch_size,
-        symmetries=recipe.symmetries,
-        normalize=NORMALIZATIONS[recipe.normalization],
-    )
-    samples = divide(samples, mesh)
-    (loss, _), gradient = jax.value_and_grad(lambda weights: mean_loss(config, weights, samples), has_aux=True)(
-        state.weights
-    )
-    updates, optimizer_state = optimizer(config).update(gradient, state.optimizer, state.weights)
-    weights = optax.apply_updates(state.weights, updates)
-    average = running_average(state.average, weights, state.step, recipe.average_decay)
-    new = TrainingState(step=state.step + 1, weights=weights, average=average, optimizer=optimizer_state)
-    return new, loss_or_nan(loss, weights)
 
 
 @functools.partial(jit, static_argnames="config")

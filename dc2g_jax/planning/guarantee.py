@@ -33,6 +33,7 @@ from dc2g_jax.planning.planners import (
     MapRevisingPlanner,
     Plan,
     assess,
+    memoryless,
     plan_to,
 )
 from dc2g_jax.planning.rules import Rules
@@ -120,7 +121,7 @@ class Guaranteed(AssessingPlanner):
 
     def memoryless(self) -> Any:
         """The wrapped planner's own planner with a new state at every step. It has no bound, for lack of a memory."""
-        return getattr(self.planner, "memoryless", lambda: self.planner)()
+        return memoryless(self.planner)
 
     def init(self, world: World) -> GuaranteedState:
         """The wrapped planner's state. The shadow starts at the first decision, at the robot's pose."""

@@ -28,7 +28,7 @@ from dc2g_jax.grid.terrain import CLASS_NAMES, FREE, OUTSIDE, TRAVERSABLE, UNKNO
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.decisions import Decision, RobotPose, View, decide
 from dc2g_jax.planning.named import make
-from dc2g_jax.planning.planners import Assessment, Planner, assess, measured
+from dc2g_jax.planning.planners import Assessment, Planner, assess, measured, memoryless
 from dc2g_jax.planning.rules import Rules, complete_rules
 from dc2g_jax.programs import ONE_OPERATION_OPTIONS, jit, one_operation
 
@@ -129,10 +129,11 @@ class OnlinePlanner:
         self.rules: Rules = getattr(planner, "rules", complete_rules(reach))
         if self.rules.sensing.radius != reach:
             raise InputError(f"sensing_range {reach}: the planner's rules say {self.rules.sensing.radius}; give that")
-        self._planner = getattr(planner, "memoryless", lambda: planner)()
+        self._planner = memoryless(planner)
         self.largest = rows, columns
         self._margin = max(_OPEN_MARGIN, reach) if open_ended else 0
-        self._pads_maps = getattr(getattr(self._planner, "estimator", self._planner), "knows_outside", False)
+        reader = getattr(self._planner, "estimator", self._planner)
+        self._pads_maps = getattr(reader, "knows_outside", Planner.knows_outside)
         frame = 2 * self._margin
         shapes = _shapes_up_to(rows + frame, columns + frame, larger_than=frame)
         self._shapes = shapes if self._pads_maps else shapes[-1:]

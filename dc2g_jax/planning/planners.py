@@ -19,7 +19,7 @@ from flax import struct
 from jaxtyping import Array, Float, Int, UInt8
 
 from dc2g_jax.estimation.compact_unet import Architecture
-from dc2g_jax.estimation.estimators import Estimates, Estimator, Extent, NetworkCostToGo, extent_of, for_some
+from dc2g_jax.estimation.estimators import Estimates, Estimator, Extent, NetworkCostToGo, extent_of, update_where
 from dc2g_jax.estimation.extents import Surroundings
 from dc2g_jax.estimation.padding import PaddedNetwork, mirrored
 from dc2g_jax.grid import bitboard, poses, search
@@ -86,9 +86,12 @@ class Planner(Protocol):
     Attributes:
       batch_per_core: number of robots to simulate side by side on one CPU core. A single one is fastest, except for a
         network, which needs less time per map in larger batches. May be left out.
+      knows_outside: whether it takes maps in a larger grid, as `OnlinePlanner` pads them. A planner with an estimator
+        takes what the estimator takes.
     """
 
     batch_per_core: ClassVar[int] = 1
+    knows_outside: ClassVar[bool] = False
 
     def init(self, world: World) -> Any:
         """The planner's state at the start of an episode in `world`.
@@ -100,6 +103,15 @@ class Planner(Protocol):
     def plan(self, belief: Belief, state: Any) -> tuple[Plan, Any]:
         """Decide the next action from what has been observed."""
         ...
+
+    def memoryless(self) -> "Planner":
+        """The planner for a single robot whose state is new at every step; itself unless a subclass defines it."""
+        return self
+
+
+def memoryless(planner: Planner) -> Planner:
+    """See `Planner.memoryless`; also for planners that do not derive from `Planner`."""
+    return planner.memoryless() if hasattr(planner, "memoryless") else planner
 
 
 class AssessingPlanner(Planner, Protocol):
@@ -319,7 +331,7 @@ class DC2G(AssessingPlanner):
     def memoryless(self) -> "DC2G":
         """This planner for a single robot with a new state at every step, on maps of any size."""
         network = self.estimator
-        estimator = PaddedNetwork(network) if isinstance(network, NetworkCostToGo) else network
+        estimator = PaddedNetwork(network) if isinstance(network, NetworkCostToGo) and network.is_compact else network
         return dataclasses.replace(self, estimator=estimator, patience=ENDLESS, magnifies=False, memory=False)
 
     def init(self, world: World) -> "ExplorationState":
@@ -447,7 +459,7 @@ class DC2G(AssessingPlanner):
         outdated = undecided & ((news >= enough) | poses.is_empty(state.choice.subgoals & revealing))
         inputs = belief, reachable, revealing, decided_near, state.estimator
         if self.memory:
-            choice = for_some(self._choose, outdated, inputs, state.choice)
+            choice = update_where(self._choose, outdated, inputs, state.choice)
         else:
             choice = jax.lax.cond(
                 outdated, lambda: self._estimated(belief, state.estimator, state.choice), lambda: state.choice

@@ -136,35 +136,3 @@ class QuantileCost(_OneCost):
     def summary(self, costs: Float[Array, "outcomes h w *batch"]) -> Float[Array, "kept h w *batch"]:
         """The quantile."""
         return costs[int(self.level * len(costs))][None]
-
-
-@dataclasses.dataclass(frozen=True)
-class ReservationCost:
-    """Reservation cost: the optimal rule for opening boxes of unknown cost one by one (Weitzman 1979).
-
-    Going to a subgoal to find out its cost is like opening a box; the price is the path there. The reservation cost r
-    of a box with price p and random cost C solves E[max(r - C, 0)] = p: with a certain alternative of cost r, opening
-    the box neither gains nor loses. Opening boxes in the order of their reservation costs is optimal. So a close
-    subgoal that might be cheap is tried before one with the same mean that cannot be. With one outcome, this is
-    `ExpectedCost`.
-
-    For n outcomes in ascending order, r = min over k of (sum of the k smallest + n p) / k.
-    """
-
-    distance_weight: float
-
-    def summary(self, costs: Float[Array, "outcomes h w *batch"]) -> Float[Array, "kept h w *batch"]:
-        """All outcomes."""
-        return costs
-
-    def __call__(
-        self, summary: Float[Array, "kept h w *batch"], distance: Int[Array, "..."]
-    ) -> Float[Array, "h w *batch"]:
-        """Score of each cell as a subgoal."""
-        outcomes = len(summary)
-        price = outcomes * self.distance_weight * distance
-        smallest, least = jnp.zeros_like(summary[0]), jnp.full_like(summary[0], jnp.inf)
-        for number, cost in enumerate(summary, start=1):
-            smallest = smallest + cost
-            least = jnp.minimum(least, (smallest + price) / number)
-        return least

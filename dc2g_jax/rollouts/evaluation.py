@@ -11,7 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, UInt8
 
-from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset, stack_worlds
+from dc2g_jax.datasets.houses import (
+    PROCEDURAL,
+    House,
+    HouseDataset,
+    open_dataset,
+    procedural_dataset,
+    stack_worlds,
+)
 from dc2g_jax.datasets.starts import Start, sample_starts, usable_houses
 from dc2g_jax.errors import InputError, short
 from dc2g_jax.estimation.estimators import Estimator, extent_of
@@ -26,6 +33,7 @@ from dc2g_jax.grid.world import World
 from dc2g_jax.planning.named import NETWORK_PLANNERS, check_names, make_planner, open_estimator
 from dc2g_jax.planning.planners import GAVE_UP, MODE_NAMES, Mode, Oracle, Planner
 from dc2g_jax.planning.rules import Rules, Settings, named_settings
+from dc2g_jax.rollouts.progress import EpisodeProgress
 from dc2g_jax.rollouts.results import write_rows
 from dc2g_jax.rollouts.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
 from dc2g_jax.rollouts.statistics import ExtraSteps, Summary, extra_steps, tabulate
@@ -241,6 +249,7 @@ class Runner:
             if self._progress is not None:
                 self._progress(name, finished, len(starts))
 
+        report(0)  # before minutes of compilation, perhaps
         done = rollout(
             planner,
             worlds,
@@ -369,7 +378,7 @@ def evaluate(
     sensing_range: int | None = None,
     network: Estimator | str | os.PathLike[str] | None = None,
     step_limit: int | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Callable[[str, int, int], None] | bool = True,
 ) -> Results:
     """Run planners from the same starts and compare each episode with the oracle's.
 
@@ -395,7 +404,8 @@ def evaluate(
         shipped network.
       step_limit: actions after which an episode ends without success; `None` for the default for the maps' size, see
         `Runner`.
-      progress: called as `progress(planner, finished, episodes)` between calls of the device.
+      progress: whether to show a progress bar for each planner in the error stream; or a function, called as
+        `progress(planner, finished, episodes)` between calls of the device.
 
     Raises:
       InputError: an argument is invalid, no episode can be run in any house, or a planner was made for another field of
@@ -415,13 +425,15 @@ def evaluate(
     settings.rules(sensing_range)
     estimator = open_estimator(network) if NETWORK_PLANNERS.keys() & set(sources) else None
     if not isinstance(dataset, HouseDataset):
-        dataset = open_dataset(dataset)
+        only = {"split": split} if starts is None else {}
+        dataset = procedural_dataset(**only) if dataset == PROCEDURAL else open_dataset(dataset)
     if starts is None:
         houses = usable_houses(dataset, split, instead="use another split")
         starts = sample_starts(houses, starts_per_house, seed=seed)
     if sensing_range is not None:
         starts = [start._replace(sensing_range=start.sensing_range or sensing_range) for start in starts]
-    runner = Runner(dataset, settings, step_limit=step_limit, progress=progress)
+    told = progress if callable(progress) else EpisodeProgress(leave=False) if progress else None
+    runner = Runner(dataset, settings, step_limit=step_limit, progress=told)
     return Results(runner.run(starts, named, estimator))
 
 

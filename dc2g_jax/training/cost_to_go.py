@@ -22,6 +22,7 @@ from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import mesh_of, platform, settle
 from dc2g_jax.training.losses import LOSSES, map_loss, named_loss
+from dc2g_jax.training.step import TrainingState, state_of, updated
 
 #: Maximum number of equal parts of a batch, which devices can share.
 _MOST_PARTS = 8
@@ -118,28 +119,11 @@ class Hyperparameters:
     loss_weights: Float[Array, "*runs losses"]
 
 
-@struct.dataclass
-class TrainingState:
-    """The training state, saved and restored as a whole.
-
-    Attributes:
-      step: number of optimizer steps.
-      weights: weights of the network.
-      average: running average of the weights.
-      optimizer: optax state.
-    """
-
-    step: Int[Array, ""]
-    weights: Any
-    average: Any
-    optimizer: Any
-
-
 #: `(key, data, batch_size=...) ->` training pairs.
 DrawBatch = Callable[..., Pair]
 
 
-def learning_rate_schedule(recipe: TrainingConfig) -> optax.Schedule:
+def _learning_rate_schedule(recipe: TrainingConfig) -> optax.Schedule:
     """`step ->` learning rate: a linear warm-up, then a cosine decay to zero, for a peak of 1."""
     warmup = min(200, recipe.steps // 10)
     return optax.warmup_cosine_decay_schedule(0.0, 1.0, warmup, recipe.steps)
@@ -147,25 +131,20 @@ def learning_rate_schedule(recipe: TrainingConfig) -> optax.Schedule:
 
 def learning_rates(config: TrainingConfig) -> Float[np.ndarray, "steps"]:
     """The learning rate of every step."""
-    rates = jax.vmap(learning_rate_schedule(config.recipe))(jnp.arange(config.steps))
+    rates = jax.vmap(_learning_rate_schedule(config.recipe))(jnp.arange(config.steps))
     return config.learning_rate * np.asarray(rates)
 
 
 def optimizer(recipe: TrainingConfig) -> optax.GradientTransformation:
     """AdamW with clipped gradients, for a peak learning rate of 1."""
-    adamw = optax.adamw(learning_rate_schedule(recipe), weight_decay=recipe.weight_decay)
+    adamw = optax.adamw(_learning_rate_schedule(recipe), weight_decay=recipe.weight_decay)
     return optax.chain(optax.clip_by_global_norm(1.0), adamw)
 
 
 def init_state(recipe: TrainingConfig, hyperparameters: Hyperparameters) -> TrainingState:
     """The state before the first step."""
     weights = compact_unet.init_weights(recipe.architecture, jax.random.key(hyperparameters.seed))
-    return TrainingState(
-        step=jnp.int32(0),
-        weights=weights,
-        average=jax.tree.map(jnp.array, weights),
-        optimizer=optimizer(recipe).init(weights),
-    )
+    return state_of(weights, optimizer(recipe), recipe.average_decay)
 
 
 def first_state(config: TrainingConfig) -> TrainingState:
@@ -190,18 +169,6 @@ def mean_loss(
     return jnp.sum(jnp.stack([mean(name, loss_weights[number]) for number, (name, _) in enumerate(recipe.losses)]))
 
 
-def loss_or_nan(loss: Float[Array, ""], weights: Any) -> Float[Array, ""]:
-    """The loss of a step; NaN if the loss or a weight after the step is not finite."""
-    finite = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(weights)]
-    return jnp.where(functools.reduce(jnp.logical_and, finite, jnp.isfinite(loss)), loss, jnp.nan)
-
-
-def running_average(average: Any, weights: Any, step: Int[Array, ""], decay: float) -> Any:
-    """The running average of the weights after one more step. Early on, its decay is smaller."""
-    kept = jnp.minimum(decay, (1.0 + step) / (10.0 + step))
-    return jax.tree.map(lambda a, w: kept * a + (1 - kept) * w, average, weights)
-
-
 def _updated(
     recipe: TrainingConfig,
     state: TrainingState,
@@ -209,14 +176,9 @@ def _updated(
     loss: Float[Array, ""],
     gradient: Any,
 ) -> tuple[TrainingState, Float[Array, ""]]:
-    """The state of one run after one step, and its loss from `loss_or_nan`."""
-    updates, optimizer_state = optimizer(recipe).update(gradient, state.optimizer, state.weights)
-    weights = jax.tree.map(lambda w, u: w + hyperparameters.learning_rate * u, state.weights, updates)
-    average = running_average(state.average, weights, state.step, recipe.average_decay)
-    new = TrainingState(step=state.step + 1, weights=weights, average=average, optimizer=optimizer_state)
-    loss = loss_or_nan(loss, weights)
-    kept = jax.tree.map(lambda now, before: jnp.where(jnp.isfinite(loss), now, before), new, state)
-    return kept.replace(step=new.step), loss
+    """The state of one run after one step, and its loss, see `dc2g_jax.training.step.updated`."""
+    rate, decay = hyperparameters.learning_rate, recipe.average_decay
+    return updated(state, loss, gradient, optimizer(recipe), average_decay=decay, rate=rate)
 
 
 @functools.cache

@@ -48,7 +48,7 @@ def _costs_to_drive(estimator: Estimator, terrain: UInt8[Array, "s s"]) -> Float
     return jnp.where(jnp.asarray(TRAVERSABLE)[terrain], cost, jnp.inf)
 
 
-def predicted_image(
+def _predicted_image(
     estimator: Estimator, observed: UInt8[Array, "s s"], whole: UInt8[Array, "s s"]
 ) -> Float[Array, "s s 3"]:
     """The cost-to-go image that an estimator predicts.
@@ -85,7 +85,7 @@ def compare(
     """
     observed = resize_nearest(seen, *terrain.shape)
     pair = MaskedMap(terrain, cost_to_go, observed, largest_cost(cost_to_go)).pictures()
-    predicted = predicted_image(estimator, jnp.where(observed, terrain, jnp.uint8(0)), terrain)
+    predicted = _predicted_image(estimator, jnp.where(observed, terrain, jnp.uint8(0)), terrain)
     return compare_images(predicted, pair.target).metrics(), pair.image, predicted, pair.target
 
 

@@ -145,7 +145,7 @@ def all_pairs(houses: Sequence[House], masks: Bool[np.ndarray, "masks s s"]) -> 
     return _pairs(houses, masks.shape[-1], boards, pair_house, pair_mask)
 
 
-def rollout_masks(houses: Sequence[House], per_house: int, *, seed: int) -> Masks:
+def _rollout_masks(houses: Sequence[House], per_house: int, *, seed: int) -> Masks:
     """Observed cells of robots with 8-cell sensing at random moments, with the same number of masks for each house.
 
     Houses in which no episode can be run have none. If a house has too few different moments, some are repeated.
@@ -193,7 +193,7 @@ def image_set(dataset: HouseDataset, split: str, *, size: int, masks: MaskKind, 
         return all_pairs(houses, drawn_masks(per_house, size, seed=MASK_SEEDS[split]))
     grids = [House(house.name, split, sample_grid(house.terrain, GRID_CELLS)) for house in houses]
     usable_houses(HouseDataset(dataset.name, dataset.source, tuple(grids)), split, instead="use --masks paper")
-    collected = rollout_masks(grids, per_house, seed=MASK_SEEDS[split])
+    collected = _rollout_masks(grids, per_house, seed=MASK_SEEDS[split])
     return _pairs(houses, size, collected.boards, collected.world, np.arange(len(collected.world)))
 
 

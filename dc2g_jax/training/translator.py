@@ -8,20 +8,17 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
-from flax import struct
-from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, UInt32
 
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.pix2pix import Discriminator, Generator, TranslatorArchitecture, init_weights
 from dc2g_jax.estimation.weights import with_weights
-from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import divide
-from dc2g_jax.training.cost_to_go import check_numbers, loss_or_nan
+from dc2g_jax.training.cost_to_go import check_numbers
 from dc2g_jax.training.image_pairs import ImagePair
+from dc2g_jax.training.step import Supervised, TrainingState, state_of
 
 
-class GeneratorLoss(NamedTuple):
+class _GeneratorLoss(NamedTuple):
     """Weights of the generator's loss.
 
     Attributes:
@@ -38,9 +35,9 @@ _L1_SCALE = 2.0
 
 #: The paper's three losses, by name; weights as in pix2pix.
 TRANSLATOR_LOSSES = {
-    "l1": GeneratorLoss(100.0, 0.0),
-    "gan": GeneratorLoss(0.0, 1.0),
-    "l1+gan": GeneratorLoss(100.0, 1.0),
+    "l1": _GeneratorLoss(100.0, 0.0),
+    "gan": _GeneratorLoss(0.0, 1.0),
+    "l1+gan": _GeneratorLoss(100.0, 1.0),
 }
 
 
@@ -71,54 +68,36 @@ class TranslatorConfig:
         check_numbers(self.learning_rate, batch_size=self.batch_size)
 
 
-@struct.dataclass
-class TranslatorState:
-    """The training state, saved and restored as a whole.
-
-    Attributes:
-      step: number of optimizer steps.
-      key: key of the run, as data, for the order of the pairs and dropout. It is part of the state so that runs with
-        different seeds share a compiled step.
-      generator: weights of the generator.
-      discriminator: weights of the discriminator; constant if the loss does not use them.
-      generator_optimizer: optax state.
-      discriminator_optimizer: optax state.
-    """
-
-    step: Int[Array, ""]
-    key: UInt32[Array, "2"]
-    generator: Any
-    discriminator: Any
-    generator_optimizer: Any
-    discriminator_optimizer: Any
-
-
 #: `(key of the run, step, data) -> batch`
-DrawImages = Callable[[Array, Array, Any], ImagePair]
+_DrawImages = Callable[[Array, Array, Any], ImagePair]
+
+#: The key of a run, as data, for the order of the pairs and dropout; and the pairs. Runs that differ in the seed alone
+#: share a compiled step.
+RunData = tuple[UInt32[Array, "2"], Any]
 
 
-def _optimizer(config: TranslatorConfig) -> optax.GradientTransformation:
-    return optax.adam(config.learning_rate, b1=config.beta1)
-
-
-def init_translator(config: TranslatorConfig, *, seed: int) -> TranslatorState:
-    """The state before the first step.
+def first_state(config: TranslatorConfig, *, seed: int) -> TrainingState:
+    """The state before the first step; its weights are those of `generator` and `discriminator`.
 
     Args:
       config: training configuration.
       seed: seed of weights, order of the pairs and dropout.
     """
-    generator_key, discriminator_key, run_key = jax.random.split(jax.random.key(seed), 3)
-    generator = init_weights(Generator, config.architecture, generator_key)
-    discriminator = init_weights(Discriminator, config.architecture, discriminator_key)
-    return TranslatorState(
-        step=jnp.int32(0),
-        key=jax.random.key_data(run_key),
-        generator=generator,
-        discriminator=discriminator,
-        generator_optimizer=_optimizer(config).init(generator),
-        discriminator_optimizer=_optimizer(config).init(discriminator),
-    )
+    generator_key, discriminator_key, _ = jax.random.split(jax.random.key(seed), 3)
+    weights = {
+        "generator": init_weights(Generator, config.architecture, generator_key),
+        "discriminator": init_weights(Discriminator, config.architecture, discriminator_key),
+    }
+    return state_of(weights, _optimizer(config))
+
+
+def run_key(seed: int) -> UInt32[Array, "2"]:
+    """The key of a run, see `RunData`."""
+    return jax.random.key_data(jax.random.split(jax.random.key(seed), 3)[2])
+
+
+def _optimizer(config: TranslatorConfig) -> optax.GradientTransformation:
+    return optax.adam(config.learning_rate, b1=config.beta1)
 
 
 def discriminator_loss(
@@ -147,45 +126,46 @@ def generator_loss(
     return total, difference
 
 
-def _updated(config: TranslatorConfig, weights: Any, gradient: Any, optimizer: Any) -> tuple[Any, Any]:
-    updates, optimizer = _optimizer(config).update(gradient, optimizer, weights)
-    return optax.apply_updates(weights, updates), optimizer
+@dataclasses.dataclass(frozen=True)
+class TranslatorTraining(Supervised):
+    """Training of both networks of a translator: in a step first the discriminator, then the generator.
 
-
-@functools.partial(jit, static_argnames=("config", "draw_batch", "mesh"), donate_argnames=("state",))
-def translator_step(
-    state: TranslatorState, data: Any, *, config: TranslatorConfig, draw_batch: DrawImages, mesh: Mesh
-) -> tuple[TranslatorState, Float[Array, ""]]:
-    """Take one step: update the discriminator, then the generator.
-
-    The batch and the dropout of a step only depend on the run's key and the step number, so resumed training gives the
-    same weights as uninterrupted training.
-
-    Returns:
-      The new state, and the mean absolute error of the generated images; NaN if a weight of either network is not
-      finite.
+    Attributes:
+      config: training configuration.
+      draw_batch: draws pairs.
     """
-    architecture = config.architecture
-    batch_key, dropout_key = jax.random.split(jax.random.wrap_key_data(state.key))
-    batch = divide(draw_batch(batch_key, state.step, data), mesh)
-    dropout_key = jax.random.fold_in(dropout_key, state.step)
-    generated, backward = jax.vjp(
-        lambda weights: with_weights(Generator, architecture, weights)(batch.image, dropout_key), state.generator
-    )
-    discriminator, discriminator_optimizer = state.discriminator, state.discriminator_optimizer
-    if TRANSLATOR_LOSSES[config.loss].gan:
-        gradient = jax.grad(lambda weights: discriminator_loss(architecture, weights, batch, generated))(discriminator)
-        discriminator, discriminator_optimizer = _updated(config, discriminator, gradient, discriminator_optimizer)
-    loss_of = functools.partial(generator_loss, config, discriminator, batch)
-    by_picture, difference = jax.grad(loss_of, has_aux=True)(generated)
-    (gradient,) = backward(by_picture)
-    generator, generator_optimizer = _updated(config, state.generator, gradient, state.generator_optimizer)
-    new = dataclasses.replace(
-        state,
-        step=state.step + 1,
-        generator=generator,
-        discriminator=discriminator,
-        generator_optimizer=generator_optimizer,
-        discriminator_optimizer=discriminator_optimizer,
-    )
-    return new, loss_or_nan(difference, (generator, discriminator))
+
+    config: TranslatorConfig
+    draw_batch: _DrawImages
+
+    def optimizer(self) -> optax.GradientTransformation:
+        """Adam, for both networks. A discriminator that the loss does not use has no gradient and keeps its weights."""
+        return _optimizer(self.config)
+
+    def draw(self, data: RunData, step: Int[Array, ""]) -> ImagePair:
+        """The pairs of a step, which only depend on the key of the run and the step."""
+        batch_key, _ = jax.random.split(jax.random.wrap_key_data(data[0]))
+        return self.draw_batch(batch_key, step, data[1])
+
+    def gradient(self, state: TrainingState, data: RunData, batch: ImagePair) -> tuple[Float[Array, ""], Any]:
+        """The mean absolute error of the generated images, and the gradients of the losses of both networks."""
+        config, architecture = self.config, self.config.architecture
+        generator, discriminator = state.weights["generator"], state.weights["discriminator"]
+        _, dropout_key = jax.random.split(jax.random.wrap_key_data(data[0]))
+        dropout_key = jax.random.fold_in(dropout_key, state.step)
+        generated, backward = jax.vjp(
+            lambda weights: with_weights(Generator, architecture, weights)(batch.image, dropout_key), generator
+        )
+        of_discriminator = jax.tree.map(jnp.zeros_like, discriminator)
+        if TRANSLATOR_LOSSES[config.loss].gan:
+            of_discriminator = jax.grad(lambda weights: discriminator_loss(architecture, weights, batch, generated))(
+                discriminator
+            )
+            # The generator is judged by the discriminator of after the step.
+            gradient = {"generator": jax.tree.map(jnp.zeros_like, generator), "discriminator": of_discriminator}
+            updates, _ = self.optimizer().update(gradient, state.optimizer, state.weights)
+            discriminator = optax.apply_updates(discriminator, updates["discriminator"])
+        loss_of = functools.partial(generator_loss, config, discriminator, batch)
+        by_picture, difference = jax.grad(loss_of, has_aux=True)(generated)
+        (of_generator,) = backward(by_picture)
+        return difference, {"generator": of_generator, "discriminator": of_discriminator}

@@ -34,10 +34,10 @@ from dc2g_jax.mapping.scene import Scene
 from dc2g_jax.mapping.semantic_map import MapSettings, SemanticMap, empty_map, integrate, terrain_map
 from dc2g_jax.mapping.simulator import CAMERA_HEIGHT, CAMERA_PITCH, CAMERA_RANGE, render
 from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL, MapRevisingPlanner
+from dc2g_jax.vehicles._pedestrians import PERSON_RADIUS, Pedestrians, place, walk, walkable_cells
 from dc2g_jax.vehicles.avoidance import People, navigate
 from dc2g_jax.vehicles.following import ARRIVAL, Path, path_through
 from dc2g_jax.vehicles.footprint import Ground, cell_at, cell_centers, clearance, surroundings
-from dc2g_jax.vehicles.pedestrians import PERSON_RADIUS, Pedestrians, place, walk, walkable_cells
 from dc2g_jax.vehicles.robot import DRIVING, SimulatedRobot
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive, wrapped
 

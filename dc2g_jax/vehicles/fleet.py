@@ -1,24 +1,19 @@
 """Many robots, each in the whole loop of an episode of its own, over all devices."""
 
-import functools
 from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jax.sharding import Mesh
-from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
+from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.grid.poses import Pose
 from dc2g_jax.mapping.scene import scene_from_terrain
-from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import batched, deal, gather, mesh_of, on_each, replicate
+from dc2g_jax.rollouts.devices import deal, gather, mesh_of, replicate
 from dc2g_jax.rollouts.rollout import Episodes
 from dc2g_jax.vehicles.drive import ARRIVED, Equipment, Robot, Site, reset, step
-from dc2g_jax.vehicles.robot import run_to_end
+from dc2g_jax.vehicles.robot import at_starts, run_to_end
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD
 
 #: Control periods that the first call of the device drives.
@@ -92,7 +87,8 @@ def drive_all(
     keys = jax.random.key_data(jax.random.split(jax.random.key(seed), count))
     equipment, sites = replicate((equipment, sites), mesh)
     episodes, keys = deal((episodes, keys), count, mesh)
-    robots = _reset(keys, episodes, sites, equipment, mesh=mesh, pedestrians=pedestrians, knows_map=knows_map)
+    shared = sites, equipment, jnp.asarray(knows_map)
+    robots = at_starts(keys, episodes, shared, mesh=mesh, reset=at_start, number=pedestrians)
     robots = run_to_end(
         robots, step, episodes.world, sites, equipment,
         limit=last_period, count=count, first_steps=_FIRST_PERIODS, on_progress=on_progress,
@@ -102,17 +98,10 @@ def drive_all(
     return Drives(seconds=seconds, status=status, off_ground=off_ground, touched=touched)
 
 
-@functools.partial(jit, static_argnames=("mesh", "pedestrians"))
-def _reset(
-    keys: UInt32[Array, "devices own key"], episodes: Episodes, sites: Site, equipment: Equipment,
-    *, mesh: Mesh, pedestrians: int, knows_map: ArrayLike,
-) -> Robot:  # fmt: skip
-    def on_device(own: tuple[Array, Episodes], sites: Site, equipment: Equipment, knows_map: Array) -> Robot:
-        def one(key: Array, world: Array, start: Pose) -> Robot:
-            key, site = jax.random.wrap_key_data(key), jax.tree.map(lambda leaf: leaf[world], sites)
-            return reset(key, start, site, equipment, pedestrians=pedestrians, knows_map=knows_map)
-
-        keys, episodes = own
-        return batched(mesh)(one)(keys, episodes.world, episodes.start)
-
-    return on_each(on_device, mesh, (keys, episodes), sites, equipment, jnp.asarray(knows_map))
+def at_start(
+    key: Key[Array, ""], episode: Episodes, shared: tuple[Site, Equipment, Bool[Array, ""]], pedestrians: int
+) -> Robot:
+    """The robot at the start of its episode; for `dc2g_jax.vehicles.robot.at_starts`."""
+    sites, equipment, knows_map = shared
+    site = jax.tree.map(lambda leaf: leaf[episode.world], sites)
+    return reset(key, episode.start, site, equipment, pedestrians=pedestrians, knows_map=knows_map)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from flax import struct
 from jax.sharding import Mesh
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Int, Key
+from jaxtyping import Array, Bool, Int, Key, UInt32
 
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import batched, mesh_of, not_repeated, on_each, serve_paced
@@ -71,6 +71,30 @@ def stopped_by_obstacles(
     bumped = (then < radius) & (then < now)
     position, speed = jnp.where(bumped, before.position, after.position), jnp.where(bumped, 0, after.speed)
     return dataclasses.replace(after, position=position, speed=speed), bumped
+
+
+@functools.partial(jit, static_argnames=("mesh", "reset", "number"))
+def at_starts(
+    keys: UInt32[Array, "devices own key"], own: Any, shared: Any, *, mesh: Mesh, reset: Callable[..., Any], number: int
+) -> Any:
+    """Robots at their starts, dealt out to all devices.
+
+    Args:
+      keys: key of each robot, as data.
+      own: what each robot has of its own, `[devices own ...]`.
+      shared: what all robots share.
+      mesh: the devices.
+      reset: a function of a module, for which programs are compiled once: `(key, own, shared, number) ->` the robot.
+      number: a number that sets shapes, for `reset`.
+    """
+
+    def on_device(dealt: tuple[Array, Any], shared: Any) -> Any:
+        def one(key: Array, own: Any) -> Any:
+            return reset(jax.random.wrap_key_data(key), own, shared, number)
+
+        return batched(mesh)(one)(*dealt)
+
+    return on_each(on_device, mesh, (keys, own), shared)
 
 
 def run_to_end(

@@ -100,7 +100,7 @@ def reachable_command(
     )
 
 
-def along_arc(
+def _along_arc(
     position: Float[Array, "*n 2"], yaw: Float[Array, "*n"], traveled: Float[Array, "*n"], turned: Float[Array, "*n"]
 ) -> Float[Array, "*n 2"]:
     """Position and direction at the end of a circular arc.
@@ -136,7 +136,7 @@ def drive(
     """
     speed, turn_rate = reachable_command(state, command, limits, seconds)
     return VehicleState(
-        position=along_arc(state.position, state.yaw, speed * seconds, turn_rate * seconds),
+        position=_along_arc(state.position, state.yaw, speed * seconds, turn_rate * seconds),
         yaw=wrapped(state.yaw + turn_rate * seconds),
         speed=speed,
         turn_rate=turn_rate,

@@ -25,7 +25,8 @@ from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax.rollouts.rollout import rollout
 from dc2g_jax.training.cost_to_go import TrainingConfig
 from dc2g_jax.training.image_pairs import draw_image_pairs, image_set
-from dc2g_jax.training.translator import init_translator, translator_step
+from dc2g_jax.training.step import supervised_step
+from dc2g_jax.training.translator import TranslatorTraining, first_state, run_key
 
 from .bench import SENSING_RANGE, Bench, own
 from .planners import PLANNER_UNIT, with_episodes
@@ -141,12 +142,13 @@ def _translator(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
         draw_image_pairs, batch_size=config.batch_size, whole_share=options.whole_share, augment=options.augment
     )
     mesh = mesh_for_batch(config.batch_size)
-    state, data = replicate((init_translator(config, seed=0), data), mesh)
+    training = TranslatorTraining(config, draw)
+    state, pairs = replicate((first_state(config, seed=0), (run_key(0), data)), mesh)
 
     def train() -> jax.Array:
         nonlocal state
         for _ in range(steps):
-            state, loss = translator_step(state, data, config=config, draw_batch=draw, mesh=mesh)
+            state, loss = supervised_step(state, pairs, training=training, mesh=mesh)
         return loss
 
     measured = bench.measure(train)

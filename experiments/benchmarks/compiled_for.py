@@ -3,6 +3,7 @@
 import dataclasses
 import re
 import time
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -11,7 +12,6 @@ from jax.experimental import topologies
 from jax.sharding import NamedSharding, PartitionSpec
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.files.resources import resource
 
 from .hot_programs import HotProgram
 from .launches import Launches, count_launches
@@ -45,7 +45,7 @@ def open_target(name: str) -> Target:
     Raises:
       InputError: JAX's plugin for CUDA is not installed.
     """
-    text = resource(TARGETS[name]).read_text()
+    text = Path(__file__).with_name(TARGETS[name]).read_text()
     try:
         devices = topologies.get_topology_desc(platform="cuda", topology="1x1x8", target_config=text).devices
     except NotImplementedError:

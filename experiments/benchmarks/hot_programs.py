@@ -30,6 +30,7 @@ from dc2g_jax.training import cost_to_go, translator
 from dc2g_jax.training.cost_to_go import TrainingConfig
 from dc2g_jax.training.cost_to_go_data import DataConfig
 from dc2g_jax.training.image_pairs import ImageSet, draw_image_pairs
+from dc2g_jax.training.step import supervised_step
 from dc2g_jax.vehicles import fleet, robot
 from dc2g_jax.vehicles.drive import Site, step
 from dc2g_jax.vehicles.robot import Step
@@ -163,10 +164,11 @@ def _translator_step(mesh: Mesh) -> HotProgram:
     draw = functools.partial(
         draw_image_pairs, batch_size=config.batch_size, whole_share=options.whole_share, augment=options.augment
     )
-    state = jax.eval_shape(functools.partial(translator.init_translator, config, seed=0))
-    static = {"config": config, "draw_batch": draw, "mesh": mesh}
+    state = jax.eval_shape(functools.partial(translator.first_state, config, seed=0))
+    key = jax.eval_shape(functools.partial(translator.run_key, 0))
+    static = {"training": translator.TranslatorTraining(config, draw), "mesh": mesh}
     specs = (_WHOLE, _WHOLE)
-    return HotProgram(translator.translator_step, (state, data), specs, static, config.batch_size, mesh)
+    return HotProgram(supervised_step, (state, (key, data)), specs, static, config.batch_size, mesh)
 
 
 def _scene(houses: int, side: int) -> Scene:
@@ -188,9 +190,9 @@ def _search_leg(robots: int, mesh: Mesh) -> HotProgram:
         free=_array(houses, side, side, dtype=jnp.bool_),
         known=None,
     )
-    reset = functools.partial(searches._reset, mesh=mesh, limit=searches.TIME_LIMIT)
+    begin = functools.partial(robot.at_starts, mesh=mesh, reset=searches.at_start, number=searches.TIME_LIMIT)
     starts, each = _array(n, robots, 3, dtype=jnp.float32), _array(n, robots)
-    state = jax.eval_shape(reset, _array(n, robots, 2, dtype=jnp.uint32), starts, each, agent)
+    state = jax.eval_shape(begin, _array(n, robots, 2, dtype=jnp.uint32), (starts, each), agent)
     return _robots_steps(leg, each, sites, agent, state, mesh)
 
 
@@ -198,10 +200,9 @@ def _drive_step(robots: int, mesh: Mesh) -> HotProgram:
     equipped, n = equipment("dc2g", load_network(None), (_CELLS, _CELLS), 1.0, DrivingOptions()), mesh.size
     sites = Site(_array(_HOUSES, _CELLS, _CELLS, dtype=jnp.uint8), _scene(_HOUSES, _CELLS * TILES))
     each = _array(n, robots)
-    reset = functools.partial(fleet._reset, mesh=mesh, pedestrians=0, knows_map=False)
-    state = jax.eval_shape(
-        reset, _array(n, robots, 2, dtype=jnp.uint32), Episodes(each, Pose(each, each, each)), sites, equipped
-    )
+    begin = functools.partial(robot.at_starts, mesh=mesh, reset=fleet.at_start, number=0)
+    episodes, shared = Episodes(each, Pose(each, each, each)), (sites, equipped, _array(dtype=jnp.bool_))
+    state = jax.eval_shape(begin, _array(n, robots, 2, dtype=jnp.uint32), episodes, shared)
     return _robots_steps(step, each, sites, equipped, state, mesh)
 
 

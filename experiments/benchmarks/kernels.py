@@ -17,8 +17,9 @@ from dc2g_jax.planning import frontiers, planners
 from dc2g_jax.planning.selection import ExpectedCost
 from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import deal, mesh_of, on_each, replicate
+from tests.oracles import numpy_gridworld
 
-from ..baselines import libraries, numpy_gridworld
+from ..baselines import libraries
 from .bench import SENSING_RANGE, Bench, own
 from .machine import BANDWIDTH, FLOAT_ARITHMETIC
 from .programs import compile_program

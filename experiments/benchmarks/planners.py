@@ -14,14 +14,15 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax.estimation.estimators import Estimator, NetworkCostToGo
 from dc2g_jax.grid.world import World
 from dc2g_jax.inspection.replay import actions_from_letters
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.rollouts.devices import cores
 from dc2g_jax.rollouts.rollout import STEP_LIMIT, rollout
+from tests.oracles import numpy_gridworld
 
-from ..baselines import c_gridworld, numpy_gridworld
+from ..baselines import c_gridworld
 from ..baselines.problem import BaselineName, Outcome, Problem, empty_outcome
 from .bench import SENSING_RANGE, Bench, own
 from .kernels import network_pace_row
@@ -120,7 +121,7 @@ def _in_numpy(bench: Bench, row: Row, planner: numpy_gridworld.PlannerName, refe
 
 
 @struct.dataclass
-class _Counting:
+class _Counting(Estimator):
     """A network that tells how many maps it is asked for."""
 
     estimator: NetworkCostToGo

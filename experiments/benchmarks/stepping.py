@@ -15,8 +15,9 @@ from dc2g_jax.grid.poses import Pose
 from dc2g_jax.grid.terrain import ROAD
 from dc2g_jax.grid.world import World
 from dc2g_jax.rollouts.devices import cores
+from tests.oracles import numpy_gridworld
 
-from ..baselines import environments, numpy_gridworld
+from ..baselines import environments
 from ..baselines.environments import Environment
 from .bench import SENSING_RANGE, Bench, own
 from .programs import compile_program

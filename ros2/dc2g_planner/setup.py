@@ -6,13 +6,13 @@ NAME = "dc2g_planner"
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version="0.2.0",
     packages=[NAME],
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/launch", [f"launch/{NAME}.launch.py"]),
-        (f"share/{NAME}/config", [f"config/{NAME}.yaml"]),
+        (f"share/{NAME}/config", [f"config/{NAME}.yaml", f"config/{NAME}.rviz"]),
     ],
     install_requires=["setuptools"],
     zip_safe=True,

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import importlib.util
 import json
 import os
 import shutil
@@ -15,27 +16,29 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dc2g_jax.cli.commands import demo as command
 from dc2g_jax.errors import require_extra
 from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.grid.terrain import FRONT_DOOR
 from dc2g_jax.inspection.demo import Demo
 from dc2g_jax.planning.decisions import RobotPose
-from experiments import demo as command
 from tests.support.networks import random_network
 from tests.support.places import ROOT
 from tests.support.refusals import refusal
 from tests.support.toy import HOUSE
 
-pytest.importorskip("nicegui", reason="the extra demo is not installed")
-
+if not importlib.util.find_spec("nicegui"):
+    pytest.skip("the extra demo is not installed", allow_module_level=True)
+# NiceGUI, and the page that is written with it, are imported by the tests, as it takes seconds.
 import httpx
 import websockets.exceptions
 import websockets.sync.client
 from nicegui import ui
 from nicegui.testing import user_simulation
+from starlette.responses import PlainTextResponse
 
 from dc2g_jax.cli.demo_page import Page, check_port
-from dc2g_jax.cli.local_server import LARGEST_BODY
+from dc2g_jax.cli.local_server import LARGEST_BODY, OwnOriginOnly
 
 
 def broken(rules):
@@ -86,6 +89,7 @@ def test_a_visitor_steps_scrubs_and_meets_nobody_else():
 
 
 def test_a_visitor_draws_a_map_and_is_told_what_is_wrong():
+
     async def visit(user, pages):
         await user.open("/")
         await user.should_see("step 0", retries=200)
@@ -107,6 +111,12 @@ def test_a_visitor_draws_a_map_and_is_told_what_is_wrong():
             point(kind, x, 12.5)
         assert np.argwhere(page.state.terrain == FRONT_DOOR).tolist() == [[12, x] for x in (3, 4, 5, 6)]
         assert page.choice.value is None  # so that the map can be chosen again
+        page.tool.value = "rectangle"
+        for kind, x in (("pointerdown", 20.5), ("pointermove", 22.5), ("pointerup", 21.5)):
+            point(kind, x, 3.5)
+        assert np.argwhere(page.state.terrain == FRONT_DOOR).tolist()[:2] == [[3, 20], [3, 21]]
+        user.find("Undo").click()
+        assert len(np.argwhere(page.state.terrain == FRONT_DOOR)) == 4
         page.tool.value = "robot"
         point("pointerdown", 0.5, 0.5)
         assert page.state.start[:2] == (0, 0)
@@ -122,11 +132,46 @@ def test_a_visitor_draws_a_map_and_is_told_what_is_wrong():
     visited(visit)
 
 
+def test_a_link_holds_what_was_drawn():
+    async def visit(user, pages):
+        drawn = Demo({"toy": HOUSE.terrain}, ["frontier"], random_network(Architecture(widths=(4, 4, 4, 4))))
+        drawn.paint((0, 0), (9, 0), "road", 1)
+        drawn.start = RobotPose(3, 5, 2)
+        await user.open(f"/?map={drawn.link}")
+        await user.should_see("step 0", retries=200)
+        np.testing.assert_array_equal(pages[0].state.terrain, drawn.terrain)
+        assert (pages[0].state.start, pages[0].choice.value) == (drawn.start, None)
+        await user.open("/?map=nothing")
+        assert "holds no map" in user.notify.messages[-1]
+
+    visited(visit)
+
+
+def test_other_users_need_the_token():
+    async def served(scope, receive, send):
+        await PlainTextResponse("the page")(scope, receive, send)
+
+    async def visit() -> None:
+        transport = httpx.ASGITransport(OwnOriginOnly(served, token="a-secret"))
+        async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as stranger:
+            for path in ("/", "/?token=", "/?token=a-secre", SOCKET + "polling"):
+                assert (await stranger.get(path)).status_code == 403
+            assert (await stranger.get("/", headers={"Cookie": "dc2g_token=another"})).status_code == 403
+        async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as owner:
+            first = await owner.get("/?token=a-secret")
+            assert (first.status_code, first.text) == (200, "the page")
+            assert "HttpOnly; SameSite=Strict" in first.headers["set-cookie"]
+            assert (await owner.get(SOCKET + "polling")).status_code == 200
+
+    asyncio.run(visit())
+
+
 def test_an_extra_that_is_missing_is_named():
     refusal(lambda: require_extra("no_such_module", extra="demo"), "no_such_module", 'pip install "dc2g_jax[demo]"')
 
 
 def test_a_port_that_is_taken():
+
     with socket.socket() as holder:
         holder.bind(("127.0.0.1", 0))
         holder.listen()
@@ -144,7 +189,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
-    options = ["--no-browser", "--port", port, "--dataset", toy, "--planner", "frontier"]
+    options = ["--no-browser", "--port", port, "--dataset", toy, "--planner", "frontier", "--token", ""]
     # Where NiceGUI sees pytest, it serves as its own tests need it.
     outside = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
     command_line = [sys.executable, "-m", "experiments.demo", *options]

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dc2g_jax.datasets import houses as houses_module
-from dc2g_jax.datasets.download import NetworkUnavailable
+from dc2g_jax.datasets._download import NetworkUnavailable
 from dc2g_jax.datasets.houses import (
     House,
     HouseDataset,
@@ -20,12 +20,12 @@ from dc2g_jax.datasets.houses import (
     load_dataset,
     open_dataset,
     procedural_dataset,
-    save_dataset,
 )
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import read_class_image, read_palette, write_class_image
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, HOUSE, PATH, ROAD
 from tests.files.pngs import chunk, png
+from tests.support.houses import save_dataset
 from tests.support.places import PUBLISHED, SHARED
 from tests.support.refusals import refusal
 
@@ -447,17 +447,10 @@ def test_wrong_grid_size(folder):
     refusal(lambda: load_dataset(folder), first_image(folder), "wrong grid size", "49 x 200", "50 x 50", "larger")
 
 
-def test_what_cannot_be_saved(folder, tmp_path):
-    image = drawing()
-    refusal(lambda: save_dataset([("a", "test", image)], folder), folder, "not an empty folder", "new one")
-    refusal(lambda: save_dataset([], tmp_path / "b"), tmp_path / "b", "no houses")
-    refusal(lambda: save_dataset([("a", "spare", image)], tmp_path / "c"), "'spare'", "train, val, test")
-    refusal(lambda: save_dataset([("a/b", "test", image)], tmp_path / "d"), "'a/b'", "letters")
-    twice = [("a", "test", image), ("a", "train", image)]
-    refusal(lambda: save_dataset(twice, tmp_path / "e"), "'a'", "twice", "unique")
-    refusal(lambda: save_dataset([("a", "test", image + 16)], tmp_path / "f"), "worlda.png", "0 to 15", "class")
-    refusal(lambda: save_dataset([("a", "test", image[0])], tmp_path / "g"), "worlda.png", "[70]", "[H W]")
-    refusal(lambda: save_dataset([("a", "test", image)], folder / "labels_colors.csv" / "x"), "cannot be written")
+def test_what_cannot_be_saved(tmp_path):
+    image, path = drawing(), tmp_path / "a.png"
+    refusal(lambda: write_class_image(path, image + 16), path, "0 to 15", "class")
+    refusal(lambda: write_class_image(path, image[0]), path, "[70]", "[H W]")
 
 
 # --- which dataset is opened ----------------------------------------------------------------------------
@@ -549,3 +542,10 @@ def test_procedural_houses_are_sampled_like_images_and_survive_saving(tmp_path, 
         assert (one.name, one.split) == (other.name, other.split)
         np.testing.assert_array_equal(one.terrain, other.terrain)
     refusal(lambda: draw_dataset(cells=56), "p004m000h000", "wrong grid size", "55 x 90")
+
+
+def test_one_split_of_the_procedural_houses_is_that_of_all():
+    some, every = procedural_dataset(split="val"), procedural_dataset().split("val")
+    assert [house.name for house in some.houses] == [house.name for house in every]
+    for house, other in zip(some.houses, every, strict=True):
+        np.testing.assert_array_equal(house.terrain, other.terrain)

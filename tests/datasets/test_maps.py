@@ -6,12 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.houses import map_dataset, open_dataset, save_dataset, stack_worlds
+from dc2g_jax.datasets.houses import map_dataset, open_dataset, stack_worlds
 from dc2g_jax.datasets.maps import Goal, draw_map, map_from_classes, read_map
 from dc2g_jax.datasets.starts import sample_starts, why_no_episode
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import Palette, read_palette
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, GRASS, HOUSE, PATH, ROAD
+from tests.support.houses import save_dataset
 from tests.support.maps import drawn
 from tests.support.occupancy import save
 from tests.support.refusals import refusal
@@ -96,7 +97,7 @@ def test_a_folder_of_maps_is_a_dataset(tmp_path, yard):
     np.save(tmp_path / "train" / "a.npy", yard)
     np.save(tmp_path / "val" / "c.npy", np.where(yard == FRONT_DOOR, HOUSE, yard))
     save(tmp_path / "test", np.full((7, 5), 254, np.uint8))
-    (tmp_path / "goals.csv").write_text("map,x,y,unit\nlab,0.01,0.01,metres\nc,3,5,cells\n lab, 4, 0, cells\n")
+    (tmp_path / "goals.csv").write_text("map,x,y,unit\nlab,0.01,0.01,meters\nc,3,5,cells\n lab, 4, 0, cells\n")
     dataset = open_dataset(tmp_path)
     assert [(house.name, house.split) for house in dataset.houses] == [
         ("a", "train"), ("b", "train"), ("c", "val"), ("lab", "test"),
@@ -221,9 +222,9 @@ def test_doors_that_a_coarse_grid_would_lose(yard):
         (Goal(5, 0), ["goal (5, 0) lies at column 5, row 0, off the map of 5 x 7 cells"]),
         (Goal(0, -1), ["goal (0, -1) lies at column 0, row -1, off the map"]),
         (Goal(float("nan"), 1), ["goal (nan, 1) is not finite"]),
-        (Goal(1, float("inf"), "metres"), ["goal (1, inf) is not finite"]),
+        (Goal(1, float("inf"), "meters"), ["goal (1, inf) is not finite"]),
         (Goal(1.5, 1), ["goal (1.5, 1) is between cells", "whole numbers"]),
-        (Goal(1, 1, "metres"), ["goal (1, 1) is in meters", "only a ROS map"]),
+        (Goal(1, 1, "meters"), ["goal (1, 1) is in meters", "only a ROS map"]),
         (Goal(0, 6), ["goal (0, 6) lies at column 0, row 6 on 'house'", "not traversable", "column 0, row 3"]),
     ],
 )
@@ -257,7 +258,7 @@ def test_maps_of_two_sizes_cannot_be_run_together(tmp_path, yard):
     [
         ("map,x,y\nyard,1,2\n", ["lacks the column 'unit'"]),
         ("map,x,y,unit\nyrad,1,1,cells\n", ["line 2", "'yrad' is not a map", "use yard"]),
-        ("map,x,y,unit\nyard,1,1,feet\n", ["line 2", "'feet'", "cells or metres"]),
+        ("map,x,y,unit\nyard,1,1,feet\n", ["line 2", "'feet'", "cells or meters"]),
         ("map,x,y,unit\nyard,1,one,cells\n", ["line 2", "'one'", "'y'", "write a number"]),
         ("map,x,y,unit\nyard,nan,1,cells\n", ["line 2", "'nan'", "'x'"]),
     ],

@@ -74,16 +74,16 @@ def test_a_coarser_cell_is_free_only_if_all_it_touches_is(tmp_path, grid):
 def test_goals_in_meters_and_in_cells(tmp_path):
     grays = np.full((40, 60), 254, np.uint8)
     path = save(tmp_path, grays, origin=[-1.0, -0.5, 0.0])
-    terrain = read_map(path, goals=[Goal(-0.99, -0.49, "metres"), Goal(3, 2)])
+    terrain = read_map(path, goals=[Goal(-0.99, -0.49, "meters"), Goal(3, 2)])
     assert np.argwhere(terrain == FRONT_DOOR).tolist() == [[2, 3], [39, 0]]
-    coarse = read_map(path, goals=[Goal(1.99, 1.49, "metres")], cells=(6, 4))
+    coarse = read_map(path, goals=[Goal(1.99, 1.49, "meters")], cells=(6, 4))
     assert np.argwhere(coarse == FRONT_DOOR).tolist() == [[0, 5]]
     refusal(
-        lambda: read_map(path, goals=[Goal(1e308, -1e308, "metres")]),
+        lambda: read_map(path, goals=[Goal(1e308, -1e308, "meters")]),
         "in meters lies far off the map",
     )
     refusal(
-        lambda: read_map(path, goals=[Goal(-1.01, 0, "metres")]),
+        lambda: read_map(path, goals=[Goal(-1.01, 0, "meters")]),
         path, "goal (-1.01, 0) in meters lies at column -1", "off the map of 60 x 40 cells",
     )  # fmt: skip
 

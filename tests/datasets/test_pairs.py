@@ -22,7 +22,7 @@ from dc2g_jax.rollouts.rollout import Episodes, rollout
 from dc2g_jax.training import mask_collection
 from dc2g_jax.training.cost_to_go_data import DataConfig
 from dc2g_jax.training.mask_collection import by_house, collect_masks
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 
 N_WORLDS, N_MASKS, N_OWN = 4, 30, 12

@@ -20,7 +20,7 @@ from dc2g_jax.datasets.procedural import (
     procedural_training_houses,
     training_house_seed,
 )
-from dc2g_jax.datasets.procedural.filling import fill_polygons
+from dc2g_jax.datasets.procedural._filling import fill_polygons
 from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.grid.terrain import (
     CAR,

@@ -19,7 +19,7 @@ from dc2g_jax.grid.terrain import OUTSIDE
 from dc2g_jax.planning.planners import Oracle
 from dc2g_jax.rollouts.evaluation import episodes_from
 from dc2g_jax.rollouts.rollout import rollout
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support.houses import STREET, WALLED, YARD, house, start_poses
 from tests.support.refusals import refusal
 
@@ -261,6 +261,20 @@ def test_a_training_loop_for_five_values_and_flat_observations():
     assert np.all(reward == -1)
     # What such a loop keeps of every step is small.
     assert max(leaf.size for leaf in jax.tree.leaves(info)) == done.size
+
+
+def test_six_values_are_those_of_the_environment_with_flat_observations():
+    flat = FlattenObservation(ENVIRONMENT, radius=2, six_values=True)
+    assert (flat.name, flat.num_actions) == (ENVIRONMENT.name, ENVIRONMENT.num_actions)
+    _, state = ENVIRONMENT.reset(jax.random.key(3), PARAMS)
+    states = state
+    for step in range(LIMIT):
+        given = jax.random.key(step), state, jnp.int32(1), PARAMS
+        (seen, states, *rest, told), (expected, state, *wanted, info) = flat.step(*given), ENVIRONMENT.step(*given)
+        np.testing.assert_array_equal(seen, one_hot_view(expected, 2).ravel())
+        np.testing.assert_array_equal(told["final_observation"], one_hot_view(info["final_observation"], 2).ravel())
+        jax.tree.map(np.testing.assert_array_equal, (states, rest), (state, wanted))
+    assert rest[-1]  # truncated
 
 
 def test_flat_observations_are_drawn_evenly_between_zero_and_one():

@@ -8,16 +8,21 @@ import numpy as np
 import pytest
 from flax import nnx
 
+import dc2g_jax as dc2g
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation import compact_unet
+from dc2g_jax.estimation import compact_unet, onnx_export
+from dc2g_jax.estimation.checkpoints import save_network
 from dc2g_jax.estimation.compact_unet import Architecture, CompactUNet, init_weights
 from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, world_cost_to_go
 from dc2g_jax.estimation.weights import shapes_of_weights
 from dc2g_jax.grid.search import EIGHT_CONNECTED
 from dc2g_jax.grid.terrain import CLASS_NAMES
 from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax.planning.planners import DC2G
+from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.planning.selection import ExpectedCost, QuantileCost
 from tests.support import maps
+from tests.support.refusals import refusal
 
 SMALL = Architecture(widths=(4, 4, 6), quantiles=(0.25, 0.5, 0.75), cost_scale=10.0, patch=3, embedding=5)
 apply = jax.jit(functools.partial(compact_unet.apply, SMALL))
@@ -169,3 +174,48 @@ def test_multiply_accumulates(architecture):
     # Where a kernel hangs over the map's edge nothing is multiplied.
     counted = compact_unet.multiply_accumulates(architecture, side, side)
     assert 0.75 * by_hand < counted < by_hand
+
+
+class Own(nnx.Module):
+    """A network of the user's own: a convolution and a different offset for each quantile."""
+
+    def __init__(self, architecture, *, rngs):
+        self.conv = nnx.Conv(len(CLASS_NAMES), len(architecture.quantiles), (3, 3), rngs=rngs)
+
+    def __call__(self, terrain):
+        return 10 * self.conv(jax.nn.one_hot(terrain, len(CLASS_NAMES)))
+
+
+class Narrow(Own):
+    def __call__(self, terrain):
+        return super().__call__(terrain)[..., 0]
+
+
+OWN = Architecture(network=f"{__name__}:Own")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("another", ["no network is called 'another'", "compact_unet", "package.module:Name"]),
+        (f"{__name__}:SMALL", ["give a subclass of flax.nnx.Module"]),
+        (f"{__name__}:Narrow", ["float32[1, 50, 50]", "expected float32[1, 50, 50, 5]"]),
+    ],
+)
+def test_what_is_no_network_is_refused(name, words):
+    refusal(lambda: compact_unet.check_network(Architecture(network=name)), *words)
+
+
+def test_a_network_of_the_users_own_is_kept_and_leads_a_planner(tmp_path):
+    compact_unet.check_network(OWN)
+    network = NetworkCostToGo(init_weights(OWN, jax.random.key(1)), OWN)
+    loaded = dc2g.load(save_network(tmp_path / "network", network))
+    assert loaded.architecture == OWN
+    terrain = jnp.asarray(maps.random_terrain(3, (14, 12), 0.7)[..., None])
+    jax.tree.map(np.testing.assert_array_equal, loaded.weights, network.weights)
+    outcomes = loaded.estimate(terrain, ())
+    for selection in (ExpectedCost(0.5), QuantileCost(0.7, 0.5)):
+        told = DC2G(loaded, SETTINGS["paper"].rules(), selection)._told(terrain, ())
+        np.testing.assert_allclose(told, selection.summary(outcomes), rtol=1e-5)
+    dc2g.check_planner(dc2g.make("dc2g", network=loaded))
+    refusal(lambda: onnx_export.export_onnx(loaded, tmp_path / "own.onnx"), "one of your own")

@@ -9,7 +9,7 @@ import pytest
 from flax import struct
 
 from dc2g_jax.estimation.compact_unet import Architecture
-from dc2g_jax.estimation.estimators import for_some
+from dc2g_jax.estimation.estimators import update_where
 from dc2g_jax.grid import gridworld
 from dc2g_jax.grid.gridworld import belief_from_map
 from dc2g_jax.grid.poses import make_pose
@@ -60,7 +60,7 @@ def test_the_wanted_robots_get_new_estimates_and_the_others_keep_theirs(count, s
         belief, state = inputs
         return Counting().estimate(belief.terrain, state)
 
-    update = jax.jit(lambda *arguments: for_some(estimate, *arguments))
+    update = jax.jit(lambda *arguments: update_where(estimate, *arguments))
     new = jax.block_until_ready(update(jnp.asarray(wanted), (belief, state), old))
     jax.effects_barrier()
     whole = terrain + 100 * (terrain != 0).sum(axis=(0, 1)) + 10000 * np.arange(count)

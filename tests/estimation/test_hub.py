@@ -137,6 +137,14 @@ def test_what_cannot_be_used_is_refused_in_a_line(hub, tmp_path):
     refusal(lambda: dc2g.load("hf://someone/network"), "SHA-256", "network.json")
 
 
+def test_a_card_from_the_hub_chooses_no_code_to_import(hub):
+    dc2g.push(COMPACT, "hf://someone/network")
+    card = json.loads(hub["someone/network"]["network.json"])
+    card["architecture"]["network"] = "antigravity:Flight"
+    hub["someone/network"]["network.json"] = json.dumps(card).encode()
+    refusal(lambda: dc2g.load("hf://someone/network"), "hf://someone/network", "'antigravity:Flight'", "if you trust")
+
+
 def test_without_a_connection_the_last_download_is_used(hub, monkeypatch):
     dc2g.push(COMPACT, "hf://someone/network")
     downloaded = local_folder("hf://someone/network")

@@ -20,8 +20,8 @@ from tests.support.refusals import refusal
 onnx = pytest.importorskip("onnx")
 onnxruntime = pytest.importorskip("onnxruntime")
 
+from dc2g_jax.cli.commands.export_network import Options, main  # noqa: E402
 from dc2g_jax.estimation.onnx_export import export_onnx  # noqa: E402
-from experiments.export_network import Options, main  # noqa: E402
 
 
 def wanted_of(network: NetworkCostToGo, classes: np.ndarray) -> np.ndarray:

@@ -13,8 +13,8 @@ import pytest
 from dc2g_jax.grid.poses import ACTION_LETTERS
 from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
 from experiments.baselines import c_gridworld, libraries
-from experiments.baselines import numpy_gridworld as oracle
 from experiments.baselines.problem import BaselineName, BaselineUnavailable, Outcome, Problem, make_problem
+from tests.oracles import numpy_gridworld as oracle
 from tests.support.maps import SHAPES, random_cells, random_pose, random_terrain
 
 RunEpisodes = Callable[[Problem, BaselineName], Outcome]

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
+from dc2g_jax.cli.commands.check_map import Options, main
 from dc2g_jax.errors import InputError
 from dc2g_jax.files.class_images import write_class_image
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS, ROAD
-from experiments.check_map import Options, main
 from tests.support.commands import run
 from tests.support.maps import drawn
 from tests.support.occupancy import save
@@ -77,7 +77,7 @@ def test_unknown_ground_that_counts_as_free_is_warned_of(tmp_path, capsys):
     grays = np.full((30, 20), 205, np.uint8)
     grays[10:20] = 254
     path = save(tmp_path, grays, free_thresh=0.25)
-    main(Options(path, goals=((0.21, 0.74),), goal_unit="metres", out=tmp_path / "out"))
+    main(Options(path, goals=((0.21, 0.74),), goal_unit="meters", out=tmp_path / "out"))
     printed = capsys.readouterr().out
     assert "goal cells: 1 at (4, 15)" in printed
     assert "warning: 400 pixels are gray 205" in printed

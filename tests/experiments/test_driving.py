@@ -6,12 +6,12 @@ import json
 import numpy as np
 import pytest
 
+from dc2g_jax.cli.commands import noisy_mapping, reproduce_fig9
 from dc2g_jax.cli.driving import DriveResult, DrivingOptions, equipment
 from dc2g_jax.estimation.estimators import ExactCostToGo
 from dc2g_jax.planning.planners import DC2G, Frontier
 from dc2g_jax.planning.selection import ENDLESS
 from dc2g_jax.rollouts.results import ResumableTable
-from experiments import noisy_mapping, reproduce_fig9
 from tests.support.refusals import refusal
 from tests.support.streets import STREET
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from experiments import head_to_head
+from dc2g_jax.cli.commands import head_to_head
 from tests.support.places import PUBLISHED
 
 

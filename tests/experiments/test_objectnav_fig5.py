@@ -5,9 +5,9 @@ import json
 
 import pytest
 
+from dc2g_jax.cli.commands import objectnav_fig5
+from dc2g_jax.cli.commands.objectnav_fig5 import Options, main
 from dc2g_jax.objectnav import houses
-from experiments import objectnav_fig5
-from experiments.objectnav_fig5 import Options, main
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 
@@ -50,7 +50,7 @@ def test_an_agent_with_a_network_also_shows_a_prediction(tmp_path):
 @pytest.mark.parametrize(
     ("wrong", "mentions"),
     [
-        ({"houses": "folder", "house": "val-99"}, ("--house val-99", "val", "give", "two_rooms")),
+        ({"dataset": "folder", "house": "val-99"}, ("--house val-99", "val", "give", "two_rooms")),
         ({"house": "val-07"}, ("--house val-07", "val-0", "give")),
         ({"target": "sofa"}, ("--target sofa", "give", "bed, plant")),
         ({"target": "couch"}, ("--target couch", "two_rooms", "give", "bed, plant")),

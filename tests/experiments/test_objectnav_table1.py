@@ -6,9 +6,9 @@ import json
 import pytest
 
 from dc2g_jax.cli import searches
+from dc2g_jax.cli.commands.objectnav_table1 import Options, main
 from dc2g_jax.objectnav.evaluation import SearchResult
 from dc2g_jax.rollouts.results import read_rows
-from experiments.objectnav_table1 import Options, main
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 
@@ -40,7 +40,7 @@ def test_it_writes_tables_and_resumes(houses, tmp_path, capsys, monkeypatch):
     other = two_rooms()
     other.world.heights[0, 0] += 1
     monkeypatch.setattr(searches, "indoor_houses", lambda *args, **options: [other])
-    refusal(lambda: main(dataclasses.replace(options, resume=True)), options.out, "--houses", "has changed")
+    refusal(lambda: main(dataclasses.replace(options, resume=True)), options.out, "--dataset", "has changed")
 
 
 def test_a_broken_table_is_named_with_its_line(tmp_path):

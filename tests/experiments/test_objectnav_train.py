@@ -7,12 +7,12 @@ import json
 import numpy as np
 import pytest
 
+from dc2g_jax.cli.commands import objectnav_train
+from dc2g_jax.cli.commands.objectnav_train import Options, main
 from dc2g_jax.cli.outputs import output_folder
 from dc2g_jax.objectnav.collecting import CollectionConfig
 from dc2g_jax.objectnav.houses import houses_sha256
 from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, load_costs
-from experiments import objectnav_train
-from experiments.objectnav_train import Options, main
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 
@@ -70,11 +70,11 @@ def test_a_run_is_resumed_with_the_houses_that_it_was_begun_with(options, tmp_pa
     houses.mkdir()
     for name in ("train.jsonl", "val.jsonl.gz", "test.jsonl", "asset_boxes.json"):
         (houses / name).write_text(name)
-    assert houses_sha256(options.houses) is None
-    begun = dataclasses.replace(options, houses=str(houses))
-    digest = houses_sha256(begun.houses)
-    output_folder(begun, "objectnav_train", inputs={"houses": digest})
+    assert houses_sha256(options.dataset) is None
+    begun = dataclasses.replace(options, dataset=str(houses))
+    digest = houses_sha256(begun.dataset)
+    output_folder(begun, "objectnav_train", inputs={"dataset": digest})
     (houses / "test.jsonl").write_text("others")
-    assert houses_sha256(begun.houses) == digest
+    assert houses_sha256(begun.dataset) == digest
     (houses / "train.jsonl").write_text("others")
-    refusal(lambda: main(dataclasses.replace(begun, resume=True)), options.out, "--houses", "has changed")
+    refusal(lambda: main(dataclasses.replace(begun, resume=True)), options.out, "--dataset", "has changed")

@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 
 from dc2g_jax.cli import one_start
+from dc2g_jax.cli.commands import (
+    draw_dataset,
+    draw_episodes,
+    explore_map,
+    reproduce_fig8,
+)
 from dc2g_jax.datasets.houses import map_dataset
 from dc2g_jax.files.class_images import write_class_image
 from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS
-from experiments import draw_dataset, draw_episodes, explore_map, reproduce_fig8
 from tests.support import toy
 from tests.support.commands import complaint, run
 from tests.support.maps import drawn
@@ -118,9 +123,9 @@ def test_outcomes_are_told(yard, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("left_out", "written"),
     [
-        ({"figures": "none", "record": "none"}, set()),
-        ({"figures": "none"}, {"episode.rrd"}),
-        ({"record": "none"}, {*figure("episode"), *figure("trajectories"), "episode.gif"}),
+        ({"figures": False, "record": False}, set()),
+        ({"figures": False}, {"episode.rrd"}),
+        ({"record": False}, {*figure("episode"), *figure("trajectories"), "episode.gif"}),
     ],
 )
 def test_drawing_is_left_out(yard, tmp_path, left_out, written):

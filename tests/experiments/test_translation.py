@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from dc2g_jax.cli import translation
+from dc2g_jax.cli.commands import reproduce_fig4, reproduce_fig5
+from dc2g_jax.cli.commands import train_translator as train_translator_command
 from dc2g_jax.cli.translation import TranslationOptions, train_translator, translation_data
 from dc2g_jax.datasets.houses import HouseDataset
 from dc2g_jax.errors import InputError
 from dc2g_jax.training.loop import Log
-from experiments import reproduce_fig4, reproduce_fig5
-from experiments import train_translator as train_translator_command
 from tests.support import maps
 
 OPTIONS = TranslationOptions(
@@ -43,7 +43,7 @@ def steps(monkeypatch):
     """Stand-in for the real step: notes its number, and misbehaves where told."""
     taken, trouble = [], {}
 
-    def step(state, data, *, config, draw_batch, mesh):
+    def step(state, data, *, training, mesh):
         number = int(state.step)
         if trouble.get(number) is KeyboardInterrupt:
             del trouble[number]
@@ -51,7 +51,7 @@ def steps(monkeypatch):
         taken.append(number)
         return state.replace(step=state.step + 1), jnp.float32(trouble.get(number, 0.5))
 
-    monkeypatch.setattr(translation, "translator_step", step)
+    monkeypatch.setattr(translation, "supervised_step", step)
     monkeypatch.setattr(translation, "metrics_over_pairs", lambda network, data: dict(METRICS))
     return taken, trouble
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 
 from dc2g_jax.grid import bitboard
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 
 EXAMPLES = 25

@@ -12,7 +12,7 @@ from dc2g_jax.grid import bitboard, gridworld
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.sensing import field_of_view
 from dc2g_jax.grid.world import world_from_terrain
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 
 SENSING = field_of_view(4)

@@ -17,7 +17,7 @@ from dc2g_jax.grid.ground import (
 )
 from dc2g_jax.grid.sampling import sample_grid
 from dc2g_jax.grid.terrain import FRONT_DOOR, PATH, TRAVERSABLE
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.places import PUBLISHED
 

@@ -14,7 +14,7 @@ from scipy.sparse import csgraph
 from dc2g_jax.grid import bitboard, loops, poses, search
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.search import EIGHT_CONNECTED, FOUR_CONNECTED
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 
 each_shape = pytest.mark.parametrize("shape", maps.SHAPES, ids="{0[0]}x{0[1]}".format)

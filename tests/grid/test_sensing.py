@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from dc2g_jax.grid import bitboard, gridworld, poses, sensing
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.world import world_from_terrain
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 
 each_shape = pytest.mark.parametrize("shape", maps.SHAPES, ids="{0[0]}x{0[1]}".format)

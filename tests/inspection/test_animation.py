@@ -1,5 +1,7 @@
 """Animations hold a picture a step, and can be read back."""
 
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
@@ -140,6 +142,30 @@ def test_an_mp4_has_every_picture_and_holds_the_last(shown, monkeypatch, tmp_pat
     assert len(found) == len(steps) + 5
     for picture, step in zip(found, steps + [_LAST] * 5, strict=True):
         assert np.abs(picture.astype(int) - shown[step]).mean() < 6
+
+
+def test_without_an_encoder_a_gif_is_written_and_said(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(animation, "h264_encoder", lambda: None)
+    path = animate(tmp_path / "toy.mp4", toy.HOUSE, toy.replayed())
+    assert path == tmp_path / "toy.gif"
+    assert [file.name for file in tmp_path.iterdir()] == ["toy.gif"]
+    with Image.open(path) as image:
+        assert image.n_frames > 1
+    assert "toy.gif: is no MP4" in capsys.readouterr().err
+
+
+def test_where_nothing_is_predicted_the_panel_says_so(shown):
+    nothing = {
+        name: frames
+        if frames.cost_to_go is None
+        else dataclasses.replace(frames, cost_to_go=np.zeros_like(frames.cost_to_go))
+        for name, frames in toy.replayed().items()
+    }
+    (picture,) = pictures(toy.HOUSE, nothing, [3])
+    left, top = animation._layout(3, *toy.HOUSE.terrain.shape).corners[1]
+    scale = np.s_[top - 20 : top - 4, left : left + 110]
+    assert np.ptp(shown[3][scale].astype(int), axis=-1).max() > 100  # the colors of costs
+    assert np.ptp(picture[scale].astype(int), axis=-1).max() == 0  # gray words
 
 
 def test_long_episodes_skip_steps_but_not_the_last(monkeypatch):

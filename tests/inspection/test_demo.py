@@ -10,14 +10,15 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 
 from dc2g_jax.estimation.compact_unet import Architecture
+from dc2g_jax.files.class_images import write_class_image
 from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_COLORS, FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax.inspection.costs import COST_COLORS
-from dc2g_jax.inspection.demo import Demo, Walk, cost_picture, map_picture, open_maps, walk_marks
+from dc2g_jax.inspection.demo import Demo, Walk, cost_picture, map_picture, open_dropped, open_maps, walk_marks
 from dc2g_jax.planning.decisions import RobotPose
 from dc2g_jax.planning.named import make
 from dc2g_jax.planning.online import OnlinePlanner
 from dc2g_jax.planning.rules import complete_rules
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support.networks import random_network
 from tests.support.refusals import refusal
 from tests.support.toy import HOUSE
@@ -171,3 +172,33 @@ def test_maps_of_a_visitor(tmp_path):
     (tmp_path / "labels_colors.csv").write_text("class,r,g,b\nroad,0,0,0\n")
     assert np.all(open_maps(str(tmp_path / "mine.png"))["mine"] == CLASS_NAMES.index("road"))
     refusal(lambda: open_maps(str(tmp_path / "nothing")), "nothing")
+
+
+def test_what_was_painted_can_be_undone_and_travels_in_a_link(demo):
+    before = demo.terrain.copy()
+    demo.keep()
+    demo.fill((4, 3), (2, 1), "road")
+    filled = demo.terrain.copy()
+    changed = np.argwhere(filled != before)
+    assert {tuple(cell) for cell in changed.tolist()} <= {(y, x) for y in (1, 2, 3) for x in (2, 3, 4)}
+    assert np.all(filled[1:4, 2:5] == CLASS_NAMES.index("road"))
+    demo.place(1, 6)
+    link, start = demo.link, demo.start
+    demo.undo()
+    demo.undo()  # nothing more
+    np.testing.assert_array_equal(demo.terrain, before)
+    demo.follow(link)
+    np.testing.assert_array_equal(demo.terrain, filled)
+    assert demo.start == start
+    for broken in ("", "x", link[:-8], "a" + link[1:], "é"):
+        refusal(lambda broken=broken: demo.follow(broken), "holds no map")
+
+
+def test_maps_are_dropped_as_arrays_or_pictures(tmp_path):
+    file = io.BytesIO()
+    np.save(file, HOUSE.terrain)
+    np.testing.assert_array_equal(open_dropped("a.npy", file.getvalue())["a"], HOUSE.terrain)
+    write_class_image(tmp_path / "b.png", HOUSE.terrain)
+    np.testing.assert_array_equal(open_dropped("b.png", (tmp_path / "b.png").read_bytes())["b"], HOUSE.terrain)
+    refusal(lambda: open_dropped("c.txt", b""), "c.txt", "drop a .npy or .png")
+    assert "/tmp" not in refusal(lambda: open_dropped("../d.npy", b"no array"), "d.npy")

@@ -1,5 +1,7 @@
 """Recordings hold what the replay says, and the replay says what the rollout did."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,10 +16,10 @@ from dc2g_jax.estimation.estimators import ExactCostToGo, world_cost_to_go
 from dc2g_jax.grid.poses import FORWARD, make_pose
 from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.inspection import legend
+from dc2g_jax.inspection import _legend as legend
 from dc2g_jax.inspection import replay as replaying
 from dc2g_jax.inspection.figures import PLANNER_STYLES
-from dc2g_jax.inspection.recording import record_episode
+from dc2g_jax.inspection.recording import record_episode, record_frames
 from dc2g_jax.inspection.replay import actions_from_letters, replay, replay_result, running_extra_steps
 from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.planners import DC2G, EXPLORE, MODE_NAMES
@@ -25,7 +27,8 @@ from dc2g_jax.planning.rules import SETTINGS
 from dc2g_jax.planning.selection import ExpectedCost, Patience
 from dc2g_jax.rollouts.evaluation import EpisodeResult
 from dc2g_jax.rollouts.statistics import extra_steps
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
+from tests.support import toy
 from tests.support.exploration import LowestColumn, PlanAlone
 from tests.support.recordings import read
 
@@ -493,3 +496,18 @@ def test_unwritable_path_is_named(results, tmp_path):
     for path in (tmp_path / "file" / "x.rrd", tmp_path):
         with pytest.raises(InputError, match=r"cannot be written"):
             record_episode(path, house=_HOUSE, result_by_planner={"frontier": results["frontier"]}, rules=_RULES)
+
+
+def test_where_nothing_is_predicted_the_recording_says_so(tmp_path):
+    label = "dc2g"
+    frames = dataclasses.replace(
+        toy.replayed()[label], cost_to_go=np.zeros(toy.replayed()[label].seen.shape, np.float32)
+    )
+    path = record_frames(
+        tmp_path / "none.rrd", house=toy.HOUSE, result_by_planner={label: toy.RESULTS[label]},
+        frames_by_planner={label: frames},
+    )  # fmt: skip
+    classes = _images(read(path), "/dc2g/cost_to_go", frames.seen.shape)
+    known = frames.seen & TRAVERSABLE[toy.HOUSE.terrain]
+    np.testing.assert_array_equal(classes, np.where(known, legend.NO_PREDICTION, legend.NOT_SHOWN))
+    assert "no prediction" in legend.episode_legend(toy.HOUSE.terrain, legend.RELATIVE)

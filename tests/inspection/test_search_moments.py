@@ -4,15 +4,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
+from matplotlib.colors import to_rgb
+from PIL import Image
 
 from dc2g_jax.estimation.weights import fresh_weights
-from dc2g_jax.inspection.search_figures import plot_prediction
+from dc2g_jax.inspection.search_animation import animate_search, search_pictures
+from dc2g_jax.inspection.search_figures import PATH_COLOR, ROBOT_COLOR, TARGET_COLOR, SearchMoment, plot_prediction
 from dc2g_jax.inspection.search_moments import choose_legs, prediction_at
+from dc2g_jax.inspection.search_recording import record_search
 from dc2g_jax.objectnav.classes import GOALS, PLANT
 from dc2g_jax.objectnav.guides import TrueCost
 from dc2g_jax.objectnav.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
 from dc2g_jax.objectnav.predicted_costs import PredictedCosts
 from dc2g_jax.objectnav.simulation import reset, site_of
+from tests.support.recordings import read
 from tests.support.two_rooms import AGENT, two_rooms
 
 
@@ -52,3 +57,50 @@ def test_a_prediction_lies_beside_the_truth_of_the_same_cells(tmp_path):
     np.testing.assert_allclose(found.true_cost[row, column], distance - distance.min(), atol=1e-5)
     for path in plot_prediction(tmp_path / "fig4", found, "plant"):
         assert path.stat().st_size > 5_000
+
+
+def a_search() -> tuple[np.ndarray, list[SearchMoment]]:
+    """A track eastward, and two moments on it with a map of nothing and costs of a meter."""
+    step = np.arange(6)
+    track = np.stack([1.0 + 0.2 * step, -2.0 + 0 * step, 0 * step, 0 * step, 0 * step], axis=-1)
+    zero = np.zeros(2, int)
+    return track, [
+        SearchMoment(at, doing, np.zeros((30, 30), np.uint32), zero, np.ones((9, 9)), zero + 3, np.zeros((0, 2, 2)))
+        for at, doing in ((0, "exploring"), (5, "goal reacher"))
+    ]
+
+
+def test_the_animation_of_a_search_shows_robot_path_and_costs(tmp_path):
+    (track, moments), world = a_search(), two_rooms().world
+    first, last = (picture.astype(int) for picture in search_pictures(world, PLANT, track, moments))
+    assert first.shape == last.shape
+    assert (np.array(first.shape[:2]) % 2 == 0).all()
+
+    def places(picture, color):
+        return np.argwhere((picture == np.round(255 * np.array(to_rgb(color))).astype(int)).all(axis=-1))
+
+    # The robot has gone one meter to the right on each of the three panels, and has left a path on the first.
+    robots = [places(picture, ROBOT_COLOR) for picture in (first, last)]
+    moved = robots[1].mean(axis=0) - robots[0].mean(axis=0)
+    paths = [places(picture, PATH_COLOR)[:, 1] for picture in (first, last)]
+    assert abs(moved[0]) < 1
+    assert len(paths[0]) == 0
+    assert np.ptp(paths[1]) > 0.7 * moved[1] > 20
+    assert paths[1].max() < last.shape[1] / 3
+    assert len(places(first, TARGET_COLOR)) > 20
+    path = animate_search(tmp_path / "search.gif", world, PLANT, track, moments)
+    with Image.open(path) as image:
+        assert image.n_frames == 2
+
+
+def test_the_recording_of_a_search_has_its_path_and_maps(tmp_path):
+    (track, moments), world = a_search(), two_rooms().world
+    found = read(record_search(tmp_path / "search.rrd", "search", world, PLANT, track, moments))
+    size = float(world.cell_size)
+    for step in range(6):
+        (place,) = found["/robot", "Points2D:positions"][step]
+        np.testing.assert_allclose(place, track[step, :2] / (size, -size), rtol=1e-5)
+    assert sorted(found["/robots_map", "Image:buffer"]) == sorted(found["/costs", "Image:buffer"]) == [0, 5]
+    assert found["/doing", "TextLog:text"] == {0: ["exploring"], 5: ["goal reacher"]}
+    ((corner,),) = {tuple(map(tuple, there)) for there in found["/costs", "Transform3D:translation"].values()}
+    assert corner == (3.0, 3.0, 0.0)

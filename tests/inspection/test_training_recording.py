@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from dc2g_jax.cli.commands.train import Options, watching
 from dc2g_jax.datasets.houses import House, HouseDataset
 from dc2g_jax.datasets.pairs import Pair, TrainingSet
 from dc2g_jax.errors import InputError
@@ -20,13 +21,12 @@ from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.estimation.estimators import NetworkCostToGo
 from dc2g_jax.grid import bitboard
 from dc2g_jax.grid.terrain import FIGURE_RGB, TRAVERSABLE
-from dc2g_jax.inspection import legend
-from dc2g_jax.inspection.legend import CostScale
+from dc2g_jax.inspection import _legend as legend
+from dc2g_jax.inspection._legend import CostScale
 from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_watch, next_file, prediction_picture
 from dc2g_jax.training.cost_to_go import TrainingConfig, first_state, learning_rates, train_step
 from dc2g_jax.training.cost_to_go_data import DataConfig
 from dc2g_jax.training.loop import Pauses, Task, train
-from experiments.train import Options, open_recording
 from tests.support.recordings import read
 
 _CONFIG = TrainingConfig(architecture=Architecture(widths=(4, 4, 4, 4)), steps=6, batch_size=2)
@@ -225,8 +225,8 @@ def test_training_is_the_same_with_and_without_a_recording(tmp_path):
 
 def test_the_command_records_observed_parts_of_validation_houses(tmp_path, street):
     dataset = HouseDataset("two", "folder", (House("a", "val", street), House("b", "val", street[:, ::-1].copy())))
-    assert open_recording(Options(out=tmp_path), _CONFIG, dataset) is None
-    recording = open_recording(Options(out=tmp_path, record=True), _CONFIG, dataset)
+    assert watching(Options(out=tmp_path), dataset, _CONFIG).recording is None
+    recording = watching(Options(out=tmp_path, record=True), dataset, _CONFIG).recording
     recording.close()
     maps = maps_to_watch(dataset, 6)
     shown = read(tmp_path / "training-001.rrd")["/maps/known", "SegmentationImage:buffer"][None]

@@ -21,7 +21,7 @@ from dc2g_jax.objectnav.classes import BED, GOALS, PLANT
 from dc2g_jax.objectnav.guides import (
     GoalReacher,
     NearestFrontier,
-    NoIdea,
+    NullGuide,
     Predicted,
     PromisingFrontier,
     TrueCost,
@@ -59,7 +59,7 @@ def agent_with(guide, steering=None):
 
 
 def robot_at(x, y, yaw=0.0, target=PLANT_TARGET, guide=None):
-    return reset(KEY, jnp.array([x, y, yaw], jnp.float32), jnp.int32(target), agent_with(guide or NoIdea()), LIMIT)
+    return reset(KEY, jnp.array([x, y, yaw], jnp.float32), jnp.int32(target), agent_with(guide or NullGuide()), LIMIT)
 
 
 def test_the_distance_to_objects_is_that_of_the_path_around_walls(site):
@@ -173,16 +173,16 @@ def test_the_true_costs_lie_around_the_robot(site):
 def test_the_goal_reacher_takes_over_when_the_target_is_seen(guided):
     robot = robot_at(2.05, -1.55)
     floor = [((10, 30), (5, 40))]
-    blind = guided(with_cells(robot, floor=floor), GoalReacher(NoIdea()))
+    blind = guided(with_cells(robot, floor=floor), GoalReacher(NullGuide()))
     assert not bool(blind.to_goal)
-    seen = guided(with_cells(robot, floor=floor, plant=[((15, 18), (36, 39))]), GoalReacher(NoIdea()))
+    seen = guided(with_cells(robot, floor=floor, plant=[((15, 18), (36, 39))]), GoalReacher(NullGuide()))
     assert bool(seen.to_goal)
     # 16 cells to the plant, less an arm's length.
     np.testing.assert_allclose(seen.distance[30, 30], 0.9, atol=0.11)
-    speck = guided(with_cells(robot, floor=floor, plant=[((15, 16), (36, 38))]), GoalReacher(NoIdea()))
+    speck = guided(with_cells(robot, floor=floor, plant=[((15, 16), (36, 38))]), GoalReacher(NullGuide()))
     assert not bool(speck.to_goal)
     enclosed = [((0, 60), (32, 33)), ((0, 60), (0, 1)), ((0, 1), (0, 33)), ((59, 60), (0, 33))]
-    lost = guided(with_cells(robot, floor=floor, plant=[((15, 18), (43, 46))], wall=enclosed), GoalReacher(NoIdea()))
+    lost = guided(with_cells(robot, floor=floor, plant=[((15, 18), (43, 46))], wall=enclosed), GoalReacher(NullGuide()))
     assert not bool(lost.to_goal)
 
 
@@ -258,7 +258,7 @@ def test_the_promising_frontier_weighs_distance_and_predicted_costs(guided):
 
 def test_only_the_privileged_guide_keeps_something_of_the_house():
     costs = PredictedCosts(Flat(), Mean())
-    for guide in (NoIdea(), NearestFrontier(), Predicted(costs), PromisingFrontier(costs)):
+    for guide in (NullGuide(), NearestFrontier(), Predicted(costs), PromisingFrontier(costs)):
         assert guide.init(two_rooms().world, 0.2) is None
         assert GoalReacher(guide).init(two_rooms().world, 0.2) is None
         assert GoalReacher(guide).uses_image == guide.uses_image == hasattr(guide, "costs")
@@ -268,14 +268,14 @@ def test_only_the_privileged_guide_keeps_something_of_the_house():
 
 
 def test_what_a_robot_does_not_have_is_refused():
-    seen, agent = observed(robot_at(2.05, -1.55), None), agent_with(NoIdea())
+    seen, agent = observed(robot_at(2.05, -1.55), None), agent_with(NullGuide())
     refusal(lambda: TrueCost().guide(KEY, seen, None, agent), "TrueCost", "ahead of time", "another guide")
     blind = Predicted(PredictedCosts(Flat(), Mean()))
     refusal(lambda: blind.guide(KEY, seen, None, agent), "the camera's picture", "give one with each frame")
 
 
 def test_a_robot_looks_around_at_the_start():
-    robot, agent = robot_at(2.05, -1.55), agent_with(NoIdea())
+    robot, agent = robot_at(2.05, -1.55), agent_with(NullGuide())
     costs = lambda position, yaw: jnp.float32(0)  # noqa: E731
     turning = np.asarray(LookAround(MPC()).plan(KEY, robot, costs, agent))
     np.testing.assert_array_equal(turning[0], [0, LIMITS.max_turn_rate])
@@ -287,7 +287,7 @@ def test_a_robot_looks_around_at_the_start():
 
 
 def test_random_commands_are_those_the_vehicle_can_take():
-    robot, agent = robot_at(2.05, -1.55), agent_with(NoIdea())
+    robot, agent = robot_at(2.05, -1.55), agent_with(NullGuide())
     plan = np.asarray(RandomUntilSeen().plan(KEY, robot, lambda position, yaw: jnp.float32(0), agent))
     assert plan.shape == (30, 2)
     assert 0 <= plan[:, 0].min() < 0.2 < 0.8 < plan[:, 0].max() <= 1

@@ -11,6 +11,8 @@ from dc2g_jax.datasets.pairs import turned
 from dc2g_jax.mapping.camera import level_camera
 from dc2g_jax.mapping.simulator import cast
 from dc2g_jax.objectnav import mapping
+from dc2g_jax.objectnav._exploring import NEVER, visible
+from dc2g_jax.objectnav._plans import Furniture, world_from_plan
 from dc2g_jax.objectnav.camera import INDOOR_CAMERA_HEIGHT
 from dc2g_jax.objectnav.classes import BED, GOALS, PLANT, TABLE
 from dc2g_jax.objectnav.collecting import CollectionConfig, collect
@@ -30,10 +32,8 @@ from dc2g_jax.objectnav.data import (
     map_cells,
     turned_heading,
 )
-from dc2g_jax.objectnav.exploring import NEVER, visible
 from dc2g_jax.objectnav.houses import IndoorHouse
 from dc2g_jax.objectnav.midlevel import ConvolutionEncoder
-from dc2g_jax.objectnav.plans import Furniture, world_from_plan
 from dc2g_jax.objectnav.worlds import scene
 from tests.support.plans import BED_BOX, PLANT_BOX, plan
 from tests.support.refusals import refusal

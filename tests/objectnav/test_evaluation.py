@@ -30,7 +30,7 @@ def judged(house, start, end, *, declared=True, target="plant", steps=10):
         track=straight(start, end, steps)[None].astype(np.float32),
         declared=np.array([declared]),
         steps=np.array([steps]),
-        bumps=np.array([3]),
+        collisions=np.array([3]),
     )
     (result,) = results_of("someone", [house], [Search(house.name, target, *start, 0.0)], searches)
     return result
@@ -55,7 +55,7 @@ def test_a_success_is_weighted_by_path_length(house):
     assert result.driven == pytest.approx(np.hypot(0.2, 1.3), rel=1e-5)
     assert 0.3 < result.shortest < 1.2
     assert result.spl == pytest.approx(result.shortest / result.driven, rel=1e-5)
-    assert (result.distance, result.steps, result.bumps) == (0, 10, 3)
+    assert (result.distance, result.steps, result.collisions) == (0, 10, 3)
 
 
 def test_who_never_says_so_is_not_there(house):

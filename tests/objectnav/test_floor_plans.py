@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.objectnav._plans import world_from_plan
+from dc2g_jax.objectnav._starts import start_cells
 from dc2g_jax.objectnav.classes import (
     BATHROOM,
     BED,
@@ -22,8 +24,6 @@ from dc2g_jax.objectnav.classes import (
 )
 from dc2g_jax.objectnav.floor_plans import furnishing, layouts
 from dc2g_jax.objectnav.houses import draw_plan, indoor_house, indoor_houses
-from dc2g_jax.objectnav.plans import world_from_plan
-from dc2g_jax.objectnav.starts import start_cells
 from tests.support.rooms import rooms_cut_off
 
 COUNT = 40

@@ -97,7 +97,7 @@ def test_what_the_floor_shows_to_be_wrong_is_forgotten(view):
 
 def test_a_robot_knows_the_floor_it_stands_on():
     position = jnp.array([2.61, -1.78])
-    stand = jax.jit(lambda place: mapping.stood_on(mapping.empty_map(START, SETTINGS), place, 0.2, SETTINGS))
+    stand = jax.jit(lambda place: mapping.mark_explored(mapping.empty_map(START, SETTINGS), place, 0.2, SETTINGS))
     stood = stand(position)
     known = np.argwhere(np.asarray(mapping.has(stood.cells, EXPLORED_CHANNEL))) + np.asarray(stood.origin)
     expected = [

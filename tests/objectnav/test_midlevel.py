@@ -9,22 +9,23 @@ from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax.estimation.weights import read_safetensors, write_network, write_safetensors
 from dc2g_jax.mapping.camera import level_camera
 from dc2g_jax.objectnav import midlevel
+from dc2g_jax.objectnav._plans import world_from_plan
 from dc2g_jax.objectnav.camera import VIEW_SIZE, CameraView, view
 from dc2g_jax.objectnav.classes import BED, OBJECT_COLORS
 from dc2g_jax.objectnav.midlevel import (
     Answers,
     EncoderArchitecture,
+    EncoderTraining,
     TrainedEncoder,
     encoder_task,
     load_encoder,
     task_losses,
     vector_size,
 )
-from dc2g_jax.objectnav.plans import world_from_plan
 from dc2g_jax.objectnav.worlds import painted, scene
-from dc2g_jax.programs import jit
 from dc2g_jax.rollouts.devices import mesh_of
 from dc2g_jax.training.loop import Pauses, train
+from dc2g_jax.training.step import supervised_step
 from tests.support.plans import BED_BOX, plan
 from tests.support.refusals import refusal
 
@@ -85,8 +86,9 @@ def test_losses_of_the_three_tasks():
 def train_encoder(views, folder) -> tuple[TrainedEncoder, list]:
     """The encoder after 40 steps, and its losses after every 4."""
     saved = []
-    task = encoder_task(ARCHITECTURE, views, steps=40, batch_size=4, save=lambda *found: saved.append(found))
-    checkpoints = TrainingCheckpoints(folder, ARCHITECTURE, first_state=lambda _: task.init())
+    training = EncoderTraining(ARCHITECTURE, steps=40, batch_size=4)
+    task = encoder_task(training, views, lambda *found: saved.append(found))
+    checkpoints = TrainingCheckpoints(folder, training, first_state=EncoderTraining.first_state)
     state = train(task, folder, checkpoints, Pauses(4, np.inf))
     return TrainedEncoder(state.weights, ARCHITECTURE), [losses for _, losses in saved]
 
@@ -106,17 +108,14 @@ def test_the_encoder_learns_and_is_the_same_for_a_seed(views, trained, tmp_path)
 
 def test_the_number_of_devices_changes_a_step_by_rounding_only(views, tmp_path, monkeypatch):
     """Each number of devices compiles the step once. 40 steps move half of the weights by 1e-2 or more."""
-    programs, found = [], []
-    monkeypatch.setattr(
-        midlevel, "jit", lambda *args, **options: programs.append(jit(*args, **options)) or programs[-1]
-    )
+    found, before = [], supervised_step.compiled_count()
     for count in (1, 2):
         mesh = mesh_of(jax.devices()[:count])
         monkeypatch.setattr(midlevel, "mesh_for_batch", lambda size, mesh=mesh: mesh)
         found.append(train_encoder(views, tmp_path / str(count)))
         (leaf, *_) = jax.tree.leaves(found[-1][0].weights)
         assert leaf.sharding.device_set == set(mesh.devices.flat)
-    assert [program.compiled_count() for program in programs] == [1] * 4
+    assert supervised_step.compiled_count() == before + 2
     (one, losses), (two, others) = found
     for name, loss in losses[-1].items():
         assert others[-1][name] == pytest.approx(loss, rel=1e-5)

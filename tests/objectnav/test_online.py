@@ -76,7 +76,7 @@ def recording(name: str) -> tuple[list[Moment], np.ndarray]:
             frame, image = jax.tree.map(np.asarray, (take(camera_pose(x, y, yaw)), photograph(robot)))
             robot = look(robot)
         before, robot = robot, drive(robot)
-        assert int(robot.bumps) == 0
+        assert int(robot.collisions) == 0
         driven = np.asarray(robot.track[robot.periods, 3:])
         to_goal = bool(before.guidance.to_goal)
         moments.append(Moment(np.array([x, y, yaw]), np.array(speeds), frame, image, driven, to_goal))

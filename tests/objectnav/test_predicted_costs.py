@@ -53,4 +53,4 @@ def test_what_does_not_go_together_or_is_not_there_is_refused(folder, tmp_path):
     save_network(folder, features=5)
     refusal(lambda: load_costs(folder), folder, "7 features", "takes 5", "one folder")
     (folder / ENCODER_FILE).unlink()
-    refusal(lambda: load_costs(folder), folder, ENCODER_FILE, "objectnav_train")
+    refusal(lambda: load_costs(folder), folder, ENCODER_FILE, "dc2g objectnav train")

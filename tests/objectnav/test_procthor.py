@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from dc2g_jax.errors import InputError
+from dc2g_jax.objectnav._plans import MARGIN, world_from_plan
+from dc2g_jax.objectnav._procthor import AssetBox, house_plan, read_procthor
 from dc2g_jax.objectnav.classes import BED, BEDROOM, KITCHEN, OTHER, PLANT, TABLE, TELEVISION
 from dc2g_jax.objectnav.houses import indoor_houses
-from dc2g_jax.objectnav.plans import MARGIN, world_from_plan
-from dc2g_jax.objectnav.procthor import AssetBox, house_plan, read_procthor
 from dc2g_jax.objectnav.worlds import IndoorWorld
 from tests.support import house_lines
 from tests.support.rooms import rooms_cut_off

@@ -15,11 +15,10 @@ from dc2g_jax.objectnav.training import (
     PAPER_RECIPE,
     figures,
     first_state,
-    optimizer,
-    train_step,
     validation_samples,
 )
 from dc2g_jax.rollouts.devices import mesh_of, replicate
+from dc2g_jax.training.step import supervised_step
 from tests.support.states import assert_same_bits, infinite
 from tests.support.trainings import COST_MAPS as CONFIG
 from tests.support.trainings import journeys
@@ -34,7 +33,7 @@ def train(data, steps, state=None, devices=None):
     losses, mesh = [], mesh_of(devices)
     state, data = replicate((first_state(CONFIG) if state is None else state, data), mesh)
     for _ in range(steps):
-        state, loss = train_step(state, data, config=CONFIG, mesh=mesh)
+        state, loss = supervised_step(state, data, training=CONFIG, mesh=mesh)
         losses.append(float(loss))
     return state, losses
 
@@ -68,9 +67,9 @@ def test_an_interrupted_run_ends_like_one_that_was_not(data, trained, tmp_path):
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_step_is_compiled_once(data, count):
     train(data, 1, devices=jax.devices()[:count])
-    before = train_step.compiled_count()
+    before = supervised_step.compiled_count()
     train(data, 3, devices=jax.devices()[:count])
-    assert train_step.compiled_count() == before
+    assert supervised_step.compiled_count() == before
 
 
 def test_the_number_of_devices_changes_a_step_by_rounding_only(data):
@@ -97,7 +96,7 @@ def test_figures_of_a_network_do_not_change(data, trained):
 def test_the_rate_rises_to_its_peak_and_falls_to_its_end(recipe):
     """The moves of one weight whose gradient is always 1."""
     recipe = dataclasses.replace(recipe, weight_decay=0.0)
-    transform = optimizer(dataclasses.replace(CONFIG, recipe=recipe, steps=400))
+    transform = dataclasses.replace(CONFIG, recipe=recipe, steps=400).optimizer()
     weight, gradient = jnp.zeros(()), jnp.ones(())
     moves, state = [], transform.init(weight)
     update = jax.jit(transform.update)

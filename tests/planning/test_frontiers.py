@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.sensing import expanding_kernel, field_of_view
 from dc2g_jax.planning import frontiers
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.exploration import EXPANDING, SENSING, belief_of, random_moment
 

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 import dc2g_jax as dc2g
+from dc2g_jax.datasets.procedural import PROCEDURAL_SPLIT
 from dc2g_jax.grid.poses import ACTION_LETTERS
 from dc2g_jax.grid.terrain import FRONT_DOOR, ROAD
 from dc2g_jax.inspection.replay import Frames, replay
 from dc2g_jax.planning.planners import MODE_NAMES
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support.places import ROOT
 
 FILE = ROOT / "tests" / "planning" / "golden_decisions.json"
@@ -25,7 +26,7 @@ FILE = ROOT / "tests" / "planning" / "golden_decisions.json"
 PLANNERS = (("frontier", "paper"), ("frontier", "reference"), ("true_cost_to_go", "paper"), ("dc2g", "paper"))
 
 #: Four houses to validate on, and a training house of another style.
-HOUSES = (*(house.name for house in dc2g.procedural_dataset().split("val")), "p000m000h000")
+HOUSES = (*(name for name, split, _ in PROCEDURAL_SPLIT if split == "val"), "p000m000h000")
 
 #: Decisions in each house.
 MOMENTS = 10

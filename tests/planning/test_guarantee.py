@@ -15,7 +15,7 @@ from dc2g_jax.planning.guarantee import CautiousDC2G, Guaranteed
 from dc2g_jax.planning.planners import DC2G, GAVE_UP, Frontier
 from dc2g_jax.planning.rules import complete_rules, reference_rules
 from dc2g_jax.rollouts.rollout import Episodes, rollout
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support.exploration import EXPANDING, SENSING, LowestColumn, Scattered
 from tests.support.hostile import FLOOR, KINDS, Hostile, misleading_worlds
 

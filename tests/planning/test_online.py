@@ -25,7 +25,7 @@ from dc2g_jax.planning.named import make_planner
 from dc2g_jax.planning.online import OnlinePlanner
 from dc2g_jax.planning.planners import MODE_NAMES, Frontier
 from dc2g_jax.planning.rules import complete_rules
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.exploration import (
     SENSING,

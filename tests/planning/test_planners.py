@@ -23,7 +23,7 @@ from dc2g_jax.planning.rules import SETTINGS, Settings, complete_rules, named_se
 from dc2g_jax.planning.selection import ExpectedCost, Patience
 from dc2g_jax.rollouts.evaluation import action_letters
 from dc2g_jax.rollouts.rollout import Episodes, rollout
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.exploration import (
     EPISODES,

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.houses import load_dataset, save_dataset
+from dc2g_jax.datasets.houses import load_dataset
 from dc2g_jax.datasets.procedural import draw_house
 from dc2g_jax.datasets.starts import sample_starts
 from dc2g_jax.rollouts.devices import (
@@ -26,6 +26,7 @@ from dc2g_jax.rollouts.devices import (
     use_cores,
     use_devices,
 )
+from tests.support.houses import save_dataset
 from tests.support.places import ROOT
 from tests.support.refusals import refusal
 

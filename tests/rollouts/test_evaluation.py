@@ -15,7 +15,7 @@ from dc2g_jax.planning.named import make
 from dc2g_jax.planning.planners import DC2G, Frontier
 from dc2g_jax.planning.rules import SETTINGS, complete_rules
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Results, Runner, episodes_from, evaluate
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support.refusals import refusal, refusal_of
 
 RULES = complete_rules(4)

@@ -11,12 +11,12 @@ from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.planners import DC2G, EXPLORE, GAVE_UP, TO_GOAL, Frontier, Oracle
 from dc2g_jax.planning.rules import complete_rules, reference_rules
-from dc2g_jax.planning.selection import ReservationCost
+from dc2g_jax.planning.selection import QuantileCost
 from dc2g_jax.rollouts import devices
 from dc2g_jax.rollouts import rollout as rollout_module
 from dc2g_jax.rollouts.evaluation import action_letters, episodes_from
 from dc2g_jax.rollouts.rollout import NO_ACTION, Episodes, Trajectories, rollout
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.exploration import random_worlds
 
@@ -162,7 +162,7 @@ def test_one_program_serves_all_episodes_of_the_same_shapes(terrains):
 def network_planner(seed: int) -> DC2G:
     architecture = Architecture(widths=(4,) * len(Architecture().widths))
     network = NetworkCostToGo(weights=init_weights(architecture, jax.random.key(seed)), architecture=architecture)
-    return DC2G(network, RULES, ReservationCost(0.5))
+    return DC2G(network, RULES, QuantileCost(0.7, 0.5))
 
 
 def test_one_program_serves_all_weights_of_an_architecture(terrains):

@@ -18,7 +18,7 @@ from rosbags.rosbag2 import Writer
 from dc2g_jax.planning.metric import MetricPlanner
 from dc2g_jax.planning.metric_map import MetricPose
 from dc2g_jax.planning.online import OnlinePlanner
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps, ros
 from tests.support.places import ROOT
 from tests.support.refusals import refusal
@@ -350,19 +350,86 @@ def test_a_parameter_of_another_type_is_one_line(start, monkeypatch):
         main()
 
 
-def test_a_signal_ends_the_node_without_a_trace(start, monkeypatch):
-    start()
-    node = sys.modules["dc2g_planner.node"]
-    calls = []
+@pytest.mark.parametrize("error", [ros.ExternalShutdownException, KeyboardInterrupt])
+def test_a_signal_cancels_the_goal_and_ends_the_node_without_a_trace(start, monkeypatch, error):
+    start(drive=True)
+    node, calls = sys.modules["dc2g_planner.node"], []
 
-    def spin(_):
-        calls.append("spin")
-        raise ros.ExternalShutdownException
+    def spin(executor):
+        at(executor.node, (2, 1, 0))
+        accepted(executor.node, 0, calls)
+        raise error
 
-    monkeypatch.setattr(node.rclpy, "spin", spin)
+    monkeypatch.setattr(ros.MultiThreadedExecutor, "spin", spin)
+    monkeypatch.setattr(node.signal, "signal", lambda number, handler: None)
+
+    def wait(node, future, timeout_sec):
+        calls.append((future, timeout_sec))
+
+    monkeypatch.setattr(node.rclpy, "spin_until_future_complete", wait, raising=False)
     monkeypatch.setattr(node.rclpy, "try_shutdown", lambda: calls.append("shutdown"))
     node.main()
-    assert calls == ["spin", "shutdown"]
+    assert calls == ["cancel 0", ("cancel 0", 1.0), "shutdown"]
+
+
+def accepted(node, number: int, calls: list) -> ros.Future:
+    """Nav2 accepts a goal, and notes where it is canceled."""
+    result = ros.Future()
+
+    def cancel() -> str:
+        calls.append(f"cancel {number}")
+        return calls[-1]
+
+    node._nav2.goals[number][1].happens(accepted=True, get_result_async=lambda: result, cancel_goal_async=cancel)
+    return result
+
+
+def test_a_pause_stops_the_robot_until_it_is_resumed(start):
+    node, calls = start(drive=True), []
+    at(node, (2, 1, 0))
+    result = accepted(node, 0, calls)
+    assert node.services["~/pause"](data=True).success
+    assert calls == ["cancel 0"]
+    result.happens(status=5)  # canceled, as asked: no warning
+    at(node, (3, 1, 0))
+    assert (len(node._nav2.goals), node.warnings) == (1, [])
+    node.services["~/pause"](data=False)
+    node.tick()
+    assert len(node._nav2.goals) == 2
+    # Nav2 answers after the pause.
+    node.services["~/pause"](data=True)
+    accepted(node, 1, calls)
+    assert calls == ["cancel 0", "cancel 1"]
+
+
+def test_the_robot_returns_to_where_it_began(start):
+    node, calls = start(drive=True), []
+    assert node.services["~/return_to_start"]().message == "no decision has been made yet"
+    at(node, (2, 1, 0))
+    accepted(node, 0, calls)
+    at(node, (4, 1, 0))
+    assert node.services["~/return_to_start"]().success
+    place = node._nav2.goals[-1][0].pose.position
+    assert (place.x, place.y) == pytest.approx(in_map(2, 1, len(CORRIDOR)))
+    count, result = len(node._nav2.goals), accepted(node, len(node._nav2.goals) - 1, calls)
+    result.happens(status=4)
+    at(node, (2, 1, 0))  # there, and it stays
+    assert len(node._nav2.goals) == count
+    watching = start()
+    at(watching, (2, 1, 0))
+    assert watching.services["~/return_to_start"]().message == "the parameter drive is false"
+
+
+def test_the_display_of_rviz_shows_topics_of_the_node(start):
+    shown = yaml.safe_load((ROOT / "ros2/dc2g_planner/config/dc2g_planner.rviz").read_text())
+    topics = {each["Topic"]["Value"] for each in shown["Visualization Manager"]["Displays"] if "Topic" in each}
+    node = start()
+    at(node, (2, 1, 0))
+    assert topics == {"/map", *(f"/dc2g_planner/{name}" for name in ("markers", "path", "frontiers"))}
+    assert {name for name in topics if name != "/map"} <= {
+        name.replace("~", "/dc2g_planner") for name in node.published
+    }
+    assert "config/{NAME}.rviz" in (ROOT / "ros2/dc2g_planner/setup.py").read_text()
 
 
 def test_a_rejected_subgoal_is_sent_again_and_an_old_one_forgotten(start):

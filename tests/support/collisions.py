@@ -118,6 +118,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     from dc2g_jax.training import cost_to_go, translator
     from dc2g_jax.training.image_evaluation import compare
     from dc2g_jax.training.mask_collection import collect_masks
+    from dc2g_jax.training.step import supervised_step
     from dc2g_jax.training.sweeps import init_states, stacked_hyperparameters
     from experiments.benchmarks import workload
     from tests.support import drives, trainings
@@ -167,14 +168,14 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
 
     def translate(cls: type) -> None:
         config = trainings.TRANSLATOR
-        state = translator.init_translator(config, seed=0)
-        data = cls(trainings.image_set())
-        translator.translator_step(state, data, config=config, draw_batch=draw_images, mesh=mesh_of())
+        state = translator.first_state(config, seed=0)
+        data = translator.run_key(0), cls(trainings.image_set())
+        supervised_step(state, data, training=translator.TranslatorTraining(config, draw_images), mesh=mesh_of())
 
     def train_indoors(cls: type) -> None:
         config = trainings.COST_MAPS
         state = indoor_training.first_state(config)
-        indoor_training.train_step(state, make_indoor(cls), config=config, mesh=mesh_of())
+        supervised_step(state, make_indoor(cls), training=config, mesh=mesh_of())
 
     def search(guide: Any) -> None:
         agent = AGENT.replace(guide=guides.GoalReacher(guide))

@@ -12,7 +12,7 @@ from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.planners import EXPLORE, AssessingPlanner, Frontier
 from dc2g_jax.planning.rules import Rules
-from experiments.baselines import numpy_gridworld as oracle
+from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 
 STEP_LIMIT = 120

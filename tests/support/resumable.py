@@ -15,28 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.cli import episodes, searches, training_sets, translation
-from dc2g_jax.cli.driving import DriveResult
-from dc2g_jax.datasets.houses import House
-from dc2g_jax.datasets.pairs import TrainingSet
-from dc2g_jax.datasets.starts import PublishedEpisode, Start
-from dc2g_jax.estimation.checkpoints import load_network
-from dc2g_jax.estimation.weights import fresh_weights, write_network
-from dc2g_jax.grid.terrain import GRASS
-from dc2g_jax.objectnav.collecting import CollectionConfig
-from dc2g_jax.objectnav.evaluation import SearchResult
-from dc2g_jax.objectnav.metrics import OF_CLASSES
-from dc2g_jax.objectnav.midlevel import EncoderArchitecture, EncoderState, SmallEncoder, TrainedEncoder
-from dc2g_jax.objectnav.tables import METRICS
-from dc2g_jax.programs import jit
-from dc2g_jax.rollouts import published
-from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
-from dc2g_jax.rollouts.published import PUBLISHED_GROUPS
-from dc2g_jax.training import sweeps
-from dc2g_jax.training.cost_to_go_data import DataConfig
-from dc2g_jax.training.loop import Task
-from dc2g_jax.training.mask_collection import Masks
-from experiments import (
+from dc2g_jax.cli import episodes, searches, translation
+from dc2g_jax.cli.commands import (
     head_to_head,
     noisy_mapping,
     objectnav_table1,
@@ -48,8 +28,30 @@ from experiments import (
     sweep_losses,
     train,
     train_translator,
-    unknown_dimensions,
 )
+from dc2g_jax.cli.driving import DriveResult
+from dc2g_jax.datasets.houses import House
+from dc2g_jax.datasets.pairs import TrainingSet
+from dc2g_jax.datasets.starts import PublishedEpisode, Start
+from dc2g_jax.estimation.checkpoints import load_network
+from dc2g_jax.estimation.weights import fresh_weights, write_network
+from dc2g_jax.grid.terrain import GRASS
+from dc2g_jax.objectnav.collecting import CollectionConfig
+from dc2g_jax.objectnav.evaluation import SearchResult
+from dc2g_jax.objectnav.metrics import OF_CLASSES
+from dc2g_jax.objectnav.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
+from dc2g_jax.objectnav.tables import METRICS
+from dc2g_jax.programs import jit
+from dc2g_jax.rollouts import published
+from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax.rollouts.published import PUBLISHED_GROUPS
+from dc2g_jax.training import sweeps, training_sets
+from dc2g_jax.training import train as training
+from dc2g_jax.training.cost_to_go_data import DataConfig
+from dc2g_jax.training.loop import Task
+from dc2g_jax.training.mask_collection import Masks
+from dc2g_jax.training.step import TrainingState
+from experiments import unknown_dimensions
 from tests.support import trainings
 from tests.support.houses import STREET, YARD
 from tests.support.two_rooms import two_rooms
@@ -119,18 +121,15 @@ def fake_figure(path, *args, **options) -> list[Path]:
     return written
 
 
-def fake_encoder_task(architecture, views, *, steps, save, seed) -> Task[EncoderState]:
+def fake_encoder_task(training, views, save) -> Task[TrainingState]:
     """Stands in for `encoder_task`."""
 
     def validate(state, step, losses):
         save(TrainedEncoder(state.weights, SMALL_ENCODER), {"loss": 0.5})
         return [{"step": step}]
 
-    def init() -> EncoderState:
-        weights = fresh_weights(SmallEncoder, SMALL_ENCODER, jax.random.key(seed))
-        return EncoderState(step=jnp.int32(0), weights=weights, optimizer=())
-
-    return Task(steps, init, fake_step, validate)
+    small = dataclasses.replace(training, architecture=SMALL_ENCODER)
+    return Task(small.steps, small.first_state, fake_step, validate)
 
 
 def fake_results(name, houses, some_searches, searches) -> list[SearchResult]:
@@ -233,10 +232,10 @@ def _training(patch: pytest.MonkeyPatch, module: Any) -> None:
 
 
 def train_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
-    _training(patch, train)
+    _training(patch, training)
     options = train.Options(
         dataset=dataset, out=folder, data=DataConfig(extra_houses=0), widths=(2, 2, 2, 2), steps=3, batch_size=1,
-        validate_every=1, minutes_per_checkpoint=0.0,
+        validate_every=1, minutes_per_checkpoint=0.0, split=None,
     )  # fmt: skip
     return _command(train, options)
 
@@ -255,8 +254,8 @@ def sweep_losses_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Comm
 
 
 def _translator(patch: pytest.MonkeyPatch, steps: int) -> translation.TranslationOptions:
-    patch.setattr(translation, "translator_step", fake_step)
-    patch.setattr(translation, "init_translator", functools.cache(translation.init_translator))
+    patch.setattr(translation, "supervised_step", fake_step)
+    patch.setattr(translation, "first_state", functools.cache(translation.first_state))
     patch.setattr(translation, "metrics_over_pairs", lambda network, data: {"l1": 0.25, "low_recall": 0.5})
     data = translation.TranslationData(trainings.image_set(), trainings.image_set())
     for module in (train_translator, reproduce_fig5):
@@ -286,7 +285,7 @@ def objectnav_train_(
     patch.setattr(objectnav_train, "random_views", lambda *args: None)
     patch.setattr(objectnav_train, "encoder_task", fake_encoder_task)
     patch.setattr(objectnav_train, "collect", lambda *args: trainings.journeys())
-    patch.setattr(objectnav_train, "train_step", fake_step)
+    patch.setattr(objectnav_train, "supervised_step", fake_step)
     patch.setattr(objectnav_train, "first_state", functools.cache(objectnav_train.first_state))
     patch.setattr(objectnav_train, "validation_samples", lambda *args: None)
     patch.setattr(objectnav_train, "figures", lambda *args: {"error": 0.5})

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dc2g_jax.objectnav.starts import largest_region
+from dc2g_jax.objectnav._starts import largest_region
 from dc2g_jax.objectnav.worlds import IndoorWorld
 
 

@@ -62,9 +62,10 @@ class Node:
     parameters: dict[str, Any] = {}  # noqa: RUF012
 
     def __init__(self, name: str):
-        self.warnings, self.published, self.subscribed, self.declared = [], {}, {}, set()
+        self.warnings, self.published, self.subscribed, self.declared, self.services = [], {}, {}, set(), {}
 
-    def declare_parameter(self, name, default):
+    def declare_parameter(self, name, default, descriptor):
+        assert descriptor.description
         value = self.parameters.get(name, default)
         if type(value) is not type(default):
             raise ParameterException(f"parameter '{name}' is '{value}', expecting type '{type(default).__name__}'")
@@ -81,8 +82,11 @@ class Node:
     def create_subscription(self, kind, topic, callback, qos):
         self.subscribed[topic] = callback
 
-    def create_timer(self, period, callback):
+    def create_timer(self, period, callback, callback_group):
         self.tick = callback
+
+    def create_service(self, kind, name, callback):
+        self.services[name] = lambda **request: callback(SimpleNamespace(**request), SimpleNamespace())
 
     def get_logger(self):
         return SimpleNamespace(warning=self.warnings.append)
@@ -137,6 +141,19 @@ class ExternalShutdownException(Exception):
     """The context was shut down by a signal."""
 
 
+class MultiThreadedExecutor:
+    """Ends at once."""
+
+    def __init__(self, num_threads):
+        pass
+
+    def add_node(self, node):
+        self.node = node
+
+    def spin(self):
+        pass
+
+
 class NavigateToPose:
     """The action of Nav2."""
 
@@ -147,10 +164,17 @@ class NavigateToPose:
 def install(patch) -> None:
     """Let `import rclpy` and the like find what is here."""
     found = {
-        "rclpy": {"init": lambda: None, "spin": lambda node: None, "try_shutdown": lambda: None},
+        "rclpy": {"init": lambda signal_handler_options: None, "try_shutdown": lambda: None},
+        "rclpy.callback_groups": {"MutuallyExclusiveCallbackGroup": SimpleNamespace},
+        "rclpy.signals": {"SignalHandlerOptions": SimpleNamespace(NO=0)},
+        "rcl_interfaces.msg": {"ParameterDescriptor": SimpleNamespace},
+        "std_srvs.srv": {"SetBool": None, "Trigger": None},
         "rclpy.action": {"ActionClient": ActionClient},
         "rclpy.exceptions": {"ParameterException": ParameterException},
-        "rclpy.executors": {"ExternalShutdownException": ExternalShutdownException},
+        "rclpy.executors": {
+            "ExternalShutdownException": ExternalShutdownException,
+            "MultiThreadedExecutor": MultiThreadedExecutor,
+        },
         "rclpy.node": {"Node": Node},
         "rclpy.qos": {
             "QoSProfile": SimpleNamespace,

@@ -14,13 +14,15 @@ from dc2g_jax.estimation.pix2pix import Discriminator
 from dc2g_jax.estimation.weights import with_weights
 from dc2g_jax.rollouts.devices import mesh_of, replicate
 from dc2g_jax.training.image_pairs import ImageSet
+from dc2g_jax.training.step import supervised_step
 from dc2g_jax.training.translator import (
     TRANSLATOR_LOSSES,
     TranslatorConfig,
+    TranslatorTraining,
     discriminator_loss,
+    first_state,
     generator_loss,
-    init_translator,
-    translator_step,
+    run_key,
 )
 from tests.support.states import assert_same_bits, infinite
 from tests.support.trainings import DRAW_IMAGES as DRAW
@@ -35,11 +37,12 @@ def data() -> ImageSet:
     return image_set()
 
 
-def train(data, steps: int, state=None, config: TranslatorConfig = CONFIG, devices=None):
+def train(data, steps: int, state=None, config: TranslatorConfig = CONFIG, devices=None, seed=0):
     mesh, differences = mesh_of(devices), []
-    state, data = replicate((init_translator(config, seed=0) if state is None else state, data), mesh)
+    state = first_state(config, seed=0) if state is None else state
+    state, pairs = replicate((state, (run_key(seed), data)), mesh)
     for _ in range(steps):
-        state, difference = translator_step(state, data, config=config, draw_batch=DRAW, mesh=mesh)
+        state, difference = supervised_step(state, pairs, training=TranslatorTraining(config, DRAW), mesh=mesh)
         differences.append(float(difference))
     return state, differences
 
@@ -55,9 +58,7 @@ def test_an_interrupted_run_ends_like_one_that_was_not(data, trained, tmp_path):
     state, differences = None, []
     for steps in (7, STEPS - 7):
         # A new process each time.
-        checkpoints = TrainingCheckpoints(
-            tmp_path / "run", CONFIG, first_state=functools.partial(init_translator, seed=0)
-        )
+        checkpoints = TrainingCheckpoints(tmp_path / "run", CONFIG, first_state=functools.partial(first_state, seed=0))
         state = checkpoints.restore()
         assert (state is None) == (not differences)
         state, part = train(data, steps, state)
@@ -75,12 +76,12 @@ def test_it_learns(trained):
 
 
 def first_layers(state) -> tuple[np.ndarray, np.ndarray]:
-    layers = state.generator["down0"], state.discriminator["layer0"]
+    layers = state.weights["generator"]["down0"], state.weights["discriminator"]["layer0"]
     return tuple(np.array(layer["convolution"]["kernel"]) for layer in layers)
 
 
 def test_the_discriminator_learns_only_where_it_is_asked(data, trained):
-    start = first_layers(init_translator(CONFIG, seed=0))
+    start = first_layers(first_state(CONFIG, seed=0))
     both = first_layers(trained[0])
     assert not np.array_equal(both[0], start[0])
     assert not np.array_equal(both[1], start[1])
@@ -92,7 +93,7 @@ def test_the_discriminator_learns_only_where_it_is_asked(data, trained):
 def test_the_discriminator_loss_is_the_cross_entropy(data):
     batch = DRAW(jax.random.key(0), jnp.int32(0), data)
     generated = 1 - batch.target
-    weights = init_translator(CONFIG, seed=0).discriminator
+    weights = first_state(CONFIG, seed=0).weights["discriminator"]
     judge = jax.jit(with_weights(Discriminator, CONFIG.architecture, weights))
     believed, doubted = (
         1 / (1 + np.exp(-np.asarray(judge(batch.image, answer)))) for answer in (batch.target, generated)
@@ -104,7 +105,7 @@ def test_the_discriminator_loss_is_the_cross_entropy(data):
 @pytest.mark.parametrize(("loss", "by_difference", "by_doubt"), [("l1", 100, 0), ("gan", 0, 1), ("l1+gan", 100, 1)])
 def test_the_generator_loss_is_that_of_pix2pix(data, loss, by_difference, by_doubt):
     batch = DRAW(jax.random.key(0), jnp.int32(0), data)
-    generated, weights = 0.7 * batch.target, init_translator(CONFIG, seed=0).discriminator
+    generated, weights = 0.7 * batch.target, first_state(CONFIG, seed=0).weights["discriminator"]
     odds = jax.jit(with_weights(Discriminator, CONFIG.architecture, weights))(batch.image, generated)
     doubt = np.mean(-np.log(1 / (1 + np.exp(-np.asarray(odds, np.float64)))))
     # pix2pix takes pictures from -1 to 1.
@@ -116,7 +117,7 @@ def test_the_generator_loss_is_that_of_pix2pix(data, loss, by_difference, by_dou
 
 
 def test_another_seed_gives_other_weights():
-    one, other = (init_translator(CONFIG, seed=seed).generator for seed in (0, 1))
+    one, other = (first_state(CONFIG, seed=seed).weights["generator"] for seed in (0, 1))
     assert not np.array_equal(one["down0"]["convolution"]["kernel"], other["down0"]["convolution"]["kernel"])
 
 
@@ -129,10 +130,12 @@ def test_an_unknown_loss_is_refused_with_those_there_are():
         assert repr(name) in message or name in message
 
 
-@pytest.mark.parametrize("network", ["generator_optimizer", "discriminator_optimizer"])
+@pytest.mark.parametrize("network", ["generator", "discriminator"])
 def test_weights_that_are_not_finite_are_noticed_in_the_step_that_makes_them(data, network):
-    state = init_translator(CONFIG, seed=0)
-    _, differences = train(data, 1, state.replace(**{network: infinite(getattr(state, network))}))
+    state = first_state(CONFIG, seed=0)
+    adam, *rest = state.optimizer
+    broken = adam._replace(mu=adam.mu | {network: infinite(adam.mu[network])})
+    _, differences = train(data, 1, state.replace(optimizer=(broken, *rest)))
     assert np.isnan(differences[0])
 
 
@@ -151,7 +154,7 @@ def test_the_number_of_devices_changes_a_step_by_rounding_only(data):
     two, others = train(data, 5, devices=jax.devices()[:2])
     np.testing.assert_allclose(differences, others, rtol=1e-5)
     for network in ("generator", "discriminator"):
-        pair = (with_effect(getattr(state, network)) for state in (one, two))
+        pair = (with_effect(state.weights[network]) for state in (one, two))
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4), *pair)
 
 
@@ -159,8 +162,8 @@ def test_the_number_of_devices_changes_a_step_by_rounding_only(data):
 def test_a_step_is_compiled_once(data, count):
     devices = jax.devices()[:count]
     state, _ = train(data, 1, devices=devices)
-    before = translator_step.compiled_count()
-    train(data, 1, init_translator(CONFIG, seed=1), devices=devices)
+    before = supervised_step.compiled_count()
+    train(data, 1, first_state(CONFIG, seed=1), devices=devices, seed=1)
     state, _ = train(data, 2, state, devices=devices)
     train(dataclasses.replace(data, masks=data.masks ^ jnp.uint32(1)), 1, state, devices=devices)
-    assert translator_step.compiled_count() == before
+    assert supervised_step.compiled_count() == before

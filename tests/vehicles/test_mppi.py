@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.objectnav import cost_maps
+from dc2g_jax.objectnav import _cost_maps as cost_maps
 from dc2g_jax.vehicles import mppi
 from dc2g_jax.vehicles.mppi import MPPISettings
 from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive

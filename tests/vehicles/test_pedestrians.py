@@ -5,8 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.vehicles.footprint import Ground
-from dc2g_jax.vehicles.pedestrians import (
+from dc2g_jax.vehicles._pedestrians import (
     NOWHERE,
     PATIENCE,
     PERSON_RADIUS,
@@ -17,6 +16,7 @@ from dc2g_jax.vehicles.pedestrians import (
     walk,
     walkable_cells,
 )
+from dc2g_jax.vehicles.footprint import Ground
 from dc2g_jax.vehicles.vehicle import VehicleState, at_rest
 from tests.oracles.vehicle_oracle import clearance
 from tests.support.maps import drawn

@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from scipy import spatial
 
-from dc2g_jax.datasets.osm.entrances import (
+from dc2g_jax.datasets.osm._entrances import (
     Entry,
     Site,
     Uses,
@@ -20,8 +20,7 @@ from dc2g_jax.datasets.osm.entrances import (
     plan_entry,
     street_points,
 )
-from dc2g_jax.datasets.osm.extract import Area, Extract, Line
-from dc2g_jax.datasets.osm.shapes import (
+from dc2g_jax.datasets.osm._shapes import (
     Patch,
     fill,
     mapped_shapes,
@@ -30,6 +29,7 @@ from dc2g_jax.datasets.osm.shapes import (
     square_view,
     street_width,
 )
+from dc2g_jax.datasets.osm.extract import Area, Extract, Line
 from dc2g_jax.datasets.procedural.drawing import PictureFrame, Sketch, resample
 from dc2g_jax.grid.ground import component_numbers
 from dc2g_jax.grid.sampling import ClassImage, resize_nearest, sample_grid

@@ -6,7 +6,7 @@ robot that starts on the road can reach a front door in the map's 50x50 grid.
 
 import numpy as np
 
-from dc2g_jax.datasets.procedural.city import draw_city
+from dc2g_jax.datasets.procedural._city import draw_city
 from dc2g_jax.datasets.procedural.suburbs import SUBURBS, draw_row, draw_suburb
 from dc2g_jax.grid.ground import connected_to_goal
 from dc2g_jax.grid.sampling import ClassImage, sample_grid
@@ -120,15 +120,20 @@ def draw_neighborhood(seed: int, style: str, cells: int, doors: int) -> ClassIma
     raise RuntimeError(f"no usable {style} neighborhood within {_ATTEMPTS} drawings of seed {seed}")
 
 
-def procedural_houses(seed: int = 0) -> list[tuple[str, str, ClassImage]]:
+def procedural_houses(seed: int = 0, split: str | None = None) -> list[tuple[str, str, ClassImage]]:
     """The default dataset: (name, split, class indices uint8 [H W]) of 77 houses, as in `PROCEDURAL_SPLIT`.
+
+    Args:
+        seed: seed in [0, 2^32).
+        split: the only split to draw; `None` for all. A house does not depend on the others.
 
     Raises:
         ValueError: if the seed is not in [0, 2^32).
     """
     return [
-        (name, split, draw_house(house_seed(seed, index), style))
-        for index, (name, split, style) in enumerate(PROCEDURAL_SPLIT)
+        (name, of, draw_house(house_seed(seed, index), style))
+        for index, (name, of, style) in enumerate(PROCEDURAL_SPLIT)
+        if split in (None, of)
     ]
 
 

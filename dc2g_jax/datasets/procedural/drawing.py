@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from dc2g_jax.datasets.procedural.filling import fill_polygons
+from dc2g_jax.datasets.procedural._filling import fill_polygons
 from dc2g_jax.grid.sampling import ClassImage
 from dc2g_jax.grid.terrain import (
     BUSH,

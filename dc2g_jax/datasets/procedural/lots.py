@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dc2g_jax.datasets.procedural._streets import Curb
 from dc2g_jax.datasets.procedural.drawing import (
     Placement,
     Points,
@@ -22,7 +23,6 @@ from dc2g_jax.datasets.procedural.drawing import (
     traveled,
     uniform,
 )
-from dc2g_jax.datasets.procedural.streets import Curb
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Suburb:
 
 
 @dataclass(frozen=True)
-class HouseOutline:
+class _HouseOutline:
     """A house in its own frame: blocks, ends, the garage's (x, front y, width), the front door's (x, y)."""
 
     blocks: list[Points]
@@ -72,7 +72,7 @@ class Lot:
     essentials: Polygons
 
 
-def build_house(rng: np.random.Generator, suburb: Suburb) -> HouseOutline:
+def _build_house(rng: np.random.Generator, suburb: Suburb) -> _HouseOutline:
     """A house as a union of rectangles: body, garage, bays, wings, some with corners cut off."""
     width, depth = uniform(rng, suburb.house_width), uniform(rng, suburb.house_depth)
     garage_width = min(uniform(rng, (4.5, 7.5)), 0.55 * width)
@@ -99,7 +99,7 @@ def build_house(rng: np.random.Generator, suburb: Suburb) -> HouseOutline:
     behind_door = [block for block in blocks if np.min(block[:, 0]) <= door_x <= np.max(block[:, 0])]
     door = (door_x, min(float(np.min(block[:, 1])) for block in behind_door))  # on the foremost wall
     blocks = [_cut_corner(rng, jitter(rng, block, 0.12)) for block in blocks]
-    return HouseOutline(blocks, left, right, (left + garage_width / 2, garage_front, garage_width), door)
+    return _HouseOutline(blocks, left, right, (left + garage_width / 2, garage_front, garage_width), door)
 
 
 def _cut_corner(rng: np.random.Generator, block: Points) -> Points:
@@ -115,7 +115,7 @@ def _cut_corner(rng: np.random.Generator, block: Points) -> Points:
 
 def build_lot(rng: np.random.Generator, suburb: Suburb, curb: Curb, has_sidewalk: bool) -> Lot:
     """House, driveway, walkways, doors and cars of the lot along a curb."""
-    house = build_house(rng, suburb)
+    house = _build_house(rng, suburb)
     at_curb = curb.at(0.0)
     setback = uniform(rng, suburb.setback) + max(-house.garage[1], 0.0)
     turn = rng.normal(0, suburb.turn)
@@ -155,7 +155,7 @@ def tapered(rng: np.random.Generator, line: Points, at_road: float, at_house: fl
 
 
 def _front_driveway(
-    rng: np.random.Generator, suburb: Suburb, house: HouseOutline, stand: Placement, curb: Curb
+    rng: np.random.Generator, suburb: Suburb, house: _HouseOutline, stand: Placement, curb: Curb
 ) -> Driveway:
     """A short driveway from the road straight, bent or skewed to a garage door that faces the street."""
     x, y, garage_width = house.garage
@@ -171,7 +171,7 @@ def _front_driveway(
     return Driveway(shape, line, at_house, walk)
 
 
-def _court(rng: np.random.Generator, house: HouseOutline, width: float) -> tuple[Polygons, Points, Points]:
+def _court(rng: np.random.Generator, house: _HouseOutline, width: float) -> tuple[Polygons, Points, Points]:
     """Paved ground beside a garage that opens sideways, in the house's frame: shape, entry, middle."""
     reach, back = uniform(rng, (5.0, 8.0)), uniform(rng, (4.5, 7.0))
     front = house.garage[1] + uniform(rng, (-0.5, 1.5))
@@ -189,7 +189,7 @@ def _court(rng: np.random.Generator, house: HouseOutline, width: float) -> tuple
 
 
 def _winding_driveway(
-    rng: np.random.Generator, suburb: Suburb, house: HouseOutline, stand: Placement, curb: Curb
+    rng: np.random.Generator, suburb: Suburb, house: _HouseOutline, stand: Placement, curb: Curb
 ) -> Driveway:
     """A long driveway, straight or winding, to a paved court beside the house."""
     width = uniform(rng, suburb.driveway_width)
@@ -212,7 +212,7 @@ def _winding_driveway(
 
 
 def _horseshoe_driveway(
-    rng: np.random.Generator, suburb: Suburb, house: HouseOutline, stand: Placement, curb: Curb
+    rng: np.random.Generator, suburb: Suburb, house: _HouseOutline, stand: Placement, curb: Curb
 ) -> Driveway:
     """A driveway with two entries that passes in front of the front door, with a spur to the garage."""
     width = uniform(rng, suburb.driveway_width) * 0.9
@@ -237,7 +237,7 @@ def _horseshoe_driveway(
 
 
 def _side_driveway(
-    rng: np.random.Generator, suburb: Suburb, house: HouseOutline, stand: Placement, curb: Curb
+    rng: np.random.Generator, suburb: Suburb, house: _HouseOutline, stand: Placement, curb: Curb
 ) -> Driveway:
     """A narrow driveway along the side of the house to its back, sometimes to a separate garage."""
     width = uniform(rng, suburb.driveway_width) * 0.85
@@ -255,7 +255,7 @@ def _side_driveway(
 
 def _walkway_starts(
     rng: np.random.Generator,
-    house: HouseOutline,
+    house: _HouseOutline,
     stand: Placement,
     at_curb: Placement,
     drive: Driveway,
@@ -317,7 +317,7 @@ def door_outline(rng: np.random.Generator, door: tuple[float, float], size: floa
     return jitter(rng, corners, 0.12)
 
 
-def _add_side_door(rng: np.random.Generator, lot: Lot, house: HouseOutline, stand: Placement, width: float) -> None:
+def _add_side_door(rng: np.random.Generator, lot: Lot, house: _HouseOutline, stand: Placement, width: float) -> None:
     """Add a second door or a patio at the side of the house, with a walkway around the corner."""
     depth = float(np.max(house.blocks[0][:, 1]))
     beside, side_y = house.right + width * uniform(rng, (0.6, 1.2)), uniform(rng, (0.3, 0.8)) * depth

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from dc2g_jax.datasets.procedural._streets import Curb, Sidewalks, Streets, lay_streets, wander
 from dc2g_jax.datasets.procedural.drawing import (
     PictureFrame,
     Placement,
@@ -15,7 +16,6 @@ from dc2g_jax.datasets.procedural.drawing import (
     view_around,
 )
 from dc2g_jax.datasets.procedural.lots import Lot, Suburb, build_lot, car
-from dc2g_jax.datasets.procedural.streets import Curb, Sidewalks, Streets, lay_streets, wander
 from dc2g_jax.grid.sampling import ClassImage
 
 #: Side of a single house's map in cells, and side of a cell of a larger map in pixels.

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from dc2g_jax.objectnav import classes
+from dc2g_jax.objectnav._plans import Furniture
 from dc2g_jax.objectnav.floor_plans.placing import RoomSketch, Wall, in_front
-from dc2g_jax.objectnav.plans import Furniture
 
 Limits = tuple[float, float]
 

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
 
+from dc2g_jax.objectnav._plans import HousePlan, Room, Segment
 from dc2g_jax.objectnav.classes import BATHROOM, BEDROOM, KITCHEN, LIVING_ROOM
-from dc2g_jax.objectnav.plans import HousePlan, Room, Segment
 
 Square = tuple[int, int]
 

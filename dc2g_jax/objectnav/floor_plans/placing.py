@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Bool
 
 from dc2g_jax.grid.ground import component_numbers
+from dc2g_jax.objectnav._plans import MARGIN, Furniture, Segment, world_from_plan
+from dc2g_jax.objectnav._starts import passable
 from dc2g_jax.objectnav.floor_plans.layouts import Layout
-from dc2g_jax.objectnav.plans import MARGIN, Furniture, Segment, world_from_plan
-from dc2g_jax.objectnav.starts import passable
 
 #: Side of the cells with which reachability is checked, meters.
 CHECK_CELLS = 0.1

@@ -2,7 +2,9 @@
 
 import functools
 import gc
+import signal
 import sys
+import threading
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,13 +13,17 @@ from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion, Vector3
 from nav2_msgs.action import NavigateToPose
 from nav_msgs.msg import OccupancyGrid, Path
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.action import ActionClient
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
 from std_msgs.msg import ColorRGBA, Header, String
+from std_srvs.srv import SetBool, Trigger
 from tf2_ros import Buffer, TransformException, TransformListener
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -36,6 +42,23 @@ _TYPES = SimpleNamespace(
 #: The last message is kept for subscribers that come later.
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
+#: Default of each parameter, and what it is; all are read once, at the start.
+_PARAMETERS: dict[str, tuple[Any, str]] = {
+    "planner": ("", "frontier, dc2g or dc2g_uncertain; empty: dc2g if there are labels, else frontier"),
+    "network": ("", "folder of a trained network; empty: the shipped one"),
+    "cell_size": (0.25, "side of the planner's cells, meters"),
+    "smallest_cell": (0.0, "side of the smallest cells after halving, meters; 0: a quarter of cell_size"),
+    "sensing_range": (3.0, "how far the robot sees, meters"),
+    "labels": ([""], "class of each cell value, for semantic maps, such as 1:road"),
+    "largest": ([100, 100], "rows and columns of the largest map, cells"),
+    "base_frame": ("base_link", "frame of the robot"),
+    "period": (1.0, "minimum time between decisions, seconds"),
+    "drive": (False, "whether to send the robot to the subgoals through Nav2"),
+}
+
+#: Seconds to wait for Nav2 to cancel the goal when the node ends.
+_SECONDS_TO_CANCEL = 1.0
+
 #: Targets that differ by less than this, in meters and radians, are the same.
 _SAME = 0.01
 
@@ -45,11 +68,10 @@ class PlannerNode(Node):
 
     def __init__(self) -> None:
         super().__init__("dc2g_planner")
-        defaults: dict[str, Any] = {
-            "planner": "", "network": "", "cell_size": 0.25, "smallest_cell": 0.0, "sensing_range": 3.0,
-            "labels": [""], "largest": [100, 100], "base_frame": "base_link", "period": 1.0, "drive": False,
-        }  # fmt: skip
-        given = {name: self.declare_parameter(name, default).value for name, default in defaults.items()}
+        given = {
+            name: self.declare_parameter(name, default, ParameterDescriptor(description=words, read_only=True)).value
+            for name, (default, words) in _PARAMETERS.items()
+        }
         self._planner = MetricPlanner(
             given["planner"] or None,
             cell_size=given["cell_size"],
@@ -67,6 +89,11 @@ class PlannerNode(Node):
         self._goal: MetricPose | None = None
         self._aborted: list[MetricPose] = []
         self._has_arrived = False
+        self._is_paused = False
+        self._start: tuple[str, MetricPose] | None = None
+        self._handle: Any = None
+        # Decisions take their time; maps, transforms and services are served meanwhile by other threads.
+        self._deciding = threading.RLock()
         self._tf = Buffer()
         self._listener = TransformListener(self._tf, self)
         self._nav2 = ActionClient(self, NavigateToPose, "navigate_to_pose") if given["drive"] else None
@@ -79,7 +106,9 @@ class PlannerNode(Node):
         }  # fmt: skip
         self.create_subscription(OccupancyGrid, "map", self._on_map, _LATCHED)
         self.create_subscription(PoseArray, "doors", self._on_doors, 1)
-        self.create_timer(given["period"], self._decide)
+        self.create_service(SetBool, "~/pause", self._on_pause)
+        self.create_service(Trigger, "~/return_to_start", self._on_return)
+        self.create_timer(given["period"], self._decide, callback_group=MutuallyExclusiveCallbackGroup())
 
     def _on_map(self, message: OccupancyGrid) -> None:
         self._map, self._is_news = message, True
@@ -87,19 +116,57 @@ class PlannerNode(Node):
     def _on_doors(self, message: PoseArray) -> None:
         self._doors, self._is_news = message, True
 
+    def _on_pause(self, request: Any, response: Any) -> Any:
+        """Stop the robot and decide nothing, or go on with the latest map."""
+        self._is_paused = request.data
+        with self._deciding:
+            if request.data:
+                self.stop()
+            else:
+                self._is_news = True
+        response.success, response.message = True, "paused" if request.data else "goes on"
+        return response
+
+    def _on_return(self, request: Any, response: Any) -> Any:
+        """Pause, and send the robot to where it was at the first decision."""
+        del request
+        if self._nav2 is None or self._start is None:
+            why = "no decision has been made yet" if self._start is None else "the parameter drive is false"
+            response.success, response.message = False, why
+            return response
+        self._is_paused = True
+        with self._deciding:
+            frame, place = self._start
+            self._send(Outgoing(_TYPES, frame, self.get_clock().now().to_msg()).stamped(place), place, None)
+        response.success, response.message = True, "returns to the start; ~/pause with data: false explores again"
+        return response
+
+    def stop(self) -> Any:
+        """Cancel the goal that Nav2 has from this node. Returns the future of that; `None` if there is no goal."""
+        handle, self._handle, self._goal = self._handle, None, None
+        return None if handle is None else handle.cancel_goal_async()
+
     def _decide(self) -> None:
         """If anything is new, decide on the latest map and publish the decision."""
-        if self._map is None or not self._is_news:
-            return
-        frame = self._map.header.frame_id
+        with self._deciding:
+            if self._map is not None and self._is_news and not self._is_paused:
+                self._is_news = False
+                self._decide_on(self._map)
+
+    def _decide_on(self, latest: OccupancyGrid) -> None:
+        frame = latest.header.frame_id
         try:
             transform = self._tf.lookup_transform(frame, self._base_frame, Time()).transform
             doors = doors_of(self._doors, frame) if self._doors.poses else []
-            decision = self._planner.plan(map_of(self._map), pose_of(transform), doors=doors)
+            pose = pose_of(transform)
+            decision = self._planner.plan(map_of(latest), pose, doors=doors)
         except (InputError, TransformException) as error:
             self.get_logger().warning(f"no decision: {error}")
+            self._is_news = True
             return
-        self._is_news = False
+        if self._is_paused:  # meanwhile
+            return
+        self._start = self._start or (frame, pose)
         out = Outgoing(_TYPES, frame, self.get_clock().now().to_msg())
         for name in ("frontiers", "path", "markers", "why", "mode"):
             self._out[name].publish(getattr(out, name)(decision))
@@ -120,30 +187,45 @@ class PlannerNode(Node):
             self.get_logger().warning("Nav2's action navigate_to_pose is not available yet")
             self._is_news = True
             return
+        self._send(out.stamped(place), place, decision)
+
+    def _send(self, stamped: PoseStamped, place: MetricPose, decision: MetricDecision | None) -> None:
+        """Send a goal to Nav2; without a decision, the robot only drives there."""
+        assert self._nav2 is not None
         self._goal, self._has_arrived = place, False
         goal = NavigateToPose.Goal()
-        goal.pose = out.stamped(place)
+        goal.pose = stamped
         self._nav2.send_goal_async(goal).add_done_callback(functools.partial(self._on_answer, place, decision))
 
-    def _on_answer(self, place: MetricPose, decision: MetricDecision, future: Any) -> None:
-        handle = future.result()
-        if handle.accepted:
+    def _on_answer(self, place: MetricPose, decision: MetricDecision | None, future: Any) -> None:
+        with self._deciding:
+            self._answered(place, decision, future.result())
+
+    def _answered(self, place: MetricPose, decision: MetricDecision | None, handle: Any) -> None:
+        """Nav2 has accepted or rejected a goal."""
+        if handle.accepted and place != self._goal and self._is_paused:
+            handle.cancel_goal_async()  # paused before Nav2 answered
+        elif handle.accepted:
+            self._handle = handle
             handle.get_result_async().add_done_callback(functools.partial(self._on_result, place, decision))
         elif place == self._goal:
             self.get_logger().warning("Nav2 rejected the subgoal")
             self._goal, self._is_news = None, True
 
-    def _on_result(self, place: MetricPose, decision: MetricDecision, future: Any) -> None:
+    def _on_result(self, place: MetricPose, decision: MetricDecision | None, future: Any) -> None:
+        with self._deciding:
+            if place == self._goal:
+                self._ended(place, decision, future.result().status)
+
+    def _ended(self, place: MetricPose, decision: MetricDecision | None, status: int) -> None:
         """Decide again at the subgoal. Short of it, wait for the next map: Nav2 also aborts for someone else's goal."""
-        if place != self._goal:
-            return
-        status = future.result().status
+        self._handle = None
         if status == GoalStatus.STATUS_SUCCEEDED:
             self._has_arrived = self._is_news = True
             return
         self._goal = None
-        is_aborted = status == GoalStatus.STATUS_ABORTED
-        if is_aborted and any(_is_same(place, other) for other in self._aborted):
+        is_aborted = status == GoalStatus.STATUS_ABORTED and decision is not None
+        if decision is not None and is_aborted and any(_is_same(place, other) for other in self._aborted):
             self._drop(place, decision, "Nav2 cannot reach")
             return
         if is_aborted:
@@ -167,12 +249,20 @@ def _is_same(one: MetricPose, other: MetricPose) -> bool:
 
 def main() -> None:
     """Run the node."""
-    rclpy.init()
+    # A signal must not end the context before the robot is stopped.
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    node = None
     try:
-        rclpy.spin(PlannerNode())
+        node = PlannerNode()
+        executor = MultiThreadedExecutor(num_threads=4)
+        executor.add_node(node)
+        executor.spin()
     except (InputError, ParameterException) as error:
         sys.exit(f"error: {error}")
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
+        if node is not None and (canceled := node.stop()) is not None:
+            rclpy.spin_until_future_complete(node, canceled, timeout_sec=_SECONDS_TO_CANCEL)
         rclpy.try_shutdown()
