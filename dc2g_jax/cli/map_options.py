@@ -53,14 +53,20 @@ def terrain_of(options: MapOptions) -> UInt8[np.ndarray, "h w"]:
     return draw_map(options.map, palette=palette, goals=goals, cells=options.cells)
 
 
+def pixels_of(options: MapOptions) -> tuple[int, int]:
+    """Columns and rows of the map's file."""
+    palette = None if options.palette is None else read_palette(options.palette)
+    height, width = draw_map(options.map, palette=palette).shape
+    return width, height
+
+
 def doubts_about(options: MapOptions) -> list[str]:
     """Probable mistakes in a map's file or in the size of its grid, one per line."""
     doubts: list[str] = []
     if options.map.suffix.lower() in YAML_ENDINGS:
         doubts += read_occupancy_map(options.map).doubts
     if options.cells is not None:
-        palette = None if options.palette is None else read_palette(options.palette)
-        height, width = draw_map(options.map, palette=palette).shape
+        width, height = pixels_of(options)
         columns, rows = options.cells
         kept = max(round(columns * height / width), 1)
         if abs(rows - kept) > 1:

@@ -17,7 +17,7 @@ class DatasetOptions(CommandOptions):
     """Houses to run on.
 
     Attributes:
-      dataset: folder of houses, or `procedural`; by default DC2G_DATA, the cache, or a download.
+      dataset: folder of houses, `procedural` or `towns`; by default DC2G_DATA, the cache, or a download.
     """
 
     dataset: DatasetOption = None

@@ -4,10 +4,14 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from dc2g_jax.grid.ground import Piece, connected_to_goal, goals_without_ground, pieces
-from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE, UNKNOWN
+from dc2g_jax.grid.streets import is_town, street_width
+from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, ROAD, TRAVERSABLE, UNKNOWN
 
 #: Number of pieces of ground that a line names.
 _NAMED_PIECES = 5
+
+#: Width in cells of the narrowest street of the published houses, on their grid of 50 x 50 cells.
+_STREET = 5
 
 
 def _places(found: list[Piece]) -> str:
@@ -50,4 +54,27 @@ def map_warnings(terrain: UInt8[np.ndarray, "h w"]) -> list[str]:
         lines.append(f"traversable cells that lead to no goal: {_places(islands)}")
     if lost := pieces(goals_without_ground(terrain)):
         lines.append(f"goal cells that touch no other traversable ground: {_places(lost)}")
+    return lines
+
+
+def unlike_training(terrain: UInt8[np.ndarray, "h w"], pixels: tuple[int, int]) -> list[str]:
+    """In what a map is unlike those that the shipped network was trained on, one per line; and which `--cells` to try.
+
+    Args:
+      terrain: class indices.
+      pixels: columns and rows of the map's file, which has no finer grid.
+    """
+    rows, columns = terrain.shape
+    if not np.any(terrain == ROAD):
+        return ["the map has no road, from which the network learned to find doors; frontier may be shorter"]
+    if not is_town(terrain):
+        return []
+    width = street_width(terrain)
+    lines = [
+        f"the map shows a town, with streets of {width} of {max(rows, columns)} cells at most, and the network learned "
+        "on single houses, with streets of a tenth or more; dc2g reads the surroundings of the robot"
+    ]
+    finer = round(columns * _STREET / width), round(rows * _STREET / width)
+    if abs(width - _STREET) > 1 and finer[0] <= pixels[0] and finer[1] <= pixels[1]:
+        lines.append(f"the narrowest streets there are {_STREET} cells wide: try --cells {finer[0]} {finer[1]}")
     return lines

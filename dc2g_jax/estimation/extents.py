@@ -140,6 +140,56 @@ class Window(Extent):
         return _read(answer, _count(height, pose.x) - top, _count(width, pose.x) - left, before)
 
 
+@dataclasses.dataclass(frozen=True)
+class Surroundings(Extent):
+    """In towns, a window that is moved into the map; elsewhere the whole map.
+
+    The network knows one house with its surroundings. It resamples larger maps to the size of its training maps, which
+    is right for a house in smaller cells, but in a town it would see nothing of the walks. So the window is magnified
+    to the size of the map beforehand.
+
+    Attributes:
+      zooms: whether each robot is in a town.
+      side: longer side of the window, which has the aspect ratio of the map, in cells.
+      prior: cost of cells that have never been inside.
+    """
+
+    zooms: Bool[Array, "*batch"]
+    side: int = _TRAINED_SIDE
+    prior: float = float(_TRAINED_SIDE)
+
+    def _window(self, pose: Pose, shape: tuple[int, ...]) -> list[tuple[Int[Array, "*batch"], int, int]]:
+        """First cell, length and length of the map along each axis."""
+        sizes = [-(-size * self.side // max(shape)) for size in shape]
+        return [
+            (jnp.clip(at - size // 2, 0, length - size), size, length)
+            for at, size, length in zip((pose.y, pose.x), sizes, shape, strict=True)
+        ]
+
+    def part(self, terrain: UInt8[Array, "h w *batch"], pose: Pose) -> UInt8[Array, "h w *batch"]:
+        """The whole map, or the window in its size."""
+
+        def read(first: Int[Array, "*batch"], size: int, length: int) -> Int[Array, "length *batch"]:
+            cell = _count(length, pose.x)
+            return jnp.where(self.zooms, first + nearest_pixel(cell, size, length), cell)
+
+        rows, columns = (read(*axis) for axis in self._window(pose, terrain.shape[:2]))
+        return _read(terrain[None], rows, columns, jnp.uint8(UNKNOWN))[0]
+
+    def merged(self, answer: Float[Array, "kept h w *batch"], pose: Pose, before: Estimates) -> Estimates:
+        """The new estimates, and the old ones around the window."""
+
+        def read(first: Int[Array, "*batch"], size: int, length: int) -> Int[Array, "length *batch"]:
+            cell = _count(length, pose.x)
+            inside = (cell >= first) & (cell < first + size)
+            within = jnp.where(inside, nearest_pixel(cell - first, length, size), -1)
+            return jnp.where(self.zooms, within, cell)
+
+        rows, columns = (read(*axis) for axis in self._window(pose, before.shape[1:3]))
+        scale = jnp.where(self.zooms, self.side / max(before.shape[1:3]), 1.0)
+        return _read(scale * answer, rows, columns, before)
+
+
 @struct.dataclass
 class WindowedEstimator(_Wrapping):
     """Estimate on a window around the robot. The planner provides the robot's pose.

@@ -6,6 +6,7 @@ bound is in docs/how_it_works/planner.md.
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -13,10 +14,12 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Int
 
+from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import FORWARD_ACTION, Pose, every_heading, moved
+from dc2g_jax.grid.streets import in_town
 from dc2g_jax.grid.world import World
 from dc2g_jax.planning.frontiers import unseen
 from dc2g_jax.planning.planners import (
@@ -37,9 +40,6 @@ from dc2g_jax.planning.rules import Rules
 
 #: Actions that undo a move forward (two turns, forward, two turns) and a turn.
 _UNDO_FORWARD, _UNDO_TURN = 5, 1
-
-#: Part of the slack that must be left before a robot that returned to the shadow may leave it again.
-_RENEWED = 0.5
 
 
 class Shadow(NamedTuple):
@@ -78,9 +78,18 @@ class GuaranteedState(NamedTuple):
     led: Bool[Array, "*batch"]
 
 
+#: Part of the slack that must be left before a robot that returned to the shadow may leave it again.
+_RENEWED = 0.5
+
+
+def everywhere(belief: Belief) -> Bool[Array, "*batch"]:
+    """A bound on every map."""
+    return jnp.ones(belief.pose.x.shape, bool)
+
+
 @struct.dataclass
 class Guaranteed(AssessingPlanner):
-    """Any planner, with a bound on its actions: `factor * F + slack * (rows + columns)` at most.
+    """Any planner, with a bound on its actions: `factor * F + slack * (rows + columns) + actions` at most.
 
     `F` is the number of actions of `Frontier` with these rules from the same start. The bound holds on every map on
     which frontier exploration reaches a goal, whatever the wrapped planner decides, if cells keep their class. On other
@@ -93,6 +102,11 @@ class Guaranteed(AssessingPlanner):
       slack: additional actions as a multiple of the rows and columns of the map, at least 0. With factor 1 and slack 0,
         the actions are frontier's; with infinite slack, the wrapped planner's.
       virtual_steps: most actions of the shadow per decision, at least 1. The bound holds for any number.
+      actions: additional actions whatever the size of the map, at least 0.
+      renewed: actions that must be left before a robot that returned to the shadow may leave it again, for each of the
+        shadow's actions; beyond half of the slack.
+      where: whether a robot is bounded, given its belief. While it is not, it follows the wrapped planner. A robot that
+        has taken more actions than the bound allows when it becomes bounded returns to the shadow.
     """
 
     planner: MapRevisingPlanner
@@ -100,6 +114,9 @@ class Guaranteed(AssessingPlanner):
     factor: float
     slack: float
     virtual_steps: int = struct.field(pytree_node=False, default=2)
+    actions: float = 0.0
+    renewed: float = 0.0
+    where: Callable[[Belief], Bool[Array, "*batch"]] = struct.field(pytree_node=False, default=everywhere)
     batch_per_core: ClassVar[int] = DC2G.batch_per_core
 
     def memoryless(self) -> Any:
@@ -180,15 +197,47 @@ class Guaranteed(AssessingPlanner):
         # Goals count whatever the wrapped planner says of them, or it could break the bound by changing its mind.
         subgoals = poses.only(target, *belief.goals.shape[:2]) | every_heading(belief.goals)
         back = plan_to(belief, subgoals, belief.traversable, jnp.where(to_goal, TO_GOAL, EXPLORE))
-        slack = self.slack * (belief.height + belief.width)
+        slack = self.slack * (belief.height + belief.width) + self.actions
         left = self.factor * shadow.steps + slack - state.taken - jnp.where(there, 0, back.length)
         affordable = left >= 1 + jnp.where(wrapped.action == FORWARD_ACTION, _UNDO_FORWARD, _UNDO_TURN)
-        led = ~affordable | (state.led & (left < _RENEWED * slack))
+        led = ~affordable | (state.led & (left < _RENEWED * slack + self.renewed * shadow.steps))
         ahead = _next_pose(belief, belief.pose, wrapped.action)
         possible = bitboard.contains(belief.traversable, ahead.x, ahead.y) & (wrapped.mode != GAVE_UP)
         free = possible & affordable & (~led | to_goal)
-        without_bound = (shadow.mode == GAVE_UP) | (back.mode == GAVE_UP)
+        without_bound = (shadow.mode == GAVE_UP) | (back.mode == GAVE_UP) | ~self.where(belief)
         return _chosen(free | without_bound, wrapped, back), led
+
+
+@struct.dataclass
+class CautiousDC2G(DC2G):
+    """`DC2G`, bounded in towns, which are unlike the training maps of its network (see docs/notebook/towns.md).
+
+    A robot in a town takes at most 2.5 times the actions of frontier exploration and 50 more. Elsewhere, and without a
+    memory, this is `DC2G`.
+    """
+
+    def _is_bounded(self, world: World) -> bool:
+        """Whether there is a bound on maps of this size."""
+        return self.memory and max(world.height, world.width) > Architecture.side
+
+    @property
+    def _bound(self) -> Guaranteed:
+        """The planner with its bound."""
+        planner = DC2G(**{field.name: getattr(self, field.name) for field in dataclasses.fields(DC2G)})
+        return Guaranteed(planner, self.rules, factor=2.5, slack=0.0, actions=50.0, renewed=0.7, where=in_town)
+
+    def init(self, world: World) -> Any:
+        """The state of `DC2G`, or of its bound."""
+        return self._bound.init(world) if self._is_bounded(world) else super().init(world)
+
+    def assess(self, belief: Belief, state: Any) -> tuple[Assessment, Any]:
+        """Decide as `DC2G`, within the bound."""
+        return self._bound.assess(belief, state) if self._is_bounded(belief) else super().assess(belief, state)
+
+    def revised(self, state: Any, changed: Board) -> Any:
+        """The state after these cells changed their class."""
+        bounded = isinstance(state, GuaranteedState)
+        return self._bound.revised(state, changed) if bounded else super().revised(state, changed)
 
 
 def _same(a: Pose, b: Pose) -> Bool[Array, "*batch"]:

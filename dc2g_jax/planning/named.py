@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.estimators import Estimator, ExactCostToGo, answers_in_cells
+from dc2g_jax.estimation.estimators import Estimator, ExactCostToGo, NetworkCostToGo, answers_in_cells
 from dc2g_jax.own_parts import own_part
 from dc2g_jax.planning.frontiers import facing_most
-from dc2g_jax.planning.guarantee import Guaranteed
+from dc2g_jax.planning.guarantee import CautiousDC2G, Guaranteed
 from dc2g_jax.planning.planners import DC2G, Frontier, MapRevisingPlanner, Oracle
 from dc2g_jax.planning.rules import Rules, Settings, named_settings, nearest_goal
 from dc2g_jax.planning.selection import ENDLESS, ExpectedCost, Patience, QuantileCost, Selection
@@ -19,15 +19,22 @@ from dc2g_jax.planning.selection import ENDLESS, ExpectedCost, Patience, Quantil
 STEP_PATIENCE = Patience(radius=8, decisions=30, price=0.25)
 
 
-def _on_network(selection: Selection, estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIENCE) -> DC2G:
-    """A planner with a network, with the parameters chosen on validation houses (see docs/notebook).
+def _on_network(
+    selection: Selection,
+    estimator: Estimator,
+    rules: Rules,
+    patience: Patience = STEP_PATIENCE,
+    kind: type[DC2G] = CautiousDC2G,
+) -> DC2G:
+    """A planner with a network, with the parameters chosen on validation houses and towns (see docs/notebook).
 
     It alternates between the map and its mirror image as the network's input. It heads for the nearest reachable goal
-    under all rules. Without a scale, no distance can be added to the costs; the paper's rule needs none.
+    under all rules. Without a scale, no distance can be added to the costs; the paper's rule needs none. Its actions
+    are bounded on maps unlike those of the training, if every decision is an action.
     """
     if not answers_in_cells(estimator):
         return DC2G(estimator, rules)
-    return DC2G(
+    return (kind if patience.price else DC2G)(
         estimator,
         dataclasses.replace(rules, goal_poses=nearest_goal),
         selection=selection,
@@ -37,6 +44,7 @@ def _on_network(selection: Selection, estimator: Estimator, rules: Rules, patien
         headings=facing_most,
         patience=patience,
         enough_news=1 / 3,
+        magnifies=isinstance(estimator, NetworkCostToGo),
     )
 
 
@@ -48,7 +56,7 @@ def _by_the_paper(estimator: Estimator, rules: Rules, patience: Patience = ENDLE
 
 def _guarded(estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIENCE) -> Guaranteed:
     """`dc2g` with a bound on its actions (see docs/notebook/guarantee.md)."""
-    planner = NETWORK_PLANNERS["dc2g"](estimator, rules, patience)
+    planner = NETWORK_PLANNERS["dc2g"](estimator, rules, patience, DC2G)
     return Guaranteed(planner, planner.rules, factor=2.0, slack=3.0)
 
 

@@ -18,12 +18,15 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float, Int, UInt8
 
-from dc2g_jax.estimation.estimators import Estimates, Estimator, NetworkCostToGo, extent_of, update_where
+from dc2g_jax.estimation.compact_unet import Architecture
+from dc2g_jax.estimation.estimators import Estimates, Estimator, Extent, NetworkCostToGo, extent_of, update_where
+from dc2g_jax.estimation.extents import Surroundings
 from dc2g_jax.estimation.padding import PaddedNetwork, mirrored
 from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import PoseSet, every_heading
+from dc2g_jax.grid.streets import in_town
 from dc2g_jax.grid.terrain import OUTSIDE
 from dc2g_jax.grid.world import World
 from dc2g_jax.planning import frontiers
@@ -307,6 +310,8 @@ class DC2G(AssessingPlanner):
       patience: penalty for staying near promising cells that reveal no goal.
       enough_news: share of the cells in the field of view that has to be newly seen before the planner decides anew; it
         also does when its subgoal reveals nothing more. 0 to decide anew as soon as any cell is.
+      magnifies: whether the estimator is given a part of the map of a town, see
+        `dc2g_jax.estimation.extents.Surroundings`.
       memory: whether the state is kept between steps. If not, for a single robot, each estimate averages all views.
     """
 
@@ -319,6 +324,7 @@ class DC2G(AssessingPlanner):
     headings: Callable[[Belief, PoseSet], PoseSet] = struct.field(pytree_node=False, default=any_heading)
     patience: Patience = struct.field(pytree_node=False, default=ENDLESS)
     enough_news: float = struct.field(pytree_node=False, default=0.0)
+    magnifies: bool = struct.field(pytree_node=False, default=False)
     memory: bool = struct.field(pytree_node=False, default=True)
     batch_per_core: ClassVar[int] = 64
 
@@ -326,14 +332,14 @@ class DC2G(AssessingPlanner):
         """This planner for a single robot with a new state at every step, on maps of any size."""
         network = self.estimator
         estimator = PaddedNetwork(network) if isinstance(network, NetworkCostToGo) and network.is_compact else network
-        return dataclasses.replace(self, estimator=estimator, patience=ENDLESS, memory=False)
+        return dataclasses.replace(self, estimator=estimator, patience=ENDLESS, magnifies=False, memory=False)
 
     def init(self, world: World) -> "ExplorationState":
         """Nothing is reachable before the first observation. The estimator initializes its own state."""
         nothing = jnp.zeros_like(world.traversable)
         estimator_state = self.estimator.init(world)
         told = jax.eval_shape(self._told, world.terrain, estimator_state)
-        prior = extent_of(self.estimator).prior
+        prior = self._extent(world).prior
         choice = Choice(
             estimates=tuple(jnp.full(told.shape, prior, jnp.float32) for _ in self.views),
             estimated_from=nothing,
@@ -341,6 +347,12 @@ class DC2G(AssessingPlanner):
             subgoals=every_heading(nothing),
         )
         return ExplorationState(nothing, choice, jnp.zeros(told.shape[1:], jnp.int32), estimator_state)
+
+    def _extent(self, world: World) -> Extent:
+        """The part of the map that the estimator is given; a world stands for a belief at the start of an episode."""
+        if not self.magnifies or max(world.height, world.width) <= Architecture.side:
+            return extent_of(self.estimator)
+        return Surroundings(in_town(world) if isinstance(world, Belief) else jnp.zeros(world.goals.shape[2:], bool))
 
     def _told(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Estimates:
         """The selection rule's summary of the estimate.
@@ -419,7 +431,7 @@ class DC2G(AssessingPlanner):
             terrain = jnp.where(bitboard.unpack(belief.outside, belief.width), jnp.uint8(OUTSIDE), terrain)
         # Without the barrier, XLA would unpack every cell again for each of a network's one-hot inputs.
         terrain = jax.lax.optimization_barrier(terrain)
-        extent, ask = extent_of(self.estimator), functools.partial(self._told, state=estimator_state)
+        extent, ask = self._extent(belief), functools.partial(self._told, state=estimator_state)
         part = extent.part(terrain, belief.pose)
         answer = in_turn(ask, part, self.views, before.view) if self.memory else at_once(ask, part, self.views)
         latest = extent.merged(answer, belief.pose, before.estimates[0])

@@ -9,7 +9,7 @@ import pytest
 from flax import struct
 
 from dc2g_jax.estimation.estimators import WHOLE_MAP, extent_of
-from dc2g_jax.estimation.extents import CroppedEstimator, Window, WindowedEstimator
+from dc2g_jax.estimation.extents import CroppedEstimator, Surroundings, Window, WindowedEstimator
 from dc2g_jax.grid import gridworld
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.sampling import nearest_pixel
@@ -112,6 +112,30 @@ def test_a_window_asks_around_the_robot_and_keeps_the_rest(side):
     for robot, (x, y, _) in enumerate(poses):
         top, left = y + side - side // 2, x + side - side // 2
         np.testing.assert_array_equal(part[..., robot], wide[top : top + side, left : left + side, robot])
+
+
+def test_in_towns_a_window_within_the_map_is_magnified_to_its_size():
+    side, shape = 10, (9, 30)
+    poses = np.array([(0, 0, 0), (29, 8, 1), (15, 4, 2), (15, 4, 2)])
+    zooms = np.array([True, True, True, False])
+    terrain = np.random.default_rng(0).integers(0, 9, (*shape, 4)).astype(np.uint8)
+    before = np.random.default_rng(1).random((2, *terrain.shape)).astype(np.float32)
+    surroundings, pose = Surroundings(jnp.asarray(zooms), side), make_pose(*poses.T)
+    part = surroundings.part(jnp.asarray(terrain), pose)
+    # The network shrinks the map by 3, so that it reads 3 x 10 cells as they are.
+    for robot, (top, left) in enumerate([(0, 0), (6, 20), (3, 10)]):
+        window = terrain[top : top + 3, left : left + 10, robot]
+        np.testing.assert_array_equal(part[1::3, 1::3, robot], window)
+        np.testing.assert_array_equal(part[..., robot], np.kron(window, np.ones((3, 3), np.uint8)))
+    np.testing.assert_array_equal(part[..., 3], terrain[..., 3])
+    answer = Places().estimate(part, ())
+    merged = surroundings.merged(answer, pose, jnp.asarray(before))
+    for robot, (top, left) in enumerate([(0, 0), (6, 20), (3, 10)]):
+        wanted = before[..., robot].copy()
+        # Costs are in cells of the part, which are a third as long.
+        wanted[:, top : top + 3, left : left + 10] = answer[:, 1::3, 1::3, robot] * np.float32(1 / 3)
+        np.testing.assert_allclose(merged[..., robot], wanted, rtol=1e-6)
+    np.testing.assert_array_equal(merged[..., 3], answer[..., 3])
 
 
 def test_an_estimator_without_an_extent_is_asked_about_the_whole_map():

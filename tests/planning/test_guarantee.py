@@ -8,14 +8,16 @@ import pytest
 from dc2g_jax.grid import gridworld
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.sensing import line_of_sight
+from dc2g_jax.grid.streets import is_town
+from dc2g_jax.grid.terrain import ROAD
 from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.planning.guarantee import Guaranteed
+from dc2g_jax.planning.guarantee import CautiousDC2G, Guaranteed
 from dc2g_jax.planning.planners import DC2G, GAVE_UP, Frontier
 from dc2g_jax.planning.rules import complete_rules, reference_rules
 from dc2g_jax.rollouts.rollout import Episodes, rollout
 from tests.oracles import numpy_gridworld as oracle
 from tests.support.exploration import EXPANDING, SENSING, LowestColumn, Scattered
-from tests.support.hostile import KINDS, Hostile, misleading_worlds
+from tests.support.hostile import FLOOR, KINDS, Hostile, misleading_worlds
 
 SHAPE = (14, 33)
 SIDES = sum(SHAPE)
@@ -125,6 +127,24 @@ def test_without_slack_the_actions_are_those_of_frontier_exploration():
     alone = run(Frontier(COMPLETE), terrains, starts)
     done = run(Guaranteed(Hostile(COMPLETE), COMPLETE, 1.0, 0.0), terrains, starts)
     np.testing.assert_array_equal(done.actions, alone.actions)
+
+
+def test_dc2g_is_bounded_in_towns_alone():
+    terrains, starts = misleading_worlds((14, 99), 900, EPISODES // 2)
+    terrains = np.where(terrains == FLOOR, np.uint8(ROAD), terrains)
+    towns = np.flatnonzero([is_town(terrain) for terrain in terrains])
+    assert len(towns) > EPISODES / 6
+    alone, frontier, cautious = (
+        run(planner, terrains[towns], [starts[number] for number in towns], step_limit=4000)
+        for planner in (DC2G(Scattered(), COMPLETE), Frontier(COMPLETE), CautiousDC2G(Scattered(), COMPLETE))
+    )
+    most = 2.5 * frontier.steps + 50
+    assert np.any(alone.steps > most)
+    assert np.all(cautious.success & (cautious.steps <= most))
+    assert np.any(cautious.steps != frontier.steps)
+    terrains, starts = misleading_worlds(SHAPE, 900, EPISODES)
+    alone, cautious = (run(kind(Scattered(), COMPLETE), terrains, starts) for kind in (DC2G, CautiousDC2G))
+    np.testing.assert_array_equal(cautious.actions, alone.actions)
 
 
 def test_a_robot_that_cannot_reach_the_door_is_left_to_the_wrapped_planner(island):

@@ -8,7 +8,7 @@ from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, TranslatorCostToGo
 from dc2g_jax.estimation.extents import CroppedEstimator, WindowedEstimator
 from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
-from dc2g_jax.planning.guarantee import Guaranteed
+from dc2g_jax.planning.guarantee import CautiousDC2G, Guaranteed
 from dc2g_jax.planning.named import NETWORK_PLANNERS, NETWORK_RIVALS, STEP_PATIENCE, check_names, make, make_planner
 from dc2g_jax.planning.planners import DC2G, Frontier, Oracle, any_heading
 from dc2g_jax.planning.rules import SETTINGS, complete_rules
@@ -36,7 +36,12 @@ def test_planners_on_a_network_have_the_parameters_that_were_chosen():
     assert paper == DC2G(ExactCostToGo(), RULES)
     assert dc2g.selection == ExpectedCost(distance_weight=0.5)
     assert uncertain == dataclasses.replace(dc2g, selection=QuantileCost(level=0.7, distance_weight=0.5))
-    assert guarded == Guaranteed(dc2g, dc2g.rules, factor=2.0, slack=3.0)
+    alone = NETWORK_PLANNERS["dc2g"](ExactCostToGo(), dc2g.rules, STEP_PATIENCE, DC2G)
+    assert isinstance(dc2g, CautiousDC2G)
+    assert all(getattr(dc2g, field.name) == getattr(alone, field.name) for field in dataclasses.fields(DC2G))
+    assert guarded == Guaranteed(alone, alone.rules, factor=2.0, slack=3.0)
+    # Where a decision is not an action, there is no bound on actions.
+    assert type(NETWORK_PLANNERS["dc2g"](ExactCostToGo(), RULES, ENDLESS)) is DC2G
     assert (dc2g.rim_width, dc2g.views, dc2g.gain_weight, dc2g.enough_news) == (1, ((), (1,)), 3.0, 1 / 3)
 
 

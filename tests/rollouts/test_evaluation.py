@@ -60,6 +60,20 @@ def test_estimates_that_are_no_numbers_are_refused(dataset, known, actions):
     )  # fmt: skip
 
 
+def test_maps_of_several_sizes_are_run_as_each_alone(dataset, street):
+    larger = House("larger", "test", np.pad(street, ((0, 3), (2, 0)), constant_values=HOUSE))
+    both = HouseDataset("both", "folder", (*dataset.houses, larger))
+    starts = [Start("larger", 11, 5, 1), Start("left", 9, 5, 1), Start("larger", 2, 6, 3)]
+    together = Runner(both, SETTINGS["paper"]).run(starts, ["frontier"])
+    apart = [
+        *Runner(HouseDataset("one", "folder", (larger,)), SETTINGS["paper"]).run(starts[::2], ["frontier"]),
+        *Runner(dataset, SETTINGS["paper"]).run(starts[1:2], ["frontier"]),
+    ]
+    assert together == [apart[0], apart[2], apart[1]]
+    with pytest.raises(ValueError, match="2 sizes"):
+        Runner(both, SETTINGS["paper"]).trajectories(Frontier(RULES), RULES, starts)
+
+
 def test_results_come_in_the_order_of_planners_and_starts_whatever_their_ranges(dataset):
     results = Runner(dataset, SETTINGS["reference"]).run(STARTS, ["frontier", "oracle", "frontier"])
     assert [result.planner for result in results] == ["frontier"] * len(STARTS) + ["oracle"] * len(STARTS)

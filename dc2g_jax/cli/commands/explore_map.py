@@ -3,10 +3,11 @@
 import dataclasses
 
 from dc2g_jax.cli.common import command_line
-from dc2g_jax.cli.map_options import MapOptions, doubts_about, start_in, terrain_of
+from dc2g_jax.cli.map_options import MapOptions, doubts_about, pixels_of, start_in, terrain_of
 from dc2g_jax.cli.one_start import OneStartOptions, run_one_start
 from dc2g_jax.cli.options import StepLimitOptions
 from dc2g_jax.datasets.houses import House
+from dc2g_jax.datasets.map_report import unlike_training
 from dc2g_jax.datasets.maps import require_path_to_goal
 
 
@@ -26,9 +27,8 @@ def main(options: Options) -> None:
     run_one_start(options, "explore_map", "episode", house, start, step_limit=options.step_limit, warnings=doubts)
     print("One start says little: --seed gives another; dc2g fig7 --settings paper --dataset FOLDER runs many.")
     if options.network is None:
-        print(
-            "The shipped network was trained on suburban houses of 50 x 50 cells: elsewhere, frontier may be shorter."
-        )
+        for line in unlike_training(terrain, pixels_of(options)):
+            print(f"Unlike the training: {line}")
 
 
 if __name__ == "__main__":
