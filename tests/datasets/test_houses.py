@@ -531,7 +531,7 @@ def test_a_fetched_dataset_is_loaded(folder, monkeypatch, lines):
 def test_procedural_houses_are_sampled_like_images_and_survive_saving(tmp_path, monkeypatch):
     images = [("p000m000h000", "train", drawing(1)), ("p004m000h000", "test", drawing(2, 90, 55))]
     seeds: list[int] = []
-    monkeypatch.setattr(houses_module, "procedural_houses", lambda seed: seeds.append(seed) or images)
+    monkeypatch.setattr(houses_module, "procedural_houses", lambda seed, split: seeds.append(seed) or images)
     draw_dataset = procedural_dataset.__wrapped__  # past its cache
     dataset = draw_dataset()
     assert (dataset.name, dataset.source) == ("procedural", "procedural")

@@ -148,7 +148,7 @@ def test_the_split_counts_are_those_of_the_published_files():
 
 
 def test_the_dataset_has_the_published_split_and_all_groups(houses, monkeypatch):
-    monkeypatch.setattr(houses_module, "procedural_houses", lambda seed: houses)  # drawn once
+    monkeypatch.setattr(houses_module, "procedural_houses", lambda seed, split: houses)  # drawn once
     dataset = open_dataset("procedural")
     assert [len(dataset.split(split)) for split in ("train", "val", "test")] == [31, 4, 42]
     assert len({house.name for house in dataset.houses}) == 77
