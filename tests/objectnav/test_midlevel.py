@@ -108,6 +108,7 @@ def test_the_encoder_learns_and_is_the_same_for_a_seed(views, trained, tmp_path)
 
 def test_the_number_of_devices_changes_a_step_by_rounding_only(views, tmp_path, monkeypatch):
     """Each number of devices compiles the step once. 40 steps move half of the weights by 1e-2 or more."""
+    jax.clear_caches()  # one of the two may have been compiled for other tests
     found, before = [], supervised_step.compiled_count()
     for count in (1, 2):
         mesh = mesh_of(jax.devices()[:count])

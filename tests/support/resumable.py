@@ -17,6 +17,7 @@ import pytest
 
 from dc2g_jax.cli import episodes, searches, translation
 from dc2g_jax.cli.commands import (
+    compare,
     head_to_head,
     noisy_mapping,
     objectnav_table1,
@@ -179,6 +180,12 @@ def head_to_head_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Comm
     return _command(head_to_head, head_to_head.Options(dataset=dataset, planner="true_cost_to_go", resamples=20))
 
 
+def compare_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
+    _episodes(patch)
+    patch.setattr(compare, "plot_leaderboard", fake_figure)
+    return _command(compare, compare.Options(family=(dataset,), planner=("frontier", "oracle"), starts=3))
+
+
 def unknown_dimensions_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
     _episodes(patch)
     worlds = unknown_dimensions.Worlds([House("test", "val", STREET)], STARTS)
@@ -307,7 +314,7 @@ def objectnav_train_with_encoder_(dataset: str, folder: Path, patch: pytest.Monk
 COMMANDS: dict[str, Callable[[str, Path, pytest.MonkeyPatch], Command]] = {
     each.__name__.rstrip("_"): each
     for each in (
-        run_episodes_, reproduce_fig7_, head_to_head_, unknown_dimensions_, noisy_mapping_, objectnav_table1_,
+        run_episodes_, reproduce_fig7_, compare_, head_to_head_, unknown_dimensions_, noisy_mapping_, objectnav_table1_,
         objectnav_table2_, train_, sweep_losses_, train_translator_, reproduce_fig5_, objectnav_train_,
         objectnav_train_with_encoder_,
     )
