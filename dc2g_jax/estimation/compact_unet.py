@@ -236,10 +236,24 @@ def check_network(architecture: Architecture) -> None:
     """
     side, name = architecture.side, architecture.network
     network = network_class(architecture)
-    weights = shapes_of_weights(network, architecture)
     maps = jax.ShapeDtypeStruct((1, side, side), jnp.uint8)
-    answer = jax.eval_shape(lambda weights, maps: with_weights(network, architecture, weights)(maps), weights, maps)
+    try:
+        weights = shapes_of_weights(network, architecture)
+        answer = jax.eval_shape(lambda weights, maps: with_weights(network, architecture, weights)(maps), weights, maps)
+    except Exception as error:  # whatever the user's class raises
+        raise InputError(
+            f"network {name!r}: cannot be made, or run on a map of {side} x {side} cells ({type(error).__name__}: "
+            f"{error}); it is called as network(architecture, rngs=...)(terrain)"
+        ) from error
+    for path, leaf in jax.tree.leaves_with_path(weights):
+        if not jnp.issubdtype(leaf.dtype, jnp.floating):
+            raise InputError(
+                f"network {name!r}: its weight {jax.tree_util.keystr(path, simple=True, separator='.')} is "
+                f"{leaf.dtype}; use floating-point weights only, and no layers with random keys, such as Dropout"
+            )
     wanted = (1, side, side, len(architecture.quantiles))
+    if not isinstance(answer, jax.ShapeDtypeStruct):
+        raise InputError(f"network {name!r}: answers with a {type(answer).__name__}; expected one array")
     if answer.shape != wanted or not jnp.issubdtype(answer.dtype, jnp.floating):
         raise InputError(
             f"network {name!r}: answers with {answer.dtype}{list(answer.shape)} for a map of {side} x {side} cells; "

@@ -191,6 +191,32 @@ class Narrow(Own):
         return super().__call__(terrain)[..., 0]
 
 
+class Unmade(nnx.Module):
+    def __init__(self, architecture, *, rngs):
+        raise RuntimeError(f"nothing for {len(architecture.quantiles)} quantiles")
+
+
+class Bare(nnx.Module):
+    def __call__(self, terrain):
+        return terrain
+
+
+class Mismatched(Own):
+    def __call__(self, terrain):
+        return self.conv(jnp.ones((*terrain.shape, 3)))
+
+
+class Twofold(Own):
+    def __call__(self, terrain):
+        return super().__call__(terrain), terrain
+
+
+class Dropping(Own):
+    def __init__(self, architecture, *, rngs):
+        super().__init__(architecture, rngs=rngs)
+        self.drop = nnx.Dropout(0.5, rngs=rngs)
+
+
 OWN = Architecture(network=f"{__name__}:Own")
 
 
@@ -200,6 +226,11 @@ OWN = Architecture(network=f"{__name__}:Own")
         ("another", ["no network is called 'another'", "compact_unet", "package.module:Name"]),
         (f"{__name__}:SMALL", ["give a subclass of flax.nnx.Module"]),
         (f"{__name__}:Narrow", ["float32[1, 50, 50]", "expected float32[1, 50, 50, 5]"]),
+        (f"{__name__}:Unmade", ["Unmade'", "RuntimeError: nothing for 5 quantiles", "network(architecture, rngs=...)"]),
+        (f"{__name__}:Bare", ["Bare'", "TypeError", "network(architecture, rngs=...)"]),
+        (f"{__name__}:Mismatched", ["Mismatched'", "50 x 50 cells", "3 // 1 != 16"]),
+        (f"{__name__}:Twofold", ["Twofold'", "answers with a tuple", "one array"]),
+        (f"{__name__}:Dropping", ["Dropping'", "drop.rngs.count is uint32", "Dropout"]),
     ],
 )
 def test_what_is_no_network_is_refused(name, words):
