@@ -260,8 +260,8 @@ def open_dataset(
 
     Args:
         location: a folder in the published layout, of maps, or of OpenStreetMap extracts; one of the words
-            'procedural', 'towns', 'mazes', 'halls' and 'offices'; or `package.module:Name` for a function of your own
-            that returns a `HouseDataset`.
+            'procedural', 'towns', 'mazes', 'halls' and 'offices'; or `package.module:Name` for a `HouseDataset` of
+            your own, or a function that returns one.
         cells: side of the square grids of published and procedural houses; `None` for no sampling.
         log: receives the line about the fallback.
 
@@ -293,10 +293,7 @@ def _open_location(location: str, setting: str, cells: int | None) -> HouseDatas
     if location in PLAIN:
         return plain_dataset(location)
     if is_own_part(location):
-        made = own_part("dataset", location, NAMED)()
-        if not isinstance(made, HouseDataset):
-            raise InputError(f"dataset {location!r}: returns {short(type(made).__name__)}; return a HouseDataset")
-        return made
+        return _own_dataset(location)
     try:
         folder = Path(location).expanduser()
         found = bool(location) and folder.is_dir()
@@ -309,6 +306,19 @@ def _open_location(location: str, setting: str, cells: int | None) -> HouseDatas
     if extract_files(folder):
         return extract_dataset(folder)
     return map_dataset(folder) if _is_map_folder(folder) else load_dataset(folder, cells=cells)
+
+
+def _own_dataset(name: str) -> HouseDataset:
+    found = own_part("dataset", name, NAMED)
+    made = found() if callable(found) else found
+    if not isinstance(made, HouseDataset):
+        is_or_returns = "returns" if callable(found) else "is"
+        raise InputError(
+            f"dataset {name!r}: {is_or_returns} {short(made)}; give a HouseDataset, or a function that returns one"
+        )
+    if not made.houses:
+        raise InputError(f"dataset {name!r}: has no houses; give at least one")
+    return made
 
 
 def _is_map_folder(folder: Path) -> bool:

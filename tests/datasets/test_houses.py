@@ -549,3 +549,23 @@ def test_one_split_of_the_procedural_houses_is_that_of_all():
     assert [house.name for house in some.houses] == [house.name for house in every]
     for house, other in zip(some.houses, every, strict=True):
         np.testing.assert_array_equal(house.terrain, other.terrain)
+
+
+OWN = HouseDataset("own", "folder", (House("yard", "test", np.full((2, 2), ROAD, np.uint8)),))
+
+
+def own():
+    return OWN
+
+
+def empty():
+    return HouseDataset("empty", "folder", ())
+
+
+def test_a_dataset_of_the_users_own_is_a_value_or_a_function():
+    for name in ("OWN", "own"):
+        assert open_dataset(f"{__name__}:{name}") is OWN
+    give = "give a HouseDataset, or a function that returns one"
+    refusal(lambda: open_dataset("math:pi"), "'math:pi'", "is 3.14", give)
+    refusal(lambda: open_dataset("os:getcwd"), "'os:getcwd'", "returns '", give)
+    refusal(lambda: open_dataset(f"{__name__}:empty"), ":empty'", "has no houses", "at least one")

@@ -33,8 +33,8 @@ class Options(NetworkOptions, OutOptions, ResumeOptions):
     Attributes:
       planner: planners to compare, frontier among them; package.module:Name for one of your own.
       family: families of maps: `published` for the published houses, `procedural`, `towns`, `mazes`, `halls`,
-        `offices`, a folder of maps or of OpenStreetMap extracts; package.module:name for a function of your own that
-        returns a `HouseDataset`.
+        `offices`, a folder of maps or of OpenStreetMap extracts; package.module:name for a `HouseDataset` of your
+        own, or a function that returns one.
       split: split of the maps. Choose and tune on `val`.
       maps: largest number of maps of a family.
       starts: sampled starts in a family, at least; each of its maps has as many.
