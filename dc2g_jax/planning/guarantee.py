@@ -14,7 +14,6 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Int
 
-from dc2g_jax.estimation.compact_unet import Architecture
 from dc2g_jax.grid import bitboard, poses
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.gridworld import Belief
@@ -218,7 +217,7 @@ class CautiousDC2G(DC2G):
 
     def _is_bounded(self, world: World) -> bool:
         """Whether there is a bound on maps of this size."""
-        return self.memory and max(world.height, world.width) > Architecture.side
+        return self.memory and max(world.height, world.width) > self._known_side
 
     @property
     def _bound(self) -> Guaranteed:

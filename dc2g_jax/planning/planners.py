@@ -348,11 +348,19 @@ class DC2G(AssessingPlanner):
         )
         return ExplorationState(nothing, choice, jnp.zeros(told.shape[1:], jnp.int32), estimator_state)
 
+    @property
+    def _known_side(self) -> int:
+        """Longer side of the maps that the estimator knows, in cells."""
+        network = self.estimator
+        return network.architecture.side if isinstance(network, NetworkCostToGo) else Architecture.side
+
     def _extent(self, world: World) -> Extent:
         """The part of the map that the estimator is given; a world stands for a belief at the start of an episode."""
-        if not self.magnifies or max(world.height, world.width) <= Architecture.side:
+        side = self._known_side
+        if not self.magnifies or max(world.height, world.width) <= side:
             return extent_of(self.estimator)
-        return Surroundings(in_town(world) if isinstance(world, Belief) else jnp.zeros(world.goals.shape[2:], bool))
+        zooms = in_town(world) if isinstance(world, Belief) else jnp.zeros(world.goals.shape[2:], bool)
+        return Surroundings(zooms, side, float(side))
 
     def _told(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Estimates:
         """The selection rule's summary of the estimate.

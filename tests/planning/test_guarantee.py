@@ -5,11 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from dc2g_jax.estimation.compact_unet import Architecture
+from dc2g_jax.estimation.estimators import WHOLE_MAP
 from dc2g_jax.grid import gridworld
 from dc2g_jax.grid.poses import make_pose
 from dc2g_jax.grid.sensing import line_of_sight
-from dc2g_jax.grid.streets import is_town
-from dc2g_jax.grid.terrain import ROAD
+from dc2g_jax.grid.streets import in_town, is_town
+from dc2g_jax.grid.terrain import GRASS, ROAD
 from dc2g_jax.grid.world import world_from_terrain
 from dc2g_jax.planning.guarantee import CautiousDC2G, Guaranteed
 from dc2g_jax.planning.planners import DC2G, GAVE_UP, Frontier
@@ -18,6 +20,7 @@ from dc2g_jax.rollouts.rollout import Episodes, rollout
 from tests.oracles import numpy_gridworld as oracle
 from tests.support.exploration import EXPANDING, SENSING, LowestColumn, Scattered
 from tests.support.hostile import FLOOR, KINDS, Hostile, misleading_worlds
+from tests.support.networks import random_network
 
 SHAPE = (14, 33)
 SIDES = sum(SHAPE)
@@ -145,6 +148,23 @@ def test_dc2g_is_bounded_in_towns_alone():
     terrains, starts = misleading_worlds(SHAPE, 900, EPISODES)
     alone, cautious = (run(kind(Scattered(), COMPLETE), terrains, starts) for kind in (DC2G, CautiousDC2G))
     np.testing.assert_array_equal(cautious.actions, alone.actions)
+
+
+def test_only_maps_larger_than_those_of_its_network_can_be_towns():
+    # Roads of width 2, 20 cells apart, so that every robot is in a town.
+    terrain = np.full((60, 60), GRASS, np.uint8)
+    terrain[::20] = terrain[1::20] = terrain[:, ::20] = terrain[:, 1::20] = ROAD
+    belief = gridworld.belief_from_map(terrain, make_pose(20, 20, 0))
+    assert in_town(belief)
+    for side in (40, 60):
+        network = random_network(Architecture(widths=(4, 4), side=side))
+        planner = CautiousDC2G(network, COMPLETE, magnifies=True)
+        extent = planner._extent(belief)
+        assert planner._is_bounded(belief) == (side < 60)
+        if side < 60:
+            assert (extent.side, extent.prior) == (40, 40.0)
+        else:
+            assert extent is WHOLE_MAP
 
 
 def test_a_robot_that_cannot_reach_the_door_is_left_to_the_wrapped_planner(island):
