@@ -389,6 +389,7 @@ class Page:
         cell = min(max(int(event.image_x), 0), width - 1), min(max(int(event.image_y), 0), height - 1)
         if event.type == "pointerdown":
             self.state.keep()
+            self.last = None  # the pointer may have been released outside the picture
         if event.type == "pointerup" and self.tool.value == "rectangle" and self.last is not None:
             self.choice.value = None
             self.state.fill(self.last, cell, self.brush)

@@ -117,6 +117,10 @@ def test_a_visitor_draws_a_map_and_is_told_what_is_wrong():
         assert np.argwhere(page.state.terrain == FRONT_DOOR).tolist()[:2] == [[3, 20], [3, 21]]
         user.find("Undo").click()
         assert len(np.argwhere(page.state.terrain == FRONT_DOOR)) == 4
+        point("pointerdown", 2.5, 2.5)  # released outside the picture
+        for kind, x in (("pointerdown", 20.5), ("pointerup", 21.5)):
+            point(kind, x, 3.5)
+        assert np.argwhere(page.state.terrain == FRONT_DOOR).tolist()[:3] == [[3, 20], [3, 21], [12, 3]]
         page.tool.value = "robot"
         point("pointerdown", 0.5, 0.5)
         assert page.state.start[:2] == (0, 0)
