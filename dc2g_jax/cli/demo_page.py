@@ -81,7 +81,7 @@ def serve(
     check_port(port)
     # A web site elsewhere must not reach the page, nor by a name of its own for this machine.
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=["127.0.0.1", "localhost"])
-    app.add_middleware(OwnOriginOnly, token=token)
+    app.add_middleware(OwnOriginOnly, token=token, port=port)
     path = f"/?token={token}" if token else "/"
     print(f"Serving the page at http://127.0.0.1:{port}{path}; press Ctrl-C to stop", flush=True)
     ui.run(

@@ -1,5 +1,6 @@
 """Protection of a server on this machine from other web sites that the user's browser shows."""
 
+import re
 import secrets
 from urllib.parse import parse_qs, urlsplit
 
@@ -7,11 +8,10 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from dc2g_jax.errors import InputError, short
+
 #: Largest body of a request, in bytes.
 LARGEST_BODY = 1_000_000
-
-#: Name of the cookie with the token.
-_COOKIE = "dc2g_token"
 
 #: Headers of every answer: nothing from other hosts is loaded, no other site shows the page in a frame, and files are
 #: what they say they are. NiceGUI's page has scripts and styles in it, and compiles templates.
@@ -26,6 +26,16 @@ _ANSWER_HEADERS = {
 }
 
 
+def check_token(token: str) -> None:
+    """Check that a token can stand in an address and in a cookie; empty for none.
+
+    Raises:
+      InputError: it cannot.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9_-]*", token):
+        raise InputError(f"--token {short(token)}: give letters without accents, digits, - and _ only")
+
+
 class OwnOriginOnly:
     """Middleware that refuses requests and web sockets of pages from another origin, and large bodies.
 
@@ -33,21 +43,23 @@ class OwnOriginOnly:
     The `Host` must be checked too, as by Starlette's `TrustedHostMiddleware`.
 
     With a token, as Jupyter has one, other users of the machine are refused: the first address must end in
-    `?token=...`, and a cookie holds it from then on.
+    `?token=...`, and a cookie holds it from then on. Browsers send a cookie to all ports of a machine, so its name has
+    the port.
 
     Args:
       app: the application behind it.
-      token: the token; empty for none.
+      token: the token, see `check_token`; empty for none.
+      port: port of the server.
     """
 
-    def __init__(self, app: ASGIApp, token: str = ""):
-        self.app, self._token = app, token.encode()
+    def __init__(self, app: ASGIApp, *, token: str, port: int):
+        self.app, self._token, self._cookie = app, token.encode(), f"dc2g_token_{port}"
 
     def _knows_token(self, scope: Scope, headers: Headers) -> bool:
         """Whether a request has the token in its address or its cookie."""
         given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
         cookies = (part.strip().partition("=") for part in headers.get("cookie", "").split(";"))
-        given += [value for name, _, value in cookies if name == _COOKIE]
+        given += [value for name, _, value in cookies if name == self._cookie]
         return any(secrets.compare_digest(one.encode(), self._token) for one in given)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -72,7 +84,7 @@ class OwnOriginOnly:
             if not self._knows_token(scope, headers):
                 refused = "open the address with ?token= that dc2g demo has printed"
                 return await PlainTextResponse(refused, 403)(scope, receive, answer)
-            cookie = f"{_COOKIE}={self._token.decode()}; HttpOnly; SameSite=Strict; Path=/"
+            cookie = f"{self._cookie}={self._token.decode()}; HttpOnly; SameSite=Strict; Path=/"
         if scope["type"] == "websocket":
             return await self.app(scope, receive, send)
         body = await _body(headers, receive)

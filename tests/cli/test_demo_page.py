@@ -156,18 +156,30 @@ def test_other_users_need_the_token():
         await PlainTextResponse("the page")(scope, receive, send)
 
     async def visit() -> None:
-        transport = httpx.ASGITransport(OwnOriginOnly(served, token="a-secret"))
+        transport = httpx.ASGITransport(OwnOriginOnly(served, token="a-secret", port=8080))
         async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as stranger:
             for path in ("/", "/?token=", "/?token=a-secre", SOCKET + "polling"):
                 assert (await stranger.get(path)).status_code == 403
-            assert (await stranger.get("/", headers={"Cookie": "dc2g_token=another"})).status_code == 403
+            assert (await stranger.get("/", headers={"Cookie": "dc2g_token_8080=another"})).status_code == 403
         async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as owner:
             first = await owner.get("/?token=a-secret")
             assert (first.status_code, first.text) == (200, "the page")
             assert "HttpOnly; SameSite=Strict" in first.headers["set-cookie"]
             assert (await owner.get(SOCKET + "polling")).status_code == 200
+            # A browser sends the cookies of all ports, and replaces those of the same name.
+            other = httpx.ASGITransport(OwnOriginOnly(served, token="other", port=8081))
+            async with httpx.AsyncClient(transport=other, base_url="http://127.0.0.1", cookies=owner.cookies) as both:
+                assert (await both.get("/")).status_code == 403
+                assert (await both.get("/?token=other")).status_code == 200
+                owner.cookies.update(both.cookies)
+            assert (await owner.get("/")).status_code == 200
 
     asyncio.run(visit())
+
+
+@pytest.mark.parametrize("token", ["a b", "a;b", "a&b", "caf\u00e9", "a\n"])
+def test_a_token_that_no_cookie_holds_is_refused(token):
+    refusal(lambda: command.main(command.Options(port=0, token=token)), f"--token {token!r}", "digits")
 
 
 def test_an_extra_that_is_missing_is_named():

@@ -24,8 +24,8 @@ class Options(DatasetOptions, NetworkOptions):
       dataset: maps to begin with: a folder of houses, a map file, or `procedural`.
       planner: planners to run at first; package.module:Name for one of your own. The page offers the others too.
       port: port of the page.
-      token: secret in the address of the page, so that other users of the machine cannot open it; random by default,
-        and none if empty.
+      token: secret in the address of the page, so that other users of the machine cannot open it: letters, digits, -
+        and _; random by default, and none if empty.
       no_browser: do not open the page in a browser.
     """
 
@@ -40,10 +40,12 @@ def main(options: Options) -> None:
     """Serve the page until Ctrl-C."""
     require_extra("nicegui", extra="demo")
     from dc2g_jax.cli.demo_page import check_port, serve
+    from dc2g_jax.cli.local_server import check_token
 
     check_port(options.port)
-    check_planners(options.planner)
     token = secrets.token_urlsafe(24) if options.token is None else options.token
+    check_token(token)
+    check_planners(options.planner)
     maps, network = open_maps(options.dataset), load(options.network)
     serve(maps, options.planner, network, port=options.port, token=token, open_browser=not options.no_browser)
 
