@@ -219,10 +219,12 @@ def extract_dataset(folder: str | os.PathLike[str]) -> HouseDataset:
     """Draw the buildings of a folder of OpenStreetMap extracts, all in the split `test`, on maps of 60 m.
 
     Raises:
-        InputError: an extract cannot be read.
+        InputError: an extract cannot be read, or no building has a street in reach.
     """
-    houses = (House(name, "test", sampled(name, classes, 50)) for name, classes in drawn_extracts(Path(folder)))
-    return HouseDataset(Path(folder).resolve().name, "folder", tuple(houses))
+    houses = tuple(House(name, "test", sampled(name, classes, 50)) for name, classes in drawn_extracts(Path(folder)))
+    if not houses:
+        raise InputError(f"{folder}: no building of its extracts has a street in reach; give other extracts")
+    return HouseDataset(Path(folder).resolve().name, "folder", houses)
 
 
 def map_dataset(folder: str | os.PathLike[str]) -> HouseDataset:

@@ -12,7 +12,7 @@ from dc2g_jax.datasets.starts import why_no_episode
 from dc2g_jax.grid.ground import connected_to_goal
 from dc2g_jax.grid.terrain import FREE, FRONT_DOOR, OCCUPIED, TRAVERSABLE
 from dc2g_jax.objectnav import houses as indoor
-from tests.support.hamlet import hamlet
+from tests.support.hamlet import Drawing, hamlet
 from tests.support.maps import drawn
 from tests.support.refusals import refusal
 
@@ -78,6 +78,11 @@ def test_a_folder_of_extracts_is_a_dataset(tmp_path):
     for house in dataset.houses:
         assert (house.split, house.terrain.shape, why_no_episode(house)) == ("test", (50, 50), None)
         assert house.name.startswith("hamlet-way")
+    remote = Drawing()
+    remote.way(1, [(0, 0), (80, 0)], "highway=residential")
+    remote.box(2, 0, -500, 12, -490, "building=house")
+    (tmp_path / "hamlet.osm").write_text(remote.text())
+    refusal(lambda: open_dataset(tmp_path), tmp_path, "street in reach", "other extracts")
 
 
 # --- gathering ------------------------------------------------------------------------------------------
