@@ -59,6 +59,15 @@ def with_weights(network: Callable[..., _Network], architecture: Any, weights: d
     return nnx.merge(graph, state)
 
 
+def _name(path: tuple[str | int, ...]) -> str:
+    """The name of a weight in files: its keys, and its numbers in lists of layers, with dots between."""
+    return ".".join(map(str, path))
+
+
+def _by_name(tree: dict[str, Any]) -> dict[str, Any]:
+    return {_name(path): leaf for path, leaf in flatten_dict(tree).items()}
+
+
 def write_safetensors(path: str | Path, tensors: dict[str, Any], metadata: Mapping[str, str]) -> None:
     """Write arrays to a file, always as the same bytes. An existing file is replaced atomically.
 
@@ -67,7 +76,7 @@ def write_safetensors(path: str | Path, tensors: dict[str, Any], metadata: Mappi
       tensors: name -> array. Nested dictionaries, such as `fresh_weights`, get names with dots.
       metadata: further facts, as strings by name.
     """
-    dense = {name: np.asarray(tensor, order="C") for name, tensor in flatten_dict(tensors, sep=".").items()}
+    dense = {name: np.asarray(tensor, order="C") for name, tensor in _by_name(tensors).items()}
     data = save(dense)
     length = int.from_bytes(data[:8], "little")
     # The library would write the metadata in random order.
@@ -106,7 +115,7 @@ def read_weights(path: str | Path, shapes: dict[str, Any], tensors: Mapping[str,
     Raises:
       InputError: an array is missing, unexpected or of another shape.
     """
-    wanted = {name: tuple(leaf.shape) for name, leaf in flatten_dict(shapes, sep=".").items()}
+    wanted = {name: tuple(leaf.shape) for name, leaf in _by_name(shapes).items()}
     found = {name: tensor.shape for name, tensor in tensors.items()}
     for name in sorted({**wanted, **found}):
         if wanted.get(name) != found.get(name):
@@ -114,7 +123,8 @@ def read_weights(path: str | Path, shapes: dict[str, Any], tensors: Mapping[str,
                 f"{path}: weights of another architecture: {name} has shape {found.get(name, 'none')}, but the "
                 f"network needs {wanted.get(name, 'none')}; keep the files of one training together"
             )
-    return unflatten_dict({name: jnp.asarray(tensors[name], jnp.float32) for name in wanted}, sep=".")
+    paths = flatten_dict(shapes)
+    return unflatten_dict({path: jnp.asarray(tensors[_name(path)], jnp.float32) for path in paths})
 
 
 def write_network(path: str | Path, weights: dict[str, Any], architecture: Any, card: Mapping[str, Any]) -> None:

@@ -177,13 +177,13 @@ def test_multiply_accumulates(architecture):
 
 
 class Own(nnx.Module):
-    """A network of the user's own: a convolution and a different offset for each quantile."""
+    """A network of the user's own: a list of one convolution, with a different offset for each quantile."""
 
     def __init__(self, architecture, *, rngs):
-        self.conv = nnx.Conv(len(CLASS_NAMES), len(architecture.quantiles), (3, 3), rngs=rngs)
+        self.layers = nnx.List([nnx.Conv(len(CLASS_NAMES), len(architecture.quantiles), (3, 3), rngs=rngs)])
 
     def __call__(self, terrain):
-        return 10 * self.conv(jax.nn.one_hot(terrain, len(CLASS_NAMES)))
+        return 10 * self.layers[0](jax.nn.one_hot(terrain, len(CLASS_NAMES)))
 
 
 class Narrow(Own):
@@ -203,7 +203,7 @@ class Bare(nnx.Module):
 
 class Mismatched(Own):
     def __call__(self, terrain):
-        return self.conv(jnp.ones((*terrain.shape, 3)))
+        return self.layers[0](jnp.ones((*terrain.shape, 3)))
 
 
 class Twofold(Own):
