@@ -17,7 +17,8 @@ class DatasetOptions(CommandOptions):
     """Houses to run on.
 
     Attributes:
-      dataset: folder of houses, `procedural` or `towns`; by default DC2G_DATA, the cache, or a download.
+      dataset: folder of houses, or a name such as `procedural`, see `open_dataset`; by default DC2G_DATA, the
+        cache, or a download.
     """
 
     dataset: DatasetOption = None

@@ -43,11 +43,13 @@ def gather(locations: Iterable[str], split: str, most_maps: int, most_cells: int
             raise InputError(f"family {PUBLISHED}: is not the published dataset, but {dataset.name}; leave it out")
         name = PUBLISHED if location == PUBLISHED else dataset.name
         if name in families:
-            raise InputError(f"family {name}: is given twice; give each family once")
+            raise InputError(f"family {name}: two families have this name; leave one out or rename it")
         families[name] = dataset
     houses = []
     for name, dataset in families.items():
         small = [house for house in dataset.houses if house.terrain.size <= most_cells]
+        if not small:
+            raise InputError(f"family {name}: every map has more than {most_cells} cells; give a larger --most-cells")
         usable = usable_houses(replace(dataset, houses=tuple(small)), split, instead="leave the family out")
         size = max((house.terrain.shape for house in usable), key=math.prod)
         usable = [house for house in usable if house.terrain.shape == size]

@@ -104,10 +104,14 @@ def usable_houses(dataset: HouseDataset, split: str, *, instead: str = "give ano
     given = dataset.split(split)
     houses = [house for house in given if why_no_episode(house) is None]
     if not houses:
+        or_add = (
+            f", or put maps with a path from a road to a front door into its folder {split}/ (in the published layout: "
+            f"list such houses in {SPLIT_FILES[split]})"
+        )
+        drawn = dataset.source == "procedural"
         raise InputError(
-            f"{dataset.name}: no episode can be run in any of its {len(given)} {split} houses; {instead}, or put maps "
-            f"with a path from a road to a front door into its folder {split}/ (in the published layout: list such "
-            f"houses in {SPLIT_FILES[split]})"
+            f"{dataset.name}: no episode can be run in any of its {len(given)} {split} houses; {instead}"
+            f"{'' if drawn else or_add}"
         )
     return houses
 

@@ -211,8 +211,8 @@ class Guaranteed(AssessingPlanner):
 class CautiousDC2G(DC2G):
     """`DC2G`, bounded in towns, which are unlike the training maps of its network (see docs/notebook/towns.md).
 
-    A robot in a town takes at most 2.5 times the actions of frontier exploration and 50 more. Elsewhere, and without a
-    memory, this is `DC2G`.
+    As long as a robot takes its map for a town, it takes at most 2.5 times the actions of frontier exploration and 50
+    more. Elsewhere, and without a memory, this is `DC2G`.
     """
 
     def _is_bounded(self, world: World) -> bool:

@@ -386,7 +386,8 @@ def evaluate(
     Args:
       planners: names, each one of `dc2g_jax.PLANNERS` or `package.module:Class`; or a mapping from a name of your
         choice to one of these, to a planner, or to a function or class that makes a planner from the rules.
-      dataset: houses, a folder of them, `procedural` or `towns`; `None` for the published ones, see `open_dataset`.
+      dataset: houses, a folder of them, or a name such as `procedural`; `None` for the published ones, see
+        `open_dataset`.
       split: split of the houses to sample starts in: `train`, `val` or `test`.
       starts: first poses; `None` to sample them.
       starts_per_house: number of sampled starts in each house.

@@ -135,7 +135,8 @@ def train(
 
     Args:
       out: folder of the training.
-      dataset: houses, a folder of them, or `procedural`; `None` for the published ones, see `open_dataset`.
+      dataset: houses, a folder of them, or a name such as `procedural`; `None` for the published ones, see
+        `open_dataset`.
       config: network, losses and steps. The side of its architecture becomes that of the dataset's maps.
       data: houses and masks.
       pauses: when to validate and to save.

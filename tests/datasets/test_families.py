@@ -113,7 +113,8 @@ def test_families_have_one_size_and_their_maps_are_spread():
 
 
 def test_families_that_cannot_be_gathered(monkeypatch):
-    refusal(lambda: gather([MINE, MINE], "val", 1, 99), "mine", "once")
+    refusal(lambda: gather([MINE, MINE], "val", 1, 99), "mine", "rename it")
+    refusal(lambda: gather([MINE], "val", 1, 5), "mine", "--most-cells")
     refusal(lambda: gather([MINE], "test", 1, 99), "mine", "leave the family out")
     refusal(lambda: gather([f"{__name__}:no_dataset"], "val", 1, 99), ":no_dataset'", "return a HouseDataset")
     refusal(lambda: gather(["no_such_family"], "val", 1, 99), "'no_such_family'", "mazes")

@@ -33,3 +33,5 @@ def test_a_planner_and_a_family_of_ones_own(tmp_path, capsys):
     assert (tmp_path / "out" / "leaderboard.md").read_text() == text
     assert "episode/s" not in capsys.readouterr().err  # nothing is run again
     refusal(lambda: compare.main(dataclasses.replace(options, planner=("oracle", MINE))), "frontier", "--planner")
+    refusal(lambda: compare.main(dataclasses.replace(options, planner=("oracle", "frontier"))), "another one")
+    refusal(lambda: compare.main(dataclasses.replace(options, family=())), "--family")

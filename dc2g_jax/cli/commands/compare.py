@@ -20,7 +20,7 @@ from dc2g_jax.inspection.figures import plot_leaderboard
 from dc2g_jax.planning.named import NETWORK_RIVALS, RIVALS
 from dc2g_jax.planning.rules import named_settings
 from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
-from dc2g_jax.rollouts.leaderboard import leaders, page, standings
+from dc2g_jax.rollouts.leaderboard import PRIVILEGED, leaders, page, standings
 
 #: The planner that all are compared with.
 _REFERENCE = "frontier"
@@ -46,9 +46,9 @@ class Options(NetworkOptions, OutOptions, ResumeOptions):
 
     planner: PlannersOption = ("oracle", _REFERENCE, "dc2g", "dc2g_paper", *RIVALS, *NETWORK_RIVALS)
     family: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = FAMILIES
-    split: Literal["train", "val", "test"] = "test"
-    maps: int = 48
-    starts: int = 96
+    split: Literal["val", "test"] = "test"
+    maps: int = 56
+    starts: int = 112
     most_cells: int = 100 * 75
     settings: SettingsOption = "paper"
     seed: int = 0
@@ -58,8 +58,14 @@ def main(options: Options) -> None:
     """Run all planners in all families, and tell where each stands."""
     require_positive(options, "maps", "starts", "most_cells")
     check_planners(options.planner)
-    if _REFERENCE not in options.planner or len(options.planner) < 2:
-        raise InputError(f"--planner {' '.join(options.planner)}: give {_REFERENCE}, which others are compared with")
+    compared = [name for name in options.planner if name != _REFERENCE and name not in PRIVILEGED]
+    if _REFERENCE not in options.planner or not compared:
+        raise InputError(
+            f"--planner {' '.join(options.planner)}: give {_REFERENCE}, which others are compared with, and another "
+            "one that does not know the map"
+        )
+    if not options.family:
+        raise InputError("--family: is empty; give a family of maps")
     settings = named_settings(options.settings)
     dataset = gather(options.family, options.split, options.maps, options.most_cells)
     network = network_for(options.planner, options.network)
@@ -85,7 +91,7 @@ def main(options: Options) -> None:
     spent = f"{(time.monotonic() - began) / 60:.1f} minutes, {(time.process_time() - used) / 60:.1f} minutes of CPU"
 
     standing = standings(results, limit, _REFERENCE)
-    about = "dc2g" if "dc2g" in options.planner else options.planner[-1]
+    about = "dc2g" if "dc2g" in compared else compared[-1]
     first = leaders(results, limit, standing, about)
     (out / "images").mkdir(exist_ok=True)
     plot_leaderboard(out / "images" / "leaderboard", standing)

@@ -18,7 +18,7 @@ from dc2g_jax.cli.common import PlannersOption, check_planners, command_line, di
 from dc2g_jax.cli.episodes import EpisodeTable
 from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax.cli.outputs import output_folder
-from dc2g_jax.datasets.houses import HouseDataset, group_of, open_dataset, tell_on_stderr
+from dc2g_jax.datasets.houses import PROCEDURAL, HouseDataset, group_of, open_dataset, tell_on_stderr
 from dc2g_jax.datasets.starts import Start, sample_starts, usable_houses, why_no_episode
 from dc2g_jax.errors import InputError
 from dc2g_jax.estimation.estimators import Estimator
@@ -166,7 +166,7 @@ def main(options: Options) -> None:
     sampled = None if options.settings == "published" else _sampled_episodes(dataset, options)
     out = output_folder(options, "reproduce_fig7", inputs=digests(dataset, network=network))
     table = EpisodeTable(out / "episodes.csv")
-    label = "procedural houses" if dataset.source == "procedural" else dataset.name
+    label = "procedural houses" if dataset.name == PROCEDURAL else dataset.name
     tables: dict[str, Table] = {}
     entries: dict[str, list[ExtraSteps]] = {}
     results: dict[str, list[EpisodeResult]] = {}
