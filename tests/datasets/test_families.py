@@ -116,7 +116,7 @@ def test_families_that_cannot_be_gathered(monkeypatch):
     refusal(lambda: gather([MINE, MINE], "val", 1, 99), "mine", "rename it")
     refusal(lambda: gather([MINE], "val", 1, 5), "mine", "--most-cells")
     refusal(lambda: gather([MINE], "test", 1, 99), "mine", "leave the family out")
-    refusal(lambda: gather([f"{__name__}:no_dataset"], "val", 1, 99), ":no_dataset'", "return a HouseDataset")
+    refusal(lambda: gather([f"{__name__}:no_dataset"], "val", 1, 99), ":no_dataset'", "give a HouseDataset")
     refusal(lambda: gather(["no_such_family"], "val", 1, 99), "'no_such_family'", "mazes")
     monkeypatch.setattr(families, "open_dataset", lambda location: two_sizes())
     refusal(lambda: gather(["published"], "val", 1, 99), "published", "mine", "leave it out")
