@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
@@ -146,7 +147,7 @@ def make_planner(
       patience: patience of a planner in `NETWORK_PLANNERS`.
 
     Raises:
-      InputError: the name is unknown, or the estimator is missing.
+      InputError: the name is unknown, the class takes no rules, or the estimator is missing.
     """
     if name in _PLANNERS_BY_RULES:
         return _PLANNERS_BY_RULES[name](rules)
@@ -154,7 +155,12 @@ def make_planner(
         return NETWORK_PLANNERS[name](estimator, rules, patience)
     if name in NETWORK_PLANNERS:
         raise InputError(f"the planner {name!r} needs an estimator, such as a trained network")
-    return own_part("planner", name, PLANNERS)(rules)
+    own = own_part("planner", name, PLANNERS)
+    try:
+        inspect.signature(own).bind(rules)
+    except TypeError as error:
+        raise InputError(f"planner {name!r}: cannot be called with the rules ({error}); give it one argument") from None
+    return own(rules)
 
 
 def check_names(names: Iterable[str]) -> None:

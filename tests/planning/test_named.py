@@ -18,6 +18,13 @@ from tests.support.refusals import refusal
 RULES = complete_rules(4)
 
 
+class NoRules:
+    """A planner whose class takes no rules."""
+
+    def __init__(self):
+        pass
+
+
 def test_make_planner():
     estimator = ExactCostToGo()
     assert make_planner("oracle", RULES) == Oracle()
@@ -120,5 +127,6 @@ def test_a_class_is_named_by_its_module():
     name = f"{Frontier.__module__}:{Frontier.__name__}"
     check_names([name, "oracle"])
     assert make(name, sensing_range=4) == Frontier(RULES)
+    refusal(lambda: make("tests.planning.test_named:NoRules"), "NoRules", "one argument")
     for wrong in ("no_such_module:Planner", f"{Frontier.__module__}:NoSuchPlanner", ":Frontier", "math:"):
         refusal(lambda wrong=wrong: check_names([wrong]), repr(wrong), "package.module:Name")

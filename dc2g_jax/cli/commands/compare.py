@@ -102,7 +102,7 @@ def main(options: Options) -> None:
             about,
             maps=maps,
             settings=f"Settings `{options.settings}`,\n{settings.sensing_range}-cell sensing, split `{options.split}`.",
-            how=f"{len(results):,} episodes of {len(options.planner)} planners in {len(first)} families: "
+            how=f"{len(results):,} episodes of {len(options.planner)} planners, {' + '.join(maps)}: "
             f"`{command_written().replace(' --resume', '')}`.",
             figure="images/leaderboard.png",
         ),
