@@ -207,7 +207,7 @@ def _subgoals(
     return jnp.where(goal_reachable, poses_of_goal, candidates), jnp.where(goal_reachable, TO_GOAL, EXPLORE)
 
 
-def _explore_or_finish(belief: Belief, reachable: Board, candidates: PoseSet, rules: Rules) -> Plan:
+def explore_or_finish(belief: Belief, reachable: Board, candidates: PoseSet, rules: Rules) -> Plan:
     """Algorithm 2 after the choice of the subgoal: go to the goal if it is reachable, else explore.
 
     Gives up if neither is reachable: nothing is left to explore, or an estimate is NaN.
@@ -230,7 +230,7 @@ class Frontier(AssessingPlanner):
     def decide(self, belief: Belief, before: Board) -> Decided:
         """The decision by all of a map, given cells that are known to be reachable."""
         reachable = reachable_cells(belief, before)
-        plan = _explore_or_finish(belief, reachable, self.rules.frontier_expanding(belief, reachable), self.rules)
+        plan = explore_or_finish(belief, reachable, self.rules.frontier_expanding(belief, reachable), self.rules)
         return Decided(plan.action, plan.mode, plan.length, reachable)
 
     def assess(self, belief: Belief, state: Board) -> tuple[Assessment, Board]:
@@ -475,7 +475,7 @@ class DC2G(AssessingPlanner):
         candidates, score, penalty = self._scored(belief, reachable, revealing, choice.estimate, decided_near)
         if not self.memory:  # the choice is always new, so it is made from these scores
             choice = choice._replace(subgoals=_lowest(score, candidates, belief.width))
-        plan = _explore_or_finish(belief, reachable, choice.subgoals & revealing, self.rules)
+        plan = explore_or_finish(belief, reachable, choice.subgoals & revealing, self.rules)
         cost_to_go = jnp.mean(choice.estimate, axis=0)
         state = ExplorationState(reachable, choice, decided_near, state.estimator)
         return Assessment(plan, reachable, candidates, score, cost_to_go, penalty), state

@@ -17,12 +17,9 @@ from dc2g_jax.grid.terrain import OUTSIDE
 from dc2g_jax.grid.world import World
 from dc2g_jax.planning import frontiers
 from dc2g_jax.planning.planners import (
-    EXPLORE,
-    TO_GOAL,
     AssessingPlanner,
     Assessment,
-    Plan,
-    plan_to,
+    explore_or_finish,
     reachable_cells,
 )
 from dc2g_jax.planning.rules import Rules
@@ -75,14 +72,6 @@ def exploring_poses(belief: Belief, reachable: Board, rules: Rules) -> PoseSet:
     revealing = frontiers.complete(belief, reachable, rules.sensing)
     preferred = rules.frontier_expanding(belief, reachable) & revealing
     return jnp.where(poses.is_empty(preferred), revealing, preferred)
-
-
-def goal_or(belief: Belief, reachable: Board, subgoals: PoseSet, rules: Rules) -> Plan:
-    """A plan to the goal if it is reachable, else to the subgoals; gives up if there are none."""
-    goals = reachable & belief.goals
-    found = ~bitboard.is_empty(goals)
-    targets = jnp.where(found, rules.goal_poses(belief, goals, reachable), subgoals)
-    return plan_to(belief, targets, reachable, jnp.where(found, TO_GOAL, EXPLORE))
 
 
 def with_batch_axes(values: Any, batch: tuple[int, ...]) -> Array:
@@ -161,7 +150,7 @@ class ChoosingPlanner(AssessingPlanner):
         outdated = (news >= enough) | poses.is_empty(state.subgoals & candidates)
         undecided = ~poses.is_empty(candidates) & ~bitboard.intersects(reachable, belief.goals)
         state = update_where(self._choose, outdated & undecided, (belief, reachable, candidates), state)
-        plan = goal_or(belief, reachable, state.subgoals & candidates, self.rules)
+        plan = explore_or_finish(belief, reachable, state.subgoals & candidates, self.rules)
         moment = self._moment(belief, reachable, candidates, state)
         score = jnp.min(jnp.where(poses.unpack(candidates, belief.width), self.score(belief, moment), jnp.inf), axis=0)
         return Assessment(plan, reachable, candidates, score), state._replace(reachable=reachable)

@@ -21,9 +21,17 @@ from dc2g_jax.grid.poses import (
     only,
 )
 from dc2g_jax.grid.world import World
-from dc2g_jax.planning.planners import EXPLORE, TO_GOAL, AssessingPlanner, Assessment, Plan, reachable_cells
+from dc2g_jax.planning.planners import (
+    EXPLORE,
+    TO_GOAL,
+    AssessingPlanner,
+    Assessment,
+    Plan,
+    explore_or_finish,
+    reachable_cells,
+)
 from dc2g_jax.planning.rules import Rules
-from dc2g_jax.rivals.choosing import exploring_poses, goal_or
+from dc2g_jax.rivals.choosing import exploring_poses
 
 
 class Walk(NamedTuple):
@@ -95,7 +103,7 @@ class RightHand(AssessingPlanner):
         # After the way to another frontier, the robot is at no wall.
         at_wall = state.at_wall & ~state.around
         search = jnp.where(around, candidates, jnp.uint32(0))
-        plan = goal_or(belief, reachable, search, self.rules)
+        plan = explore_or_finish(belief, reachable, search, self.rules)
         follows = (plan.mode != TO_GOAL) & ~around & ~poses.is_empty(candidates)
         action = self._step_along_wall(belief, state._replace(at_wall=at_wall))
         along = Plan(action, jnp.full_like(plan.mode, EXPLORE), jnp.ones_like(plan.length), candidates)
