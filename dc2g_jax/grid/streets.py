@@ -1,8 +1,5 @@
 """The width of streets, which tells a map of a town from one of a house with its surroundings."""
 
-import functools
-
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, UInt8
 from scipy import ndimage
@@ -38,8 +35,7 @@ def in_town(belief: Belief) -> Bool[Array, "*batch"]:
 
     Streets are taken to go on where nothing has been observed on small maps, and to end there on large ones.
     """
-    planes = [plane if ROAD >> bit & 1 else ~plane for bit, plane in enumerate(belief.classes)]
-    road = functools.reduce(jnp.bitwise_and, planes) & belief.seen
+    road = belief.of_class(ROAD) & belief.seen
     longest = max(belief.height, belief.width)
     side = longest // _STREETS_A_SIDE
     ends = belief.seen & ~road if longest <= _LONGEST_SIDE_OF_A_HOUSE else bitboard.complement(road, belief.width)

@@ -46,9 +46,13 @@ class World:
         """Board of the cells whose class hides what is behind them."""
         found = jnp.zeros_like(self.classes[0])
         for index in np.flatnonzero(terrain.OPAQUE).tolist():
-            planes = [plane if index >> bit & 1 else ~plane for bit, plane in enumerate(self.classes)]
-            found = found | functools.reduce(jnp.bitwise_and, planes)
+            found = found | self.of_class(index)
         return found
+
+    def of_class(self, index: int) -> Board:
+        """Board of the cells of a class; for class 0, of the padding too."""
+        planes = [plane if index >> bit & 1 else ~plane for bit, plane in enumerate(self.classes)]
+        return functools.reduce(jnp.bitwise_and, planes)
 
 
 @jit

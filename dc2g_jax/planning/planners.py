@@ -161,6 +161,15 @@ class Oracle(AssessingPlanner):
         return state
 
 
+def observed_terrain(belief: Belief) -> UInt8[Array, "h w *batch"]:
+    """What an estimator is asked about: observed class indices, and `OUTSIDE` beyond the map."""
+    terrain = belief.terrain
+    if belief.outside is not None:
+        terrain = jnp.where(bitboard.unpack(belief.outside, belief.width), jnp.uint8(OUTSIDE), terrain)
+    # Without the barrier, XLA would unpack every cell again for each of a network's one-hot inputs.
+    return jax.lax.optimization_barrier(terrain)
+
+
 def reachable_cells(belief: Belief, before: Board) -> Board:
     """Reachable cells (Algorithm 2, line 4), grown from those of the previous step: ground is never lost."""
     robot = bitboard.single(belief.pose.x, belief.pose.y, *before.shape[:2])
@@ -434,11 +443,7 @@ class DC2G(AssessingPlanner):
 
     def _estimated(self, belief: Belief, estimator_state: Any, before: "Choice") -> "Choice":
         """A new estimate, with the subgoals of before."""
-        terrain = belief.terrain
-        if belief.outside is not None:
-            terrain = jnp.where(bitboard.unpack(belief.outside, belief.width), jnp.uint8(OUTSIDE), terrain)
-        # Without the barrier, XLA would unpack every cell again for each of a network's one-hot inputs.
-        terrain = jax.lax.optimization_barrier(terrain)
+        terrain = observed_terrain(belief)
         extent, ask = self._extent(belief), functools.partial(self._told, state=estimator_state)
         part = extent.part(terrain, belief.pose)
         answer = in_turn(ask, part, self.views, before.view) if self.memory else at_once(ask, part, self.views)

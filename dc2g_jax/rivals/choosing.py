@@ -3,7 +3,6 @@
 import math
 from typing import Any, ClassVar, NamedTuple
 
-import jax
 import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int
@@ -13,13 +12,13 @@ from dc2g_jax.grid import bitboard, poses, search
 from dc2g_jax.grid.bitboard import Board
 from dc2g_jax.grid.gridworld import Belief
 from dc2g_jax.grid.poses import PoseSet, every_heading
-from dc2g_jax.grid.terrain import OUTSIDE
 from dc2g_jax.grid.world import World
 from dc2g_jax.planning import frontiers
 from dc2g_jax.planning.planners import (
     AssessingPlanner,
     Assessment,
     explore_or_finish,
+    observed_terrain,
     reachable_cells,
 )
 from dc2g_jax.planning.rules import Rules
@@ -94,10 +93,7 @@ def in_square(cells: Bool[Array, "h w *batch"], radius: int) -> Int[Array, "h w 
 
 def predicted(estimator: Estimator, belief: Belief, state: Any) -> Float[Array, "outcomes h w *batch"]:
     """The estimated costs-to-go of every cell, in cells, for an estimator that reads the whole map."""
-    terrain = belief.terrain
-    if belief.outside is not None:
-        terrain = jnp.where(bitboard.unpack(belief.outside, belief.width), jnp.uint8(OUTSIDE), terrain)
-    return estimator.estimate(jax.lax.optimization_barrier(terrain), state).astype(jnp.float32)
+    return estimator.estimate(observed_terrain(belief), state).astype(jnp.float32)
 
 
 @struct.dataclass
