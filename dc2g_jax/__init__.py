@@ -8,14 +8,14 @@ print(results)
 ```
 
 The names below are imported when they are first used, so that `import dc2g_jax` costs nothing. It also registers the
-environment with Gymnasium, see `dc2g_jax.environments.registration`.
+environment with Gymnasium, see `environments.registration`.
 """
 
 import importlib.metadata
 
 import lazy_loader
 
-from dc2g_jax.environments.registration import register_with_gymnasium
+from dc2g_jax._src.environments.registration import register_with_gymnasium
 
 __version__ = importlib.metadata.version(__name__)
 

@@ -2,7 +2,7 @@
 
 import sys
 
-from dc2g_jax.cli import commands
+from dc2g_jax._src.cli import commands
 
 # The package's commands have their files there; here they only have their names.
 __path__ += commands.__path__

@@ -1,6 +1,6 @@
 """Time the decisions of the online planner: `python -m experiments.latency`; for one core, put `taskset -c 0` first.
 
-`dc2g_jax.planning.online.OnlinePlanner` leads robots through houses that no result is reported on. Each call of its
+`planning.online.OnlinePlanner` leads robots through houses that no result is reported on. Each call of its
 `plan` is timed.
 """
 
@@ -10,13 +10,13 @@ import itertools
 
 import numpy as np
 
-from dc2g_jax.cli.common import PlannerOption, check_planners, command_line, network_for
-from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, SharedOptions, require_positive
-from dc2g_jax.cli.outputs import output_folder
-from dc2g_jax.datasets.houses import open_dataset
-from dc2g_jax.errors import InputError
-from dc2g_jax.files.atomic import write_json
-from dc2g_jax.planning.online import OnlinePlanner
+from dc2g_jax._src.cli.common import PlannerOption, check_planners, command_line, network_for
+from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, SharedOptions, require_positive
+from dc2g_jax._src.cli.outputs import output_folder
+from dc2g_jax._src.datasets.houses import open_dataset
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.files.atomic import write_json
+from dc2g_jax._src.planning.online import OnlinePlanner
 
 from .benchmarks.decisions import LatencyRow, waits
 from .benchmarks.machine import describe

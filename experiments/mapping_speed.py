@@ -2,10 +2,10 @@
 
 import dataclasses
 
-from dc2g_jax.cli.common import command_line
-from dc2g_jax.cli.options import OutOptions, require_positive
-from dc2g_jax.cli.outputs import output_folder
-from dc2g_jax.files.atomic import write_json
+from dc2g_jax._src.cli.common import command_line
+from dc2g_jax._src.cli.options import OutOptions, require_positive
+from dc2g_jax._src.cli.outputs import output_folder
+from dc2g_jax._src.files.atomic import write_json
 
 from .benchmarks.machine import describe
 from .benchmarks.mapping import Case, mapping_row

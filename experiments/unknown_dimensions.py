@@ -11,26 +11,26 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from dc2g_jax.cli.common import command_line, digests
-from dc2g_jax.cli.episodes import EpisodeTable
-from dc2g_jax.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
-from dc2g_jax.cli.outputs import output_folder, print_files
-from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
-from dc2g_jax.datasets.procedural import draw_neighborhood
-from dc2g_jax.datasets.procedural.suburbs import SUBURBS
-from dc2g_jax.datasets.starts import Start, sample_starts, usable_houses
-from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.estimators import Estimator
-from dc2g_jax.estimation.extents import CroppedEstimator, Window, WindowedEstimator
-from dc2g_jax.estimation.hub import load
-from dc2g_jax.files.atomic import write_json
-from dc2g_jax.grid.terrain import UNKNOWN
-from dc2g_jax.planning.named import make_planner
-from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.rollouts.evaluation import PlannerSource, Runner
-from dc2g_jax.rollouts.progress import EpisodeProgress
-from dc2g_jax.rollouts.statistics import summarize
-from dc2g_jax.training.cost_to_go_data import drawn_houses
+from dc2g_jax._src.cli.common import command_line, digests
+from dc2g_jax._src.cli.episodes import EpisodeTable
+from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
+from dc2g_jax._src.cli.outputs import output_folder, print_files
+from dc2g_jax._src.datasets.houses import House, HouseDataset, open_dataset
+from dc2g_jax._src.datasets.procedural import draw_neighborhood
+from dc2g_jax._src.datasets.procedural.suburbs import SUBURBS
+from dc2g_jax._src.datasets.starts import Start, sample_starts, usable_houses
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.estimators import Estimator
+from dc2g_jax._src.estimation.extents import CroppedEstimator, Window, WindowedEstimator
+from dc2g_jax._src.estimation.hub import load
+from dc2g_jax._src.files.atomic import write_json
+from dc2g_jax._src.grid.terrain import UNKNOWN
+from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.rollouts.evaluation import PlannerSource, Runner
+from dc2g_jax._src.rollouts.progress import EpisodeProgress
+from dc2g_jax._src.rollouts.statistics import summarize
+from dc2g_jax._src.training.cost_to_go_data import drawn_houses
 
 from .benchmarks.decisions import milliseconds
 

@@ -23,37 +23,37 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from PIL import Image
 
-from dc2g_jax.cli.outputs import _read_run
-from dc2g_jax.datasets._download import read_manifest
-from dc2g_jax.datasets.houses import load_dataset, map_dataset
-from dc2g_jax.datasets.maps import Goal, read_map
-from dc2g_jax.datasets.osm.extract import read_extract
-from dc2g_jax.datasets.osm.neighborhood import Neighborhood
-from dc2g_jax.datasets.starts import read_starts
-from dc2g_jax.errors import LONGEST_MESSAGE, InputError
-from dc2g_jax.estimation.checkpoints import load_network, save_network
-from dc2g_jax.estimation.compact_unet import Architecture, init_weights
-from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.weights import fresh_weights, write_network
-from dc2g_jax.files.atomic import write_json
-from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES
-from dc2g_jax.mapping.sequences import Shot, read_frame, read_picture, read_sequence, write_sequence
-from dc2g_jax.objectnav._procthor import read_procthor
-from dc2g_jax.objectnav.midlevel import EncoderArchitecture, SmallEncoder, load_encoder
-from dc2g_jax.objectnav.networks import (
+from dc2g_jax._src.cli.outputs import _read_run
+from dc2g_jax._src.datasets._download import read_manifest
+from dc2g_jax._src.datasets.houses import load_dataset, map_dataset
+from dc2g_jax._src.datasets.maps import Goal, read_map
+from dc2g_jax._src.datasets.osm.extract import read_extract
+from dc2g_jax._src.datasets.osm.neighborhood import Neighborhood
+from dc2g_jax._src.datasets.starts import read_starts
+from dc2g_jax._src.errors import LONGEST_MESSAGE, InputError
+from dc2g_jax._src.estimation.checkpoints import load_network, save_network
+from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
+from dc2g_jax._src.estimation.estimators import NetworkCostToGo
+from dc2g_jax._src.estimation.weights import fresh_weights, write_network
+from dc2g_jax._src.files.atomic import write_json
+from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES
+from dc2g_jax._src.mapping.sequences import Shot, read_frame, read_picture, read_sequence, write_sequence
+from dc2g_jax._src.objectnav._procthor import read_procthor
+from dc2g_jax._src.objectnav.midlevel import EncoderArchitecture, SmallEncoder, load_encoder
+from dc2g_jax._src.objectnav.networks import (
     CostMapArchitecture,
     CostMapEstimator,
     CostMapNetwork,
     load_estimator,
     save_estimator,
 )
-from dc2g_jax.rollouts.evaluation import EpisodeResult
-from dc2g_jax.rollouts.results import ResumableTable, read_rows, write_rows
-from dc2g_jax.training.cost_to_go_data import check_masks
-from dc2g_jax.training.loop import Log
-from dc2g_jax.training.mask_collection import Masks
-from dc2g_jax.training.tracking import Curve
-from dc2g_jax.training.training_sets import kept_arrays
+from dc2g_jax._src.rollouts.evaluation import EpisodeResult
+from dc2g_jax._src.rollouts.results import ResumableTable, read_rows, write_rows
+from dc2g_jax._src.training.cost_to_go_data import check_masks
+from dc2g_jax._src.training.loop import Log
+from dc2g_jax._src.training.mask_collection import Masks
+from dc2g_jax._src.training.tracking import Curve
+from dc2g_jax._src.training.training_sets import kept_arrays
 from tests.support import house_lines, occupancy
 from tests.support.damage import damaged
 from tests.support.frames import CAMERA, random_frame

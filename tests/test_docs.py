@@ -14,7 +14,7 @@ import jax
 import pytest
 import tyro
 
-from dc2g_jax.rollouts import devices
+from dc2g_jax._src.rollouts import devices
 from tests.support.places import ROOT
 
 PAGES = [ROOT / "README.md", ROOT / "BENCHMARKS.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -108,9 +108,9 @@ def test_every_module_is_in_the_reference():
 
 
 def test_a_name_that_does_not_exist_is_noticed():
-    assert exists("dc2g_jax.grid.gridworld.Belief.seen")
-    assert not exists("dc2g_jax.grid.gridworld.Belief.heard")
-    assert not exists("dc2g_jax.grid.no_such_module")
+    assert exists("dc2g_jax._src.grid.gridworld.Belief.seen")
+    assert not exists("dc2g_jax._src.grid.gridworld.Belief.heard")
+    assert not exists("dc2g_jax._src.grid.no_such_module")
 
 
 @functools.cache

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.environments.functional import front_door
-from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.rollouts.rollout import Episodes
+from dc2g_jax._src.environments.functional import front_door
+from dc2g_jax._src.grid.poses import make_pose
+from dc2g_jax._src.rollouts.rollout import Episodes
 from tests.support.houses import YARD, house
 from tests.support.refusals import refusal
 

@@ -23,7 +23,13 @@ def modules_after(code: str) -> set[str]:
 def test_importing_the_package_imports_nothing_else():
     loaded = modules_after("import dc2g_jax as dc2g; assert 'evaluate' in dir(dc2g); dc2g.InputError")
     ours = {name for name in loaded if name.startswith("dc2g_jax")}
-    assert ours == {"dc2g_jax", "dc2g_jax.environments", "dc2g_jax.environments.registration", "dc2g_jax.errors"}
+    assert ours == {
+        "dc2g_jax",
+        "dc2g_jax._src",
+        "dc2g_jax._src.environments",
+        "dc2g_jax._src.environments.registration",
+        "dc2g_jax._src.errors",
+    }
     assert not loaded & {"gymnasium", "jax", "numpy"}
 
 
@@ -36,8 +42,8 @@ sys.modules.update(dict.fromkeys({modules}))  # so that their import fails
 
 import numpy as np
 import dc2g_jax as dc2g
-import dc2g_jax.vehicles.fleet
-from dc2g_jax.cli import commands
+import dc2g_jax._src.vehicles.fleet
+from dc2g_jax._src.cli import commands
 
 env, params = dc2g.make_env("FrontDoor-v0", dataset="procedural", split="val")
 print(len(dc2g.evaluate("frontier", "procedural", split="val", starts_per_house=1, progress=False)))

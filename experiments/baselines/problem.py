@@ -7,8 +7,8 @@ from typing import Literal, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
-from dc2g_jax.grid.sensing import expanding_kernel, field_of_view
-from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
+from dc2g_jax._src.grid.sensing import expanding_kernel, field_of_view
+from dc2g_jax._src.grid.terrain import FRONT_DOOR, TRAVERSABLE
 
 #: `frontier_lazy` takes the same actions as `frontier` without the whole set of frontier-expanding poses at hand: it
 #: searches outward from the robot and looks at each pose only when the search comes to it.

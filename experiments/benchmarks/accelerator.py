@@ -10,23 +10,23 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from dc2g_jax.cli.translation import TranslationOptions
-from dc2g_jax.datasets.houses import HouseDataset
-from dc2g_jax.datasets.starts import published_episodes, sample_starts
-from dc2g_jax.objectnav.agent import Agent
-from dc2g_jax.objectnav.houses import IndoorHouse, indoor_houses
-from dc2g_jax.objectnav.mapping import IndoorMapSettings
-from dc2g_jax.objectnav.named import agent_with, open_costs
-from dc2g_jax.objectnav.searches import TIME_LIMIT, sample_episodes, search_all
-from dc2g_jax.planning.named import FIGURE_PLANNERS
-from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.rollouts.devices import mesh_for_batch, replicate
-from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
-from dc2g_jax.rollouts.rollout import rollout
-from dc2g_jax.training.cost_to_go import TrainingConfig
-from dc2g_jax.training.image_pairs import draw_image_pairs, image_set
-from dc2g_jax.training.step import supervised_step
-from dc2g_jax.training.translator import TranslatorTraining, first_state, run_key
+from dc2g_jax._src.cli.translation import TranslationOptions
+from dc2g_jax._src.datasets.houses import HouseDataset
+from dc2g_jax._src.datasets.starts import published_episodes, sample_starts
+from dc2g_jax._src.objectnav.agent import Agent
+from dc2g_jax._src.objectnav.houses import IndoorHouse, indoor_houses
+from dc2g_jax._src.objectnav.mapping import IndoorMapSettings
+from dc2g_jax._src.objectnav.named import agent_with, open_costs
+from dc2g_jax._src.objectnav.searches import TIME_LIMIT, sample_episodes, search_all
+from dc2g_jax._src.planning.named import FIGURE_PLANNERS
+from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.rollouts.devices import mesh_for_batch, replicate
+from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax._src.rollouts.rollout import rollout
+from dc2g_jax._src.training.cost_to_go import TrainingConfig
+from dc2g_jax._src.training.image_pairs import draw_image_pairs, image_set
+from dc2g_jax._src.training.step import supervised_step
+from dc2g_jax._src.training.translator import TranslatorTraining, first_state, run_key
 
 from .bench import SENSING_RANGE, Bench, own
 from .planners import PLANNER_UNIT, with_episodes

@@ -5,11 +5,11 @@ import functools
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from dc2g_jax.environments.functional import SENSING_RANGE
-from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.planning.named import make_planner
-from dc2g_jax.planning.planners import Planner
-from dc2g_jax.planning.rules import SETTINGS, Rules
+from dc2g_jax._src.environments.functional import SENSING_RANGE
+from dc2g_jax._src.estimation.estimators import NetworkCostToGo
+from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.planning.planners import Planner
+from dc2g_jax._src.planning.rules import SETTINGS, Rules
 
 from .machine import BANDWIDTH, WORD_ARITHMETIC
 from .rows import Row

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator
 import jax
 import jax.numpy as jnp
 
-from dc2g_jax.grid import gridworld
-from dc2g_jax.rollouts.devices import mesh_of
-from dc2g_jax.training.cost_to_go import TrainingConfig
+from dc2g_jax._src.grid import gridworld
+from dc2g_jax._src.rollouts.devices import mesh_of
+from dc2g_jax._src.training.cost_to_go import TrainingConfig
 
 from .bench import SENSING_RANGE, Bench, own
 from .hot_programs import HotProgram, rollout_loop, training_program

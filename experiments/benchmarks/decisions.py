@@ -11,15 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
-from dc2g_jax.datasets.houses import House
-from dc2g_jax.estimation.estimators import Estimator, extent_of
-from dc2g_jax.grid import gridworld
-from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
-from dc2g_jax.grid.sensing import field_of_view
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.planning.online import OnlinePlanner
-from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.rollout import STEP_LIMIT
+from dc2g_jax._src.datasets.houses import House
+from dc2g_jax._src.estimation.estimators import Estimator, extent_of
+from dc2g_jax._src.grid import gridworld
+from dc2g_jax._src.grid.poses import ACTION_LETTERS, make_pose
+from dc2g_jax._src.grid.sensing import field_of_view
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.planning.online import OnlinePlanner
+from dc2g_jax._src.programs import jit
+from dc2g_jax._src.rollouts.rollout import STEP_LIMIT
 
 from .timing import measure
 from .workload import Workload

@@ -9,31 +9,31 @@ import jax.numpy as jnp
 from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as P
 
-from dc2g_jax.cli.driving import DrivingOptions, equipment
-from dc2g_jax.cli.translation import TranslationOptions
-from dc2g_jax.datasets.pairs import TrainingSet
-from dc2g_jax.estimation.checkpoints import load_network
-from dc2g_jax.grid import bitboard
-from dc2g_jax.grid.poses import Pose
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.mapping.scene import TILES, Scene
-from dc2g_jax.objectnav import searches
-from dc2g_jax.objectnav.named import agent_with, open_costs
-from dc2g_jax.objectnav.simulation import IndoorSite, leg
-from dc2g_jax.planning.named import make_planner
-from dc2g_jax.planning.planners import Planner
-from dc2g_jax.planning.rules import SETTINGS, Rules
-from dc2g_jax.rollouts import rollout
-from dc2g_jax.rollouts.devices import AXIS
-from dc2g_jax.rollouts.rollout import STEP_LIMIT, Episodes
-from dc2g_jax.training import cost_to_go, translator
-from dc2g_jax.training.cost_to_go import TrainingConfig
-from dc2g_jax.training.cost_to_go_data import DataConfig
-from dc2g_jax.training.image_pairs import ImageSet, draw_image_pairs
-from dc2g_jax.training.step import supervised_step
-from dc2g_jax.vehicles import fleet, robot
-from dc2g_jax.vehicles.drive import Site, step
-from dc2g_jax.vehicles.robot import Step
+from dc2g_jax._src.cli.driving import DrivingOptions, equipment
+from dc2g_jax._src.cli.translation import TranslationOptions
+from dc2g_jax._src.datasets.pairs import TrainingSet
+from dc2g_jax._src.estimation.checkpoints import load_network
+from dc2g_jax._src.grid import bitboard
+from dc2g_jax._src.grid.poses import Pose
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.mapping.scene import TILES, Scene
+from dc2g_jax._src.objectnav import searches
+from dc2g_jax._src.objectnav.named import agent_with, open_costs
+from dc2g_jax._src.objectnav.simulation import IndoorSite, leg
+from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.planning.planners import Planner
+from dc2g_jax._src.planning.rules import SETTINGS, Rules
+from dc2g_jax._src.rollouts import rollout
+from dc2g_jax._src.rollouts.devices import AXIS
+from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes
+from dc2g_jax._src.training import cost_to_go, translator
+from dc2g_jax._src.training.cost_to_go import TrainingConfig
+from dc2g_jax._src.training.cost_to_go_data import DataConfig
+from dc2g_jax._src.training.image_pairs import ImageSet, draw_image_pairs
+from dc2g_jax._src.training.step import supervised_step
+from dc2g_jax._src.vehicles import fleet, robot
+from dc2g_jax._src.vehicles.drive import Site, step
+from dc2g_jax._src.vehicles.robot import Step
 
 #: Sides of a house and of an indoor house, in cells; houses; masks to train on; runs of a sweep.
 _CELLS, _INDOOR_CELLS, _HOUSES, _MASKS, _RUNS = 50, 200, 77, 12_000, 64

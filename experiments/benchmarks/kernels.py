@@ -8,15 +8,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax.estimation import compact_unet
-from dc2g_jax.grid import bitboard, search
-from dc2g_jax.grid.gridworld import Belief
-from dc2g_jax.grid.poses import PoseSet, every_heading, unpack
-from dc2g_jax.grid.sensing import expanding_kernel
-from dc2g_jax.planning import frontiers, planners
-from dc2g_jax.planning.selection import ExpectedCost
-from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import deal, mesh_of, on_each, replicate
+from dc2g_jax._src.estimation import compact_unet
+from dc2g_jax._src.grid import bitboard, search
+from dc2g_jax._src.grid.gridworld import Belief
+from dc2g_jax._src.grid.poses import PoseSet, every_heading, unpack
+from dc2g_jax._src.grid.sensing import expanding_kernel
+from dc2g_jax._src.planning import frontiers, planners
+from dc2g_jax._src.planning.selection import ExpectedCost
+from dc2g_jax._src.programs import jit
+from dc2g_jax._src.rollouts.devices import deal, mesh_of, on_each, replicate
 from tests.oracles import numpy_gridworld
 
 from ..baselines import libraries

@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax.cli.outputs import versions
-from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import cores
+from dc2g_jax._src.cli.outputs import versions
+from dc2g_jax._src.programs import jit
+from dc2g_jax._src.rollouts.devices import cores
 
 from .timing import measure, text_of
 

@@ -14,12 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from dc2g_jax.estimation.estimators import Estimator, NetworkCostToGo
-from dc2g_jax.grid.world import World
-from dc2g_jax.inspection.replay import actions_from_letters
-from dc2g_jax.planning.named import make_planner
-from dc2g_jax.rollouts.devices import cores
-from dc2g_jax.rollouts.rollout import STEP_LIMIT, rollout
+from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
+from dc2g_jax._src.grid.world import World
+from dc2g_jax._src.inspection.replay import actions_from_letters
+from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.rollouts.devices import cores
+from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, rollout
 from tests.oracles import numpy_gridworld
 
 from ..baselines import c_gridworld

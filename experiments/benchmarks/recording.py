@@ -6,11 +6,11 @@ from pathlib import Path
 
 from rerun.chunk import RrdReader
 
-from dc2g_jax.datasets.houses import HouseDataset
-from dc2g_jax.inspection.recording import record_frames
-from dc2g_jax.inspection.replay import Frames, replay_result
-from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.rollouts.evaluation import Runner
+from dc2g_jax._src.datasets.houses import HouseDataset
+from dc2g_jax._src.inspection.recording import record_frames
+from dc2g_jax._src.inspection.replay import Frames, replay_result
+from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.rollouts.evaluation import Runner
 
 from .bench import SENSING_RANGE, Bench, own
 from .rows import Row

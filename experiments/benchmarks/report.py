@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from dc2g_jax.files.atomic import write_json
+from dc2g_jax._src.files.atomic import write_json
 
 from .machine import Peak
 from .rows import Row

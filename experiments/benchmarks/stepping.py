@@ -9,12 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax.grid import gridworld
-from dc2g_jax.grid.gridworld import Belief
-from dc2g_jax.grid.poses import Pose
-from dc2g_jax.grid.terrain import ROAD
-from dc2g_jax.grid.world import World
-from dc2g_jax.rollouts.devices import cores
+from dc2g_jax._src.grid import gridworld
+from dc2g_jax._src.grid.gridworld import Belief
+from dc2g_jax._src.grid.poses import Pose
+from dc2g_jax._src.grid.terrain import ROAD
+from dc2g_jax._src.grid.world import World
+from dc2g_jax._src.rollouts.devices import cores
 from tests.oracles import numpy_gridworld
 
 from ..baselines import environments

@@ -7,14 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax.datasets.pairs import TrainingSet
-from dc2g_jax.estimation.estimators import world_cost_to_go
-from dc2g_jax.grid import bitboard
-from dc2g_jax.programs import jit
-from dc2g_jax.rollouts.devices import mesh_of, replicate
-from dc2g_jax.training.cost_to_go import Hyperparameters, TrainingConfig, TrainingState, first_state, train_step
-from dc2g_jax.training.cost_to_go_data import DataConfig
-from dc2g_jax.training.sweeps import init_states, stacked_hyperparameters
+from dc2g_jax._src.datasets.pairs import TrainingSet
+from dc2g_jax._src.estimation.estimators import world_cost_to_go
+from dc2g_jax._src.grid import bitboard
+from dc2g_jax._src.programs import jit
+from dc2g_jax._src.rollouts.devices import mesh_of, replicate
+from dc2g_jax._src.training.cost_to_go import Hyperparameters, TrainingConfig, TrainingState, first_state, train_step
+from dc2g_jax._src.training.cost_to_go_data import DataConfig
+from dc2g_jax._src.training.sweeps import init_states, stacked_hyperparameters
 
 from .bench import Bench, own
 from .rows import Row

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from dc2g_jax.cli import commands
+from dc2g_jax._src.cli import commands
 from tests.support.places import COMMANDS, ROOT
 
 
@@ -35,9 +35,8 @@ def test_every_command_has_a_name():
 
 
 def test_the_list_of_commands_loads_nothing(monkeypatch, capsys):
-    code = (
-        "import sys; from dc2g_jax.cli import commands; commands.main(); assert not {'jax', 'numpy'} & {*sys.modules}"
-    )
+    start = "import sys; from dc2g_jax._src.cli import commands; commands.main()"
+    code = f"{start}; assert not {{'jax', 'numpy'}} & {{*sys.modules}}"
     shown = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
     assert all(f"  {name} " in shown for name in commands.COMMANDS)
     assert ended(monkeypatch, "--help") == 0
@@ -132,7 +131,7 @@ def test_a_wheel_installs_one_package_and_the_command(tmp_path):
     bare = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     dc2g = environment / "bin" / "dc2g"
     options = ["--dataset", "procedural", "--starts-per-house", "1", "--planner", "frontier", "mine:Mine"]
-    (tmp_path / "mine.py").write_text("from dc2g_jax.planning.planners import Frontier as Mine\n")
+    (tmp_path / "mine.py").write_text("from dc2g_jax._src.planning.planners import Frontier as Mine\n")
     subprocess.run([dc2g, "fig7", *options, "--out", "out"], check=True, cwd=tmp_path, env=bare)
     made = json.loads((tmp_path / "out" / "run.json").read_text())
     assert made["runs"][0]["command"].startswith("dc2g fig7 --dataset procedural ")

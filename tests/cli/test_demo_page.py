@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dc2g_jax.cli.commands import demo as command
-from dc2g_jax.errors import require_extra
-from dc2g_jax.estimation.compact_unet import Architecture
-from dc2g_jax.grid.terrain import FRONT_DOOR
-from dc2g_jax.inspection.demo import Demo
-from dc2g_jax.planning.decisions import RobotPose
+from dc2g_jax._src.cli.commands import demo as command
+from dc2g_jax._src.errors import require_extra
+from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.grid.terrain import FRONT_DOOR
+from dc2g_jax._src.inspection.demo import Demo
+from dc2g_jax._src.planning.decisions import RobotPose
 from tests.support.networks import random_network
 from tests.support.places import ROOT
 from tests.support.refusals import refusal
@@ -37,8 +37,8 @@ from nicegui import ui
 from nicegui.testing import user_simulation
 from starlette.responses import PlainTextResponse
 
-from dc2g_jax.cli.demo_page import Page, check_port
-from dc2g_jax.cli.local_server import LARGEST_BODY, OwnOriginOnly
+from dc2g_jax._src.cli.demo_page import Page, check_port
+from dc2g_jax._src.cli.local_server import LARGEST_BODY, OwnOriginOnly
 
 
 def broken(rules):

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from dc2g_jax.cli import episodes
-from dc2g_jax.cli.episodes import EpisodeTable
-from dc2g_jax.datasets.houses import House, HouseDataset
-from dc2g_jax.datasets.starts import Start
-from dc2g_jax.errors import InputError
-from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
-from dc2g_jax.rollouts.results import read_rows, write_rows
+from dc2g_jax._src.cli import episodes
+from dc2g_jax._src.cli.episodes import EpisodeTable
+from dc2g_jax._src.datasets.houses import House, HouseDataset
+from dc2g_jax._src.datasets.starts import Start
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax._src.rollouts.results import read_rows, write_rows
 from tests.support.refusals import refusal
 
 STARTS = (Start("left", 9, 5, 1), Start("right", 9, 5, 2))

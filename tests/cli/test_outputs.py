@@ -10,9 +10,9 @@ from pathlib import Path
 import jax
 import pytest
 
-from dc2g_jax.cli.outputs import commit, folder_in_use, output_folder
-from dc2g_jax.errors import InputError
-from dc2g_jax.files.atomic import replacing
+from dc2g_jax._src.cli.outputs import commit, folder_in_use, output_folder
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.files.atomic import replacing
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import pytest
 
-from dc2g_jax.datasets import _download as download
-from dc2g_jax.datasets._download import (
+from dc2g_jax._src.datasets import _download as download
+from dc2g_jax._src.datasets._download import (
     BASE_URL,
     FOLDER_NAME,
     NetworkUnavailable,
@@ -26,7 +26,7 @@ from dc2g_jax.datasets._download import (
     matches_published,
     read_manifest,
 )
-from dc2g_jax.errors import InputError
+from dc2g_jax._src.errors import InputError
 from tests.support.places import PUBLISHED, SHARED
 from tests.support.refusals import refusal_of
 
@@ -280,7 +280,7 @@ def test_interrupt_ends_the_download_at_once_and_leaves_whole_files(server, mani
     code = (
         # Where the tests run in the background, processes start with interrupts ignored.
         "import pathlib, signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
-        "from dc2g_jax.datasets._download import fetch_dataset;"
+        "from dc2g_jax._src.datasets._download import fetch_dataset;"
         f"fetch_dataset({str(tmp_path / 'cache')!r}, base_url={server.url!r}, "
         f"manifest=pathlib.Path({str(manifest)!r}))"
     )

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets import families
-from dc2g_jax.datasets.families import family_of, gather
-from dc2g_jax.datasets.houses import House, HouseDataset, open_dataset
-from dc2g_jax.datasets.procedural import plain
-from dc2g_jax.datasets.procedural.plain import PLAIN, plain_maps, with_door
-from dc2g_jax.datasets.starts import why_no_episode
-from dc2g_jax.grid.ground import connected_to_goal
-from dc2g_jax.grid.terrain import FREE, FRONT_DOOR, OCCUPIED, TRAVERSABLE
-from dc2g_jax.objectnav import houses as indoor
+from dc2g_jax._src.datasets import families
+from dc2g_jax._src.datasets.families import family_of, gather
+from dc2g_jax._src.datasets.houses import House, HouseDataset, open_dataset
+from dc2g_jax._src.datasets.procedural import plain
+from dc2g_jax._src.datasets.procedural.plain import PLAIN, plain_maps, with_door
+from dc2g_jax._src.datasets.starts import why_no_episode
+from dc2g_jax._src.grid.ground import connected_to_goal
+from dc2g_jax._src.grid.terrain import FREE, FRONT_DOOR, OCCUPIED, TRAVERSABLE
+from dc2g_jax._src.objectnav import houses as indoor
 from tests.support.hamlet import Drawing, hamlet
 from tests.support.maps import drawn
 from tests.support.refusals import refusal

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dc2g_jax.datasets import houses as houses_module
-from dc2g_jax.datasets._download import NetworkUnavailable
-from dc2g_jax.datasets.houses import (
+from dc2g_jax._src.datasets import houses as houses_module
+from dc2g_jax._src.datasets._download import NetworkUnavailable
+from dc2g_jax._src.datasets.houses import (
     House,
     HouseDataset,
     group_of,
@@ -21,9 +21,9 @@ from dc2g_jax.datasets.houses import (
     open_dataset,
     procedural_dataset,
 )
-from dc2g_jax.errors import InputError
-from dc2g_jax.files.class_images import read_class_image, read_palette, write_class_image
-from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, HOUSE, PATH, ROAD
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.files.class_images import read_class_image, read_palette, write_class_image
+from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, HOUSE, PATH, ROAD
 from tests.files.pngs import chunk, png
 from tests.support.houses import save_dataset
 from tests.support.places import PUBLISHED, SHARED

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.houses import House
-from dc2g_jax.datasets.procedural import draw_neighborhood
-from dc2g_jax.datasets.starts import why_no_episode
-from dc2g_jax.grid.terrain import FRONT_DOOR, HOUSE
+from dc2g_jax._src.datasets.houses import House
+from dc2g_jax._src.datasets.procedural import draw_neighborhood
+from dc2g_jax._src.datasets.starts import why_no_episode
+from dc2g_jax._src.grid.terrain import FRONT_DOOR, HOUSE
 
 
 def blobs(cells: np.ndarray) -> int:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from dc2g_jax.datasets.maps import Goal, draw_map, read_map
-from dc2g_jax.datasets.occupancy import read_occupancy_map
-from dc2g_jax.grid.terrain import FREE, FRONT_DOOR, OCCUPIED, UNKNOWN
+from dc2g_jax._src.datasets.maps import Goal, draw_map, read_map
+from dc2g_jax._src.datasets.occupancy import read_occupancy_map
+from dc2g_jax._src.grid.terrain import FREE, FRONT_DOOR, OCCUPIED, UNKNOWN
 from tests.support.occupancy import save
 from tests.support.refusals import refusal
 

@@ -7,12 +7,12 @@ import numpy as np
 import osmium
 import pytest
 
-from dc2g_jax.datasets.osm._shapes import sidewalk_sides, street_width
-from dc2g_jax.datasets.osm.extract import Extract, read_extract
-from dc2g_jax.datasets.osm.neighborhood import BuildingMap, Neighborhood
-from dc2g_jax.grid.ground import connected_to_goal
-from dc2g_jax.grid.sampling import resize_nearest, sample_grid
-from dc2g_jax.grid.terrain import (
+from dc2g_jax._src.datasets.osm._shapes import sidewalk_sides, street_width
+from dc2g_jax._src.datasets.osm.extract import Extract, read_extract
+from dc2g_jax._src.datasets.osm.neighborhood import BuildingMap, Neighborhood
+from dc2g_jax._src.grid.ground import connected_to_goal
+from dc2g_jax._src.grid.sampling import resize_nearest, sample_grid
+from dc2g_jax._src.grid.terrain import (
     CLASS_NAMES,
     DRIVEWAY,
     FENCE,

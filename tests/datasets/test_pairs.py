@@ -8,20 +8,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.masks import moments_along
-from dc2g_jax.datasets.pairs import SYMMETRY_COUNT, Pair, TrainingSet, draw_pairs, jittered, make_pair
-from dc2g_jax.estimation.estimators import world_cost_to_go
-from dc2g_jax.grid import bitboard, gridworld
-from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.grid.sensing import field_of_view, line_of_sight
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.planning.planners import Frontier
-from dc2g_jax.planning.rules import complete_rules
-from dc2g_jax.rollouts.devices import mesh_of
-from dc2g_jax.rollouts.rollout import Episodes, rollout
-from dc2g_jax.training import mask_collection
-from dc2g_jax.training.cost_to_go_data import DataConfig
-from dc2g_jax.training.mask_collection import by_house, collect_masks
+from dc2g_jax._src.datasets.masks import moments_along
+from dc2g_jax._src.datasets.pairs import SYMMETRY_COUNT, Pair, TrainingSet, draw_pairs, jittered, make_pair
+from dc2g_jax._src.estimation.estimators import world_cost_to_go
+from dc2g_jax._src.grid import bitboard, gridworld
+from dc2g_jax._src.grid.poses import make_pose
+from dc2g_jax._src.grid.sensing import field_of_view, line_of_sight
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.planning.planners import Frontier
+from dc2g_jax._src.planning.rules import complete_rules
+from dc2g_jax._src.rollouts.devices import mesh_of
+from dc2g_jax._src.rollouts.rollout import Episodes, rollout
+from dc2g_jax._src.training import mask_collection
+from dc2g_jax._src.training.cost_to_go_data import DataConfig
+from dc2g_jax._src.training.mask_collection import by_house, collect_masks
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets import houses as houses_module
-from dc2g_jax.datasets import procedural
-from dc2g_jax.datasets.houses import group_of, open_dataset
-from dc2g_jax.datasets.procedural import (
+from dc2g_jax._src.datasets import houses as houses_module
+from dc2g_jax._src.datasets import procedural
+from dc2g_jax._src.datasets.houses import group_of, open_dataset
+from dc2g_jax._src.datasets.procedural import (
     PROCEDURAL_SPLIT,
     STYLES,
     draw_house,
@@ -20,9 +20,9 @@ from dc2g_jax.datasets.procedural import (
     procedural_training_houses,
     training_house_seed,
 )
-from dc2g_jax.datasets.procedural._filling import fill_polygons
-from dc2g_jax.grid.sampling import sample_grid
-from dc2g_jax.grid.terrain import (
+from dc2g_jax._src.datasets.procedural._filling import fill_polygons
+from dc2g_jax._src.grid.sampling import sample_grid
+from dc2g_jax._src.grid.terrain import (
     CAR,
     CLASS_COLORS,
     DRIVEWAY,

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.houses import House, HouseDataset
-from dc2g_jax.datasets.starts import (
+from dc2g_jax._src.datasets.houses import House, HouseDataset
+from dc2g_jax._src.datasets.starts import (
     Start,
     published_episodes,
     read_starts,
@@ -13,9 +13,9 @@ from dc2g_jax.datasets.starts import (
     usable_houses,
     why_no_episode,
 )
-from dc2g_jax.errors import InputError
-from dc2g_jax.grid.ground import connected_to_goal
-from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, ROAD, TRAVERSABLE
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.grid.ground import connected_to_goal
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, ROAD, TRAVERSABLE
 from tests.support.refusals import refusal
 
 

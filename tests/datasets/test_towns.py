@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.houses import open_dataset, town_dataset
-from dc2g_jax.datasets.map_report import unlike_training
-from dc2g_jax.datasets.procedural.towns import TOWN_SIZES, draw_town
-from dc2g_jax.datasets.starts import sample_starts, why_no_episode
-from dc2g_jax.grid.ground import connected_to, pieces
-from dc2g_jax.grid.terrain import FREE, FRONT_DOOR, GRASS, HOUSE, ROAD, TRAVERSABLE
+from dc2g_jax._src.datasets.houses import open_dataset, town_dataset
+from dc2g_jax._src.datasets.map_report import unlike_training
+from dc2g_jax._src.datasets.procedural.towns import TOWN_SIZES, draw_town
+from dc2g_jax._src.datasets.starts import sample_starts, why_no_episode
+from dc2g_jax._src.grid.ground import connected_to, pieces
+from dc2g_jax._src.grid.terrain import FREE, FRONT_DOOR, GRASS, HOUSE, ROAD, TRAVERSABLE
 
 
 def test_there_are_a_hundred_towns_to_choose_on_and_a_hundred_aside():

@@ -15,13 +15,13 @@ from gymnasium.utils.env_checker import check_env, data_equivalence  # noqa: E40
 from gymnasium.vector import AutoresetMode  # noqa: E402
 from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
 
-from dc2g_jax.datasets.houses import HouseDataset  # noqa: E402
-from dc2g_jax.environments.functional import egocentric, observe  # noqa: E402
-from dc2g_jax.environments.gymnasium_env import RENDERED_ROBOT_COLOR, FrontDoorEnv, FrontDoorVectorEnv, frame  # noqa: E402
-from dc2g_jax.environments.gymnasium_wrappers import EgocentricObservation, EgocentricVectorObservation  # noqa: E402
-from dc2g_jax.environments.registration import GYMNASIUM_ID  # noqa: E402
-from dc2g_jax.environments.task import FrontDoorTask, make_env  # noqa: E402
-from dc2g_jax.grid.terrain import FIGURE_RGB, OUTSIDE, ROAD  # noqa: E402
+from dc2g_jax._src.datasets.houses import HouseDataset  # noqa: E402
+from dc2g_jax._src.environments.functional import egocentric, observe  # noqa: E402
+from dc2g_jax._src.environments.gymnasium_env import RENDERED_ROBOT_COLOR, FrontDoorEnv, FrontDoorVectorEnv, frame  # noqa: E402
+from dc2g_jax._src.environments.gymnasium_wrappers import EgocentricObservation, EgocentricVectorObservation  # noqa: E402
+from dc2g_jax._src.environments.registration import GYMNASIUM_ID  # noqa: E402
+from dc2g_jax._src.environments.task import FrontDoorTask, make_env  # noqa: E402
+from dc2g_jax._src.grid.terrain import FIGURE_RGB, OUTSIDE, ROAD  # noqa: E402
 from tests.oracles import numpy_gridworld as oracle  # noqa: E402
 from tests.support.houses import DATASET, STREET, WALLED, YARD, house, save_dataset, start_poses  # noqa: E402
 from tests.support.refusals import refusal  # noqa: E402
@@ -83,7 +83,7 @@ import sys
 print(gymnasium.envs.registration._find_spec("{name}").entry_point, "jax" in sys.modules)
 """
     done = subprocess.run([sys.executable, "-W", "error", "-c", script], capture_output=True, text=True, check=True)
-    assert done.stdout == "dc2g_jax.environments.gymnasium_env:FrontDoorEnv False\n"
+    assert done.stdout == "dc2g_jax._src.environments.gymnasium_env:FrontDoorEnv False\n"
 
 
 def test_a_folder_of_houses_by_name(tmp_path):
@@ -325,14 +325,14 @@ def test_without_gymnasium_the_extra_is_named():
     script = textwrap.dedent("""
         import sys
         sys.modules["gymnasium"] = None
-        import dc2g_jax.environments.functional
+        import dc2g_jax._src.environments.functional
         try:
-            import dc2g_jax.environments.gymnasium_env
+            import dc2g_jax._src.environments.gymnasium_env
         except ModuleNotFoundError as error:
             print(error)
     """)
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines() == [
-        "dc2g_jax.environments.gymnasium_env needs gymnasium, which is not installed; "
+        "dc2g_jax._src.environments.gymnasium_env needs gymnasium, which is not installed; "
         'install the extra: pip install "dc2g_jax[gym]"'
     ]

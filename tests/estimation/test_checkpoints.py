@@ -10,14 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.errors import InputError
-from dc2g_jax.estimation import pix2pix
-from dc2g_jax.estimation.checkpoints import TrainedNetwork, load_network, save_network
-from dc2g_jax.estimation.compact_unet import Architecture, init_weights
-from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
-from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
-from dc2g_jax.files.digests import tree_sha256
-from dc2g_jax.grid.terrain import CLASS_NAMES
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation import pix2pix
+from dc2g_jax._src.estimation.checkpoints import TrainedNetwork, load_network, save_network
+from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
+from dc2g_jax._src.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
+from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
+from dc2g_jax._src.files.digests import tree_sha256
+from dc2g_jax._src.grid.terrain import CLASS_NAMES
 
 N_SCALES = len(Architecture().widths)
 

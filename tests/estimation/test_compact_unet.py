@@ -9,18 +9,18 @@ import pytest
 from flax import nnx
 
 import dc2g_jax as dc2g
-from dc2g_jax.errors import InputError
-from dc2g_jax.estimation import compact_unet, onnx_export
-from dc2g_jax.estimation.checkpoints import save_network
-from dc2g_jax.estimation.compact_unet import Architecture, CompactUNet, init_weights
-from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, world_cost_to_go
-from dc2g_jax.estimation.weights import shapes_of_weights
-from dc2g_jax.grid.search import EIGHT_CONNECTED
-from dc2g_jax.grid.terrain import CLASS_NAMES
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.planning.planners import DC2G
-from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.planning.selection import ExpectedCost, QuantileCost
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation import compact_unet, onnx_export
+from dc2g_jax._src.estimation.checkpoints import save_network
+from dc2g_jax._src.estimation.compact_unet import Architecture, CompactUNet, init_weights
+from dc2g_jax._src.estimation.estimators import ExactCostToGo, NetworkCostToGo, world_cost_to_go
+from dc2g_jax._src.estimation.weights import shapes_of_weights
+from dc2g_jax._src.grid.search import EIGHT_CONNECTED
+from dc2g_jax._src.grid.terrain import CLASS_NAMES
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.planning.planners import DC2G
+from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.planning.selection import ExpectedCost, QuantileCost
 from tests.support import maps
 from tests.support.refusals import refusal
 

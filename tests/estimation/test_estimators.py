@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from flax import struct
 
-from dc2g_jax.estimation.compact_unet import Architecture
-from dc2g_jax.estimation.estimators import update_where
-from dc2g_jax.grid import gridworld
-from dc2g_jax.grid.gridworld import belief_from_map
-from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.grid.terrain import FREE, FRONT_DOOR, NOTHING, OCCUPIED, OUTSIDE, ROAD, UNKNOWN
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.planning.planners import DC2G, EXPLORE, TO_GOAL
-from dc2g_jax.planning.rules import complete_rules
-from dc2g_jax.planning.selection import ExpectedCost, linear
+from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.estimation.estimators import update_where
+from dc2g_jax._src.grid import gridworld
+from dc2g_jax._src.grid.gridworld import belief_from_map
+from dc2g_jax._src.grid.poses import make_pose
+from dc2g_jax._src.grid.terrain import FREE, FRONT_DOOR, NOTHING, OCCUPIED, OUTSIDE, ROAD, UNKNOWN
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.planning.planners import DC2G, EXPLORE, TO_GOAL
+from dc2g_jax._src.planning.rules import complete_rules
+from dc2g_jax._src.planning.selection import ExpectedCost, linear
 from tests.support import maps
 from tests.support.networks import random_network
 

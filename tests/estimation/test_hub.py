@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import dc2g_jax as dc2g
-from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.hub import local_folder
-from dc2g_jax.files.resources import resource
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.hub import local_folder
+from dc2g_jax._src.files.resources import resource
 from tests.support.refusals import refusal
 
 constants = pytest.importorskip("huggingface_hub.constants")
@@ -117,7 +117,7 @@ def test_a_folder_travels_with_its_card_and_nothing_else(hub, tmp_path):
 
 
 def test_an_indoor_network_travels_with_its_encoder(hub):
-    from dc2g_jax.objectnav.predicted_costs import load_costs
+    from dc2g_jax._src.objectnav.predicted_costs import load_costs
 
     dc2g.push(INDOORS, "hf://someone/indoors")
     costs, own = load_costs(local_folder("hf://someone/indoors")), load_costs(INDOORS)

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dc2g_jax.estimation import images
-from dc2g_jax.files.class_images import read_class_image, read_palette, write_class_image
-from dc2g_jax.grid.search import cost_to_go
-from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
+from dc2g_jax._src.estimation import images
+from dc2g_jax._src.files.class_images import read_class_image, read_palette, write_class_image
+from dc2g_jax._src.grid.search import cost_to_go
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
 from tests.support import maps
 from tests.support.places import PUBLISHED
 

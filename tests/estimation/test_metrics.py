@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from dc2g_jax.estimation.metrics import compare_images
+from dc2g_jax._src.estimation.metrics import compare_images
 from tests.support import maps
 
 SHAPE = (8, 9)

@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 
 import dc2g_jax as dc2g
-from dc2g_jax.estimation import pix2pix
-from dc2g_jax.estimation.compact_unet import Architecture, apply
-from dc2g_jax.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
-from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
-from dc2g_jax.files.digests import arrays_sha256
-from dc2g_jax.grid.terrain import CLASS_NAMES
+from dc2g_jax._src.estimation import pix2pix
+from dc2g_jax._src.estimation.compact_unet import Architecture, apply
+from dc2g_jax._src.estimation.estimators import NetworkCostToGo, TranslatorCostToGo
+from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
+from dc2g_jax._src.files.digests import arrays_sha256
+from dc2g_jax._src.grid.terrain import CLASS_NAMES
 from tests.support.networks import random_network
 from tests.support.refusals import refusal
 
 onnx = pytest.importorskip("onnx")
 onnxruntime = pytest.importorskip("onnxruntime")
 
-from dc2g_jax.cli.commands.export_network import Options, main  # noqa: E402
-from dc2g_jax.estimation.onnx_export import export_onnx  # noqa: E402
+from dc2g_jax._src.cli.commands.export_network import Options, main  # noqa: E402
+from dc2g_jax._src.estimation.onnx_export import export_onnx  # noqa: E402
 
 
 def wanted_of(network: NetworkCostToGo, classes: np.ndarray) -> np.ndarray:

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.estimation.compact_unet import Architecture
-from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.padding import PaddedNetwork
-from dc2g_jax.grid.terrain import OUTSIDE
+from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.estimation.estimators import NetworkCostToGo
+from dc2g_jax._src.estimation.padding import PaddedNetwork
+from dc2g_jax._src.grid.terrain import OUTSIDE
 from tests.support import maps
 from tests.support.networks import random_network
 

@@ -7,16 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.estimation import images, pix2pix
-from dc2g_jax.estimation.estimators import TranslatorCostToGo
-from dc2g_jax.estimation.pix2pix import Discriminator, Generator, TranslatorArchitecture, init_weights
-from dc2g_jax.estimation.weights import shapes_of_weights, with_weights
-from dc2g_jax.grid import gridworld
-from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.grid.sampling import resize_nearest
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.planning.planners import DC2G
-from dc2g_jax.planning.rules import complete_rules
+from dc2g_jax._src.estimation import images, pix2pix
+from dc2g_jax._src.estimation.estimators import TranslatorCostToGo
+from dc2g_jax._src.estimation.pix2pix import Discriminator, Generator, TranslatorArchitecture, init_weights
+from dc2g_jax._src.estimation.weights import shapes_of_weights, with_weights
+from dc2g_jax._src.grid import gridworld
+from dc2g_jax._src.grid.poses import make_pose
+from dc2g_jax._src.grid.sampling import resize_nearest
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.planning.planners import DC2G
+from dc2g_jax._src.planning.rules import complete_rules
 
 TINY = TranslatorArchitecture(size=32, base_filters=4)
 translate = jax.jit(lambda weights, *inputs: with_weights(Generator, TINY, weights)(*inputs))

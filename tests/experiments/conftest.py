@@ -5,9 +5,9 @@ from pathlib import Path
 import jax
 import pytest
 
-from dc2g_jax.estimation.checkpoints import save_network
-from dc2g_jax.estimation.compact_unet import Architecture, init_weights
-from dc2g_jax.estimation.estimators import NetworkCostToGo
+from dc2g_jax._src.estimation.checkpoints import save_network
+from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
+from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 
 
 @pytest.fixture(scope="session")

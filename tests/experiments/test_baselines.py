@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dc2g_jax.grid.poses import ACTION_LETTERS
-from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
+from dc2g_jax._src.grid.poses import ACTION_LETTERS
+from dc2g_jax._src.grid.terrain import FRONT_DOOR, TRAVERSABLE
 from experiments.baselines import c_gridworld, libraries
 from experiments.baselines.problem import BaselineName, BaselineUnavailable, Outcome, Problem, make_problem
 from tests.oracles import numpy_gridworld as oracle

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from dc2g_jax.cli.commands.check_map import Options, main
-from dc2g_jax.errors import InputError
-from dc2g_jax.files.class_images import write_class_image
-from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS, ROAD
+from dc2g_jax._src.cli.commands.check_map import Options, main
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.files.class_images import write_class_image
+from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS, ROAD
 from tests.support.commands import run
 from tests.support.maps import drawn
 from tests.support.occupancy import save

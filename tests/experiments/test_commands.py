@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import dc2g_jax as dc2g
-from dc2g_jax.cli.commands import (
+from dc2g_jax._src.cli.commands import (
     head_to_head,
     noisy_mapping,
     objectnav_train,
@@ -30,13 +30,13 @@ from dc2g_jax.cli.commands import (
     train,
     train_translator,
 )
-from dc2g_jax.cli.common import command_line
-from dc2g_jax.datasets.houses import load_dataset
-from dc2g_jax.datasets.procedural import PROCEDURAL_SPLIT, draw_house, house_seed
-from dc2g_jax.datasets.starts import sample_starts
-from dc2g_jax.estimation.checkpoints import load_network
-from dc2g_jax.estimation.estimators import ExactCostToGo
-from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD
+from dc2g_jax._src.cli.common import command_line
+from dc2g_jax._src.datasets.houses import load_dataset
+from dc2g_jax._src.datasets.procedural import PROCEDURAL_SPLIT, draw_house, house_seed
+from dc2g_jax._src.datasets.starts import sample_starts
+from dc2g_jax._src.estimation.checkpoints import load_network
+from dc2g_jax._src.estimation.estimators import ExactCostToGo
+from dc2g_jax._src.grid.terrain import FRONT_DOOR, GRASS, ROAD
 from experiments import latency
 from tests.support.commands import complaint, run
 from tests.support.houses import save_dataset
@@ -135,7 +135,7 @@ def test_an_estimator_and_rules_of_the_users_own_run_by_name(few_houses, tmp_pat
     starts.write_text(f"house,x,y,heading\n{start.house},{start.x},{start.y},{start.heading}\n")
     result = run(
         "run_episodes", "--starts", starts, "--dataset", few_houses, "--out", tmp_path / "out", "--planner", "dc2g",
-        "--network", "dc2g_jax.estimation.estimators:ExactCostToGo",
+        "--network", "dc2g_jax._src.estimation.estimators:ExactCostToGo",
         "--settings", "tests.planning.test_planners:NARROW",
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
@@ -248,10 +248,10 @@ def test_batches_beyond_all_memory_are_refused_before_anything_is_collected(comm
 WRITES = '''
 import dataclasses, pathlib, resource, sys
 import numpy as np
-from dc2g_jax.cli.common import command_line
-from dc2g_jax.cli.options import TrainingOptions
-from dc2g_jax.cli.outputs import output_folder
-from dc2g_jax.files.tables import write_table
+from dc2g_jax._src.cli.common import command_line
+from dc2g_jax._src.cli.options import TrainingOptions
+from dc2g_jax._src.cli.outputs import output_folder
+from dc2g_jax._src.files.tables import write_table
 
 @dataclasses.dataclass(frozen=True)
 class Options(TrainingOptions):
@@ -294,7 +294,7 @@ def test_a_full_disk_and_a_closed_pipe_are_one_line_that_says_how_to_go_on(tmp_p
 
 def test_help_may_be_cut_off():
     for words in (["--help"], ["train", "--help"]):
-        code = f"import sys; from dc2g_jax.cli.commands import main; sys.argv = {['dc2g', *words]}; main()"
+        code = f"import sys; from dc2g_jax._src.cli.commands import main; sys.argv = {['dc2g', *words]}; main()"
         command = [sys.executable, "-c", code]
         with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as cut_off:
             cut_off.stdout.close()

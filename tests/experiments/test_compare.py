@@ -4,13 +4,13 @@ import dataclasses
 
 import numpy as np
 
-from dc2g_jax.cli.commands import compare
-from dc2g_jax.datasets.houses import House, HouseDataset
+from dc2g_jax._src.cli.commands import compare
+from dc2g_jax._src.datasets.houses import House, HouseDataset
 from tests.support.maps import drawn
 from tests.support.refusals import refusal
 
 YARD = drawn("####D#.. ..#.P... ..##P... SSSSSSSS RRRRRRRR")
-MINE = "dc2g_jax.planning.planners:Frontier"
+MINE = "dc2g_jax._src.planning.planners:Frontier"
 
 
 def yards() -> HouseDataset:

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from dc2g_jax.errors import InputError
+from dc2g_jax._src.errors import InputError
 from experiments import compile_for
 from experiments.benchmarks import compiled_for
 from experiments.benchmarks.compiled_for import Cost, Target, step_of

@@ -3,8 +3,8 @@ import json
 import numpy as np
 import pytest
 
-from dc2g_jax.cli.commands import map_recording
-from dc2g_jax.mapping.sequences import read_sequence
+from dc2g_jax._src.cli.commands import map_recording
+from dc2g_jax._src.mapping.sequences import read_sequence
 from tests.support.maps import drawn
 from tests.support.recordings import read
 from tests.support.refusals import refusal

@@ -7,12 +7,12 @@ import json
 import numpy as np
 import pytest
 
-from dc2g_jax.cli.commands import objectnav_train
-from dc2g_jax.cli.commands.objectnav_train import Options, main
-from dc2g_jax.cli.outputs import output_folder
-from dc2g_jax.objectnav.collecting import CollectionConfig
-from dc2g_jax.objectnav.houses import houses_sha256
-from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, load_costs
+from dc2g_jax._src.cli.commands import objectnav_train
+from dc2g_jax._src.cli.commands.objectnav_train import Options, main
+from dc2g_jax._src.cli.outputs import output_folder
+from dc2g_jax._src.objectnav.collecting import CollectionConfig
+from dc2g_jax._src.objectnav.houses import houses_sha256
+from dc2g_jax._src.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, load_costs
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 

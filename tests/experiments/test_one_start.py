@@ -7,16 +7,16 @@ import cv2
 import numpy as np
 import pytest
 
-from dc2g_jax.cli import one_start
-from dc2g_jax.cli.commands import (
+from dc2g_jax._src.cli import one_start
+from dc2g_jax._src.cli.commands import (
     draw_dataset,
     draw_episodes,
     explore_map,
     reproduce_fig8,
 )
-from dc2g_jax.datasets.houses import map_dataset
-from dc2g_jax.files.class_images import write_class_image
-from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS
+from dc2g_jax._src.datasets.houses import map_dataset
+from dc2g_jax._src.files.class_images import write_class_image
+from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS
 from tests.support import toy
 from tests.support.commands import complaint, run
 from tests.support.maps import drawn

@@ -6,13 +6,13 @@ import dataclasses
 import jax
 import numpy as np
 
-from dc2g_jax.cli.commands.sweep_losses import Options, kind_of, network_folder, train_group, write_results
-from dc2g_jax.estimation.checkpoints import load_network
-from dc2g_jax.estimation.compact_unet import Architecture
-from dc2g_jax.files.tables import read_table
-from dc2g_jax.training.cost_to_go import TrainingConfig
-from dc2g_jax.training.loop import Log
-from dc2g_jax.training.sweeps import group_by_shape, in_turns
+from dc2g_jax._src.cli.commands.sweep_losses import Options, kind_of, network_folder, train_group, write_results
+from dc2g_jax._src.estimation.checkpoints import load_network
+from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.files.tables import read_table
+from dc2g_jax._src.training.cost_to_go import TrainingConfig
+from dc2g_jax._src.training.loop import Log
+from dc2g_jax._src.training.sweeps import group_by_shape, in_turns
 from tests.support.trainings import DRAW_PAIRS, training_set
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dc2g_jax.files.atomic import replacing
+from dc2g_jax._src.files.atomic import replacing
 
 
 def test_takes_its_place_at_the_end(tmp_path: Path) -> None:

@@ -3,8 +3,8 @@
 import jax
 import pytest
 
-from dc2g_jax.files.cache import cache_folder, keep_compiled_programs
-from dc2g_jax.planning.online import OnlinePlanner
+from dc2g_jax._src.files.cache import cache_folder, keep_compiled_programs
+from dc2g_jax._src.planning.online import OnlinePlanner
 
 
 @pytest.mark.parametrize("variable", ["DC2G_CACHE", "XDG_CACHE_HOME", "HOME"])

@@ -9,7 +9,7 @@ import zlib
 import numpy as np
 import pytest
 
-from dc2g_jax.files.png import read_png, write_png
+from dc2g_jax._src.files.png import read_png, write_png
 from tests.files.pngs import chunk, png
 from tests.support.refusals import refusal
 
@@ -125,7 +125,7 @@ def test_no_memory_is_taken_for_pixels_that_are_not_there_or_not_wanted(tmp_path
     path.write_bytes(claiming(*size, zlib.compress(bytes(zeros), 9)))
     code = (
         "import resource, pathlib\n"
-        "from dc2g_jax.files.png import read_png\n"
+        "from dc2g_jax._src.files.png import read_png\n"
         "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
         "try:\n"
         f"    read_png(pathlib.Path({str(path)!r}), ('8-bit RGB',), '')\n"

@@ -11,8 +11,8 @@ import zipfile
 import numpy as np
 import pytest
 
-from dc2g_jax.errors import LONGEST_MESSAGE, InputError, short
-from dc2g_jax.files.reading import (
+from dc2g_jax._src.errors import LONGEST_MESSAGE, InputError, short
+from dc2g_jax._src.files.reading import (
     number,
     parse_json,
     read_array,

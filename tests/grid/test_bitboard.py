@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from dc2g_jax.grid import bitboard
+from dc2g_jax._src.grid import bitboard
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 

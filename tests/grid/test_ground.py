@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from dc2g_jax.datasets.houses import load_dataset
-from dc2g_jax.grid.ground import (
+from dc2g_jax._src.datasets.houses import load_dataset
+from dc2g_jax._src.grid.ground import (
     Piece,
     component_numbers,
     connected_to_goal,
@@ -15,8 +15,8 @@ from dc2g_jax.grid.ground import (
     pieces,
     why_no_path,
 )
-from dc2g_jax.grid.sampling import sample_grid
-from dc2g_jax.grid.terrain import FRONT_DOOR, PATH, TRAVERSABLE
+from dc2g_jax._src.grid.sampling import sample_grid
+from dc2g_jax._src.grid.terrain import FRONT_DOOR, PATH, TRAVERSABLE
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.places import PUBLISHED

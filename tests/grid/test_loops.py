@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.grid import loops
-from dc2g_jax.grid.loops import for_each_until, repeated, until
+from dc2g_jax._src.grid import loops
+from dc2g_jax._src.grid.loops import for_each_until, repeated, until
 
 
 @pytest.mark.parametrize(("start", "wanted"), [(0, 10), (7, 10), (10, 10), (12, 12)])

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from dc2g_jax.grid.sampling import sample_conservatively, sample_grid
-from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, HOUSE, PATH, ROAD, TRAVERSABLE, UNKNOWN
+from dc2g_jax._src.grid.sampling import sample_conservatively, sample_grid
+from dc2g_jax._src.grid.terrain import FRONT_DOOR, GRASS, HOUSE, PATH, ROAD, TRAVERSABLE, UNKNOWN
 
 
 @pytest.mark.parametrize("grid", [(23, 17), (7, 5), (22, 16), (1, 1), (23, 2)])

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from dc2g_jax.grid import bitboard, loops, poses, search
-from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.grid.search import EIGHT_CONNECTED, FOUR_CONNECTED
+from dc2g_jax._src.grid import bitboard, loops, poses, search
+from dc2g_jax._src.grid.poses import make_pose
+from dc2g_jax._src.grid.search import EIGHT_CONNECTED, FOUR_CONNECTED
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 

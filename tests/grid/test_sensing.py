@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dc2g_jax.grid import bitboard, gridworld, poses, sensing
-from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.grid.world import world_from_terrain
+from dc2g_jax._src.grid import bitboard, gridworld, poses, sensing
+from dc2g_jax._src.grid.poses import make_pose
+from dc2g_jax._src.grid.world import world_from_terrain
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 

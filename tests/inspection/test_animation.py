@@ -9,10 +9,10 @@ from matplotlib import colormaps
 from matplotlib.colors import to_rgb
 from PIL import Image
 
-from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_COLORS
-from dc2g_jax.inspection import animation
-from dc2g_jax.inspection.animation import animate, pictures, steps_shown
-from dc2g_jax.inspection.costs import exact_cost_to_go, highest_cost
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, FIGURE_COLORS
+from dc2g_jax._src.inspection import animation
+from dc2g_jax._src.inspection.animation import animate, pictures, steps_shown
+from dc2g_jax._src.inspection.costs import exact_cost_to_go, highest_cost
 from tests.support import toy
 from tests.support.refusals import refusal
 

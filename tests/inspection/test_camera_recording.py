@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.errors import InputError
-from dc2g_jax.grid.terrain import CAR, HOUSE, ROAD
-from dc2g_jax.inspection import camera_recording
-from dc2g_jax.inspection.camera_recording import CameraRecording, MappedFrame
-from dc2g_jax.mapping.camera import CameraPose, Frame, Intrinsics
-from dc2g_jax.mapping.semantic_map import UNSEEN, MapSettings, SemanticMap
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.grid.terrain import CAR, HOUSE, ROAD
+from dc2g_jax._src.inspection import camera_recording
+from dc2g_jax._src.inspection.camera_recording import CameraRecording, MappedFrame
+from dc2g_jax._src.mapping.camera import CameraPose, Frame, Intrinsics
+from dc2g_jax._src.mapping.semantic_map import UNSEEN, MapSettings, SemanticMap
 from tests.support.recordings import read
 
 SETTINGS = MapSettings(rows=4, columns=5, cell_size=2.0, levels=3, level_height=0.5, reach=9.0)

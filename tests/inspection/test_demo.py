@@ -9,15 +9,15 @@ from matplotlib import colormaps
 from matplotlib.colors import to_rgb
 from PIL import Image
 
-from dc2g_jax.estimation.compact_unet import Architecture
-from dc2g_jax.files.class_images import write_class_image
-from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_COLORS, FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
-from dc2g_jax.inspection.costs import COST_COLORS
-from dc2g_jax.inspection.demo import Demo, Walk, cost_picture, map_picture, open_dropped, open_maps, walk_marks
-from dc2g_jax.planning.decisions import RobotPose
-from dc2g_jax.planning.named import make
-from dc2g_jax.planning.online import OnlinePlanner
-from dc2g_jax.planning.rules import complete_rules
+from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.files.class_images import write_class_image
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, FIGURE_COLORS, FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
+from dc2g_jax._src.inspection.costs import COST_COLORS
+from dc2g_jax._src.inspection.demo import Demo, Walk, cost_picture, map_picture, open_dropped, open_maps, walk_marks
+from dc2g_jax._src.planning.decisions import RobotPose
+from dc2g_jax._src.planning.named import make
+from dc2g_jax._src.planning.online import OnlinePlanner
+from dc2g_jax._src.planning.rules import complete_rules
 from tests.oracles import numpy_gridworld as oracle
 from tests.support.networks import random_network
 from tests.support.refusals import refusal
@@ -153,7 +153,7 @@ def test_what_cannot_begin(demo):
     refusal(demo.begin, "no planner")
     demo.planners = ["nobody.knows:It"]
     refusal(demo.begin, "nobody.knows:It")
-    demo.planners = ["dc2g_jax.planning.planners:Frontier"]
+    demo.planners = ["dc2g_jax._src.planning.planners:Frontier"]
     demo.begin()
     assert list(demo.walks) == demo.planners
 

@@ -11,12 +11,12 @@ from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 
-from dc2g_jax.estimation.estimators import ExactCostToGo
-from dc2g_jax.grid.terrain import CLASS_NAMES, FIGURE_COLORS, FRONT_DOOR, HOUSE, ROAD
-from dc2g_jax.inspection import episode_figures
-from dc2g_jax.inspection._sheets import DPI, empty_sheet
-from dc2g_jax.inspection.costs import cost_image, cost_shares, exact_cost_to_go, highest_cost
-from dc2g_jax.inspection.episode_figures import (
+from dc2g_jax._src.estimation.estimators import ExactCostToGo
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, FIGURE_COLORS, FRONT_DOOR, HOUSE, ROAD
+from dc2g_jax._src.inspection import episode_figures
+from dc2g_jax._src.inspection._sheets import DPI, empty_sheet
+from dc2g_jax._src.inspection.costs import cost_image, cost_shares, exact_cost_to_go, highest_cost
+from dc2g_jax._src.inspection.episode_figures import (
     goal_marks,
     moments,
     outcome,
@@ -24,10 +24,10 @@ from dc2g_jax.inspection.episode_figures import (
     plot_trajectories,
     poses_along,
 )
-from dc2g_jax.inspection.figures import map_image
-from dc2g_jax.inspection.replay import replay_result
-from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
-from dc2g_jax.planning.rules import SETTINGS
+from dc2g_jax._src.inspection.figures import map_image
+from dc2g_jax._src.inspection.replay import replay_result
+from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, TO_GOAL
+from dc2g_jax._src.planning.rules import SETTINGS
 from tests.support import toy
 
 

@@ -9,12 +9,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.text import Text
 
-from dc2g_jax.datasets.houses import House
-from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS
-from dc2g_jax.inspection import contact_sheets, figures
-from dc2g_jax.inspection.contact_sheets import contact_pages, plot_contact_page
-from dc2g_jax.inspection.figures import PLANNER_STYLES, plot_house_strips
-from dc2g_jax.rollouts.statistics import Summary
+from dc2g_jax._src.datasets.houses import House
+from dc2g_jax._src.grid.terrain import FRONT_DOOR, GRASS
+from dc2g_jax._src.inspection import contact_sheets, figures
+from dc2g_jax._src.inspection.contact_sheets import contact_pages, plot_contact_page
+from dc2g_jax._src.inspection.figures import PLANNER_STYLES, plot_house_strips
+from dc2g_jax._src.rollouts.statistics import Summary
 from tests.support import toy
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from dc2g_jax.inspection import image_figures
-from dc2g_jax.inspection.image_figures import METRIC_LABELS, Example
-from dc2g_jax.training.image_evaluation import HouseMetrics
+from dc2g_jax._src.inspection import image_figures
+from dc2g_jax._src.inspection.image_figures import METRIC_LABELS, Example
+from dc2g_jax._src.training.image_evaluation import HouseMetrics
 
 
 def check(files) -> None:

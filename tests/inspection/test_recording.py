@@ -9,24 +9,24 @@ import pytest
 import rerun as rr
 from flax import struct
 
-from dc2g_jax.datasets.houses import House
-from dc2g_jax.datasets.starts import Start
-from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.estimators import ExactCostToGo, world_cost_to_go
-from dc2g_jax.grid.poses import FORWARD, make_pose
-from dc2g_jax.grid.terrain import CLASS_NAMES, FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.inspection import _legend as legend
-from dc2g_jax.inspection import replay as replaying
-from dc2g_jax.inspection.figures import PLANNER_STYLES
-from dc2g_jax.inspection.recording import record_episode, record_frames
-from dc2g_jax.inspection.replay import actions_from_letters, replay, replay_result, running_extra_steps
-from dc2g_jax.planning.named import make_planner
-from dc2g_jax.planning.planners import DC2G, EXPLORE, MODE_NAMES
-from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.planning.selection import ExpectedCost, Patience
-from dc2g_jax.rollouts.evaluation import EpisodeResult
-from dc2g_jax.rollouts.statistics import extra_steps
+from dc2g_jax._src.datasets.houses import House
+from dc2g_jax._src.datasets.starts import Start
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.estimators import ExactCostToGo, world_cost_to_go
+from dc2g_jax._src.grid.poses import FORWARD, make_pose
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.inspection import _legend as legend
+from dc2g_jax._src.inspection import replay as replaying
+from dc2g_jax._src.inspection.figures import PLANNER_STYLES
+from dc2g_jax._src.inspection.recording import record_episode, record_frames
+from dc2g_jax._src.inspection.replay import actions_from_letters, replay, replay_result, running_extra_steps
+from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.planning.planners import DC2G, EXPLORE, MODE_NAMES
+from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.planning.selection import ExpectedCost, Patience
+from dc2g_jax._src.rollouts.evaluation import EpisodeResult
+from dc2g_jax._src.rollouts.statistics import extra_steps
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import toy
 from tests.support.exploration import LowestColumn, PlanAlone
@@ -50,7 +50,7 @@ _RULES = SETTINGS["paper"].make_rules(3, None)
 _ESTIMATOR = ExactCostToGo()
 
 
-# What `dc2g_jax.rollouts.evaluation.Runner` found from that start, written down: running it takes longer than all the
+# What `rollouts.evaluation.Runner` found from that start, written down: running it takes longer than all the
 # rest.
 _ORACLE_STEPS = 28
 _ACTIONS = {

@@ -5,7 +5,7 @@ import re
 import numpy as np
 from PIL import Image
 
-from dc2g_jax.inspection.training_figures import save_learning_curve
+from dc2g_jax._src.inspection.training_figures import save_learning_curve
 
 
 def test_a_learning_curve_is_written_as_a_table_and_drawn(tmp_path):

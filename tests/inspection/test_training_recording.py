@@ -11,22 +11,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.cli.commands.train import Options, watching
-from dc2g_jax.datasets.houses import House, HouseDataset
-from dc2g_jax.datasets.pairs import Pair, TrainingSet
-from dc2g_jax.errors import InputError
-from dc2g_jax.estimation import compact_unet
-from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
-from dc2g_jax.estimation.compact_unet import Architecture
-from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.grid import bitboard
-from dc2g_jax.grid.terrain import FIGURE_RGB, TRAVERSABLE
-from dc2g_jax.inspection import _legend as legend
-from dc2g_jax.inspection._legend import CostScale
-from dc2g_jax.inspection.training_recording import TrainingRecording, maps_to_watch, next_file, prediction_picture
-from dc2g_jax.training.cost_to_go import TrainingConfig, first_state, learning_rates, train_step
-from dc2g_jax.training.cost_to_go_data import DataConfig
-from dc2g_jax.training.loop import Pauses, Task, train
+from dc2g_jax._src.cli.commands.train import Options, watching
+from dc2g_jax._src.datasets.houses import House, HouseDataset
+from dc2g_jax._src.datasets.pairs import Pair, TrainingSet
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation import compact_unet
+from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.estimation.estimators import NetworkCostToGo
+from dc2g_jax._src.grid import bitboard
+from dc2g_jax._src.grid.terrain import FIGURE_RGB, TRAVERSABLE
+from dc2g_jax._src.inspection import _legend as legend
+from dc2g_jax._src.inspection._legend import CostScale
+from dc2g_jax._src.inspection.training_recording import TrainingRecording, maps_to_watch, next_file, prediction_picture
+from dc2g_jax._src.training.cost_to_go import TrainingConfig, first_state, learning_rates, train_step
+from dc2g_jax._src.training.cost_to_go_data import DataConfig
+from dc2g_jax._src.training.loop import Pauses, Task, train
 from tests.support.recordings import read
 
 _CONFIG = TrainingConfig(architecture=Architecture(widths=(4, 4, 4, 4)), steps=6, batch_size=2)

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.mapping.camera import CameraPose, Frame, intrinsics, level_camera, points, rays
-from dc2g_jax.mapping.checks import check_frame, check_intrinsics, check_pose
+from dc2g_jax._src.mapping.camera import CameraPose, Frame, intrinsics, level_camera, points, rays
+from dc2g_jax._src.mapping.checks import check_frame, check_intrinsics, check_pose
 from tests.support.frames import CAMERA, SETTINGS, camera_matrix, random_frame, turned
 from tests.support.refusals import refusal
 

@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.grid.terrain import CLASS_NAMES, GRASS, ROAD
-from dc2g_jax.mapping.camera import Frame, level_camera
-from dc2g_jax.mapping.noise import (
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, GRASS, ROAD
+from dc2g_jax._src.mapping.camera import Frame, level_camera
+from dc2g_jax._src.mapping.noise import (
     PAPER_LIKE,
     NoiseLevels,
     drift_on,

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dc2g_jax.grid.terrain import CLASS_NAMES, TRAVERSABLE
-from dc2g_jax.mapping.scene import LEAF_HEIGHT, SHAPES, TILES, Scene, scene_from_heights, scene_from_terrain
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, TRAVERSABLE
+from dc2g_jax._src.mapping.scene import LEAF_HEIGHT, SHAPES, TILES, Scene, scene_from_heights, scene_from_terrain
 from tests.support.maps import drawn, random_cells, random_terrain, seeds
 from tests.support.refusals import refusal
 

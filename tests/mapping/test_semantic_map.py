@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from dc2g_jax.grid.gridworld import belief_from_map
-from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.grid.terrain import CAR, CLASS_NAMES, DRIVEWAY, GRASS, HOUSE, ROAD
-from dc2g_jax.mapping.camera import CameraPose, Frame, intrinsics, level_camera, points, rays
-from dc2g_jax.mapping.semantic_map import (
+from dc2g_jax._src.grid.gridworld import belief_from_map
+from dc2g_jax._src.grid.poses import make_pose
+from dc2g_jax._src.grid.terrain import CAR, CLASS_NAMES, DRIVEWAY, GRASS, HOUSE, ROAD
+from dc2g_jax._src.mapping.camera import CameraPose, Frame, intrinsics, level_camera, points, rays
+from dc2g_jax._src.mapping.semantic_map import (
     HIGHEST,
     LOWEST,
     MOST_CONFIDENT,

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from dc2g_jax.grid.terrain import CLASS_COLORS, CLASS_NAMES, HOUSE, ROAD
-from dc2g_jax.mapping._quaternions import quaternion_from_rotation, rotation_from_quaternion
-from dc2g_jax.mapping.camera import CameraPose, Frame
-from dc2g_jax.mapping.checks import check_frame
-from dc2g_jax.mapping.sequences import (
+from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES, HOUSE, ROAD
+from dc2g_jax._src.mapping._quaternions import quaternion_from_rotation, rotation_from_quaternion
+from dc2g_jax._src.mapping.camera import CameraPose, Frame
+from dc2g_jax._src.mapping.checks import check_frame
+from dc2g_jax._src.mapping.sequences import (
     ImageSequence,
     Shot,
     covered,

@@ -1,7 +1,7 @@
 """Drives of a simulated camera."""
 
-from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.mapping.simulated_drives import path_to_goal
+from dc2g_jax._src.grid.poses import make_pose
+from dc2g_jax._src.mapping.simulated_drives import path_to_goal
 from tests.support.maps import drawn
 
 YARD = drawn("""

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.grid.sensing import field_of_view
-from dc2g_jax.grid.terrain import CLASS_NAMES, GRASS, HOUSE, ROAD
-from dc2g_jax.mapping import simulator
-from dc2g_jax.mapping.camera import CameraPose, Frame, intrinsics, level_camera, points, rays
-from dc2g_jax.mapping.scene import TILES, Scene, scene_from_heights, scene_from_terrain
-from dc2g_jax.mapping.simulator import CAMERA_RANGE, FIELD_OF_VIEW, IMAGE_SIZE, picture, render, robot_camera
+from dc2g_jax._src.grid.poses import make_pose
+from dc2g_jax._src.grid.sensing import field_of_view
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, GRASS, HOUSE, ROAD
+from dc2g_jax._src.mapping import simulator
+from dc2g_jax._src.mapping.camera import CameraPose, Frame, intrinsics, level_camera, points, rays
+from dc2g_jax._src.mapping.scene import TILES, Scene, scene_from_heights, scene_from_terrain
+from dc2g_jax._src.mapping.simulator import CAMERA_RANGE, FIELD_OF_VIEW, IMAGE_SIZE, picture, render, robot_camera
 from tests.oracles.raycast_oracle import Met, nearest_boxes
 from tests.support.maps import random_terrain
 

@@ -49,8 +49,8 @@ settings.load_profile("mutation")
 
 def tests_of(path: str) -> list[str]:
     """The test files of these rooms that import a module, its own first; of all rooms where these have none."""
-    _, room, name = path.removesuffix(".py").split("/", 2)
-    own, imports = ROOT / "tests" / room / f"test_{name}.py", rf"dc2g_jax\.{room}(\.{name}| import .*\b{name})\b"
+    *_, room, name = path.removesuffix(".py").split("/", 3)
+    own, imports = ROOT / "tests" / room / f"test_{name}.py", rf"dc2g_jax\._src\.{room}(\.{name}| import .*\b{name})\b"
     files = [file for file in sorted((ROOT / "tests").rglob("test_*.py")) if re.search(imports, file.read_text())]
     near = [file for file in files if file.parent.name in ROOMS]
     return [str(file) for file in dict.fromkeys([own, *near] if own.exists() else near or files)]
@@ -176,7 +176,7 @@ def main() -> None:
     modules = [
         path
         for room in options.rooms
-        for path in sorted((ROOT / "dc2g_jax").glob(room if room.endswith(".py") else f"{room}/*.py"))
+        for path in sorted((ROOT / "dc2g_jax/_src").glob(room if room.endswith(".py") else f"{room}/*.py"))
     ]
     every = [mutant for path in modules for mutant in mutants(path)]
     drawn = random.Random(options.seed).sample(every, min(options.count, len(every)))

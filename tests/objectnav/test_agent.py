@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.mapping.camera import intrinsics
-from dc2g_jax.objectnav.agent import (
+from dc2g_jax._src.mapping.camera import intrinsics
+from dc2g_jax._src.objectnav.agent import (
     DECLARED,
     LIMITS,
     MPC,
@@ -17,8 +17,8 @@ from dc2g_jax.objectnav.agent import (
     RandomUntilSeen,
     observed,
 )
-from dc2g_jax.objectnav.classes import BED, GOALS, PLANT
-from dc2g_jax.objectnav.guides import (
+from dc2g_jax._src.objectnav.classes import BED, GOALS, PLANT
+from dc2g_jax._src.objectnav.guides import (
     GoalReacher,
     NearestFrontier,
     NullGuide,
@@ -26,13 +26,13 @@ from dc2g_jax.objectnav.guides import (
     PromisingFrontier,
     TrueCost,
 )
-from dc2g_jax.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, IndoorMapSettings
-from dc2g_jax.objectnav.predicted_costs import PredictedCosts
-from dc2g_jax.objectnav.simulation import is_active, leg, picture, reset, site_of
-from dc2g_jax.vehicles.footprint import Ground
-from dc2g_jax.vehicles.mppi import MPPISettings
-from dc2g_jax.vehicles.robot import stopped_by_obstacles
-from dc2g_jax.vehicles.vehicle import at_rest, drive
+from dc2g_jax._src.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, IndoorMapSettings
+from dc2g_jax._src.objectnav.predicted_costs import PredictedCosts
+from dc2g_jax._src.objectnav.simulation import is_active, leg, picture, reset, site_of
+from dc2g_jax._src.vehicles.footprint import Ground
+from dc2g_jax._src.vehicles.mppi import MPPISettings
+from dc2g_jax._src.vehicles.robot import stopped_by_obstacles
+from dc2g_jax._src.vehicles.vehicle import at_rest, drive
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.objectnav import _cost_maps as cost_maps
+from dc2g_jax._src.objectnav import _cost_maps as cost_maps
 
 
 @pytest.mark.parametrize("radius", [0.05, 0.2, 0.33])

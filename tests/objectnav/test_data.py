@@ -7,16 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.pairs import turned
-from dc2g_jax.mapping.camera import level_camera
-from dc2g_jax.mapping.simulator import cast
-from dc2g_jax.objectnav import mapping
-from dc2g_jax.objectnav._exploring import NEVER, visible
-from dc2g_jax.objectnav._plans import Furniture, world_from_plan
-from dc2g_jax.objectnav.camera import INDOOR_CAMERA_HEIGHT
-from dc2g_jax.objectnav.classes import BED, GOALS, PLANT, TABLE
-from dc2g_jax.objectnav.collecting import CollectionConfig, collect
-from dc2g_jax.objectnav.data import (
+from dc2g_jax._src.datasets.pairs import turned
+from dc2g_jax._src.mapping.camera import level_camera
+from dc2g_jax._src.mapping.simulator import cast
+from dc2g_jax._src.objectnav import mapping
+from dc2g_jax._src.objectnav._exploring import NEVER, visible
+from dc2g_jax._src.objectnav._plans import Furniture, world_from_plan
+from dc2g_jax._src.objectnav.camera import INDOOR_CAMERA_HEIGHT
+from dc2g_jax._src.objectnav.classes import BED, GOALS, PLANT, TABLE
+from dc2g_jax._src.objectnav.collecting import CollectionConfig, collect
+from dc2g_jax._src.objectnav.data import (
     ALL_SYMMETRIES,
     FREE,
     GLOBAL,
@@ -32,9 +32,9 @@ from dc2g_jax.objectnav.data import (
     map_cells,
     turned_heading,
 )
-from dc2g_jax.objectnav.houses import IndoorHouse
-from dc2g_jax.objectnav.midlevel import ConvolutionEncoder
-from dc2g_jax.objectnav.worlds import scene
+from dc2g_jax._src.objectnav.houses import IndoorHouse
+from dc2g_jax._src.objectnav.midlevel import ConvolutionEncoder
+from dc2g_jax._src.objectnav.worlds import scene
 from tests.support.plans import BED_BOX, PLANT_BOX, plan
 from tests.support.refusals import refusal
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from dc2g_jax.objectnav.classes import GOALS
-from dc2g_jax.objectnav.evaluation import difference, results_of, success_region, summarize
-from dc2g_jax.objectnav.searches import Search, Searches, sample_episodes
+from dc2g_jax._src.objectnav.classes import GOALS
+from dc2g_jax._src.objectnav.evaluation import difference, results_of, success_region, summarize
+from dc2g_jax._src.objectnav.searches import Search, Searches, sample_episodes
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 

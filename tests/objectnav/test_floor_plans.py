@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from dc2g_jax.errors import InputError
-from dc2g_jax.objectnav._plans import world_from_plan
-from dc2g_jax.objectnav._starts import start_cells
-from dc2g_jax.objectnav.classes import (
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.objectnav._plans import world_from_plan
+from dc2g_jax._src.objectnav._starts import start_cells
+from dc2g_jax._src.objectnav.classes import (
     BATHROOM,
     BED,
     BEDROOM,
@@ -22,8 +22,8 @@ from dc2g_jax.objectnav.classes import (
     SINK,
     TOILET,
 )
-from dc2g_jax.objectnav.floor_plans import furnishing, layouts
-from dc2g_jax.objectnav.houses import draw_plan, indoor_house, indoor_houses
+from dc2g_jax._src.objectnav.floor_plans import furnishing, layouts
+from dc2g_jax._src.objectnav.houses import draw_plan, indoor_house, indoor_houses
 from tests.support.rooms import rooms_cut_off
 
 COUNT = 40

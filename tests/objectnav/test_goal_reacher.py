@@ -5,7 +5,7 @@ from collections import deque
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax.objectnav._cost_maps import ARM, STOP, distance_to_object, without_specks
+from dc2g_jax._src.objectnav._cost_maps import ARM, STOP, distance_to_object, without_specks
 
 
 def distances(obstacles, walls, goals):

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.objectnav._losses import LossWeights, cost_loss, direction_loss, gradient, occupancy_loss, total_loss
-from dc2g_jax.objectnav.networks import Prediction
+from dc2g_jax._src.objectnav._losses import LossWeights, cost_loss, direction_loss, gradient, occupancy_loss, total_loss
+from dc2g_jax._src.objectnav.networks import Prediction
 
 SHAPE = (7, 9)
 

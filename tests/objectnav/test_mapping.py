@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.mapping.camera import intrinsics, level_camera, points
-from dc2g_jax.mapping.simulator import render
-from dc2g_jax.objectnav import mapping
-from dc2g_jax.objectnav.classes import BED
-from dc2g_jax.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, IndoorMapSettings
-from dc2g_jax.objectnav.worlds import scene
+from dc2g_jax._src.mapping.camera import intrinsics, level_camera, points
+from dc2g_jax._src.mapping.simulator import render
+from dc2g_jax._src.objectnav import mapping
+from dc2g_jax._src.objectnav.classes import BED
+from dc2g_jax._src.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, IndoorMapSettings
+from dc2g_jax._src.objectnav.worlds import scene
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 

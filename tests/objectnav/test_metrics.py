@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.objectnav.metrics import (
+from dc2g_jax._src.objectnav.metrics import (
     FIVE_ACTIONS,
     NINE_ACTIONS,
     OF_CLASSES,

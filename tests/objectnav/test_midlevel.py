@@ -5,14 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
-from dc2g_jax.estimation.weights import read_safetensors, write_network, write_safetensors
-from dc2g_jax.mapping.camera import level_camera
-from dc2g_jax.objectnav import midlevel
-from dc2g_jax.objectnav._plans import world_from_plan
-from dc2g_jax.objectnav.camera import VIEW_SIZE, CameraView, view
-from dc2g_jax.objectnav.classes import BED, OBJECT_COLORS
-from dc2g_jax.objectnav.midlevel import (
+from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax._src.estimation.weights import read_safetensors, write_network, write_safetensors
+from dc2g_jax._src.mapping.camera import level_camera
+from dc2g_jax._src.objectnav import midlevel
+from dc2g_jax._src.objectnav._plans import world_from_plan
+from dc2g_jax._src.objectnav.camera import VIEW_SIZE, CameraView, view
+from dc2g_jax._src.objectnav.classes import BED, OBJECT_COLORS
+from dc2g_jax._src.objectnav.midlevel import (
     Answers,
     EncoderArchitecture,
     EncoderTraining,
@@ -22,10 +22,10 @@ from dc2g_jax.objectnav.midlevel import (
     task_losses,
     vector_size,
 )
-from dc2g_jax.objectnav.worlds import painted, scene
-from dc2g_jax.rollouts.devices import mesh_of
-from dc2g_jax.training.loop import Pauses, train
-from dc2g_jax.training.step import supervised_step
+from dc2g_jax._src.objectnav.worlds import painted, scene
+from dc2g_jax._src.rollouts.devices import mesh_of
+from dc2g_jax._src.training.loop import Pauses, train
+from dc2g_jax._src.training.step import supervised_step
 from tests.support.plans import BED_BOX, plan
 from tests.support.refusals import refusal
 

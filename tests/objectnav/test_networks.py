@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.estimation.weights import shapes_of_weights
-from dc2g_jax.objectnav import networks
-from dc2g_jax.objectnav.classes import SEMANTIC_CLASSES
-from dc2g_jax.objectnav.networks import (
+from dc2g_jax._src.estimation.weights import shapes_of_weights
+from dc2g_jax._src.objectnav import networks
+from dc2g_jax._src.objectnav.classes import SEMANTIC_CLASSES
+from dc2g_jax._src.objectnav.networks import (
     BINS,
     MIDLEVEL_ONLY,
     SEMANTIC_ONLY,
@@ -153,7 +153,7 @@ def test_a_network_comes_back_from_its_file(weights, question, tmp_path):
 
 
 def test_files_that_are_no_network_are_refused(weights, tmp_path):
-    from dc2g_jax.estimation.weights import read_safetensors, write_safetensors
+    from dc2g_jax._src.estimation.weights import read_safetensors, write_safetensors
 
     path = tmp_path / "network.safetensors"
     refusal(lambda: load_estimator(path), path, "no such file")

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from flax import struct
 
-from dc2g_jax.estimation.weights import fresh_weights
-from dc2g_jax.mapping.camera import Frame
-from dc2g_jax.mapping.simulator import render
-from dc2g_jax.objectnav.agent import DECLARED, LIMITS, MPC, LookAround
-from dc2g_jax.objectnav.camera import camera_pose
-from dc2g_jax.objectnav.classes import GOALS, PLANT
-from dc2g_jax.objectnav.guides import GoalReacher, NearestFrontier, PromisingFrontier, TrueCost
-from dc2g_jax.objectnav.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
-from dc2g_jax.objectnav.online import OnlineSearcher
-from dc2g_jax.objectnav.predicted_costs import PredictedCosts
-from dc2g_jax.objectnav.simulation import act, is_active, look_and_decide, picture, reset, site_of
+from dc2g_jax._src.estimation.weights import fresh_weights
+from dc2g_jax._src.mapping.camera import Frame
+from dc2g_jax._src.mapping.simulator import render
+from dc2g_jax._src.objectnav.agent import DECLARED, LIMITS, MPC, LookAround
+from dc2g_jax._src.objectnav.camera import camera_pose
+from dc2g_jax._src.objectnav.classes import GOALS, PLANT
+from dc2g_jax._src.objectnav.guides import GoalReacher, NearestFrontier, PromisingFrontier, TrueCost
+from dc2g_jax._src.objectnav.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
+from dc2g_jax._src.objectnav.online import OnlineSearcher
+from dc2g_jax._src.objectnav.predicted_costs import PredictedCosts
+from dc2g_jax._src.objectnav.simulation import act, is_active, look_and_decide, picture, reset, site_of
 from tests.support.refusals import refusal
 from tests.support.two_rooms import AGENT, two_rooms
 

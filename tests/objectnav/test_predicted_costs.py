@@ -7,11 +7,11 @@ import jax
 import numpy as np
 import pytest
 
-from dc2g_jax.estimation.weights import fresh_weights, write_network
-from dc2g_jax.files.resources import resource
-from dc2g_jax.objectnav.midlevel import EncoderArchitecture, SmallEncoder, vector_size
-from dc2g_jax.objectnav.networks import BOTH, CostMapArchitecture, CostMapEstimator, CostMapNetwork, save_estimator
-from dc2g_jax.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, load_costs
+from dc2g_jax._src.estimation.weights import fresh_weights, write_network
+from dc2g_jax._src.files.resources import resource
+from dc2g_jax._src.objectnav.midlevel import EncoderArchitecture, SmallEncoder, vector_size
+from dc2g_jax._src.objectnav.networks import BOTH, CostMapArchitecture, CostMapEstimator, CostMapNetwork, save_estimator
+from dc2g_jax._src.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, load_costs
 from tests.support.refusals import refusal
 
 KEY = jax.random.key(0)

@@ -4,12 +4,12 @@ import math
 import numpy as np
 import pytest
 
-from dc2g_jax.errors import InputError
-from dc2g_jax.objectnav._plans import MARGIN, world_from_plan
-from dc2g_jax.objectnav._procthor import AssetBox, house_plan, read_procthor
-from dc2g_jax.objectnav.classes import BED, BEDROOM, KITCHEN, OTHER, PLANT, TABLE, TELEVISION
-from dc2g_jax.objectnav.houses import indoor_houses
-from dc2g_jax.objectnav.worlds import IndoorWorld
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.objectnav._plans import MARGIN, world_from_plan
+from dc2g_jax._src.objectnav._procthor import AssetBox, house_plan, read_procthor
+from dc2g_jax._src.objectnav.classes import BED, BEDROOM, KITCHEN, OTHER, PLANT, TABLE, TELEVISION
+from dc2g_jax._src.objectnav.houses import indoor_houses
+from dc2g_jax._src.objectnav.worlds import IndoorWorld
 from tests.support import house_lines
 from tests.support.rooms import rooms_cut_off
 

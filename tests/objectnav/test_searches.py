@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.objectnav.classes import GOALS, OBJECT_CLASSES
-from dc2g_jax.objectnav.mapping import IndoorMapSettings
-from dc2g_jax.objectnav.searches import sample_episodes, search_all
-from dc2g_jax.objectnav.simulation import is_active, leg, reset, site_of
+from dc2g_jax._src.objectnav.classes import GOALS, OBJECT_CLASSES
+from dc2g_jax._src.objectnav.mapping import IndoorMapSettings
+from dc2g_jax._src.objectnav.searches import sample_episodes, search_all
+from dc2g_jax._src.objectnav.simulation import is_active, leg, reset, site_of
 from tests.support.refusals import refusal
 from tests.support.two_rooms import AGENT, two_rooms
 

@@ -7,18 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
-from dc2g_jax.objectnav.data import JourneySet
-from dc2g_jax.objectnav.networks import CostMapEstimator
-from dc2g_jax.objectnav.training import (
+from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax._src.objectnav.data import JourneySet
+from dc2g_jax._src.objectnav.networks import CostMapEstimator
+from dc2g_jax._src.objectnav.training import (
     BETTER_RECIPE,
     PAPER_RECIPE,
     figures,
     first_state,
     validation_samples,
 )
-from dc2g_jax.rollouts.devices import mesh_of, replicate
-from dc2g_jax.training.step import supervised_step
+from dc2g_jax._src.rollouts.devices import mesh_of, replicate
+from dc2g_jax._src.training.step import supervised_step
 from tests.support.states import assert_same_bits, infinite
 from tests.support.trainings import COST_MAPS as CONFIG
 from tests.support.trainings import journeys

@@ -3,13 +3,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.errors import InputError
-from dc2g_jax.mapping.camera import level_camera
-from dc2g_jax.mapping.simulator import cast
-from dc2g_jax.objectnav._plans import Furniture, world_from_plan
-from dc2g_jax.objectnav._starts import approaches, sample_starts, start_cells
-from dc2g_jax.objectnav.classes import BED, CHAIR, GOALS, OBJECT_CLASSES, OBJECT_COLORS, PLANT, TABLE
-from dc2g_jax.objectnav.worlds import pad_world, padded_alike, scene
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.mapping.camera import level_camera
+from dc2g_jax._src.mapping.simulator import cast
+from dc2g_jax._src.objectnav._plans import Furniture, world_from_plan
+from dc2g_jax._src.objectnav._starts import approaches, sample_starts, start_cells
+from dc2g_jax._src.objectnav.classes import BED, CHAIR, GOALS, OBJECT_CLASSES, OBJECT_COLORS, PLANT, TABLE
+from dc2g_jax._src.objectnav.worlds import pad_world, padded_alike, scene
 from tests.support.plans import BED_BOX, PLANT_BOX, plan
 from tests.support.rooms import rooms_cut_off
 

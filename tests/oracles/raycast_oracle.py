@@ -1,7 +1,7 @@
 """Slow, obviously right ray casting: every tile is a box, every ray is held against every box, in double precision.
 
 A box is met where the ray has entered all three of its slabs and left none. The world is as in
-`dc2g_jax.mapping.camera`.
+`mapping.camera`.
 """
 
 from typing import NamedTuple

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from dc2g_jax.grid import bitboard, poses
-from dc2g_jax.grid.sensing import expanding_kernel, field_of_view
-from dc2g_jax.planning import frontiers
+from dc2g_jax._src.grid import bitboard, poses
+from dc2g_jax._src.grid.sensing import expanding_kernel, field_of_view
+from dc2g_jax._src.planning import frontiers
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.exploration import EXPANDING, SENSING, belief_of, random_moment

@@ -5,18 +5,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.estimation.compact_unet import Architecture
-from dc2g_jax.estimation.estimators import WHOLE_MAP
-from dc2g_jax.grid import gridworld
-from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.grid.sensing import line_of_sight
-from dc2g_jax.grid.streets import in_town, is_town
-from dc2g_jax.grid.terrain import GRASS, ROAD
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.planning.guarantee import CautiousDC2G, Guaranteed
-from dc2g_jax.planning.planners import DC2G, GAVE_UP, Frontier
-from dc2g_jax.planning.rules import complete_rules, reference_rules
-from dc2g_jax.rollouts.rollout import Episodes, rollout
+from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.estimation.estimators import WHOLE_MAP
+from dc2g_jax._src.grid import gridworld
+from dc2g_jax._src.grid.poses import make_pose
+from dc2g_jax._src.grid.sensing import line_of_sight
+from dc2g_jax._src.grid.streets import in_town, is_town
+from dc2g_jax._src.grid.terrain import GRASS, ROAD
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.planning.guarantee import CautiousDC2G, Guaranteed
+from dc2g_jax._src.planning.planners import DC2G, GAVE_UP, Frontier
+from dc2g_jax._src.planning.rules import complete_rules, reference_rules
+from dc2g_jax._src.rollouts.rollout import Episodes, rollout
 from tests.oracles import numpy_gridworld as oracle
 from tests.support.exploration import EXPANDING, SENSING, LowestColumn, Scattered
 from tests.support.hostile import FLOOR, KINDS, Hostile, misleading_worlds

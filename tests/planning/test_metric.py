@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from dc2g_jax.estimation.compact_unet import Architecture
-from dc2g_jax.grid.map_frame import MapFrame
-from dc2g_jax.planning.metric import MetricPlanner
-from dc2g_jax.planning.metric_map import MetricMap, MetricPose
-from dc2g_jax.planning.planners import Frontier
-from dc2g_jax.planning.rules import complete_rules
+from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.grid.map_frame import MapFrame
+from dc2g_jax._src.planning.metric import MetricPlanner
+from dc2g_jax._src.planning.metric_map import MetricMap, MetricPose
+from dc2g_jax._src.planning.planners import Frontier
+from dc2g_jax._src.planning.rules import complete_rules
 from tests.support.networks import random_network
 from tests.support.refusals import refusal
 

@@ -4,15 +4,22 @@ import dataclasses
 
 import pytest
 
-from dc2g_jax.estimation.compact_unet import Architecture
-from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo, TranslatorCostToGo
-from dc2g_jax.estimation.extents import CroppedEstimator, WindowedEstimator
-from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
-from dc2g_jax.planning.guarantee import CautiousDC2G, Guaranteed
-from dc2g_jax.planning.named import NETWORK_PLANNERS, NETWORK_RIVALS, STEP_PATIENCE, check_names, make, make_planner
-from dc2g_jax.planning.planners import DC2G, Frontier, Oracle, any_heading
-from dc2g_jax.planning.rules import SETTINGS, complete_rules
-from dc2g_jax.planning.selection import ENDLESS, ExpectedCost, QuantileCost
+from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.estimation.estimators import ExactCostToGo, NetworkCostToGo, TranslatorCostToGo
+from dc2g_jax._src.estimation.extents import CroppedEstimator, WindowedEstimator
+from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
+from dc2g_jax._src.planning.guarantee import CautiousDC2G, Guaranteed
+from dc2g_jax._src.planning.named import (
+    NETWORK_PLANNERS,
+    NETWORK_RIVALS,
+    STEP_PATIENCE,
+    check_names,
+    make,
+    make_planner,
+)
+from dc2g_jax._src.planning.planners import DC2G, Frontier, Oracle, any_heading
+from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
+from dc2g_jax._src.planning.selection import ENDLESS, ExpectedCost, QuantileCost
 from tests.support.refusals import refusal
 
 RULES = complete_rules(4)

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.grid import bitboard, gridworld
-from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.grid.sensing import line_of_sight
-from dc2g_jax.grid.terrain import ROAD
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.planning.nearby import nearby
-from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL, Frontier
-from dc2g_jax.planning.rules import complete_rules, reference_rules
+from dc2g_jax._src.grid import bitboard, gridworld
+from dc2g_jax._src.grid.poses import make_pose
+from dc2g_jax._src.grid.sensing import line_of_sight
+from dc2g_jax._src.grid.terrain import ROAD
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.planning.nearby import nearby
+from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, TO_GOAL, Frontier
+from dc2g_jax._src.planning.rules import complete_rules, reference_rules
 from tests.support.exploration import random_worlds
 
 STEPS = 160

@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 from flax import struct
 
-from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.compact_unet import Architecture
-from dc2g_jax.estimation.estimators import Estimator, NetworkCostToGo
-from dc2g_jax.estimation.extents import Window, WindowedEstimator
-from dc2g_jax.grid.gridworld import belief_from_map
-from dc2g_jax.grid.poses import ACTION_LETTERS, make_pose
-from dc2g_jax.grid.terrain import FRONT_DOOR
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.planning import online
-from dc2g_jax.planning.decisions import Candidate, Decision, RobotPose, explain
-from dc2g_jax.planning.metric import MetricPlanner
-from dc2g_jax.planning.named import make_planner
-from dc2g_jax.planning.online import OnlinePlanner
-from dc2g_jax.planning.planners import MODE_NAMES, Frontier
-from dc2g_jax.planning.rules import complete_rules
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
+from dc2g_jax._src.estimation.extents import Window, WindowedEstimator
+from dc2g_jax._src.grid.gridworld import belief_from_map
+from dc2g_jax._src.grid.poses import ACTION_LETTERS, make_pose
+from dc2g_jax._src.grid.terrain import FRONT_DOOR
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.planning import online
+from dc2g_jax._src.planning.decisions import Candidate, Decision, RobotPose, explain
+from dc2g_jax._src.planning.metric import MetricPlanner
+from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.planning.online import OnlinePlanner
+from dc2g_jax._src.planning.planners import MODE_NAMES, Frontier
+from dc2g_jax._src.planning.rules import complete_rules
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.exploration import (

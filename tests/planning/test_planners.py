@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 from flax import struct
 
-from dc2g_jax.estimation.estimators import ExactCostToGo, world_cost_to_go
-from dc2g_jax.grid import gridworld, poses
-from dc2g_jax.grid.gridworld import belief_from_map
-from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.grid.search import EIGHT_CONNECTED, FOUR_CONNECTED
-from dc2g_jax.grid.sensing import field_of_view, line_of_sight
-from dc2g_jax.grid.terrain import OPAQUE
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.planning.frontiers import facing_most
-from dc2g_jax.planning.named import make_planner
-from dc2g_jax.planning.planners import DC2G, EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL, Frontier, Oracle, any_heading
-from dc2g_jax.planning.rules import SETTINGS, Settings, complete_rules, named_settings, reference_rules
-from dc2g_jax.planning.selection import ExpectedCost, Patience
-from dc2g_jax.rollouts.evaluation import action_letters
-from dc2g_jax.rollouts.rollout import Episodes, rollout
+from dc2g_jax._src.estimation.estimators import ExactCostToGo, world_cost_to_go
+from dc2g_jax._src.grid import gridworld, poses
+from dc2g_jax._src.grid.gridworld import belief_from_map
+from dc2g_jax._src.grid.poses import make_pose
+from dc2g_jax._src.grid.search import EIGHT_CONNECTED, FOUR_CONNECTED
+from dc2g_jax._src.grid.sensing import field_of_view, line_of_sight
+from dc2g_jax._src.grid.terrain import OPAQUE
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.planning.frontiers import facing_most
+from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.planning.planners import DC2G, EXPLORE, GAVE_UP, MODE_NAMES, TO_GOAL, Frontier, Oracle, any_heading
+from dc2g_jax._src.planning.rules import SETTINGS, Settings, complete_rules, named_settings, reference_rules
+from dc2g_jax._src.planning.selection import ExpectedCost, Patience
+from dc2g_jax._src.rollouts.evaluation import action_letters
+from dc2g_jax._src.rollouts.rollout import Episodes, rollout
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.exploration import (
@@ -426,7 +426,9 @@ def test_settings_of_the_users_own_go_by_their_name():
     assert named_settings(f"{__name__}:NARROW") is NARROW
     assert named_settings("paper") is SETTINGS["paper"]
     refusal(lambda: named_settings("wide"), "'wide'", "known: published, reference, paper, occluded", ":Name")
-    refusal(lambda: named_settings(f"{__name__}:run"), ":run'", "give an instance of dc2g_jax.planning.rules.Settings")
+    refusal(
+        lambda: named_settings(f"{__name__}:run"), ":run'", "give an instance of dc2g_jax._src.planning.rules.Settings"
+    )
 
 
 def test_equal_rules_are_one_value():

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.planning.selection import ExpectedCost, QuantileCost
+from dc2g_jax._src.planning.selection import ExpectedCost, QuantileCost
 
 
 def score(rule, costs, distance):

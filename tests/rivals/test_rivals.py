@@ -8,27 +8,27 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from dc2g_jax.grid import bitboard
-from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.grid.sensing import field_of_view
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.planning import frontiers
-from dc2g_jax.planning.named import NETWORK_RIVALS, RIVALS, make_planner
-from dc2g_jax.planning.planners import MODE_NAMES, reachable_cells
-from dc2g_jax.planning.rules import complete_rules
-from dc2g_jax.rivals.choosing import Moment, exploring_poses, in_square
-from dc2g_jax.rivals.cost_utility import CostUtility
-from dc2g_jax.rivals.frontier_potential import FrontierPotential
-from dc2g_jax.rivals.hysteresis import Hysteresis
-from dc2g_jax.rivals.learned_subgoals import chances, expected_costs
-from dc2g_jax.rivals.next_best_view import NextBestView
-from dc2g_jax.rivals.random_frontier import RandomFrontier
-from dc2g_jax.rivals.regions import MOST_REGIONS, find_regions
-from dc2g_jax.rivals.right_hand import RightHand
-from dc2g_jax.rivals.sampled_goals import rollout_costs, sampled_cells
-from dc2g_jax.rivals.visible_uncertainty import VisibleUncertainty
-from dc2g_jax.rollouts.evaluation import action_letters
-from dc2g_jax.rollouts.rollout import Episodes, rollout
+from dc2g_jax._src.grid import bitboard
+from dc2g_jax._src.grid.poses import make_pose
+from dc2g_jax._src.grid.sensing import field_of_view
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.planning import frontiers
+from dc2g_jax._src.planning.named import NETWORK_RIVALS, RIVALS, make_planner
+from dc2g_jax._src.planning.planners import MODE_NAMES, reachable_cells
+from dc2g_jax._src.planning.rules import complete_rules
+from dc2g_jax._src.rivals.choosing import Moment, exploring_poses, in_square
+from dc2g_jax._src.rivals.cost_utility import CostUtility
+from dc2g_jax._src.rivals.frontier_potential import FrontierPotential
+from dc2g_jax._src.rivals.hysteresis import Hysteresis
+from dc2g_jax._src.rivals.learned_subgoals import chances, expected_costs
+from dc2g_jax._src.rivals.next_best_view import NextBestView
+from dc2g_jax._src.rivals.random_frontier import RandomFrontier
+from dc2g_jax._src.rivals.regions import MOST_REGIONS, find_regions
+from dc2g_jax._src.rivals.right_hand import RightHand
+from dc2g_jax._src.rivals.sampled_goals import rollout_costs, sampled_cells
+from dc2g_jax._src.rivals.visible_uncertainty import VisibleUncertainty
+from dc2g_jax._src.rollouts.evaluation import action_letters
+from dc2g_jax._src.rollouts.rollout import Episodes, rollout
 from tests.oracles import numpy_gridworld as oracle
 from tests.planning.test_planners import scattered
 from tests.support.exploration import SENSING, Scattered, belief_of, random_moment, random_worlds
@@ -300,8 +300,8 @@ def test_regions_are_the_pieces_of_the_frontier_in_the_order_of_their_costs():
 
 
 def test_a_network_without_cells_cannot_lead_a_rival():
-    from dc2g_jax.estimation.estimators import TranslatorCostToGo
-    from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
+    from dc2g_jax._src.estimation.estimators import TranslatorCostToGo
+    from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
 
     translator = TranslatorCostToGo(weights=(), architecture=TranslatorArchitecture(size=32, base_filters=2))
     for name in NETWORK_RIVALS:

@@ -9,10 +9,10 @@ import pytest
 from flax import struct
 
 import dc2g_jax as dc2g
-from dc2g_jax.estimation.estimators import ExactCostToGo
-from dc2g_jax.planning.planners import DC2G, EXPLORE, TO_GOAL, Frontier
-from dc2g_jax.planning.rules import Rules, complete_rules
-from dc2g_jax.rollouts.checks import _differing, check_estimator, check_planner
+from dc2g_jax._src.estimation.estimators import ExactCostToGo
+from dc2g_jax._src.planning.planners import DC2G, EXPLORE, TO_GOAL, Frontier
+from dc2g_jax._src.planning.rules import Rules, complete_rules
+from dc2g_jax._src.rollouts.checks import _differing, check_estimator, check_planner
 from tests.support.exploration import Scattered
 from tests.support.refusals import refusal
 

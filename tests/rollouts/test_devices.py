@@ -9,10 +9,10 @@ import jax
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.houses import load_dataset
-from dc2g_jax.datasets.procedural import draw_house
-from dc2g_jax.datasets.starts import sample_starts
-from dc2g_jax.rollouts.devices import (
+from dc2g_jax._src.datasets.houses import load_dataset
+from dc2g_jax._src.datasets.procedural import draw_house
+from dc2g_jax._src.datasets.starts import sample_starts
+from dc2g_jax._src.rollouts.devices import (
     cores,
     deal,
     dealt_counts,

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from flax import struct
 
-from dc2g_jax.datasets.houses import House, HouseDataset
-from dc2g_jax.datasets.starts import Start
-from dc2g_jax.estimation.compact_unet import Architecture, init_weights
-from dc2g_jax.estimation.estimators import ExactCostToGo, NetworkCostToGo
-from dc2g_jax.grid.terrain import FRONT_DOOR, HOUSE, ROAD
-from dc2g_jax.planning.named import make
-from dc2g_jax.planning.planners import DC2G, Frontier
-from dc2g_jax.planning.rules import SETTINGS, complete_rules
-from dc2g_jax.rollouts.evaluation import EpisodeResult, Results, Runner, episodes_from, evaluate
+from dc2g_jax._src.datasets.houses import House, HouseDataset
+from dc2g_jax._src.datasets.starts import Start
+from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
+from dc2g_jax._src.estimation.estimators import ExactCostToGo, NetworkCostToGo
+from dc2g_jax._src.grid.terrain import FRONT_DOOR, HOUSE, ROAD
+from dc2g_jax._src.planning.named import make
+from dc2g_jax._src.planning.planners import DC2G, Frontier
+from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
+from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Results, Runner, episodes_from, evaluate
 from tests.oracles import numpy_gridworld as oracle
 from tests.support.refusals import refusal, refusal_of
 

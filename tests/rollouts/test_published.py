@@ -2,9 +2,9 @@
 
 import pytest
 
-from dc2g_jax.datasets.starts import published_episodes
-from dc2g_jax.rollouts.evaluation import EpisodeResult
-from dc2g_jax.rollouts.published import (
+from dc2g_jax._src.datasets.starts import published_episodes
+from dc2g_jax._src.rollouts.evaluation import EpisodeResult
+from dc2g_jax._src.rollouts.published import (
     PUBLISHED_GROUPS,
     EpisodePair,
     compare,

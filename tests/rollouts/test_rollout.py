@@ -5,17 +5,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.estimation.compact_unet import Architecture, init_weights
-from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.planning.planners import DC2G, EXPLORE, GAVE_UP, TO_GOAL, Frontier, Oracle
-from dc2g_jax.planning.rules import complete_rules, reference_rules
-from dc2g_jax.planning.selection import QuantileCost
-from dc2g_jax.rollouts import devices
-from dc2g_jax.rollouts import rollout as rollout_module
-from dc2g_jax.rollouts.evaluation import action_letters, episodes_from
-from dc2g_jax.rollouts.rollout import NO_ACTION, Episodes, Trajectories, rollout
+from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
+from dc2g_jax._src.estimation.estimators import NetworkCostToGo
+from dc2g_jax._src.grid.poses import make_pose
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.planning.planners import DC2G, EXPLORE, GAVE_UP, TO_GOAL, Frontier, Oracle
+from dc2g_jax._src.planning.rules import complete_rules, reference_rules
+from dc2g_jax._src.planning.selection import QuantileCost
+from dc2g_jax._src.rollouts import devices
+from dc2g_jax._src.rollouts import rollout as rollout_module
+from dc2g_jax._src.rollouts.evaluation import action_letters, episodes_from
+from dc2g_jax._src.rollouts.rollout import NO_ACTION, Episodes, Trajectories, rollout
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.exploration import random_worlds

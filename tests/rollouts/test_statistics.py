@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dc2g_jax.rollouts.statistics import ExtraSteps, extra_steps, house_bootstrap, summarize, tabulate
+from dc2g_jax._src.rollouts.statistics import ExtraSteps, extra_steps, house_bootstrap, summarize, tabulate
 
 
 @pytest.mark.parametrize(("steps", "shortest", "wanted"), [(10, 10, 0), (25, 10, 150), (11, 8, 37.5), (3, 1, 200)])

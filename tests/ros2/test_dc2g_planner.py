@@ -15,9 +15,9 @@ from dc2g_planner import messages
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Writer
 
-from dc2g_jax.planning.metric import MetricPlanner
-from dc2g_jax.planning.metric_map import MetricPose
-from dc2g_jax.planning.online import OnlinePlanner
+from dc2g_jax._src.planning.metric import MetricPlanner
+from dc2g_jax._src.planning.metric_map import MetricPose
+from dc2g_jax._src.planning.online import OnlinePlanner
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps, ros
 from tests.support.places import ROOT

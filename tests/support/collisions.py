@@ -101,25 +101,25 @@ def with_property(whole: Any, name: str) -> tuple[tuple[type, type], Callable[[t
 
 def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     """Boundary -> what sends an object of a class through it, and the two classes."""
-    from dc2g_jax.datasets.houses import HouseDataset
-    from dc2g_jax.datasets.starts import Start
-    from dc2g_jax.environments import functional, gymnasium_env
-    from dc2g_jax.estimation.estimators import ExactCostToGo
-    from dc2g_jax.grid.poses import make_pose
-    from dc2g_jax.grid.world import world_from_terrain
-    from dc2g_jax.inspection.replay import replay
-    from dc2g_jax.objectnav import guides, searches
-    from dc2g_jax.objectnav import training as indoor_training
-    from dc2g_jax.planning.online import OnlinePlanner
-    from dc2g_jax.planning.planners import DC2G, Frontier
-    from dc2g_jax.planning.rules import SETTINGS, complete_rules
-    from dc2g_jax.rollouts.devices import mesh_of
-    from dc2g_jax.rollouts.evaluation import Runner, episodes_from
-    from dc2g_jax.training import cost_to_go, translator
-    from dc2g_jax.training.image_evaluation import compare
-    from dc2g_jax.training.mask_collection import collect_masks
-    from dc2g_jax.training.step import supervised_step
-    from dc2g_jax.training.sweeps import init_states, stacked_hyperparameters
+    from dc2g_jax._src.datasets.houses import HouseDataset
+    from dc2g_jax._src.datasets.starts import Start
+    from dc2g_jax._src.environments import functional, gymnasium_env
+    from dc2g_jax._src.estimation.estimators import ExactCostToGo
+    from dc2g_jax._src.grid.poses import make_pose
+    from dc2g_jax._src.grid.world import world_from_terrain
+    from dc2g_jax._src.inspection.replay import replay
+    from dc2g_jax._src.objectnav import guides, searches
+    from dc2g_jax._src.objectnav import training as indoor_training
+    from dc2g_jax._src.planning.online import OnlinePlanner
+    from dc2g_jax._src.planning.planners import DC2G, Frontier
+    from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
+    from dc2g_jax._src.rollouts.devices import mesh_of
+    from dc2g_jax._src.rollouts.evaluation import Runner, episodes_from
+    from dc2g_jax._src.training import cost_to_go, translator
+    from dc2g_jax._src.training.image_evaluation import compare
+    from dc2g_jax._src.training.mask_collection import collect_masks
+    from dc2g_jax._src.training.step import supervised_step
+    from dc2g_jax._src.training.sweeps import init_states, stacked_hyperparameters
     from experiments.benchmarks import workload
     from tests.support import drives, trainings
     from tests.support.houses import DATASET, STREET

@@ -6,12 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from dc2g_jax.grid import bitboard, gridworld, poses, search
-from dc2g_jax.grid.gridworld import Belief
-from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.planning.planners import EXPLORE, AssessingPlanner, Frontier
-from dc2g_jax.planning.rules import Rules
+from dc2g_jax._src.grid import bitboard, gridworld, poses, search
+from dc2g_jax._src.grid.gridworld import Belief
+from dc2g_jax._src.grid.poses import make_pose
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.planning.planners import EXPLORE, AssessingPlanner, Frontier
+from dc2g_jax._src.planning.rules import Rules
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from dc2g_jax.estimation.estimators import world_cost_to_go
-from dc2g_jax.grid import bitboard, poses, search
-from dc2g_jax.grid.ground import connected_to_goal
-from dc2g_jax.grid.terrain import CLASS_NAMES
-from dc2g_jax.planning.planners import EXPLORE, GAVE_UP, TO_GOAL, Frontier
-from dc2g_jax.planning.rules import Rules
+from dc2g_jax._src.estimation.estimators import world_cost_to_go
+from dc2g_jax._src.grid import bitboard, poses, search
+from dc2g_jax._src.grid.ground import connected_to_goal
+from dc2g_jax._src.grid.terrain import CLASS_NAMES
+from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, TO_GOAL, Frontier
+from dc2g_jax._src.planning.rules import Rules
 from tests.support import maps
 
 #: Number of kinds of bad planner.

@@ -3,9 +3,9 @@
 import jax
 import numpy as np
 
-from dc2g_jax.estimation.compact_unet import Architecture, CompactUNet
-from dc2g_jax.estimation.estimators import NetworkCostToGo
-from dc2g_jax.estimation.weights import shapes_of_weights
+from dc2g_jax._src.estimation.compact_unet import Architecture, CompactUNet
+from dc2g_jax._src.estimation.estimators import NetworkCostToGo
+from dc2g_jax._src.estimation.weights import shapes_of_weights
 
 
 def random_network(architecture: Architecture) -> NetworkCostToGo:

@@ -8,7 +8,7 @@ SHARED = ROOT.parent / "shared"
 #: Files of the commands, those of the package and those that measure it.
 COMMANDS = [
     path
-    for folder in ("dc2g_jax/cli/commands", "experiments")
+    for folder in ("dc2g_jax/_src/cli/commands", "experiments")
     for path in sorted((ROOT / folder).glob("*.py"))
     if "command_line(Options" in path.read_text()
 ]

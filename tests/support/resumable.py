@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.cli import episodes, searches, translation
-from dc2g_jax.cli.commands import (
+from dc2g_jax._src.cli import episodes, searches, translation
+from dc2g_jax._src.cli.commands import (
     compare,
     head_to_head,
     noisy_mapping,
@@ -30,28 +30,28 @@ from dc2g_jax.cli.commands import (
     train,
     train_translator,
 )
-from dc2g_jax.cli.driving import DriveResult
-from dc2g_jax.datasets.houses import House
-from dc2g_jax.datasets.pairs import TrainingSet
-from dc2g_jax.datasets.starts import PublishedEpisode, Start
-from dc2g_jax.estimation.checkpoints import load_network
-from dc2g_jax.estimation.weights import fresh_weights, write_network
-from dc2g_jax.grid.terrain import GRASS
-from dc2g_jax.objectnav.collecting import CollectionConfig
-from dc2g_jax.objectnav.evaluation import SearchResult
-from dc2g_jax.objectnav.metrics import OF_CLASSES
-from dc2g_jax.objectnav.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
-from dc2g_jax.objectnav.tables import METRICS
-from dc2g_jax.programs import jit
-from dc2g_jax.rollouts import published
-from dc2g_jax.rollouts.evaluation import EpisodeResult, Runner
-from dc2g_jax.rollouts.published import PUBLISHED_GROUPS
-from dc2g_jax.training import sweeps, training_sets
-from dc2g_jax.training import train as training
-from dc2g_jax.training.cost_to_go_data import DataConfig
-from dc2g_jax.training.loop import Task
-from dc2g_jax.training.mask_collection import Masks
-from dc2g_jax.training.step import TrainingState
+from dc2g_jax._src.cli.driving import DriveResult
+from dc2g_jax._src.datasets.houses import House
+from dc2g_jax._src.datasets.pairs import TrainingSet
+from dc2g_jax._src.datasets.starts import PublishedEpisode, Start
+from dc2g_jax._src.estimation.checkpoints import load_network
+from dc2g_jax._src.estimation.weights import fresh_weights, write_network
+from dc2g_jax._src.grid.terrain import GRASS
+from dc2g_jax._src.objectnav.collecting import CollectionConfig
+from dc2g_jax._src.objectnav.evaluation import SearchResult
+from dc2g_jax._src.objectnav.metrics import OF_CLASSES
+from dc2g_jax._src.objectnav.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
+from dc2g_jax._src.objectnav.tables import METRICS
+from dc2g_jax._src.programs import jit
+from dc2g_jax._src.rollouts import published
+from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax._src.rollouts.published import PUBLISHED_GROUPS
+from dc2g_jax._src.training import sweeps, training_sets
+from dc2g_jax._src.training import train as training
+from dc2g_jax._src.training.cost_to_go_data import DataConfig
+from dc2g_jax._src.training.loop import Task
+from dc2g_jax._src.training.mask_collection import Masks
+from dc2g_jax._src.training.step import TrainingState
 from experiments import unknown_dimensions
 from tests.support import trainings
 from tests.support.houses import STREET, YARD

@@ -2,11 +2,11 @@
 
 import functools
 
-from dc2g_jax.datasets.houses import House
-from dc2g_jax.inspection.replay import Frames, replay_result
-from dc2g_jax.planning.rules import SETTINGS
-from dc2g_jax.rollouts.evaluation import EpisodeResult
-from dc2g_jax.rollouts.statistics import extra_steps
+from dc2g_jax._src.datasets.houses import House
+from dc2g_jax._src.inspection.replay import Frames, replay_result
+from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.rollouts.evaluation import EpisodeResult
+from dc2g_jax._src.rollouts.statistics import extra_steps
 from tests.support.maps import drawn
 
 HOUSE = House(

@@ -9,20 +9,20 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Int
 
-from dc2g_jax.datasets.drawn_masks import drawn_masks
-from dc2g_jax.datasets.houses import House
-from dc2g_jax.datasets.pairs import TrainingSet, draw_pairs
-from dc2g_jax.estimation.compact_unet import Architecture
-from dc2g_jax.estimation.estimators import world_cost_to_go
-from dc2g_jax.estimation.pix2pix import TranslatorArchitecture
-from dc2g_jax.grid import bitboard
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.objectnav.data import JourneySet
-from dc2g_jax.objectnav.networks import CostMapArchitecture
-from dc2g_jax.objectnav.training import BETTER_RECIPE, CostMapConfig
-from dc2g_jax.training.cost_to_go import TrainingConfig
-from dc2g_jax.training.image_pairs import ImageSet, all_pairs, draw_image_pairs
-from dc2g_jax.training.translator import TranslatorConfig
+from dc2g_jax._src.datasets.drawn_masks import drawn_masks
+from dc2g_jax._src.datasets.houses import House
+from dc2g_jax._src.datasets.pairs import TrainingSet, draw_pairs
+from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.estimation.estimators import world_cost_to_go
+from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
+from dc2g_jax._src.grid import bitboard
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.objectnav.data import JourneySet
+from dc2g_jax._src.objectnav.networks import CostMapArchitecture
+from dc2g_jax._src.objectnav.training import BETTER_RECIPE, CostMapConfig
+from dc2g_jax._src.training.cost_to_go import TrainingConfig
+from dc2g_jax._src.training.image_pairs import ImageSet, all_pairs, draw_image_pairs
+from dc2g_jax._src.training.translator import TranslatorConfig
 from tests.support import maps
 
 COST_TO_GO = TrainingConfig(

@@ -8,15 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.pairs import TrainingSet
-from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
-from dc2g_jax.estimation.compact_unet import Architecture
-from dc2g_jax.grid import bitboard
-from dc2g_jax.rollouts.devices import mesh_of
-from dc2g_jax.training import cost_to_go
-from dc2g_jax.training.cost_to_go import TrainingConfig, first_state, train_step
-from dc2g_jax.training.translator import TranslatorConfig
+from dc2g_jax._src.datasets.pairs import TrainingSet
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.grid import bitboard
+from dc2g_jax._src.rollouts.devices import mesh_of
+from dc2g_jax._src.training import cost_to_go
+from dc2g_jax._src.training.cost_to_go import TrainingConfig, first_state, train_step
+from dc2g_jax._src.training.translator import TranslatorConfig
 from tests.support.states import assert_same_bits, infinite
 from tests.support.trainings import COST_TO_GO as CONFIG
 from tests.support.trainings import DRAW_PAIRS as DRAW

@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.houses import House, HouseDataset
-from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.estimators import world_cost_to_go
-from dc2g_jax.grid.terrain import FRONT_DOOR, ROAD
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.training.cost_to_go_data import (
+from dc2g_jax._src.datasets.houses import House, HouseDataset
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.estimators import world_cost_to_go
+from dc2g_jax._src.grid.terrain import FRONT_DOOR, ROAD
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.training.cost_to_go_data import (
     DataConfig,
     check_masks,
     observation_masks,
     training_houses,
     training_set,
 )
-from dc2g_jax.training.mask_collection import Masks
+from dc2g_jax._src.training.mask_collection import Masks
 from tests.support.refusals import refusal
 
 

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from flax import struct
 
-from dc2g_jax.datasets.drawn_masks import drawn_masks
-from dc2g_jax.datasets.houses import House
-from dc2g_jax.estimation.estimators import ExactCostToGo, TranslatorCostToGo
-from dc2g_jax.estimation.images import in_eight_bits
-from dc2g_jax.estimation.metrics import ImageMetrics, compare_images
-from dc2g_jax.estimation.pix2pix import Generator, TranslatorArchitecture, init_weights
-from dc2g_jax.estimation.weights import with_weights
-from dc2g_jax.grid.search import EIGHT_CONNECTED
-from dc2g_jax.grid.terrain import FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
-from dc2g_jax.training.image_evaluation import (
+from dc2g_jax._src.datasets.drawn_masks import drawn_masks
+from dc2g_jax._src.datasets.houses import House
+from dc2g_jax._src.estimation.estimators import ExactCostToGo, TranslatorCostToGo
+from dc2g_jax._src.estimation.images import in_eight_bits
+from dc2g_jax._src.estimation.metrics import ImageMetrics, compare_images
+from dc2g_jax._src.estimation.pix2pix import Generator, TranslatorArchitecture, init_weights
+from dc2g_jax._src.estimation.weights import with_weights
+from dc2g_jax._src.grid.search import EIGHT_CONNECTED
+from dc2g_jax._src.grid.terrain import FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
+from dc2g_jax._src.training.image_evaluation import (
     HouseMetrics,
     as_floats,
     compare,
@@ -25,7 +25,7 @@ from dc2g_jax.training.image_evaluation import (
     map_for,
     metrics_over_pairs,
 )
-from dc2g_jax.training.image_pairs import all_pairs, masked_map
+from dc2g_jax._src.training.image_pairs import all_pairs, masked_map
 from tests.support import maps
 
 

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.errors import InputError
-from dc2g_jax.training.loop import Log, Pauses, Task, train
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.training.loop import Log, Pauses, Task, train
 from tests.support.refusals import refusal
 from tests.support.trainings import Count, count_step
 

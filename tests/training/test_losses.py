@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.errors import InputError
-from dc2g_jax.training.losses import LOSSES, map_loss, named_loss, parse_losses
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.training.losses import LOSSES, map_loss, named_loss, parse_losses
 from tests.support.refusals import refusal
 
 LEVELS = jnp.array([0.1, 0.5, 0.9])

@@ -9,17 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.pairs import TrainingSet, draw_pairs
-from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
-from dc2g_jax.estimation.compact_unet import Architecture
-from dc2g_jax.estimation.estimators import world_cost_to_go
-from dc2g_jax.grid import bitboard
-from dc2g_jax.grid.world import world_from_terrain
-from dc2g_jax.training import cost_to_go
-from dc2g_jax.training.cost_to_go import TrainingConfig, first_state, mean_loss, train_step
-from dc2g_jax.training.losses import parse_losses
-from dc2g_jax.training.sweeps import (
+from dc2g_jax._src.datasets.pairs import TrainingSet, draw_pairs
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.estimation.estimators import world_cost_to_go
+from dc2g_jax._src.grid import bitboard
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.training import cost_to_go
+from dc2g_jax._src.training.cost_to_go import TrainingConfig, first_state, mean_loss, train_step
+from dc2g_jax._src.training.losses import parse_losses
+from dc2g_jax._src.training.sweeps import (
     StackedCheckpoints,
     group_by_shape,
     in_turns,

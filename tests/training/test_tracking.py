@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.errors import InputError
-from dc2g_jax.training.loop import Pauses, Task, train
-from dc2g_jax.training.tracking import Curve, check_tracker
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.training.loop import Pauses, Task, train
+from dc2g_jax._src.training.tracking import Curve, check_tracker
 from tests.support.trainings import Count, count_step
 
 PICTURE = np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3)

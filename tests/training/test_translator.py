@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.errors import InputError
-from dc2g_jax.estimation.checkpoints import TrainingCheckpoints
-from dc2g_jax.estimation.pix2pix import Discriminator
-from dc2g_jax.estimation.weights import with_weights
-from dc2g_jax.rollouts.devices import mesh_of, replicate
-from dc2g_jax.training.image_pairs import ImageSet
-from dc2g_jax.training.step import supervised_step
-from dc2g_jax.training.translator import (
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax._src.estimation.pix2pix import Discriminator
+from dc2g_jax._src.estimation.weights import with_weights
+from dc2g_jax._src.rollouts.devices import mesh_of, replicate
+from dc2g_jax._src.training.image_pairs import ImageSet
+from dc2g_jax._src.training.step import supervised_step
+from dc2g_jax._src.training.translator import (
     TRANSLATOR_LOSSES,
     TranslatorConfig,
     TranslatorTraining,

@@ -5,14 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.datasets.procedural import procedural_training_houses
-from dc2g_jax.datasets.starts import start_cells
-from dc2g_jax.grid.sampling import sample_grid
-from dc2g_jax.grid.terrain import GRASS, TRAVERSABLE
-from dc2g_jax.vehicles._pedestrians import NOWHERE, PERSON_RADIUS, Pedestrians, place, walkable_cells
-from dc2g_jax.vehicles.avoidance import People, avoid
-from dc2g_jax.vehicles.footprint import Ground, cell_centers
-from dc2g_jax.vehicles.vehicle import VehicleState, at_rest, drive
+from dc2g_jax._src.datasets.procedural import procedural_training_houses
+from dc2g_jax._src.datasets.starts import start_cells
+from dc2g_jax._src.grid.sampling import sample_grid
+from dc2g_jax._src.grid.terrain import GRASS, TRAVERSABLE
+from dc2g_jax._src.vehicles._pedestrians import NOWHERE, PERSON_RADIUS, Pedestrians, place, walkable_cells
+from dc2g_jax._src.vehicles.avoidance import People, avoid
+from dc2g_jax._src.vehicles.footprint import Ground, cell_centers
+from dc2g_jax._src.vehicles.vehicle import VehicleState, at_rest, drive
 from tests.oracles.vehicle_oracle import clearance, driven
 from tests.support.maps import drawn
 from tests.support.streets import LIMITS, Episode, episodes

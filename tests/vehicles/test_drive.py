@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.grid.poses import make_pose
-from dc2g_jax.grid.terrain import FRONT_DOOR, TRAVERSABLE
-from dc2g_jax.planning.planners import Frontier, Oracle
-from dc2g_jax.vehicles import fleet, trace
-from dc2g_jax.vehicles.drive import ARRIVED, NOTHING_LEFT, reset, step
-from dc2g_jax.vehicles.robot import DRIVING
-from dc2g_jax.vehicles.vehicle import VehicleLimits
+from dc2g_jax._src.grid.poses import make_pose
+from dc2g_jax._src.grid.terrain import FRONT_DOOR, TRAVERSABLE
+from dc2g_jax._src.planning.planners import Frontier, Oracle
+from dc2g_jax._src.vehicles import fleet, trace
+from dc2g_jax._src.vehicles.drive import ARRIVED, NOTHING_LEFT, reset, step
+from dc2g_jax._src.vehicles.robot import DRIVING
+from dc2g_jax._src.vehicles.vehicle import VehicleLimits
 from tests.support.drives import EAST, MIDDLE, RULES, SHUT_OUT, SITES, WEST, drives, made
 from tests.support.refusals import refusal
 from tests.support.streets import STREET

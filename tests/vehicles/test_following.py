@@ -3,10 +3,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.grid.terrain import TRAVERSABLE
-from dc2g_jax.vehicles.following import aim, path_through, steer
-from dc2g_jax.vehicles.footprint import Ground
-from dc2g_jax.vehicles.vehicle import VehicleLimits, at_rest, drive
+from dc2g_jax._src.grid.terrain import TRAVERSABLE
+from dc2g_jax._src.vehicles.following import aim, path_through, steer
+from dc2g_jax._src.vehicles.footprint import Ground
+from dc2g_jax._src.vehicles.vehicle import VehicleLimits, at_rest, drive
 from tests.oracles.vehicle_oracle import clearance, driven
 from tests.support.maps import drawn
 

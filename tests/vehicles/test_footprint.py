@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dc2g_jax.vehicles.footprint import (  # fmt: skip
+from dc2g_jax._src.vehicles.footprint import (  # fmt: skip
     Ground,
     cell_at,
     cell_centers,

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.errors import InputError
-from dc2g_jax.objectnav import _cost_maps as cost_maps
-from dc2g_jax.vehicles import mppi
-from dc2g_jax.vehicles.mppi import MPPISettings
-from dc2g_jax.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.objectnav import _cost_maps as cost_maps
+from dc2g_jax._src.vehicles import mppi
+from dc2g_jax._src.vehicles.mppi import MPPISettings
+from dc2g_jax._src.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, at_rest, drive
 from tests.oracles import mppi_oracle
 
 #: Few and short, with an effort matrix of all entries and limits that bind.

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax.vehicles._pedestrians import (
+from dc2g_jax._src.vehicles._pedestrians import (
     NOWHERE,
     PATIENCE,
     PERSON_RADIUS,
@@ -16,8 +16,8 @@ from dc2g_jax.vehicles._pedestrians import (
     walk,
     walkable_cells,
 )
-from dc2g_jax.vehicles.footprint import Ground
-from dc2g_jax.vehicles.vehicle import VehicleState, at_rest
+from dc2g_jax._src.vehicles.footprint import Ground
+from dc2g_jax._src.vehicles.vehicle import VehicleState, at_rest
 from tests.oracles.vehicle_oracle import clearance
 from tests.support.maps import drawn
 

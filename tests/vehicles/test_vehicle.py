@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dc2g_jax.vehicles.vehicle import VehicleLimits, VehicleState, at_rest, drive
+from dc2g_jax._src.vehicles.vehicle import VehicleLimits, VehicleState, at_rest, drive
 from tests.oracles.vehicle_oracle import driven
 from tests.support.refusals import refusal
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from dc2g_jax.errors import InputError, short
-from dc2g_jax.grid.map_frame import MapFrame
-from dc2g_jax.planning.metric import MetricDecision
-from dc2g_jax.planning.metric_map import MetricMap, MetricPose
+from dc2g_jax._src.errors import InputError, short
+from dc2g_jax._src.grid.map_frame import MapFrame
+from dc2g_jax._src.planning.metric import MetricDecision
+from dc2g_jax._src.planning.metric_map import MetricMap, MetricPose
 
 #: Colors of the best and the worst candidate and of the subgoal; red, green, blue.
 _BEST, _WORST, _SUBGOAL = (0.1, 0.8, 0.2), (0.9, 0.4, 0.1), (0.1, 0.3, 1.0)

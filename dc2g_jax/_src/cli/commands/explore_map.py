@@ -1,0 +1,35 @@
+"""Run planners on a map of your own: `python -m experiments.explore_map my.png --palette palette.csv`."""
+
+import dataclasses
+
+from dc2g_jax._src.cli.common import command_line
+from dc2g_jax._src.cli.map_options import MapOptions, doubts_about, pixels_of, start_in, terrain_of
+from dc2g_jax._src.cli.one_start import OneStartOptions, run_one_start
+from dc2g_jax._src.cli.options import StepLimitOptions
+from dc2g_jax._src.datasets.houses import House
+from dc2g_jax._src.datasets.map_report import unlike_training
+from dc2g_jax._src.datasets.maps import require_path_to_goal
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(MapOptions, OneStartOptions, StepLimitOptions):
+    """Run planners from one start on your own map: writes a table, a figure, an animation and a rerun recording."""
+
+
+def main(options: Options) -> None:
+    """Read the map, run the planners, write their files."""
+    options.check_sensing_range()
+    terrain = terrain_of(options)
+    require_path_to_goal(str(options.map), terrain)
+    house = House(options.map.stem, "test", terrain)
+    start = start_in(str(options.map), house, options.start, options.seed)
+    doubts = doubts_about(options)
+    run_one_start(options, "explore_map", "episode", house, start, step_limit=options.step_limit, warnings=doubts)
+    print("One start says little: --seed gives another; dc2g fig7 --settings paper --dataset FOLDER runs many.")
+    if options.network is None:
+        for line in unlike_training(terrain, pixels_of(options)):
+            print(f"Unlike the training: {line}")
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

@@ -1,0 +1,39 @@
+"""Write a trained network as an ONNX file: `python -m experiments.export_network FOLDER --out network.onnx`."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from dc2g_jax._src.cli.common import command_line
+from dc2g_jax._src.cli.outputs import CommandOptions
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.hub import load
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(CommandOptions):
+    """Write a compact network as an ONNX file, for programs in other languages.
+
+    Attributes:
+      network: folder of a trained network, or hf://owner/name; the shipped one by default.
+      out: file to write.
+    """
+
+    network: Annotated[tyro.conf.Positional[str | Path | None], tyro.conf.arg(metavar="FOLDER")] = None
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("network.onnx")
+
+
+def main(options: Options) -> None:
+    """Write the file."""
+    if options.out.exists():
+        raise InputError(f"{options.out}: exists already; give --out another file")
+    from dc2g_jax._src.estimation.onnx_export import export_onnx  # needs the extra `onnx`
+
+    export_onnx(load(options.network), options.out)
+    print(f"Written: {options.out}, {options.out.stat().st_size / 1e6:.1f} MB")
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

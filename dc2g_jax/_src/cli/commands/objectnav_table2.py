@@ -1,0 +1,106 @@
+"""Compare the inputs of the network, as in Table II of the paper on dense cost maps.
+
+`python -m experiments.objectnav_table2`: each network predicts costs for the same partial maps of unseen houses, and
+guides the same searches.
+"""
+
+import dataclasses
+import functools
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from dc2g_jax._src.cli.common import command_line, digests
+from dc2g_jax._src.cli.outputs import output_folder
+from dc2g_jax._src.cli.searches import ComparisonOptions, conclude, run_searches
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.files.digests import tree_sha256
+from dc2g_jax._src.objectnav.collecting import CollectionConfig, collect
+from dc2g_jax._src.objectnav.evaluation import SearchResult, summarize
+from dc2g_jax._src.objectnav.houses import IndoorHouse
+from dc2g_jax._src.objectnav.metrics import OF_CLASSES
+from dc2g_jax._src.objectnav.named import ON_NETWORK, agent_with, open_costs
+from dc2g_jax._src.objectnav.networks import ABLATIONS, CostMapEstimator
+from dc2g_jax._src.objectnav.predicted_costs import PredictedCosts
+from dc2g_jax._src.objectnav.tables import ABLATION_TITLES, METRICS, PAPER_TABLE2, table2
+from dc2g_jax._src.objectnav.training import CostMapConfig, figures, validation_samples
+from dc2g_jax._src.rollouts.results import ResumableTable
+
+#: Partial maps per prediction.
+_MAPS_A_BATCH = CostMapConfig.batch_size
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(ComparisonOptions):
+    """Compare networks with semantic maps, mid-level features or both as inputs, in unseen houses.
+
+    Attributes:
+      networks: folders of networks, from experiments.objectnav_train with `--inputs semantic` and so on; the last one
+        is compared with the others. The shipped network by default.
+      agent: how costs guide the robot: promising or predicted; see experiments.objectnav_table1.
+      maps: number of partial maps to predict costs for.
+    """
+
+    networks: Annotated[tuple[str | Path, ...], tyro.conf.arg(metavar="FOLDER ...")] = ()
+    agent: Annotated[str, tyro.conf.arg(metavar="NAME")] = "promising"
+    maps: int = 2048
+
+
+def open_networks(places: tuple[str | Path, ...]) -> dict[str, PredictedCosts[CostMapEstimator]]:
+    """The networks by name of their inputs.
+
+    Raises:
+      InputError: two networks have the same inputs.
+    """
+    found: dict[str, PredictedCosts[CostMapEstimator]] = {}
+    for place in places or (None,):
+        costs = open_costs(place)
+        name = next(name for name, inputs in ABLATIONS.items() if inputs == costs.estimator.architecture.inputs)
+        if name in found:
+            raise InputError(
+                f"--networks {place}: another one has these inputs ({ABLATION_TITLES[name]}); give one of each"
+            )
+        found[name] = costs
+    return found
+
+
+def prediction_metrics(
+    costs: PredictedCosts[CostMapEstimator], houses: list[IndoorHouse], options: Options
+) -> dict[str, float]:
+    """`METRICS` and `OF_CLASSES`, in percent, on partial maps collected by robots in the houses."""
+    largest = max(max(house.world.free.shape) for house in houses)
+    samples = collect(houses, costs.encoder, CollectionConfig(largest=largest, data_seed=options.seed))
+    config = CostMapConfig(costs.estimator.architecture)
+    found = figures(costs.estimator, validation_samples(samples, config, options.maps), config)
+    return {name: found[name] for name in (*METRICS, *OF_CLASSES)}
+
+
+def main(options: Options) -> None:
+    """Predict and search; print and write the table."""
+    if options.agent not in ON_NETWORK:
+        raise InputError(f"--agent {options.agent}: give {' or '.join(ON_NETWORK)}, which use a network")
+    if options.maps < _MAPS_A_BATCH or options.maps % _MAPS_A_BATCH:
+        raise InputError(f"--maps {options.maps}: give a multiple of {_MAPS_A_BATCH}")
+    networks = open_networks(options.networks)
+    houses, episodes = options.places()
+    inputs = {"dataset": tree_sha256([house.world for house in houses]), **digests(networks=networks)}
+    out = output_folder(options, "objectnav_table2", inputs=inputs)
+    searches, results = ResumableTable(out / "episodes.csv", SearchResult), dict[str, list[SearchResult]]()
+    metrics = {}
+    for name, costs in networks.items():
+        metrics[name] = prediction_metrics(costs, houses, options)
+        agent = functools.partial(agent_with, options.agent, costs, options.samples)
+        results[name] = run_searches(searches, name, agent, houses, episodes, options)
+    summaries = {name: summarize(found, resamples=options.resamples) for name, found in results.items()}
+    facts = {
+        "prediction": metrics,
+        "navigation": {name: one._asdict() for name, one in summaries.items()},
+        "paper": {name: one._asdict() for name, one in PAPER_TABLE2.items()},
+    }
+    text = f"{options.maps} maps, {len(episodes)} searches in {options.described}\n{table2(metrics, summaries)}"
+    conclude(out, options, houses, results, ABLATION_TITLES, text, facts)
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

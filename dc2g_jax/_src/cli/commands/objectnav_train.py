@@ -1,0 +1,234 @@
+"""Train the network that predicts cost maps indoors: `python -m experiments.objectnav_train --out checkpoints/indoors`.
+
+After an interruption, --resume continues where it stopped.
+"""
+
+import dataclasses
+import functools
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import jax.numpy as jnp
+import tyro
+
+from dc2g_jax._src.cli.common import check_seed, command_line
+from dc2g_jax._src.cli.options import TrainingOptions, require_positive
+from dc2g_jax._src.cli.outputs import command_written, commit, output_folder
+from dc2g_jax._src.datasets.houses import PROCEDURAL
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax._src.estimation.weights import write_network
+from dc2g_jax._src.files.atomic import replacing
+from dc2g_jax._src.objectnav.collecting import CollectionConfig, collect, random_views
+from dc2g_jax._src.objectnav.data import JourneySet
+from dc2g_jax._src.objectnav.houses import IndoorHouse, houses_sha256, indoor_houses
+from dc2g_jax._src.objectnav.mapping import IndoorMapSettings
+from dc2g_jax._src.objectnav.midlevel import (
+    EncoderArchitecture,
+    EncoderTraining,
+    ImageEncoder,
+    encoder_task,
+    load_encoder,
+    vector_size,
+)
+from dc2g_jax._src.objectnav.networks import ABLATIONS, INPUT_CHANNELS, CostMapArchitecture, CostMapEstimator
+from dc2g_jax._src.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, save_costs
+from dc2g_jax._src.objectnav.training import (
+    RECIPES,
+    CostMapConfig,
+    Recipe,
+    figures,
+    first_state,
+    validation_samples,
+)
+from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
+from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
+from dc2g_jax._src.training.step import TrainingState, supervised_step
+from dc2g_jax._src.training.training_sets import kept_arrays
+
+#: Training houses for the encoder and pictures of each, if no encoder is given.
+_ENCODER_HOUSES, _PICTURES_A_HOUSE = 200, 40
+
+#: Added to the seed for journeys in validation houses.
+_VALIDATION_SEED = 1_000_003
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(TrainingOptions, Pauses):
+    """Train the network that predicts cost maps for object goals indoors (section II), on training houses only.
+
+    Attributes:
+      dataset: `procedural`, or a folder of houses in ProcTHOR's format.
+      count: number of training houses; by default all of a folder, or 500 procedural ones.
+      strict: reject a file of houses at its first invalid line, instead of skipping the line.
+      validation_houses: number of houses of the validation split.
+      collection: samples to collect in the houses.
+      encoder: safetensors file with an image encoder, such as `encoder.safetensors` of another training, which is
+        copied to `out`; by default one is trained first.
+      encoder_steps: optimizer steps of that encoder.
+      recipe: `paper` for the paper's, `better` for the one that is better after minutes of training.
+      learning_rate: peak learning rate; the recipe's by default.
+      inputs: inputs of the network: semantic classes, mid-level features, or both (Table II).
+      patch: side length of the network's input patches, in cells.
+      widths: channels of the network, from the first layer to the bottleneck.
+      steps: optimizer steps.
+      batch_size: samples per step.
+      seed: seed of weights and batches.
+      validate_every: steps between validations; the last step is validated too.
+      validation_samples: number of samples to validate on.
+    """
+
+    dataset: Annotated[str, tyro.conf.arg(metavar="FOLDER")] = PROCEDURAL
+    count: Annotated[int | None, tyro.conf.arg(help_behavior_hint="")] = None
+    strict: bool = False
+    validation_houses: int = 20
+    collection: tyro.conf.OmitArgPrefixes[CollectionConfig] = dataclasses.field(default_factory=CollectionConfig)
+    encoder: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    encoder_steps: int = 3000
+    recipe: Literal["better", "paper"] = "better"
+    learning_rate: Annotated[float | None, tyro.conf.arg(help_behavior_hint="")] = None
+    inputs: Literal["both", "semantic", "midlevel"] = "both"
+    patch: int = CostMapArchitecture.patch
+    widths: tuple[int, ...] = CostMapArchitecture.widths
+    steps: int = CostMapConfig.steps
+    batch_size: int = CostMapConfig.batch_size
+    seed: int = 0
+    validate_every: int = 1000
+    validation_samples: int = 512
+    minutes_per_checkpoint: float = 2.0
+
+    def training(self, features: int) -> CostMapConfig:
+        """The training configuration for this number of mid-level features.
+
+        Raises:
+          InputError: a number is invalid.
+        """
+        try:
+            architecture = CostMapArchitecture(
+                patch=self.patch, widths=self.widths, features=features, inputs=ABLATIONS[self.inputs]
+            )
+        except InputError as error:
+            raise InputError(f"--{error}") from None
+        if IndoorMapSettings.local % self.patch:
+            raise InputError(
+                f"--patch {self.patch}: give a divisor of {IndoorMapSettings.local}, the map's sides in cells"
+            )
+        recipe: Recipe = RECIPES[self.recipe]
+        if self.learning_rate is not None:
+            recipe = dataclasses.replace(recipe, peak=self.learning_rate)
+        return CostMapConfig(architecture, recipe, steps=self.steps, batch_size=self.batch_size, seed=self.seed)
+
+
+def _open_encoder(options: Options, houses: list[IndoorHouse]) -> ImageEncoder:
+    """The given encoder, or the one of this run, which is trained if it does not exist."""
+    own, folder = options.out / ENCODER_FILE, options.out / "encoder"
+    if options.encoder is not None and not own.exists():
+        with replacing(own) as unfinished:
+            shutil.copyfile(options.encoder, unfinished)
+    if own.exists() and (not folder.exists() or Log(folder).by_step()):  # it was given, or its training has ended
+        return load_encoder(own)
+    views = random_views(
+        houses[:_ENCODER_HOUSES], _PICTURES_A_HOUSE, options.collection.data_seed, options.collection.largest
+    )
+    made = {"command": command_written(), "commit": commit()}
+    training = EncoderTraining(EncoderArchitecture(), options.encoder_steps, seed=options.seed)
+    task = encoder_task(
+        training,
+        views,
+        save=lambda encoder, losses: write_network(
+            own, encoder.weights, encoder.architecture, {"losses": losses, **made}
+        ),
+    )
+    checkpoints = TrainingCheckpoints(folder, training, first_state=lambda _: task.init())
+    train(task, folder, checkpoints, Pauses(0, options.minutes_per_checkpoint), options.track)
+    # Load the half-precision weights that will be used.
+    return load_encoder(own)
+
+
+def kept(path: Path, make: Callable[[Callable[[int], None]], JourneySet], houses: int) -> JourneySet:
+    """A training set from a file, collected and saved there the first time.
+
+    Args:
+      path: the file.
+      make: collects the set; takes a function to report the number of finished houses.
+      houses: total number of houses.
+    """
+    names = [field.name for field in dataclasses.fields(JourneySet)]
+    arrays = kept_arrays(path, names, lambda show: make(lambda done: show(done, houses)), unit="house")
+    return JourneySet(**{name: jnp.asarray(array) for name, array in arrays.items()})
+
+
+def training_task(
+    options: Options, config: CostMapConfig, data: JourneySet, validation: JourneySet
+) -> Task[TrainingState]:
+    """The training task. Each validation saves the network."""
+    batches = validation_samples(validation, config, options.validation_samples)
+    mesh = mesh_for_batch(config.batch_size)
+    data, rate = replicate(data, mesh), config.learning_rates()
+
+    def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
+        weights = first_copy(state.trained)
+        estimator = CostMapEstimator(weights=weights, architecture=config.architecture)
+        latest = None if loss is None else float(loss)
+        found = {"step": step, "training_loss": latest, **figures(estimator, batches, config)}
+        card: dict[str, Any] = {
+            "houses": options.dataset,
+            "cell_size": IndoorMapSettings.cell_size,
+            "recipe": dataclasses.asdict(config.recipe),
+            "command": command_written(),
+            "commit": commit(),
+            "validation": found,
+        }
+        save_costs(options.out, estimator, card)
+        return [found]
+
+    return Task(
+        steps=config.steps,
+        init=functools.partial(first_state, config),
+        step=lambda state: supervised_step(state, data, training=config, mesh=mesh),
+        validate=validate,
+        validated=Log(options.out).by_step(),
+        place=functools.partial(replicate, mesh=mesh),
+        learning_rate=lambda step: rate(step - 1),
+    )
+
+
+def main(options: Options) -> None:
+    """Collect samples; train, validate and save the network."""
+    options.training(1)  # raises before anything is written
+    require_positive(options, "count", "validation_houses", "encoder_steps", "validation_samples")
+    check_seed(options.collection.data_seed, "data-seed")
+    options.check_pauses()
+    if options.encoder is not None and not (options.out / ENCODER_FILE).exists():
+        load_encoder(options.encoder)
+    free = ("validate_every", "minutes_per_checkpoint", "validation_samples")
+    maps = float(INPUT_CHANNELS * IndoorMapSettings.local**2)
+    require_memory(options.batch_size * maps, f"--batch-size {options.batch_size}")
+    digest = houses_sha256(options.dataset)
+    inputs = {} if digest is None else {"dataset": digest}
+    output_folder(options, "objectnav_train", free=free, inputs=inputs)
+    count = 500 if options.count is None and options.dataset == PROCEDURAL else options.count
+    print(f"Houses: {count or 'all'} of {options.dataset}", flush=True)
+    read = functools.partial(
+        indoor_houses, options.dataset, cell_size=IndoorMapSettings.cell_size, strict=options.strict
+    )
+    houses = read("train", count=count)
+    largest = options.validation_houses
+    unknown = read("val", count=largest if options.dataset == PROCEDURAL else None)[:largest]
+    encoder = _open_encoder(options, houses)
+    collection = options.collection
+    data = kept(options.out / "data.npz", functools.partial(collect, houses, encoder, collection), len(houses))
+    apart = dataclasses.replace(collection, data_seed=collection.data_seed + _VALIDATION_SEED)
+    validation = kept(options.out / "validation.npz", functools.partial(collect, unknown, encoder, apart), len(unknown))
+    print(f"Training on {data.headings.size} samples of {len(data.cells)} houses, {len(validation.cells)} to validate")
+    config = options.training(vector_size(encoder))
+    facts = {name: str(getattr(options, name)) for name in ("dataset", "count", "collection")}
+    checkpoints = TrainingCheckpoints(options.out, config, facts, first_state=first_state)
+    train(training_task(options, config, data, validation), options.out, checkpoints, options, options.track)
+    print(f"Trained: {options.out / NETWORK_FILE}")
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

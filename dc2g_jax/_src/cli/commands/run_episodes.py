@@ -1,0 +1,69 @@
+"""Run the episodes listed in a CSV file: `python -m experiments.run_episodes --starts starts.csv --out DIR`."""
+
+import dataclasses
+import hashlib
+import json
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from dc2g_jax._src.cli.common import PlannersOption, SettingsOption, check_planners, command_line, digests, network_for
+from dc2g_jax._src.cli.episodes import EpisodeTable
+from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
+from dc2g_jax._src.cli.outputs import output_folder
+from dc2g_jax._src.datasets.houses import open_dataset
+from dc2g_jax._src.datasets.starts import read_starts
+from dc2g_jax._src.planning.rules import named_settings
+from dc2g_jax._src.rollouts.evaluation import Runner, as_text
+from dc2g_jax._src.rollouts.progress import EpisodeProgress
+from dc2g_jax._src.rollouts.statistics import summarize
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(DatasetOptions, NetworkOptions, StepLimitOptions, OutOptions, ResumeOptions):
+    """Run the episodes listed in a CSV file and write `episodes.csv`.
+
+    Attributes:
+      starts: CSV file with columns house,x,y,heading (0 = +x, 1 = +y, 2 = -x, 3 = -y; y grows downward) and,
+        optionally, range and, for the settings `published` and `reference`, expanding_range in cells.
+      planner: planners to run; package.module:Name for one of your own.
+      settings: rules. `published`: those of the paper's 400 episodes, 5-cell sensing. `reference`: those of the
+        authors' code, any range. `paper`: those of the paper's text, 8-cell sensing. `occluded`: the same, but houses,
+        trees and other tall objects hide what is behind them. package.module:Name for `Settings` of your own. A range
+        in the file takes precedence.
+    """
+
+    starts: Annotated[Path, tyro.conf.arg(metavar="CSV")]
+    planner: PlannersOption = ("oracle", "frontier", "dc2g")
+    settings: SettingsOption = "paper"
+
+
+def main(options: Options) -> None:
+    """Run the episodes."""
+    check_planners(options.planner)
+    dataset = open_dataset(options.dataset)
+    starts = read_starts(options.starts, dataset)
+    network = network_for(options.planner, options.network)
+    settings = named_settings(options.settings)
+    runner = Runner(dataset, settings, step_limit=options.step_limit, progress=EpisodeProgress())
+    for start in starts:
+        runner.rules(start)  # an invalid range raises before anything is written
+    # The digest is of the parsed rows, so annotations and the order of columns do not matter.
+    digest = hashlib.sha256(json.dumps(starts).encode()).hexdigest()
+    out = output_folder(options, "run_episodes", inputs={"starts": digest, **digests(dataset, network=network)})
+    table = EpisodeTable(out / "episodes.csv")
+    summaries = {}
+    for planner in options.planner:
+        # Two columns of each shard, since all results of long runs would not fit in memory.
+        shards = table.shards(runner, starts, [planner], network)
+        columns = [np.array([(one.extra, one.success) for one in shard]) for shard in shards]
+        summaries[planner] = summarize(*np.concatenate(columns).T)
+    print(f"houses of {dataset.name}, settings {options.settings}, episodes of each planner: {len(starts)}")
+    print(as_text(summaries))
+    print(f"Written: {out / 'episodes.csv'}")
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

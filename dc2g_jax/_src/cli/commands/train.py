@@ -1,0 +1,152 @@
+"""Train the cost-to-go network: `python -m experiments.train --out checkpoints/mine`.
+
+After an interruption, --resume continues where it stopped.
+"""
+
+import dataclasses
+import functools
+from typing import Annotated, Literal
+
+import numpy as np
+import tyro
+
+from dc2g_jax._src.cli.common import NetworkOption, command_line, digests
+from dc2g_jax._src.cli.options import DatasetOptions, TrainingOptions
+from dc2g_jax._src.cli.outputs import command_written, commit, output_folder
+from dc2g_jax._src.datasets.houses import HouseDataset, open_dataset
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.checkpoints import newest_step
+from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.estimation.estimators import NetworkCostToGo
+from dc2g_jax._src.inspection.columns import viewer_sink
+from dc2g_jax._src.inspection.training_recording import TrainingRecording, maps_to_watch, next_file, prediction_picture
+from dc2g_jax._src.training.cost_to_go import TrainingConfig
+from dc2g_jax._src.training.cost_to_go_data import DataConfig, check_houses
+from dc2g_jax._src.training.loop import Pauses
+from dc2g_jax._src.training.losses import parse_losses
+from dc2g_jax._src.training.train import PAUSES, Watching, train
+
+#: Number of maps in a recording, and in pictures for a tracker.
+_MAPS_SHOWN = 6
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(DatasetOptions, TrainingOptions, Pauses):
+    """Train the cost-to-go network on training houses, with pairs of partial maps and exact cost-to-go (Algorithm 1).
+
+    Attributes:
+      data: houses and masks.
+      after: folder of a trained network, or hf://owner/name, to start from: training begins with its weights, and masks
+        of robots that it leads are added to the others (DAgger).
+      loss: quantile, l1, l2, huber or log, or package.module:Name for one of your own; or a weighted sum of them such
+        as quantile=1,log=0.5.
+      architecture: compact_unet, or package.module:Name for a network of your own, a subclass of flax.nnx.Module.
+      patch: side of the square patches that the network splits a map into, in cells.
+      embedding: number of hidden features of each patch; 0 for none.
+      widths: channels at each scale, from the finest; each scale has half the resolution of the one before.
+      quantiles: levels of the predicted quantiles: the middles of equal parts of the distribution, since planners treat
+        the predictions as equally likely.
+      steps: optimizer steps.
+      batch_size: pairs per step; a multiple of 8 keeps up to eight CPU cores busy.
+      learning_rate: peak learning rate.
+      seed: seed of weights and batches.
+      split: split of the houses to run planners in at the end, with the trained network; None for no episodes.
+      record: write a rerun recording of the training, `training-001.rrd`, and another one each time it is resumed;
+        `rerun DIR/training-*.rrd` shows them together, even during training.
+      connect: address of a running rerun viewer to send the training to, such as rerun+http://127.0.0.1:9876/proxy.
+    """
+
+    data: tyro.conf.OmitArgPrefixes[DataConfig] = dataclasses.field(default_factory=DataConfig)
+    after: NetworkOption = None
+    loss: str = "quantile"
+    architecture: str = Architecture.network
+    patch: int = Architecture.patch
+    embedding: int = Architecture.embedding
+    widths: tuple[int, ...] = Architecture.widths
+    quantiles: tuple[float, ...] = Architecture.quantiles
+    steps: int = TrainingConfig.steps
+    batch_size: int = TrainingConfig.batch_size
+    learning_rate: float = TrainingConfig.learning_rate
+    seed: int = 0
+    split: Literal["train", "val", "test"] | None = "val"
+    validate_every: int = PAUSES.validate_every
+    minutes_per_checkpoint: float = PAUSES.minutes_per_checkpoint
+    record: bool = False
+    connect: Annotated[str | None, tyro.conf.arg(metavar="URL")] = None
+
+    def training(self, side: int) -> TrainingConfig:
+        """The training configuration for maps whose longer side has `side` cells.
+
+        Raises:
+          InputError: a number or a name is invalid.
+        """
+        count = len(self.quantiles)
+        middles = [round((part + 0.5) / count, 3) for part in range(count)]
+        if not np.allclose(self.quantiles, middles, atol=1e-3):
+            raise InputError(
+                f"--quantiles {' '.join(map(str, self.quantiles))}: planners treat the predictions as equally likely; "
+                f"give the middles of equal parts, such as {' '.join(map(str, middles))}"
+            )
+        return TrainingConfig(
+            architecture=Architecture(
+                self.widths,
+                self.quantiles,
+                side=side,
+                patch=self.patch,
+                embedding=self.embedding,
+                network=self.architecture,
+            ),
+            steps=self.steps,
+            batch_size=self.batch_size,
+            losses=parse_losses(self.loss),
+            learning_rate=self.learning_rate,
+            seed=self.seed,
+        )
+
+
+def watching(options: Options, dataset: HouseDataset, config: TrainingConfig) -> Watching:
+    """What shows the training, as the options ask. It shows validation houses, the same ones for every run."""
+    recording, maps = None, None
+    if options.record or options.connect is not None or options.track is not None:
+        maps = maps_to_watch(dataset, _MAPS_SHOWN)
+    if maps is not None and (options.record or options.connect is not None) and newest_step(options.out) < config.steps:
+        file = next_file(options.out) if options.record else None
+        recording = TrainingRecording(options.out, config, maps, file=file, viewer=options.connect)
+    return Watching(
+        recording,
+        picture=None if maps is None else functools.partial(prediction_picture, maps=maps),
+        track=options.track,
+        card={"command": command_written(), "commit": commit()},
+    )
+
+
+def main(options: Options) -> None:
+    """Train, validate, save and evaluate the network."""
+    dataset = open_dataset(options.dataset)
+    if options.connect is not None:
+        viewer_sink(options.connect)  # an invalid address raises before anything is written
+
+    def begin(dataset: HouseDataset, config: TrainingConfig, network: NetworkCostToGo | None) -> Watching:
+        if options.record or options.connect is not None or options.track is not None:
+            check_houses(dataset, extra=options.data.extra_houses, drawn=False, validated=True)
+        free = {"validate_every", "minutes_per_checkpoint", "record", "connect", "split"}
+        output_folder(options, "train", free=free, inputs=digests(dataset, after=network))
+        return watching(options, dataset, config)
+
+    trained = train(
+        options.out,
+        dataset,
+        config=options.training(max(dataset.houses[0].terrain.shape)),
+        data=options.data,
+        pauses=options,
+        after=options.after,
+        split=options.split,
+        begin=begin,
+    )
+    print(f"Trained: {options.out / 'network'}")
+    if trained.results is not None:
+        print(f"In the houses of split {options.split}:\n{trained.results}")
+
+
+if __name__ == "__main__":
+    command_line(Options, main)

@@ -1,0 +1,135 @@
+"""Shared options: a user's own map, and the start of an episode."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import tyro
+from jaxtyping import Bool, UInt8
+
+from dc2g_jax._src.cli.outputs import CommandOptions
+from dc2g_jax._src.datasets.houses import House
+from dc2g_jax._src.datasets.maps import Goal, draw_map
+from dc2g_jax._src.datasets.occupancy import YAML_ENDINGS, read_occupancy_map
+from dc2g_jax._src.datasets.starts import Start, sample_starts, why_no_episode
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.files.class_images import read_palette
+from dc2g_jax._src.grid.ground import connected_to_goal
+from dc2g_jax._src.grid.poses import HEADINGS
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, TRAVERSABLE
+
+#: Start of an episode: column, row and heading.
+StartOption = Annotated[tuple[int, int, int] | None, tyro.conf.arg(metavar="COLUMN ROW HEADING", help_behavior_hint="")]
+
+
+@dataclasses.dataclass(frozen=True)
+class MapOptions(CommandOptions):
+    """A map and how to read it.
+
+    Attributes:
+      map: class image (.png), array of class indices (.npy), or YAML file of a ROS occupancy map.
+      palette: CSV file with the columns class,r,g,b: the colors of the classes in an image.
+      goals: goals besides the front doors on the map: x and y of each.
+      goal_unit: unit of the goals: `cells` for columns and rows of the grid, `meters` for the map frame of a ROS map.
+      cells: columns and rows of the grid that the map is resampled to; by default one cell per pixel.
+    """
+
+    map: tyro.conf.Positional[Path]
+    palette: Annotated[Path | None, tyro.conf.arg(metavar="CSV", help_behavior_hint="")] = None
+    goals: Annotated[tuple[tuple[float, float], ...], tyro.conf.arg(metavar="X Y ...", help_behavior_hint="")] = ()
+    goal_unit: Literal["cells", "meters"] = "cells"
+    cells: Annotated[tuple[int, int] | None, tyro.conf.arg(metavar="COLUMNS ROWS", help_behavior_hint="")] = None
+
+
+def terrain_of(options: MapOptions) -> UInt8[np.ndarray, "h w"]:
+    """The map's class indices. Its goals may be unreachable.
+
+    Raises:
+      InputError: the map, the palette or a goal is invalid.
+    """
+    palette = None if options.palette is None else read_palette(options.palette)
+    goals = [Goal(x, y, options.goal_unit) for x, y in options.goals]
+    return draw_map(options.map, palette=palette, goals=goals, cells=options.cells)
+
+
+def pixels_of(options: MapOptions) -> tuple[int, int]:
+    """Columns and rows of the map's file."""
+    palette = None if options.palette is None else read_palette(options.palette)
+    height, width = draw_map(options.map, palette=palette).shape
+    return width, height
+
+
+def doubts_about(options: MapOptions) -> list[str]:
+    """Probable mistakes in a map's file or in the size of its grid, one per line."""
+    doubts: list[str] = []
+    if options.map.suffix.lower() in YAML_ENDINGS:
+        doubts += read_occupancy_map(options.map).doubts
+    if options.cells is not None:
+        width, height = pixels_of(options)
+        columns, rows = options.cells
+        kept = max(round(columns * height / width), 1)
+        if abs(rows - kept) > 1:
+            doubts.append(
+                f"--cells {columns} {rows} does not keep the aspect ratio of {width} x {height} pixels; "
+                f"--cells {columns} {kept} would"
+            )
+    return doubts
+
+
+def start_in(where: str, house: House, pose: tuple[int, int, int] | None, seed: int) -> Start:
+    """The given start, or a sampled one.
+
+    Args:
+      where: file or name of the map, for error messages.
+      house: the map.
+      pose: column, row and heading, or `None` to sample a start.
+      seed: seed of the sampled start.
+
+    Raises:
+      InputError: no goal can be reached from there; the message names the nearest valid start.
+    """
+    if pose is None:
+        if reason := why_no_episode(house):
+            elsewhere = np.any(_start_ground(house.terrain))
+            remedy = "give a --start on other ground, from which one can" if elsewhere else "choose another one"
+            raise InputError(f"{where}: {reason}; {remedy}")
+        return sample_starts([house], 1, seed=seed)[0]
+    x, y, heading = pose
+    if not 0 <= heading < HEADINGS:
+        raise InputError(
+            f"{where}: --start {x} {y} {heading}: there is no heading {heading}; give 0 (right), 1 (down), 2 (left) or "
+            "3 (up)"
+        )
+    if problem := _why_no_start(house.terrain, x, y):
+        raise InputError(f"{where}: --start {x} {y} {heading}: {problem}; {_nearest_start(house.terrain, x, y)}")
+    return Start(house.name, x, y, heading)
+
+
+def _why_no_start(terrain: UInt8[np.ndarray, "h w"], x: int, y: int) -> str | None:
+    """The reason why no episode can start in a cell, or `None`."""
+    height, width = terrain.shape
+    if not (0 <= x < width and 0 <= y < height):
+        return f"column {x}, row {y} is off the map of {width} x {height} cells"
+    if terrain[y, x] == FRONT_DOOR:
+        return f"column {x}, row {y} is a goal already"
+    if not TRAVERSABLE[terrain[y, x]]:
+        name = CLASS_NAMES[terrain[y, x]] if terrain[y, x] else "unknown"
+        return f"column {x}, row {y} is {name!r}, which is not traversable"
+    if not connected_to_goal(terrain)[y, x]:
+        return f"no goal can be reached from column {x}, row {y}"
+    return None
+
+
+def _start_ground(terrain: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Cells from which an episode can start."""
+    return connected_to_goal(terrain) & (terrain != FRONT_DOOR)
+
+
+def _nearest_start(terrain: UInt8[np.ndarray, "h w"], x: int, y: int) -> str:
+    """Describe the nearest cell in which an episode can start."""
+    rows, columns = np.nonzero(_start_ground(terrain))
+    if not len(rows):
+        return "the map has no ground that leads to a goal"
+    nearest = int(np.argmin((columns - x) ** 2 + (rows - y) ** 2))
+    return f"the nearest cell to start from lies at column {columns[nearest]}, row {rows[nearest]}"

@@ -1,0 +1,173 @@
+"""Run planners from one start, then write their table, figures, animations and recordings."""
+
+import dataclasses
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from tqdm import tqdm
+
+from dc2g_jax._src.cli.common import PlannersOption, check_planners, network_for
+from dc2g_jax._src.cli.episodes import EpisodeTable
+from dc2g_jax._src.cli.map_options import StartOption
+from dc2g_jax._src.cli.options import NetworkOptions, OutOptions, SharedOptions
+from dc2g_jax._src.cli.outputs import output_folder, print_files
+from dc2g_jax._src.datasets.houses import House, HouseDataset
+from dc2g_jax._src.datasets.starts import Start
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.estimators import Estimator
+from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE
+from dc2g_jax._src.inspection.animation import animate
+from dc2g_jax._src.inspection.episode_figures import plot_episode, plot_trajectories
+from dc2g_jax._src.inspection.recording import record_frames
+from dc2g_jax._src.inspection.replay import replay_result
+from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES
+from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
+from dc2g_jax._src.rollouts.progress import EpisodeProgress
+
+#: Bytes that the replay of an episode needs per cell and step, and the limit for all replays together.
+_REPLAY_BYTES, _MOST_BYTES = 45, 6e9
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class OneStartOptions(NetworkOptions, OutOptions, SharedOptions):
+    """One episode, run by several planners.
+
+    Attributes:
+      start: column, row (growing downward) and heading (0 right, 1 down, 2 left, 3 up); sampled by default, on the road
+        where there is one.
+      seed: seed of the sampled start.
+      planner: planners to run besides the oracle, in the order of the figures; package.module:Name for one of your
+        own.
+      sensing_range: number of cells that a robot sees ahead.
+      animation: formats of the animation.
+      figures: draw figures and the animation, which take most of the time on large maps; `--no-figures` turns them off.
+      record: write a rerun recording, which takes most of the space on large maps; `--no-record` turns it off.
+    """
+
+    start: StartOption = None
+    seed: int = 0
+    planner: PlannersOption = ("dc2g", "frontier")
+    sensing_range: int = 8
+    animation: tuple[Literal["gif", "mp4"], ...] = ("gif",)
+    figures: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
+    record: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
+
+    def check_sensing_range(self) -> None:
+        """Check that the sensing range is supported.
+
+        Raises:
+          InputError: it is not.
+        """
+        if not 1 <= self.sensing_range <= MAX_SENSING_RANGE:
+            raise InputError(f"--sensing-range {self.sensing_range}: give 1 to {MAX_SENSING_RANGE} cells")
+
+
+def run_one_start(
+    options: OneStartOptions,
+    command: str,
+    name: str,
+    house: House,
+    start: Start,
+    *,
+    step_limit: int | None = None,
+    warnings: Sequence[str] = (),
+) -> None:
+    """Run the oracle and the planners from one start, print their results and write all files.
+
+    Args:
+      options: options of the command.
+      command: name of the command.
+      name: file name of figure, animation and recording, without extension.
+      house: the map.
+      start: first pose. The sensing range comes from the options.
+      step_limit: actions after which an episode ends without success; `None` for the default for the map's size.
+      warnings: printed before the episodes run.
+
+    Raises:
+      InputError: a planner is unknown, the network or the output folder cannot be used, the step limit is less than 1,
+        or not even the oracle reaches a goal within it.
+    """
+    start = start._replace(sensing_range=options.sensing_range)
+    check_planners(options.planner)
+    network = network_for(options.planner, options.network)
+    dataset = HouseDataset(house.name, "folder", (house,))
+    runner = Runner(dataset, SETTINGS["paper"], step_limit=step_limit, progress=EpisodeProgress())
+    out = output_folder(options, command)
+    for warning in warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    planners = list(dict.fromkeys(("oracle", *options.planner)))
+    results = EpisodeTable(out / "episodes.csv").run(runner, [start], planners, network)
+    _print_results(results, house, runner.step_limit)
+    _draw(out, name, options, house, {result.planner: result for result in results}, network)
+    print_files(out)
+
+
+def _print_results(results: Sequence[EpisodeResult], house: House, limit: int) -> None:
+    first = results[0]
+    height, width = house.terrain.shape
+    print(
+        f"{house.name}: {width} x {height} cells, {first.range}-cell sensing, start at column {first.x}, "
+        f"row {first.y}, heading {('right', 'down', 'left', 'up')[first.heading]}"
+    )
+    width = max(16, *(len(result.planner) + 1 for result in results))
+    print(f"{'planner':{width}}{'steps':>8}{'extra steps':>14}   outcome")
+    for result in results:
+        outcome = "reached the goal" if result.success else f"stopped at the limit of {limit} steps"
+        if not result.success and result.mode == MODE_NAMES[GAVE_UP]:
+            outcome = "gave up: nothing left to explore"
+        extra = "knows the map" if result.planner == "oracle" else f"{result.extra:.1f} %"
+        print(f"{result.planner:{width}}{result.steps:>8,}{extra:>14}   {outcome}")
+
+
+def _draw(
+    out: Path,
+    name: str,
+    options: OneStartOptions,
+    house: House,
+    results: Mapping[str, EpisodeResult],
+    network: Estimator | None,
+) -> None:
+    """Write the figures, animations and recording of the episodes in `results`, given by planner."""
+    figures, record = options.figures, options.record
+    if figures:
+        plot_trajectories(out / "trajectories", house, results)
+    if not (figures or record):
+        return
+    chosen = _replayable({planner: results[planner] for planner in options.planner}, house.terrain.size)
+    if not chosen:
+        return
+    rules = SETTINGS["paper"].rules(options.sensing_range)
+    animations = options.animation if figures else ()
+    total = len(chosen) + len(animations) + figures + record
+    with tqdm(total=total, desc=f"{'drawing':>16}", unit="file", file=sys.stderr) as bar:
+        frames = {}
+        for planner, result in chosen.items():
+            frames[planner] = replay_result(result, house, rules, network)
+            bar.update()
+        if figures:
+            plot_episode(out / name, house, frames)
+            bar.update()
+        for extension in animations:
+            animate(out / f"{name}.{extension}", house, frames)
+            bar.update()
+        if record:
+            record_frames(out / f"{name}.rrd", house=house, result_by_planner=chosen, frames_by_planner=frames)
+            bar.update()
+
+
+def _replayable(results: Mapping[str, EpisodeResult], cells: int) -> dict[str, EpisodeResult]:
+    """The episodes that fit into memory when replayed. The longest are left out, with a message."""
+    kept = dict(results)
+    while sum(result.steps + 1 for result in kept.values()) * cells * _REPLAY_BYTES > _MOST_BYTES:
+        longest = max(kept, key=lambda planner: kept[planner].steps)
+        print(
+            f"{longest}: {kept[longest].steps:,} steps on {cells:,} cells are too many to be replayed: left out of the "
+            "figure, the animation and the recording; a coarser grid (--cells) takes less memory",
+            file=sys.stderr,
+        )
+        del kept[longest]
+    return kept

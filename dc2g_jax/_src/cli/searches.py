@@ -1,0 +1,156 @@
+"""Shared by the commands for object goals: options, `episodes.csv`, and the final report."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from dc2g_jax._src.cli.options import OutOptions, ResumeOptions, SharedOptions, require_positive
+from dc2g_jax._src.cli.outputs import print_files
+from dc2g_jax._src.datasets.houses import PROCEDURAL
+from dc2g_jax._src.files.atomic import write_json
+from dc2g_jax._src.objectnav.agent import CONTROLLER, Agent
+from dc2g_jax._src.objectnav.evaluation import SearchResult, difference, results_of
+from dc2g_jax._src.objectnav.houses import IndoorHouse, indoor_houses
+from dc2g_jax._src.objectnav.mapping import IndoorMapSettings
+from dc2g_jax._src.objectnav.searches import TIME_LIMIT, Search, sample_episodes, search_all
+from dc2g_jax._src.objectnav.tables import with_interval
+from dc2g_jax._src.rollouts.progress import EpisodeProgress
+from dc2g_jax._src.rollouts.results import ResumableTable
+
+#: Printed below every table.
+_CAVEAT = (
+    "The paper's houses differ from these (they are scanned homes, Matterport3D in the Habitat simulator), and so do "
+    "its robot's speed and camera; its agent with true costs stops as soon as it sees the object: compare its lines "
+    "with each other, not with ours."
+)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SearchOptions(OutOptions, SharedOptions):
+    """A search for an object in a house.
+
+    Attributes:
+      dataset: folder of ProcTHOR houses (`train`, `val` and `test`.jsonl.gz, `asset_boxes.json`), or `procedural` for
+        the procedural floor plans.
+      split: `val` to make choices, `test` to report results.
+      samples: plans that the controller samples at each step.
+      limit: steps of 0.1 s after which a search ends without success.
+      seed: seed of starts, targets and the robots' noise.
+    """
+
+    dataset: Annotated[str, tyro.conf.arg(metavar="FOLDER")] = PROCEDURAL
+    split: Literal["val", "test"] = "test"
+    samples: int = CONTROLLER.samples
+    limit: int = TIME_LIMIT
+    seed: int = 0
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ComparisonOptions(SearchOptions, ResumeOptions):
+    """Searches in several houses.
+
+    Attributes:
+      strict: reject a file of houses at its first invalid line, instead of skipping the line.
+      count: number of houses, from the first of the split on.
+      episodes: searches in each house, from random starts for random targets.
+      resamples: bootstrap samples of the houses, for the intervals.
+    """
+
+    strict: bool = False
+    count: int = 8
+    episodes: int = 40
+    resamples: int = 10_000
+
+    def places(self) -> tuple[list[IndoorHouse], list[Search]]:
+        """The houses and the searches in them.
+
+        Raises:
+          InputError: a number is below 1, or there are not enough houses.
+        """
+        require_positive(self, "count", "episodes", "samples", "limit", "resamples")
+        houses = indoor_houses(
+            self.dataset, self.split, count=self.count, cell_size=IndoorMapSettings.cell_size, strict=self.strict
+        )
+        return houses, sample_episodes(houses, self.episodes, seed=self.seed)
+
+    @property
+    def described(self) -> str:
+        """The houses in words."""
+        kind = "procedural floor plans" if self.dataset == PROCEDURAL else f"houses of {self.dataset}"
+        return f"{self.count} {kind}, {self.split}"
+
+
+def run_searches(
+    table: ResumableTable[SearchResult],
+    name: str,
+    agent: Callable[[], Agent],
+    houses: Sequence[IndoorHouse],
+    episodes: Sequence[Search],
+    options: SearchOptions,
+) -> list[SearchResult]:
+    """Results of an agent's searches, from `episodes.csv` or run now, and added to it after the last one.
+
+    Args:
+      table: the file.
+      name: name of the agent in the table.
+      agent: makes the agent; not called if the file has the searches.
+      houses: houses of the searches.
+      episodes: the searches.
+      options: time limit and seed.
+
+    Raises:
+      InputError: the file holds other searches.
+    """
+    progress = EpisodeProgress()
+
+    def search() -> list[SearchResult]:
+        searches = search_all(
+            agent(), houses, episodes, limit=options.limit, seed=options.seed,
+            on_progress=lambda finished: progress(name, finished, len(episodes)),
+        )  # fmt: skip
+        return results_of(name, houses, episodes, searches)
+
+    return table.next_results([(*episode, name) for episode in episodes], search)
+
+
+def conclude(
+    out: Path,
+    options: ComparisonOptions,
+    houses: Sequence[IndoorHouse],
+    results: Mapping[str, Sequence[SearchResult]],
+    titles: Mapping[str, str],
+    table: str,
+    facts: Mapping[str, Any],
+) -> None:
+    """Print a table and compare its last row with the others; write `results.json`.
+
+    Args:
+      out: folder to write to.
+      options: options of the command.
+      houses: houses that were searched.
+      results: results of the same searches by row of the table.
+      titles: titles of the rows by name.
+      table: the table as text.
+      facts: contents of `results.json` besides houses, split and differences.
+    """
+    *others, last = results
+    gains = {name: difference(results[last], results[name], resamples=options.resamples) for name in others}
+    print(f"\n{table}\n{_CAVEAT}")
+    for name, gain in gains.items():
+        success, spl = (
+            with_interval(value, interval, "+")
+            for value, interval in ((gain.success, gain.success_interval), (gain.spl, gain.spl_interval))
+        )
+        print(f"{titles[last]} against {titles[name]}: success {success}, SPL {spl}")
+    found = {
+        "houses": [house.name for house in houses],
+        "split": options.split,
+        "note": _CAVEAT,
+        **facts,
+        "differences": {name: gain._asdict() for name, gain in gains.items()},
+    }
+    write_json(out / "results.json", found)
+    print_files(out)

@@ -1,0 +1,171 @@
+"""Shared by the commands for the image-to-image translator: its training pairs and its training."""
+
+import dataclasses
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import tyro
+
+from dc2g_jax._src.cli.outputs import command_written, commit, number_or_null
+from dc2g_jax._src.datasets.houses import HouseDataset
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints, newest_step, save_network
+from dc2g_jax._src.estimation.estimators import TranslatorCostToGo
+from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
+from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
+from dc2g_jax._src.training.cost_to_go import check_numbers
+from dc2g_jax._src.training.image_evaluation import metrics_over_pairs
+from dc2g_jax._src.training.image_pairs import ImageSet, MaskKind, draw_image_pairs, image_set
+from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
+from dc2g_jax._src.training.step import TrainingState, supervised_step
+from dc2g_jax._src.training.tracking import TrackerName
+from dc2g_jax._src.training.translator import TranslatorConfig, TranslatorTraining, first_state, run_key
+
+#: Steps between progress updates. A step takes seconds on a CPU.
+_STEPS_PER_LOOK = 10
+
+
+@dataclasses.dataclass(frozen=True)
+class TranslationOptions(Pauses):
+    """Training of a translator. The defaults are the paper's if it gives them.
+
+    Attributes:
+      masks: observation masks: `paper` draws strokes, blobs and strips instead of the paper's masks, which were not
+        published; `rollout` takes the observed cells of exploring robots.
+      train_masks: observation masks of each training house.
+      validation_masks: observation masks of each validation house.
+      whole_share: share of training pairs with a fully observed map. The paper does not give it; a network that was
+        never trained on whole maps predicts them as badly as an untrained one.
+      augment: random shifts, scaling and flips, as in pix2pix; `--no-augment` turns them off.
+      steps: total number of optimizer steps.
+      batch_size: pairs per step.
+      learning_rate: learning rate of Adam.
+      size: rows and columns of the images; a power of two of at least 32.
+      base_filters: channels of the first layer of the generator and the discriminator.
+      compute_dtype: data type for computations of the networks.
+    """
+
+    masks: MaskKind = "paper"
+    train_masks: int = 256
+    validation_masks: int = 80
+    whole_share: float = 0.0625
+    augment: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
+    steps: int = 20_000
+    batch_size: int = TranslatorConfig.batch_size
+    learning_rate: float = TranslatorConfig.learning_rate
+    size: int = TranslatorArchitecture.size
+    base_filters: int = TranslatorArchitecture.base_filters
+    compute_dtype: Literal["float32", "bfloat16"] = "float32"
+    validate_every: int = 500
+
+    def config(self, loss: str) -> TranslatorConfig:
+        """The training configuration.
+
+        Raises:
+          InputError: an option is invalid.
+        """
+        check_numbers(self.learning_rate, steps=self.steps)
+        self.check_pauses()
+        if not 0 <= self.whole_share <= 1:
+            raise InputError(f"--whole-share {self.whole_share:g}: give a share from 0 to 1")
+        architecture = TranslatorArchitecture(self.size, self.base_filters, self.compute_dtype)
+        images = 2 * 3 * 4.0 * self.size**2  # of the map and of the cost, RGB
+        require_memory(self.batch_size * images, f"--batch-size {self.batch_size}")
+        return TranslatorConfig(architecture, loss, self.batch_size, self.learning_rate)
+
+
+#: These options in the options of a command, without a prefix.
+Translation = Annotated[TranslationOptions, tyro.conf.arg(name="")]
+
+
+class TranslationData(NamedTuple):
+    """Training pairs and validation pairs."""
+
+    train: ImageSet
+    validation: ImageSet
+
+
+def translation_data(dataset: HouseDataset, options: TranslationOptions) -> TranslationData:
+    """The pairs for the options: by default 7936 and 320 of the published houses."""
+    make = partial(image_set, dataset, size=options.size, masks=options.masks)
+    return TranslationData(
+        train=make("train", per_house=options.train_masks), validation=make("val", per_house=options.validation_masks)
+    )
+
+
+def require_steps(steps: int, out: Path) -> None:
+    """Check that a resumed run has not taken more than `steps` already.
+
+    Raises:
+      InputError: it has.
+    """
+    taken = newest_step(out)
+    if taken > steps:
+        raise InputError(f"{out}: has {taken} steps behind it; give at least as many --steps, or another --out")
+
+
+def train_translator(
+    out: Path,
+    dataset: HouseDataset,
+    data: TranslationData,
+    config: TranslatorConfig,
+    options: TranslationOptions,
+    *,
+    seed: int,
+    track: TrackerName | None = None,
+) -> None:
+    """Train a translator, continuing an earlier run in the same folder. Ctrl-C saves a checkpoint.
+
+    Writes `network/` and `log.jsonl` to the folder, with one line per validation. The learning rate is constant, so a
+    finished run can be continued with more steps.
+
+    Raises:
+      InputError: the folder holds a run with other options or more steps, or the loss is not finite.
+    """
+    require_steps(options.steps, out)
+    begin, mesh = partial(first_state, seed=seed), mesh_for_batch(config.batch_size)
+    pairs = replicate((run_key(seed), data.train), mesh)
+    draw = partial(
+        draw_image_pairs,
+        batch_size=config.batch_size,
+        whole_share=options.whole_share,
+        augment=options.augment,
+    )
+
+    training = TranslatorTraining(config, draw)
+
+    def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, Any]]:
+        network = TranslatorCostToGo(weights=first_copy(state.weights["generator"]), architecture=config.architecture)
+        card = {
+            "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks}), "
+            f"{100 * options.whole_share:g} % of pairs whole" + ", shifted, enlarged and mirrored" * options.augment,
+            "target": "8-connected cost-to-go as a picture, brightest visible pixel 1",
+            "loss": config.loss,
+            "command": command_written(),
+            "commit": commit(),
+            "seed": seed,
+            "steps": step,
+        }
+        save_network(out / "network", network, card)
+        if not options.validate_every:
+            return []
+        metrics = metrics_over_pairs(network, data.validation)
+        known = {name: number_or_null(value) for name, value in metrics.items()}
+        return [{"step": step, "train_l1": None if loss is None else float(loss), **known}]
+
+    task = Task(
+        steps=options.steps,
+        init=partial(begin, config),
+        step=lambda state: supervised_step(state, pairs, training=training, mesh=mesh),
+        validate=validate,
+        validated=Log(out).by_step(),
+        place=partial(replicate, mesh=mesh),
+        name=out.name,
+        steps_per_look=_STEPS_PER_LOOK,
+        learning_rate=lambda step: config.learning_rate,
+    )
+    names = ("masks", "train_masks", "whole_share", "augment")
+    facts = {"seed": seed, "dataset": dataset.name, **{name: getattr(options, name) for name in names}}
+    checkpoints = TrainingCheckpoints(out, config, facts, first_state=begin)
+    train(task, out, checkpoints, options, track)

@@ -1,0 +1,191 @@
+"""Training pairs: masked maps and their exact cost-to-go (Algorithm 1)."""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
+
+from dc2g_jax._src.grid import bitboard
+
+#: `(key, observed map) -> noisy map`.
+Degrade = Callable[[Array, UInt8[Array, "h w"]], UInt8[Array, "h w"]]
+
+#: Number of rotations and reflections of a square map.
+SYMMETRY_COUNT = 8
+
+
+@struct.dataclass
+class TrainingSet:
+    """Labels and observation masks. Pairs are made from them on the device, batch by batch.
+
+    Attributes:
+      terrain: class indices of every world.
+      cost_to_go: exact cost-to-go of every world in cells, infinity where there is none.
+      masks: boards of observed cells.
+      mask_world: index of the world that each mask belongs to.
+      n_own: number of masks of the dataset's own houses; these come first, those of procedural houses follow.
+    """
+
+    terrain: UInt8[Array, "worlds h w"]
+    cost_to_go: Float[Array, "worlds h w"]
+    masks: UInt32[Array, "masks n_words h"]
+    mask_world: Int[Array, "masks"]
+    n_own: Int[Array, ""]
+
+
+@struct.dataclass
+class Pair:
+    """One training pair.
+
+    Attributes:
+      terrain: observed class indices, 0 where not observed.
+      target: exact cost-to-go in cells; infinite where its weight is 0.
+      weight: weight of each cell in the loss.
+    """
+
+    terrain: UInt8[Array, "*batch h w"]
+    target: Float[Array, "*batch h w"]
+    weight: Float[Array, "*batch h w"]
+
+
+def turned(grid: Array, symmetry: Int[Array, ""]) -> Array:
+    """The grid under one of the symmetries of the square (of the rectangle if the grid is not square).
+
+    Args:
+      grid: values of cells.
+      symmetry: 0 to 7: columns are reversed if bit 0 is set, rows if bit 1 is, and then the grid is transposed if bit 2
+        is.
+    """
+    mirrored = jnp.where(symmetry & 1, grid[:, ::-1], grid)
+    flipped = jnp.where(symmetry & 2, mirrored[::-1], mirrored)
+    if grid.shape[0] != grid.shape[1]:
+        return flipped
+    return jnp.where(symmetry & 4, flipped.T, flipped)
+
+
+def _near(cells: Bool[Array, "h w"], distance: int) -> Bool[Array, "h w"]:
+    """Cells within `distance` columns and rows of one of the given cells."""
+    window = (2 * distance + 1, 2 * distance + 1)
+    return jax.lax.reduce_window(cells, False, jax.lax.bitwise_or, window, (1, 1), "SAME")
+
+
+def make_pair(
+    data: TrainingSet,
+    index: Int[Array, ""],
+    symmetry: Int[Array, ""],
+    whole: Bool[Array, ""] | bool = False,
+    *,
+    edge_weight: float,
+    edge_width: int = 2,
+    half_weight_cost: float = math.inf,
+) -> Pair:
+    """The training pair of one mask under a symmetry (Algorithm 1, lines 7 and 8).
+
+    Only observed cells with a cost-to-go have weight. Cells within `edge_width` cells of unobserved ground, among which
+    a planner chooses, have `edge_weight` times the weight. Weights decrease with distance from the goal, so that the
+    loss is closer to a relative error than to an absolute one.
+
+    Args:
+      data: labels and masks.
+      index: index of the mask.
+      symmetry: 0 to `SYMMETRY_COUNT` - 1.
+      whole: whether to lift the mask, so that the whole map is observed.
+      edge_weight: weight of cells near unobserved ground; other cells have weight 1.
+      edge_width: largest distance to unobserved ground that counts as near, in cells.
+      half_weight_cost: cost-to-go in cells at which the weight is half of that at a goal; infinite for equal weights.
+    """
+    world = data.mask_world[index]
+    width = data.terrain.shape[-1]
+    seen = bitboard.unpack(data.masks[index], width) | whole
+    target = data.cost_to_go[world]
+    counts = seen & jnp.isfinite(target)
+    of_cost = 1 / (1 + jnp.where(counts, target, 0.0) / half_weight_cost)
+    weight = jnp.where(_near(~seen, edge_width), edge_weight, 1.0) * of_cost * counts
+    pair = Pair(terrain=jnp.where(seen, data.terrain[world], jnp.uint8(0)), target=target, weight=weight)
+    return jax.tree.map(lambda grid: turned(grid, symmetry), pair)
+
+
+#: Largest shift of a map in cells, per unit of jitter.
+_SHIFT_PER_JITTER = 40.0
+
+
+def jittered(key: Array, pair: Pair, jitter: float) -> Pair:
+    """A randomly scaled and shifted pair; with probability 1/2 the pair does not change.
+
+    Each axis is scaled by its own factor, and cells are resampled by nearest neighbor. Costs scale with the map. Cells
+    from beyond the map's edge are unobserved.
+
+    Args:
+      key: PRNG key.
+      pair: one training pair.
+      jitter: logarithm of the largest factor; maps are shifted by up to 40 cells times `jitter`.
+    """
+    height, width = pair.terrain.shape
+    stretch, shift, chance = jax.random.split(key, 3)
+    factors = jnp.exp(jax.random.uniform(stretch, (2,), minval=-jitter, maxval=jitter))
+    offsets = _SHIFT_PER_JITTER * jax.random.uniform(shift, (2,), minval=-jitter, maxval=jitter)
+
+    def sampled(size: int, axis: int) -> tuple[Array, Array]:
+        """Index of the source of each cell, and whether the source lies on the map."""
+        middle = (size - 1) / 2
+        source = jnp.round((jnp.arange(size) - middle) / factors[axis] + middle + offsets[axis]).astype(jnp.int32)
+        return jnp.clip(source, 0, size - 1), (source >= 0) & (source < size)
+
+    (rows, row_there), (columns, column_there) = sampled(height, 0), sampled(width, 1)
+    there = row_there[:, None] & column_there
+    changed = Pair(
+        terrain=jnp.where(there, pair.terrain[rows][:, columns], jnp.uint8(0)),
+        target=pair.target[rows][:, columns] * jnp.sqrt(factors[0] * factors[1]),
+        weight=jnp.where(there, pair.weight[rows][:, columns], 0.0),
+    )
+    change = jax.random.bernoulli(chance)
+    return jax.tree.map(lambda new, old: jnp.where(change, new, old), changed, pair)
+
+
+def draw_pairs(
+    key: Array,
+    data: TrainingSet,
+    *,
+    batch_size: int,
+    own_share: float,
+    edge_weight: float,
+    jitter: float,
+    whole_share: float,
+    half_weight_cost: float = math.inf,
+    degrade: Degrade | None = None,
+) -> Pair:
+    """A random batch of training pairs, each in a random symmetry (Algorithm 1, line 9).
+
+    Args:
+      key: PRNG key.
+      data: labels and masks.
+      batch_size: number of pairs.
+      own_share: probability that a pair is of one of the dataset's own houses; ignored if there are masks of one kind
+        only.
+      edge_weight: see `make_pair`.
+      jitter: see `jittered`; 0 for none.
+      whole_share: probability that the whole map is observed.
+      half_weight_cost: see `make_pair`.
+      degrade: noise of observed maps, such as that of a camera; `None` for none.
+    """
+    which, place, turn, change, lift, noise = jax.random.split(key, 6)
+    count = len(data.mask_world)
+    own = (jax.random.uniform(which, (batch_size,)) < own_share) & (data.n_own > 0) | (data.n_own == count)
+    low, high = jnp.where(own, 0, data.n_own), jnp.where(own, data.n_own, count)
+    position = jax.random.uniform(place, (batch_size,))
+    index = jnp.minimum(low + (position * (high - low)).astype(jnp.int32), high - 1)
+    symmetry = jax.random.randint(turn, (batch_size,), 0, SYMMETRY_COUNT)
+    whole = jax.random.bernoulli(lift, whole_share, (batch_size,))
+    make = functools.partial(make_pair, data, edge_weight=edge_weight, half_weight_cost=half_weight_cost)
+    pairs = jax.vmap(make)(index, symmetry, whole)
+    if degrade is not None:
+        keys = jax.random.split(noise, batch_size)
+        pairs = dataclasses.replace(pairs, terrain=jax.vmap(degrade)(keys, pairs.terrain))
+    if not jitter:
+        return pairs
+    return jax.vmap(functools.partial(jittered, jitter=jitter))(jax.random.split(change, batch_size), pairs)

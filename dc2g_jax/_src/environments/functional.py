@@ -1,0 +1,283 @@
+"""The search for a front door as a JAX environment: pure functions with the interface of gymnax 1.0.
+
+Functions take one robot; use `jax.vmap` for batches. A whole training loop fits into one `jax.jit`:
+
+    environment, params = front_door(houses)
+    observation, state = environment.reset(key, params)
+    observation, state, reward, terminated, truncated, info = environment.step(key, state, action, params)
+
+An episode starts on the road of a random house (`datasets.starts.start_cells`), in a random heading. Every
+action costs 1, so the return is minus the number of steps. The episode terminates when the robot stands on a front
+door after an action, and is truncated at the step limit. Actions are those of `grid.poses`: 0 forward, 1 turn
+left, 2 turn right. A robot that drives against an obstacle stays in place. Any other action does nothing;
+`jax.experimental.checkify.checkify(..., errors=checkify.index_checks)` reports it as an error.
+"""
+
+import dataclasses
+import numbers
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt8
+
+from dc2g_jax._src.datasets.houses import House, stack_worlds
+from dc2g_jax._src.datasets.starts import start_cells, why_no_episode
+from dc2g_jax._src.environments import spaces
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.grid import bitboard, gridworld
+from dc2g_jax._src.grid.gridworld import Belief
+from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS, Pose, moved
+from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE, Kernel, field_of_view
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, OUTSIDE
+from dc2g_jax._src.grid.world import World
+from dc2g_jax._src.rollouts.rollout import NO_ACTION, STEP_LIMIT
+
+#: Reward of every action.
+_STEP_REWARD = -1.0
+
+#: Default range of the field of view in cells, as in the paper.
+SENSING_RANGE = 8
+
+#: Steps are counted in signed 32-bit integers.
+_MAX_STEP_LIMIT = 2**31 - 1
+
+
+@struct.dataclass(eq=False)
+class Params:
+    """Parameters of the environment. They are traced: programs are compiled once for all parameters of equal shapes.
+
+    Compared by identity, so that an environment that holds them is hashable.
+
+    Attributes:
+      worlds: the houses, stacked along the last axis.
+      start_cells: start cells of episodes, house after house, as row times width plus column, int32.
+      first_start: index of each house's first cell in `start_cells`, int32.
+      start_count: number of each house's cells in `start_cells`, at least 1, int32.
+      step_limit: actions after which an episode is truncated, int32.
+    """
+
+    worlds: World
+    start_cells: Int[Array, "cells"]
+    first_start: Int[Array, "houses"]
+    start_count: Int[Array, "houses"]
+    step_limit: Int[Array, ""]
+
+
+@struct.dataclass
+class Observation:
+    """The robot's observation.
+
+    Attributes:
+      terrain: observed class indices (see `grid.terrain`), 0 for unobserved cells.
+      pose: pose of the robot: column and row in cells, heading in quarter turns.
+    """
+
+    terrain: UInt8[Array, "h w"]
+    pose: Pose
+
+
+@struct.dataclass
+class State:
+    """State of an episode.
+
+    Attributes:
+      house: index of the house in the stack of worlds, int32.
+      belief: what has been observed since the episode began, and the number of actions taken.
+      episode_return: sum of the rewards since the episode began, float32.
+    """
+
+    house: Int[Array, ""]
+    belief: Belief
+    episode_return: Float[Array, ""]
+
+
+@dataclasses.dataclass(frozen=True)
+class FrontDoor:
+    """The environment: search for a front door of a random house on the paper's gridworld.
+
+    Observation, action, reward and end of an episode are described in the module's documentation. Hashable, so it can
+    be a static argument of `jit`.
+
+    Attributes:
+      sensing: the robot's field of view.
+      default_params: the parameters that `reset` and `step` use if none are given.
+    """
+
+    sensing: Kernel
+    default_params: Params | None = dataclasses.field(default=None, repr=False)
+    name: ClassVar[str] = "FrontDoor-v0"
+    num_actions: ClassVar[int] = len(ACTION_LETTERS)
+
+    def action_space(self, params: Params | None = None) -> spaces.Discrete:
+        """The actions, which are the same for all parameters."""
+        del params
+        return spaces.Discrete(self.num_actions)
+
+    def observation_space(self, params: Params | None = None) -> spaces.Dict:
+        """The observations: `terrain`, whose shape is that of the houses, and `pose`."""
+        worlds = self._or_default(params).worlds
+        terrain = spaces.Box(0, len(CLASS_NAMES) - 1, (worlds.height, worlds.width), jnp.uint8)
+        bounds = {"x": worlds.width, "y": worlds.height, "heading": HEADINGS}
+        pose = spaces.Dict({name: spaces.Discrete(bound) for name, bound in bounds.items()}, Pose)
+        return spaces.Dict({"terrain": terrain, "pose": pose}, Observation)
+
+    def start(self, house: Int[Array, ""], pose: Pose, params: Params) -> tuple[Observation, State]:
+        """Begin an episode in a given house at a given pose.
+
+        Args:
+          house: index of the house in the stack of worlds.
+          pose: first pose, on a traversable cell other than a front door.
+          params: parameters of the environment.
+        """
+        belief = gridworld.reset(_world(params, house), pose, self.sensing)
+        state = State(house=house, belief=belief, episode_return=jnp.zeros((), jnp.float32))
+        return observe(state), state
+
+    def reset(self, key: PRNGKeyArray, params: Params | None = None) -> tuple[Observation, State]:
+        """Begin an episode in a random house, on a random start cell, in a random heading."""
+        params = self._or_default(params)
+        house_key, cell_key, heading_key = jax.random.split(key, 3)
+        house = jax.random.randint(house_key, (), 0, len(params.start_count), jnp.int32)
+        number = jax.random.randint(cell_key, (), 0, params.start_count[house], jnp.int32)
+        y, x = jnp.divmod(params.start_cells[params.first_start[house] + number], params.worlds.width)
+        heading = jax.random.randint(heading_key, (), 0, HEADINGS, jnp.int32)
+        return self.start(house, Pose(x=x, y=y, heading=heading), params)
+
+    def advance(
+        self, state: State, action: int | Int[Array, ""], params: Params
+    ) -> tuple[State, Float[Array, ""], Bool[Array, ""], Bool[Array, ""]]:
+        """Take one action, without a reset at the end of an episode.
+
+        Returns:
+          State; reward; `terminated`, whether the robot stands on a front door; and `truncated`, whether it does not
+          and has reached the step limit.
+        """
+        # Unknown actions do nothing, and `checkify` sees that their index is out of bounds.
+        known = jnp.arange(self.num_actions, dtype=jnp.int32).at[action]
+        action = known.get(mode="fill", fill_value=NO_ACTION, wrap_negative_indices=False)
+        world = _world(params, state.house)
+        ahead = moved(state.belief.pose, action, world.height, world.width)
+        # The robot stays in place if the cell ahead is not traversable.
+        action = jnp.where(bitboard.contains(world.traversable, ahead.x, ahead.y), action, NO_ACTION)
+        belief = gridworld.step(world, state.belief, action, self.sensing)
+        reward = jnp.full((), _STEP_REWARD, jnp.float32)
+        terminated = gridworld.at_goal(world, belief.pose)
+        truncated = ~terminated & (belief.steps >= params.step_limit)
+        state = State(house=state.house, belief=belief, episode_return=state.episode_return + reward)
+        return state, reward, terminated, truncated
+
+    def step(
+        self, key: PRNGKeyArray, state: State, action: int | Int[Array, ""], params: Params | None = None
+    ) -> tuple[Observation, State, Float[Array, ""], Bool[Array, ""], Bool[Array, ""], dict[str, Any]]:
+        """Take one action, and begin a new episode if it ends the current one.
+
+        Args:
+          key: random key of the new episode.
+          state: state of the current episode.
+          action: 0 forward, 1 turn left, 2 turn right.
+          params: parameters of the environment.
+
+        Returns:
+          Observation and state, those of the new episode if one begins; reward; `terminated` and `truncated`, see
+          `advance`; and information about the current episode: `final_observation`, `terminated`, `truncated`,
+          `episode_return` and `episode_length`. The last two count the episode so far if it continues.
+        """
+        params = self._or_default(params)
+        last, reward, terminated, truncated = self.advance(state, action, params)
+        done = terminated | truncated
+        state = jax.tree.map(lambda new, old: jnp.where(done, new, old), self.reset(key, params)[1], last)
+        info = {
+            "final_observation": observe(last),
+            "terminated": terminated,
+            "truncated": truncated,
+            "episode_return": last.episode_return,
+            "episode_length": last.belief.steps,
+        }
+        return observe(state), state, reward, terminated, truncated, info
+
+    def _or_default(self, params: Params | None) -> Params:
+        params = self.default_params if params is None else params
+        if params is None:
+            raise InputError("no params are given, and the environment has no default_params; give those of front_door")
+        return params
+
+
+def front_door(
+    houses: Sequence[House], *, sensing_range: int = SENSING_RANGE, step_limit: int = STEP_LIMIT
+) -> tuple[FrontDoor, Params]:
+    """The environment, and its parameters for a set of houses.
+
+    Args:
+      houses: houses of equal size; each is drawn with equal probability.
+      sensing_range: range of the 90-degree field of view, in cells.
+      step_limit: actions after which an episode is truncated.
+
+    Raises:
+      InputError: there are no houses, no episode can be run in one of them (leave out those for which `why_no_episode`
+        gives a reason), their sizes differ, or a number is out of bounds.
+    """
+    if not houses:
+        raise InputError("houses: there are none; give at least one")
+    for house in houses:
+        if reason := why_no_episode(house):
+            raise InputError(f"house {house.name}: no episode can be run in it: {reason}; leave it out")
+    cells = [np.flatnonzero(start_cells(house.terrain)) for house in houses]
+    counts = np.array([len(own) for own in cells])
+    params = Params(
+        worlds=stack_worlds(houses),
+        start_cells=jnp.asarray(np.concatenate(cells), jnp.int32),
+        first_start=jnp.asarray(np.cumsum(counts) - counts, jnp.int32),
+        start_count=jnp.asarray(counts, jnp.int32),
+        step_limit=jnp.int32(whole_number("step_limit", step_limit, 1, _MAX_STEP_LIMIT)),
+    )
+    sensing = field_of_view(whole_number("sensing_range", sensing_range, 1, MAX_SENSING_RANGE))
+    return FrontDoor(sensing, params), params
+
+
+def whole_number(name: str, value: object, low: int, high: int | None = None) -> int:
+    """The value as an integer within bounds. Raises InputError, which names it, for any other value."""
+    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    if not whole or int(value) < low or (high is not None and int(value) > high):  # type: ignore[call-overload]
+        bounds = f"of at least {low}" if high is None else f"from {low} to {high}"
+        raise InputError(f"{name} is {value!r}; give a whole number {bounds}")
+    return int(value)  # type: ignore[call-overload]
+
+
+def observe(state: State) -> Observation:
+    """The observation in a state."""
+    belief = state.belief
+    # Each word holds 32 cells. XLA would recompute a word for each of them, but it does not recompute a reduction. This
+    # makes a step four times faster if the final observation is used.
+    classes = jnp.bitwise_or.reduce(jnp.stack([belief.classes, jnp.zeros_like(belief.classes)]))
+    return Observation(terrain=dataclasses.replace(belief, classes=classes).terrain, pose=belief.pose)
+
+
+def egocentric(observation: Observation, radius: int) -> UInt8[Array, "side side"]:
+    """The egocentric view of an observation: the robot in the middle, looking up.
+
+    Args:
+      observation: observation of the robot.
+      radius: cells shown in each direction; the square has sides of 2 `radius` + 1 cells.
+
+    Returns:
+      Class indices, 0 for unobserved cells, `grid.terrain.OUTSIDE` beyond the map.
+    """
+    side = 2 * radius + 1
+    framed = jnp.pad(observation.terrain, radius, constant_values=OUTSIDE)
+    square = jax.lax.dynamic_slice(framed, (observation.pose.y, observation.pose.x), (side, side))
+    # Heading 0 points to the right of the map; a quarter turn counterclockwise makes it point up.
+    return jax.lax.select_n(observation.pose.heading, *(jnp.rot90(square, turns) for turns in (1, 2, 3, 0)))
+
+
+def one_hot_view(observation: Observation, radius: int) -> Float[Array, "class side side"]:
+    """The egocentric view (see `egocentric`) as one plane of ones and zeros per class, the last for `OUTSIDE`."""
+    return jax.nn.one_hot(egocentric(observation, radius), OUTSIDE + 1, axis=0)
+
+
+def _world(params: Params, house: Int[Array, ""]) -> World:
+    """One house of the stack."""
+    return jax.tree.map(lambda leaf: leaf.at[..., house].get(mode="promise_in_bounds"), params.worlds)

@@ -1,0 +1,282 @@
+"""A compact U-Net that maps a partial map to the cost-to-go of every cell; networks of the user's own in its place."""
+
+import dataclasses
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import nnx
+from jaxtyping import Array, Float, Int, Shaped, UInt8
+
+from dc2g_jax._src.errors import InputError, short
+from dc2g_jax._src.estimation.weights import fresh_weights, shapes_of_weights, with_weights
+from dc2g_jax._src.grid.terrain import CLASS_NAMES
+from dc2g_jax._src.own_parts import own_part
+from dc2g_jax._src.programs import jit
+
+#: Name of the class below among networks.
+COMPACT_UNET = "compact_unet"
+
+#: Largest side of a patch in cells, and largest number of scales.
+_LARGEST_PATCH, _MOST_SCALES = 64, 16
+
+#: Largest number of channels.
+_WIDEST = 4096
+
+#: Longest side of training maps, in cells.
+_LONGEST_SIDE = 4096
+
+
+@dataclasses.dataclass(frozen=True)
+class Architecture:
+    """Architecture of a `CompactUNet`, or of a network of the user's own, which uses what it likes of it.
+
+    Attributes:
+      widths: channels at each scale, from the finest; each scale has half the resolution of the one before.
+      quantiles: levels of the predicted quantiles of the cost-to-go, ascending, each between 0 and 1. Evenly spaced
+        ones, (i + 1/2) / n, are equally likely outcomes.
+      cost_scale: cells of cost-to-go per unit of the last layer's output.
+      side: longer side of the training maps, in cells. A planner's larger maps are resampled to it.
+      patch: side of a square patch, in cells. The finest scale has one position for each patch.
+      embedding: number of hidden features of each patch, from which the first scale and the output are computed. With 0
+        there are none: the first scale is linear in the cells of a patch, and the output uses the scales alone.
+      network: `compact_unet`, or `package.module:Name` for a class of the user's own, see `network_class`.
+
+    Raises:
+      InputError: an attribute is out of its range.
+    """
+
+    widths: tuple[int, ...] = (24, 48, 96)
+    quantiles: tuple[float, ...] = (0.1, 0.3, 0.5, 0.7, 0.9)
+    cost_scale: float = 32.0
+    side: int = 50
+    patch: int = 5
+    embedding: int = 64
+    network: str = COMPACT_UNET
+
+    def __post_init__(self) -> None:
+        if not 2 <= len(self.widths) <= _MOST_SCALES or not 1 <= min(self.widths) <= max(self.widths) <= _WIDEST:
+            raise InputError(
+                f"widths {short(self.widths)}: give 2 to {_MOST_SCALES} scales, each with a width of 1 to {_WIDEST}"
+            )
+        levels = self.quantiles
+        if not levels or list(levels) != sorted(set(levels)) or not 0 < levels[0] <= levels[-1] < 1:
+            raise InputError(f"quantiles {short(levels)}: give ascending levels between 0 and 1, one at least")
+        if not 0 < self.cost_scale < float("inf"):
+            raise InputError(f"cost_scale {short(self.cost_scale)}: give cells, a number above 0")
+        if not 1 <= self.side <= _LONGEST_SIDE:
+            raise InputError(f"side {short(self.side)}: give 1 to {_LONGEST_SIDE} cells")
+        if not 1 <= self.patch <= _LARGEST_PATCH:
+            raise InputError(f"patch {short(self.patch)}: give 1 to {_LARGEST_PATCH} cells")
+        if not 0 <= self.embedding <= _WIDEST:
+            raise InputError(f"embedding {short(self.embedding)}: give 1 to {_WIDEST} features, or 0 for none")
+
+
+def patches(grid: Shaped[Array, "b h w c"], side: int) -> Shaped[Array, "b h2 w2 c2"]:
+    """The square patches of a grid as features. Height and width are multiples of `side`."""
+    batch, height, width, channels = grid.shape
+    split = grid.reshape(batch, height // side, side, width // side, side, channels)
+    return split.transpose(0, 1, 3, 2, 4, 5).reshape(batch, height // side, width // side, side**2 * channels)
+
+
+def unpatched(features: Float[Array, "b h2 w2 c2"], side: int) -> Float[Array, "b h w c"]:
+    """The inverse of `patches`."""
+    batch, height, width, _ = features.shape
+    split = features.reshape(batch, height, width, side, side, -1).transpose(0, 1, 3, 2, 4, 5)
+    return split.reshape(batch, side * height, side * width, -1)
+
+
+#: Rows and columns of a map in the upper left corner of a larger grid; `None` for a map that fills the grid.
+Size = tuple[Int[Array, ""], Int[Array, ""]] | None
+
+
+def reduced(size: Size, factor: int) -> Size:
+    """The size of a map at a lower resolution. An incomplete row or column at the end counts."""
+    return None if size is None else (-(-size[0] // factor), -(-size[1] // factor))
+
+
+class Convolution(nnx.Conv):
+    """A 3x3 convolution that sees zeros beyond the map's edge, also where the grid is larger than the map."""
+
+    def __init__(self, width_in: int, width_out: int, *, stride: int = 1, **options: Any):
+        super().__init__(width_in, width_out, (3, 3), strides=(stride, stride), **options)
+        self.stride = stride
+
+    def __call__(self, features: Float[Array, "b h w c"], size: Size = None) -> Float[Array, "b h2 w2 d"]:
+        """Convolved features; undefined beyond the map, whose size is in cells of the features."""
+        if size is None:
+            return super().__call__(features)
+        stride, shape = self.stride, features.shape[1:3]
+        inside, first, sides = jnp.ones(shape, bool), [], []
+        for axis, (side, map_side) in enumerate(zip(shape, size, strict=True)):
+            inside &= jax.lax.broadcasted_iota(jnp.int32, shape, axis) < map_side
+            # Padding of one cell before the first; none for an even number of cells with stride 2.
+            first.append(((map_side - 1) % stride != 0).astype(jnp.int32))
+            sides.append(stride * (-(-side // stride) - 1) + 3)
+        features = jnp.where(inside[None, :, :, None], features, 0)
+        framed = jnp.pad(features, ((0, 0), (1, stride), (1, stride), (0, 0)))
+        framed = jax.lax.dynamic_slice(framed, (0, *first, 0), (len(features), *sides, features.shape[3]))
+        axes = ("NHWC", "HWIO", "NHWC")
+        kernel, bias = self.kernel[...], self.bias[...]  # type: ignore[index]
+        return jax.lax.conv_general_dilated(framed, kernel, (stride, stride), "VALID", dimension_numbers=axes) + bias
+
+
+class Residual(nnx.Module):
+    """A residual block of two convolutions."""
+
+    def __init__(self, width: int, *, rngs: nnx.Rngs):
+        self.first = Convolution(width, width, rngs=rngs)
+        self.second = Convolution(width, width, kernel_init=nnx.initializers.zeros, rngs=rngs)
+
+    def __call__(self, features: Float[Array, "b h w c"], size: Size = None) -> Float[Array, "b h w c"]:
+        """Refine the features."""
+        return features + self.second(nnx.relu(self.first(nnx.relu(features), size)), size)
+
+
+class Down(nnx.Module):
+    """Halve the resolution."""
+
+    def __init__(self, width_in: int, width_out: int, *, rngs: nnx.Rngs):
+        self.halve = Convolution(width_in, width_out, stride=2, rngs=rngs)
+        self.residual = Residual(width_out, rngs=rngs)
+
+    def __call__(self, features: Float[Array, "b h w c"], size: Size = None) -> Float[Array, "b h2 w2 d"]:
+        """Features at half the resolution."""
+        return self.residual(self.halve(nnx.relu(features), size), reduced(size, 2))
+
+
+class Up(nnx.Module):
+    """Double the resolution and add the encoder's features at that scale (the U-Net's skip connection)."""
+
+    def __init__(self, width_in: int, width_out: int, *, rngs: nnx.Rngs):
+        self.narrow = nnx.Linear(width_in, width_out, rngs=rngs)
+        self.residual = Residual(width_out, rngs=rngs)
+
+    def __call__(
+        self, features: Float[Array, "b h w c"], skipped: Float[Array, "b h2 w2 d"], size: Size = None
+    ) -> Float[Array, "b h2 w2 d"]:
+        """Features at twice the resolution, at which the map has this size."""
+        narrow = self.narrow(nnx.relu(features))
+        doubled = jnp.repeat(jnp.repeat(narrow, 2, axis=1), 2, axis=2)
+        # Halving an odd number of rows or columns rounds up.
+        return self.residual(skipped + doubled[:, : skipped.shape[1], : skipped.shape[2]], size)
+
+
+class CompactUNet(nnx.Module):
+    """A small U-Net from classes to quantiles of the cost-to-go, in cells.
+
+    Classes are one-hot, so an unobserved cell (class 0) differs from a cell outside the map (all zeros). The input is
+    split into patches, so all convolutions work at the resolution of the patches or less.
+    """
+
+    def __init__(self, architecture: Architecture, *, rngs: nnx.Rngs):
+        widths, area, embedding = architecture.widths, architecture.patch**2, architecture.embedding
+        scales = range(1, len(widths))
+        self.architecture = architecture
+        self.embed = nnx.Linear(area * len(CLASS_NAMES), embedding or widths[0], rngs=rngs)
+        if embedding:
+            self.narrow = nnx.Linear(embedding, widths[0], rngs=rngs)
+            self.mix = nnx.Linear(widths[0] + embedding, embedding, rngs=rngs)
+        self.local = Residual(widths[0], rngs=rngs)
+        for scale in scales:
+            setattr(self, f"down{scale}", Down(widths[scale - 1], widths[scale], rngs=rngs))
+        self.context = Residual(widths[-1], rngs=rngs)
+        for scale in reversed(scales):
+            setattr(self, f"up{scale}", Up(widths[scale], widths[scale - 1], rngs=rngs))
+        self.head = nnx.Linear(embedding or widths[0], area * len(architecture.quantiles), rngs=rngs)
+
+    def __call__(self, terrain: UInt8[Array, "b h w"], size: Size = None) -> Float[Array, "b h w quantiles"]:
+        """Quantiles of every cell's cost-to-go, in cells, from observed class indices (0 = not observed).
+
+        Maps smaller than the grid, all of this size, are in its upper left corner, with `OUTSIDE` cells around.
+        """
+        height, width = terrain.shape[1:]
+        patch, scales = self.architecture.patch, range(1, len(self.architecture.widths))
+        classes = jax.nn.one_hot(terrain, len(CLASS_NAMES))
+        classes = jnp.pad(classes, ((0, 0), (0, -height % patch), (0, -width % patch), (0, 0)))
+        embedded = self.embed(patches(classes, patch))
+        sizes = [reduced(size, patch << scale) for scale in (0, *scales)]
+        local = self.narrow(nnx.relu(embedded)) if self.architecture.embedding else embedded
+        encoded = [self.local(local, sizes[0])]
+        for scale in scales:
+            encoded.append(getattr(self, f"down{scale}")(encoded[-1], sizes[scale - 1]))
+        features = self.context(encoded[-1], sizes[-1])
+        for scale in reversed(scales):
+            features = getattr(self, f"up{scale}")(features, encoded[scale - 1], sizes[scale - 1])
+        if self.architecture.embedding:
+            features = self.mix(nnx.relu(jnp.concatenate([features, embedded], axis=-1)))
+        cells = unpatched(self.head(nnx.relu(features)), patch)[:, :height, :width]
+        return self.architecture.cost_scale * (1 + cells)
+
+
+def network_class(architecture: Architecture) -> type[nnx.Module]:
+    """The class of an architecture's network, `CompactUNet` or one of the user's own.
+
+    It is called as `network(architecture, rngs=...)`. The network maps observed class indices, uint8 `[b h w]`
+    (0 = not observed), to the quantiles of every cell's cost-to-go in cells, float32 `[b h w quantiles]`, for maps of
+    any size.
+
+    Raises:
+      InputError: it cannot be imported, is no such class, or its answer has another shape.
+    """
+    if architecture.network == COMPACT_UNET:
+        return CompactUNet
+    found = own_part("network", architecture.network, (COMPACT_UNET,))
+    if not (isinstance(found, type) and issubclass(found, nnx.Module)):
+        raise InputError(f"network {architecture.network!r}: is {short(found)}; give a subclass of flax.nnx.Module")
+    return found
+
+
+def check_network(architecture: Architecture) -> None:
+    """Check, without computing anything, that a network of the user's own can be made and answers in the right shape.
+
+    Raises:
+      InputError: it cannot or does not; see also `network_class`.
+    """
+    side, name = architecture.side, architecture.network
+    network = network_class(architecture)
+    maps = jax.ShapeDtypeStruct((1, side, side), jnp.uint8)
+    try:
+        weights = shapes_of_weights(network, architecture)
+        answer = jax.eval_shape(lambda weights, maps: with_weights(network, architecture, weights)(maps), weights, maps)
+    except Exception as error:  # whatever the user's class raises
+        raise InputError(
+            f"network {name!r}: cannot be made, or run on a map of {side} x {side} cells ({type(error).__name__}: "
+            f"{error}); it is called as network(architecture, rngs=...)(terrain)"
+        ) from error
+    for path, leaf in jax.tree.leaves_with_path(weights):
+        if not jnp.issubdtype(leaf.dtype, jnp.floating):
+            raise InputError(
+                f"network {name!r}: its weight {jax.tree_util.keystr(path, simple=True, separator='.')} is "
+                f"{leaf.dtype}; use floating-point weights only, and no layers with random keys, such as Dropout"
+            )
+    wanted = (1, side, side, len(architecture.quantiles))
+    if not isinstance(answer, jax.ShapeDtypeStruct):
+        raise InputError(f"network {name!r}: answers with a {type(answer).__name__}; expected one array")
+    if answer.shape != wanted or not jnp.issubdtype(answer.dtype, jnp.floating):
+        raise InputError(
+            f"network {name!r}: answers with {answer.dtype}{list(answer.shape)} for a map of {side} x {side} cells; "
+            f"expected float32{list(wanted)}"
+        )
+
+
+def init_weights(architecture: Architecture, key: Array) -> dict[str, Any]:
+    """Random initial weights, see `estimation.weights`."""
+    return fresh_weights(network_class(architecture), architecture, key)
+
+
+def apply(
+    architecture: Architecture, weights: dict[str, Any], terrain: UInt8[Array, "b h w"]
+) -> Float[Array, "b h w quantiles"]:
+    """Run the network on a batch of partial maps: quantiles of the cost-to-go in cells."""
+    return with_weights(network_class(architecture), architecture, weights)(terrain)
+
+
+def multiply_accumulates(architecture: Architecture, height: int, width: int) -> int:
+    """Multiply-accumulates per map: half of the floating-point operations that XLA counts."""
+    maps = jax.ShapeDtypeStruct((1, height, width), jnp.uint8)
+    lowered = jit(functools.partial(apply, architecture)).lower(
+        shapes_of_weights(network_class(architecture), architecture), maps
+    )
+    return round((lowered.cost_analysis() or {})["flops"] / 2)

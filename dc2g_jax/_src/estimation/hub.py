@@ -1,0 +1,122 @@
+"""Load and save trained networks: in a folder, or at `hf://owner/name` on the Hugging Face Hub."""
+
+import os
+import tempfile
+from pathlib import Path
+
+import jax
+
+from dc2g_jax._src.errors import InputError, require_extra, short
+from dc2g_jax._src.estimation.checkpoints import CARD, TrainedNetwork, load_network, reason, save_network
+from dc2g_jax._src.estimation.estimators import Estimator
+from dc2g_jax._src.files.reading import read_object
+from dc2g_jax._src.own_parts import is_own_part, own_part
+
+#: Prefix of places on the Hub.
+_HUB = "hf://"
+
+#: The files of a network, whatever its kind.
+_FILES = [CARD, "*.safetensors"]
+
+
+def _on_hub(place: str) -> tuple[str, str | None]:
+    """The repository and the revision of `hf://owner/name@revision`, after checking for the extra `hub`."""
+    require_extra("huggingface_hub", extra="hub")
+    repository, _, revision = place.removeprefix(_HUB).partition("@")
+    if not place.startswith(_HUB) or len(repository.split("/")) != 2:
+        raise InputError(f"{place}: not a network on the Hub; give {_HUB}owner/name")
+    return repository, revision or None
+
+
+def local_folder(place: str | os.PathLike[str]) -> Path:
+    """The folder of a network. Networks on the Hub are downloaded to the cache of `huggingface_hub`.
+
+    Args:
+      place: a folder; or a string, `hf://owner/name` or `hf://owner/name@revision` with a branch, tag or commit.
+
+    Raises:
+      InputError: it is not in the cache and cannot be downloaded, its card names code to import, or the extra `hub` is
+        not installed.
+    """
+    if not str(place).startswith(_HUB):
+        return Path(place)
+    repository, revision = _on_hub(str(place))
+    import huggingface_hub
+
+    try:
+        folder = Path(huggingface_hub.snapshot_download(repository, revision=revision, allow_patterns=_FILES))
+    except Exception as error:  # from several libraries
+        raise InputError(
+            f"{place}: cannot be downloaded ({reason(error)}); check the name, and the connection to the Hub"
+        ) from None
+    card = read_object(folder / CARD, "give another network") if (folder / CARD).is_file() else {}
+    architecture = card.get("architecture")
+    named = architecture.get("network") if isinstance(architecture, dict) else None
+    if is_own_part(named):
+        raise InputError(
+            f"{place}: its card names the class {named!r}, which loading it would import; if you trust that, give the "
+            f"folder that it was downloaded to: {folder}"
+        )
+    return folder
+
+
+def load(place: str | os.PathLike[str] | None = None) -> Estimator:
+    """Load a planner's network of any kind, or an estimator of the user's own.
+
+    Args:
+      place: see `local_folder`; `package.module:Name` for an estimator, or a class or function that is called without
+        arguments to make one; `None` for the shipped network.
+
+    Raises:
+      InputError: there is no estimator of that name; see also `local_folder` and
+        `estimation.checkpoints.load_network`, which checks the SHA-256 of the weights.
+    """
+    if isinstance(place, str) and is_own_part(place):
+        return _own_estimator(place)
+    return load_network(None if place is None else local_folder(place))
+
+
+def _own_estimator(name: str) -> Estimator:
+    """Make the estimator `package.module:Name`."""
+    found = own_part("estimator", name, ())
+    try:
+        estimator = found() if callable(found) else found
+    except TypeError as error:
+        raise InputError(f"estimator {name!r}: {error}; give what is called without arguments") from error
+    if not hasattr(estimator, "estimate") or jax.tree_util.all_leaves([estimator]):
+        raise InputError(
+            f"estimator {name!r}: is {short(estimator)}; give a class with init and estimate, decorated with "
+            "flax.struct.dataclass"
+        )
+    return estimator
+
+
+def push(network: TrainedNetwork | str | os.PathLike[str], place: str) -> str:
+    """Save a network on the Hub, in a new repository or as a new version. First log in with `hf auth login`.
+
+    Args:
+      network: the network, or its folder, whose card is then kept. For an indoor network, its folder.
+      place: `hf://owner/name`.
+
+    Returns:
+      The address of the new version.
+
+    Raises:
+      InputError: the folder holds no network, or the Hub rejects it.
+    """
+    repository, revision = _on_hub(place)
+    import huggingface_hub
+
+    with tempfile.TemporaryDirectory() as saved:
+        folder = Path(network) if isinstance(network, str | os.PathLike) else save_network(saved, network)
+        if not (folder / CARD).is_file() or not list(folder.glob(_FILES[1])):
+            raise InputError(f"{folder}: holds no {' and '.join(_FILES)}; give the folder of a trained network")
+        try:
+            hub = huggingface_hub.HfApi()
+            hub.create_repo(repository, exist_ok=True)
+            done = hub.upload_folder(repo_id=repository, folder_path=folder, revision=revision, allow_patterns=_FILES)
+            return str(done.commit_url)
+        except Exception as error:  # of many libraries
+            raise InputError(
+                f"{place}: cannot be saved ({reason(error)}); log in with `hf auth login`, and check the name"
+            ) from None

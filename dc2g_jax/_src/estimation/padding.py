@@ -1,0 +1,89 @@
+"""The network on a grid larger than the map, so that one compiled program serves maps of many sizes.
+
+The map is in the grid's upper left corner. All other cells are `OUTSIDE`. The result is the same as for the map alone:
+convolutions see nothing beyond the map's edge, and larger maps than those of the training are resampled.
+"""
+
+from collections.abc import Callable
+from typing import ClassVar
+
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, Shaped, UInt8
+
+from dc2g_jax._src.estimation.compact_unet import CompactUNet
+from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo, zero_without_classes
+from dc2g_jax._src.estimation.weights import with_weights
+from dc2g_jax._src.grid.sampling import nearest_pixel
+from dc2g_jax._src.grid.terrain import OUTSIDE
+
+
+@struct.dataclass
+class PaddedNetwork(Estimator):
+    """A trained network for maps in a larger grid, one at a time.
+
+    Attributes:
+      network: the network.
+    """
+
+    network: NetworkCostToGo
+    knows_outside: ClassVar[bool] = True
+
+    def summarized(self, summary: Callable[[Array], Array]) -> "PaddedNetwork":
+        """See `NetworkCostToGo.summarized`."""
+        return PaddedNetwork(self.network.summarized(summary))
+
+    def estimate(self, terrain: UInt8[Array, "h w *batch"], state: tuple[()]) -> Float[Array, "outcomes h w *batch"]:
+        """The network's estimate for the map in a grid, in cells; undefined for `OUTSIDE` cells.
+
+        A batch holds one map.
+        """
+        del state
+        (grid,) = jnp.moveaxis(terrain.reshape(*terrain.shape[:2], -1), -1, 0)
+        architecture = self.network.architecture
+        shrunk, map_shape, cells, cell_side = _shrunk(grid, architecture.side)
+        network = with_weights(CompactUNet, architecture, self.network.weights)
+        answer = cell_side * network(shrunk[None], map_shape)[0][cells]
+        return zero_without_classes(terrain, jnp.moveaxis(answer, -1, 0).reshape(-1, *terrain.shape))
+
+
+def _shrunk(
+    grid: UInt8[Array, "h w"], side: int
+) -> tuple[
+    UInt8[Array, "h2 w2"], tuple[Int[Array, ""], Int[Array, ""]], tuple[Int[Array, "h 1"], Int[Array, "w"]], Array
+]:
+    """The map in a grid, resampled if its longer side has more than `side` cells.
+
+    Returns:
+      The new grid, with the map in its upper left corner; the map's new size; row and column there of each cell of the
+      old grid; and the side length of a new cell, in old cells.
+    """
+    inside = grid != OUTSIDE
+    sizes = [jnp.sum(jnp.any(inside, axis=axis), dtype=jnp.int32) for axis in (1, 0)]
+    longest = jnp.maximum(jnp.maximum(*sizes), side)
+    new_sizes = (-(-sizes[0] * side // longest), -(-sizes[1] * side // longest))
+    read, there, back = [], [], []
+    for size, new_size, grid_size in zip(sizes, new_sizes, grid.shape, strict=True):
+        new = jnp.arange(min(grid_size, side))
+        read.append(nearest_pixel(new, size, new_size))
+        there.append(new < new_size)
+        back.append(jnp.clip(nearest_pixel(jnp.arange(grid_size), new_size, size), 0, new_size - 1))
+    shrunk = jnp.where(there[0][:, None] & there[1], grid[read[0][:, None], read[1]], jnp.uint8(OUTSIDE))
+    return shrunk, new_sizes, (back[0][:, None], back[1]), longest / side
+
+
+def mirrored(
+    cells: Shaped[Array, "..."], axes: tuple[int, ...], inside: Bool[Array, "h w *batch"], first: int
+) -> Shaped[Array, "..."]:
+    """Mirror the map in a grid along axes, without moving it out of its corner.
+
+    Args:
+      cells: cells of the grid; rows are axis `first`.
+      axes: axes of the grid, 0 for rows and 1 for columns.
+      inside: cells of the map.
+      first: number of axes before the rows.
+    """
+    for axis in axes:
+        size = jnp.sum(jnp.any(inside, axis=[other for other in range(inside.ndim) if other != axis]), dtype=jnp.int32)
+        cells = jnp.roll(jnp.flip(cells, first + axis), size - inside.shape[axis], first + axis)
+    return cells

@@ -1,0 +1,206 @@
+"""The paper's image-to-image translator: the networks of pix2pix (section III-B; Isola et al., CVPR 2017).
+
+Details that the paper leaves open follow the implementation it names, Hesse's pix2pix in TensorFlow: 4x4 convolutions,
+weights with standard deviation 0.02, and normalization by the statistics of a batch of one image, which is instance
+normalization. There are two differences. The innermost feature is not normalized: it is a single pixel, whose
+normalized value would be zero. Dropout is off at inference, so that outputs are deterministic; there, it stays on.
+"""
+
+import dataclasses
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import nnx
+from jaxtyping import Array, Float
+
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.weights import shapes_of_weights
+from dc2g_jax._src.programs import jit
+
+_KERNEL = (4, 4)
+_SPREAD = 0.02
+_EPSILON = 1e-5
+
+#: Dropout rate of the first decoder levels, and the number of these levels.
+_DROPOUT, _DROPOUT_LEVELS = 0.5, 3
+
+#: Halvings in the discriminator. Each output then has a receptive field of 70x70 pixels.
+_DISCRIMINATOR_HALVINGS = 3
+
+#: Data types for computations; weights are always float32.
+_COMPUTE_DTYPES = {"float32": jnp.float32, "bfloat16": jnp.bfloat16}
+
+
+@dataclasses.dataclass(frozen=True)
+class TranslatorArchitecture:
+    """Architecture of the generator and the discriminator.
+
+    Attributes:
+      size: rows and columns of the images, a power of two from 32 to 4096. The generator halves an image down to a
+        single pixel: 8 times for 256.
+      base_filters: channels at half the images' resolution; doubled at each further level, up to 8 times.
+      compute_dtype: `float32` or `bfloat16`.
+    """
+
+    size: int = 256
+    base_filters: int = 64
+    compute_dtype: str = "float32"
+
+    def __post_init__(self) -> None:
+        if not 32 <= self.size <= 4096 or self.size & (self.size - 1):
+            raise InputError(f"size {self.size}: give a power of two from 32 to 4096")
+        if not 1 <= self.base_filters <= 1024:
+            raise InputError(f"base_filters {self.base_filters}: give a number from 1 to 1024")
+        if self.compute_dtype not in _COMPUTE_DTYPES:
+            raise InputError(f"compute_dtype {self.compute_dtype!r}: use one of: {', '.join(_COMPUTE_DTYPES)}")
+
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """Channels at each level of the generator, outermost first."""
+        return tuple(self.base_filters * min(2**level, 8) for level in range(self.size.bit_length() - 1))
+
+
+class _InstanceNorm(nnx.Module):
+    """Normalize each channel of each image to zero mean and unit variance, then scale and shift."""
+
+    def __init__(self, width: int):
+        self.scale = nnx.Param(jnp.ones(width))
+        self.offset = nnx.Param(jnp.zeros(width))
+
+    def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h w c"]:
+        wide = features.astype(jnp.float32)
+        mean = jnp.mean(wide, axis=(1, 2), keepdims=True)
+        variance = jnp.var(wide, axis=(1, 2), keepdims=True)
+        normal = (wide - mean) * jax.lax.rsqrt(variance + _EPSILON)
+        return (normal * self.scale[...] + self.offset[...]).astype(features.dtype)
+
+
+class _Doubling(nnx.Module):
+    """A transposed 4x4 convolution that doubles the resolution.
+
+    It is written as matrix products whose 4x4 blocks overlap by two. In XLA's CPU backend, gradients of a transposed
+    convolution are about fifteen times slower.
+    """
+
+    def __init__(self, width_in: int, width_out: int, *, dtype: Any):
+        self.kernel = nnx.Param(jnp.zeros((*_KERNEL, width_in, width_out)))
+        self.bias = nnx.Param(jnp.zeros(width_out))
+        self.dtype = dtype
+
+    def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h2 w2 d"]:
+        batch, height, width, width_in = features.shape
+        width_out = self.bias.shape[0]
+        # Axes of the kernel: block row, row in the block, block column, column in the block, input, output.
+        kernel = self.kernel[...].reshape(2, 2, 2, 2, width_in, width_out).transpose(0, 2, 4, 1, 3, 5)
+        kernel = kernel.reshape(2, 2, width_in, 4 * width_out).astype(self.dtype)
+        blocks = sum(
+            jnp.pad(
+                features.astype(self.dtype) @ kernel[down, right],
+                ((0, 0), (down, 1 - down), (right, 1 - right), (0, 0)),
+            )
+            for down in (0, 1)
+            for right in (0, 1)
+        )
+        pixels = jnp.asarray(blocks).reshape(batch, height + 1, width + 1, 2, 2, width_out).transpose(0, 1, 3, 2, 4, 5)
+        pixels = pixels.reshape(batch, 2 * height + 2, 2 * width + 2, width_out)
+        return pixels[:, 1:-1, 1:-1] + self.bias[...].astype(self.dtype)
+
+
+class _Layer(nnx.Module):
+    """A convolution with optional normalization."""
+
+    def __init__(self, convolution: nnx.Conv | _Doubling, width: int, *, normalize: bool):
+        self.convolution = convolution
+        self.norm = _InstanceNorm(width) if normalize else None
+
+    def __call__(self, features: Float[Array, "b h w c"]) -> Float[Array, "b h2 w2 d"]:
+        features = self.convolution(features)
+        return features if self.norm is None else self.norm(features)
+
+
+_leaky = functools.partial(jax.nn.leaky_relu, negative_slope=0.2)
+
+
+def _dropped(features: Array, key: Array) -> Array:
+    kept = jax.random.bernoulli(key, 1 - _DROPOUT, features.shape)
+    return jnp.where(kept, features / (1 - _DROPOUT), 0).astype(features.dtype)
+
+
+class Generator(nnx.Module):
+    """The U-Net: an encoder down to a single pixel, and a decoder with skip connections at each level."""
+
+    def __init__(self, architecture: TranslatorArchitecture, *, rngs: nnx.Rngs):
+        widths, dtype = architecture.widths, _COMPUTE_DTYPES[architecture.compute_dtype]
+        self.levels = len(widths)
+        innermost = self.levels - 1
+        for level, width in enumerate(widths):
+            below, skipped = (widths[level - 1] if level else 3), (1 if level == innermost else 2)
+            halve = nnx.Conv(below, width, _KERNEL, strides=2, padding=1, dtype=dtype, rngs=rngs)
+            double = _Doubling(skipped * width, below, dtype=dtype)
+            setattr(self, f"down{level}", _Layer(halve, width, normalize=0 < level < innermost))
+            setattr(self, f"up{level}", _Layer(double, below, normalize=level > 0))
+
+    def __call__(self, images: Float[Array, "b s s 3"], key: Array | None = None) -> Float[Array, "b s s 3"]:
+        """Translate images of maps to images of their cost-to-go, see `estimation.images`.
+
+        A key turns on dropout, as in training; without it, the output is deterministic.
+        """
+        features, skipped = 2 * images - 1, []
+        for level in range(self.levels):
+            features = getattr(self, f"down{level}")(features if level == 0 else _leaky(features))
+            skipped.append(features)
+        for level in reversed(range(self.levels)):
+            if level < self.levels - 1:
+                features = jnp.concatenate([features, skipped[level]], axis=-1)
+            features = getattr(self, f"up{level}")(jax.nn.relu(features))
+            if key is not None and self.levels - level <= _DROPOUT_LEVELS:
+                features = _dropped(features, jax.random.fold_in(key, level))
+        return (jnp.tanh(features.astype(jnp.float32)) + 1) / 2
+
+
+class Discriminator(nnx.Module):
+    """The 70x70 PatchGAN: for every patch, the log-odds that an image is the true one for a given input."""
+
+    def __init__(self, architecture: TranslatorArchitecture, *, rngs: nnx.Rngs):
+        filters, dtype = architecture.base_filters, _COMPUTE_DTYPES[architecture.compute_dtype]
+        self.layers = _DISCRIMINATOR_HALVINGS + 2
+        width_in = 6
+        for layer in range(self.layers):
+            last = layer == self.layers - 1
+            width = 1 if last else filters * 2**layer
+            step = 2 if layer < _DISCRIMINATOR_HALVINGS else 1  # halves the resolution, or reduces it by one pixel
+            convolution = nnx.Conv(width_in, width, _KERNEL, strides=step, padding=1, dtype=dtype, rngs=rngs)
+            setattr(self, f"layer{layer}", _Layer(convolution, width, normalize=layer > 0 and not last))
+            width_in = width
+
+    def __call__(self, images: Float[Array, "b s s 3"], answers: Float[Array, "b s s 3"]) -> Float[Array, "b p q"]:
+        """Log-odds for every patch of each pair of an input and an output image."""
+        features = 2 * jnp.concatenate([images, answers], axis=-1) - 1
+        for layer in range(self.layers):
+            features = getattr(self, f"layer{layer}")(features if layer == 0 else _leaky(features))
+        return features[..., 0].astype(jnp.float32)
+
+
+Network = type[Generator] | type[Discriminator]
+
+
+@functools.partial(jit, static_argnums=(0, 1))
+def init_weights(network: Network, architecture: TranslatorArchitecture, key: Array) -> dict[str, Any]:
+    """Random initial weights of either network: a nested dictionary of float32 arrays.
+
+    All are slices of one sample, since a program that samples each array separately takes long to compile.
+    """
+    shapes = shapes_of_weights(network, architecture)
+    leaves, structure = jax.tree_util.tree_flatten_with_path(shapes)
+    ends = np.cumsum([leaf.size for _, leaf in leaves])
+    draws = _SPREAD * jax.random.normal(key, (int(ends[-1]),))
+
+    def weight(path: Any, leaf: jax.ShapeDtypeStruct, end: int) -> Array:
+        own = draws[end - leaf.size : end].reshape(leaf.shape)
+        return {"kernel": own, "scale": 1 + own}.get(path[-1].key, jnp.zeros(leaf.shape))
+
+    weights = [weight(path, leaf, end) for (path, leaf), end in zip(leaves, ends.tolist(), strict=True)]
+    return jax.tree_util.tree_unflatten(structure, weights)

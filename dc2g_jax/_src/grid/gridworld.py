@@ -1,0 +1,94 @@
+"""The gridworld: the robot, its belief and the effect of its actions (paper, section IV-B).
+
+Pure functions on one robot or on a batch of robots. Batch axes come last, see `grid.bitboard`.
+"""
+
+import dataclasses
+import functools
+
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Array, Bool, Int, UInt8, UInt32
+
+from dc2g_jax._src.grid import bitboard
+from dc2g_jax._src.grid.poses import Pose, moved
+from dc2g_jax._src.grid.sensing import Kernel
+from dc2g_jax._src.grid.windows import window_around
+from dc2g_jax._src.grid.world import World, world_from_terrain
+
+
+@struct.dataclass
+class Belief(World):
+    """A world as far as a robot has observed it since the episode began (the stand-in for a SLAM system); and its pose.
+
+    Attributes:
+      classes: bit planes of the observed class indices: plane `b` holds the cells whose index has bit `b`.
+      traversable: board of observed traversable cells.
+      goals: board of observed goal cells.
+      width: columns of the grid.
+      pose: pose of the robot.
+      steps: actions taken so far, int32.
+      seen: board of observed cells.
+      outside: board of the cells that are not part of the map, if the grid is larger than the map. They are never
+        observed and do not count as unobserved.
+    """
+
+    pose: Pose
+    steps: Int[Array, "*batch"]
+    seen: UInt32[Array, "n_words h *batch"]
+    outside: UInt32[Array, "n_words h *batch"] | None = None
+
+
+#: Fields of a belief that are boards.
+BOARDS = ("classes", "traversable", "goals", "seen")
+
+
+def belief_of(world: World, pose: Pose, steps: Int[Array, "*batch"], seen: UInt32[Array, "n_words h *batch"]) -> Belief:
+    """The belief of a robot that has observed these cells of a world."""
+    return Belief(
+        classes=world.classes & seen,
+        traversable=world.traversable & seen,
+        goals=world.goals & seen,
+        width=world.width,
+        pose=pose,
+        steps=steps,
+        seen=seen,
+    )
+
+
+def reset(world: World, pose: Pose, sensing: Kernel) -> Belief:
+    """The belief at the start of an episode, after the observation from the first pose."""
+    return belief_of(world, pose, jnp.zeros_like(pose.x), sensing.visible(pose, world.opaque, world.width))
+
+
+def step(world: World, belief: Belief, action: Int[Array, "*batch"], sensing: Kernel) -> Belief:
+    """Take one action, then observe. Shapes and dtypes of the belief do not change."""
+    pose = moved(belief.pose, action, belief.height, belief.width)
+    n_words, height, *batch = belief.seen.shape
+    if batch != [1]:
+        seen = belief.seen | sensing.visible(pose, world.opaque, world.width)
+        return belief_of(world, pose, belief.steps + 1, seen)
+    # One robot changes what is near it. The other words of large boards stay as they are.
+    window = window_around(pose, 1 + bitboard.word_count(2 * sensing.radius), 2 * sensing.radius + 1, (n_words, height))
+    near = window.cut(world)
+    visible = sensing.visible(window.pose(pose), near.opaque, world.width - window.column)
+    part = belief_of(near, pose, belief.steps + 1, window.cut(belief.seen) | visible)
+    boards = {name: window.put(getattr(belief, name), getattr(part, name)) for name in BOARDS}
+    return dataclasses.replace(part, **boards)
+
+
+def at_goal(world: World, pose: Pose) -> Bool[Array, "*batch"]:
+    """Whether the robot stands on a goal cell."""
+    return bitboard.contains(world.goals, pose.x, pose.y)
+
+
+def belief_from_map(observed: UInt8[Array, "h w *batch"] | UInt8[np.ndarray, "h w *batch"], pose: Pose) -> Belief:
+    """The belief of a robot that supplies its own partial map.
+
+    Args:
+      observed: class index of every cell, 0 for unobserved cells; see `grid.terrain`.
+      pose: pose of the robot.
+    """
+    world = world_from_terrain(observed)
+    return belief_of(world, pose, jnp.zeros_like(pose.x), functools.reduce(jnp.bitwise_or, world.classes))

@@ -1,0 +1,341 @@
+"""Shortest plans over poses (x, y, heading) and exact cost-to-go over cells.
+
+A wavefront is a pose set that grows by one action per step. The work of a search is therefore its length in actions
+times the number of words in the map. Batch axes come last, see `grid.bitboard`.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, UInt32
+
+from dc2g_jax._src.grid import bitboard, poses
+from dc2g_jax._src.grid.bitboard import Board
+from dc2g_jax._src.grid.loops import for_each_until, repeated, until
+from dc2g_jax._src.grid.poses import ACTION_LETTERS, FORWARD_ACTION, HEADINGS, Pose, PoseSet, moved, one_action_on, only
+from dc2g_jax._src.grid.shifting import shifted
+
+#: Wavefront steps between checks for growth on a CPU. Most searches end before the first check.
+_STEPS_BETWEEN_LOOKS = 32
+
+
+def _pose_count(free: Board) -> int:
+    """Number of poses on a board, its padding included."""
+    return HEADINGS * free.shape[0] * free.shape[1] * bitboard.WORD_BITS
+
+
+class _Search(NamedTuple):
+    """State of a wavefront search.
+
+    Attributes:
+      reached: poses reached so far.
+      length: steps of the wavefront so far.
+      active: whether the wavefront still grows. It stops on arrival, so each search of a batch ends by itself.
+    """
+
+    reached: PoseSet
+    length: Int[Array, "*batch"]
+    active: Bool[Array, "*batch"]
+
+
+def _search(
+    start: PoseSet,
+    active: Bool[Array, "*batch"],
+    free: Board,
+    grown: Callable[[PoseSet], PoseSet],
+    targets: Any,
+    reached_of: Callable[[PoseSet, Any], Bool[Array, "target *batch"]],
+) -> tuple[Bool[Array, "target *batch"], Int[Array, "*batch"]]:
+    """Grow a wavefront over free cells until it arrives or stops growing.
+
+    On a CPU, the searches of a batch run until the last one ends. Elsewhere, the batch shrinks as searches end.
+
+    Args:
+      start: first poses of the wavefront.
+      active: whether there is anything to search for.
+      free: cells that the wavefront may cover.
+      grown: maps a pose set to the poses one action after (or before) it.
+      targets: where to arrive; arrays with the batch axes last.
+      reached_of: `(pose set, targets) ->` which of the targets are in the set. A search ends once any of them is.
+
+    Returns:
+      Which targets were reached, and the number of steps of the wavefront.
+    """
+
+    def grow(search: _Search, free: Board, targets: Any) -> _Search:
+        reached = search.reached | (grown(search.reached) & jnp.where(search.active, free, jnp.uint32(0)))
+        arrived = jnp.any(reached_of(reached, targets), axis=0)
+        return _Search(reached, search.length + search.active, search.active & ~arrived)
+
+    def still_growing(later: _Search, before: _Search) -> _Search:
+        return later._replace(active=later.active & ~poses.is_empty(later.reached ^ before.reached))
+
+    def grow_until_all_have_arrived(search: _Search) -> _Search:
+        def go_on(carry: tuple[_Search, Array]) -> Bool[Array, ""]:
+            return jnp.any(carry[0].active) & (carry[1] < _STEPS_BETWEEN_LOOKS)
+
+        def grow_once(carry: tuple[_Search, Array]) -> tuple[_Search, Array]:
+            return grow(carry[0], free, targets), carry[1] + 1
+
+        return still_growing(jax.lax.while_loop(go_on, grow_once, (search, jnp.int32(0)))[0], search)
+
+    def grow_some(steps: int, search: _Search, given: tuple[Board, Any]) -> _Search:
+        later = jax.lax.fori_loop(0, steps, lambda _, search: grow(search, *given), search, unroll=True)
+        return still_growing(later, search)
+
+    def result(search: _Search, given: tuple[Board, Any]) -> tuple[Array, Array]:
+        return reached_of(search.reached, given[1]), search.length
+
+    most = _pose_count(free) + 1
+
+    def together(first: _Search, given: tuple[Board, Any]) -> tuple[Array, Array]:
+        last = until(lambda search: ~jnp.any(search.active), grow_until_all_have_arrived, first, most=most)
+        return result(last, given)
+
+    def each(first: _Search, given: tuple[Board, Any]) -> tuple[Array, Array]:
+        return for_each_until(lambda search: search.active, grow_some, result, first, given, most=most)
+
+    length = jnp.zeros(active.shape, jnp.int32)
+    first = _Search(start, length, active & ~jnp.any(reached_of(start, targets), axis=0))
+    return jax.lax.platform_dependent(first, (free, targets), cpu=together, default=each)
+
+
+@struct.dataclass
+class FirstAction:
+    """The first action of a shortest plan.
+
+    Attributes:
+      action: 0 forward, 1 turn left, 2 turn right; forward if there is no plan.
+      length: number of actions in the plan; 0 if there is no plan or the pose is already a target.
+      found: whether a plan exists.
+    """
+
+    action: Int[Array, "*batch"]
+    length: Int[Array, "*batch"]
+    found: Bool[Array, "*batch"]
+
+
+def first_action(pose: Pose, targets: PoseSet, free: Board) -> FirstAction:
+    """First action of the lexicographically smallest shortest plan from `pose` into `targets` (Algorithm 2, line 12).
+
+    Actions are ordered forward, left, right. The wavefront grows backward from the targets and stops one action short
+    of the robot. Of the robot's three next poses it has then reached exactly those that are one action closer, so
+    neither a distance field nor a table of parents is needed.
+
+    Args:
+      pose: pose of the robot.
+      targets: poses to reach; targets outside the free cells are ignored.
+      free: cells the robot may use; a plan never leaves them.
+    """
+    start = targets & free
+    columns, height = free.shape[0] * bitboard.WORD_BITS, free.shape[1]
+    next_poses = [moved(pose, jnp.int32(action), height, columns) for action in range(len(ACTION_LETTERS))]
+
+    def closer(reached: PoseSet, next_poses: list[Pose]) -> Bool[Array, "action *batch"]:
+        return jnp.stack([poses.contains(reached, next_pose) for next_pose in next_poses])
+
+    there = poses.contains(start, pose)
+    active = ~there & bitboard.contains(free, pose.x, pose.y) & ~poses.is_empty(start)
+    one_action_before = functools.partial(one_action_on, forward=-1)
+    actions, length = _search(start, active, free, one_action_before, next_poses, closer)
+    actions &= active
+    on_the_way = jnp.any(actions, axis=0)
+    return FirstAction(
+        action=jnp.where(on_the_way, jnp.argmax(actions, axis=0), FORWARD_ACTION).astype(jnp.int32),
+        length=jnp.where(on_the_way, length + 1, 0),
+        found=there | on_the_way,
+    )
+
+
+def first_headings(
+    pose: Pose, x: Int[Array, "*batch"], y: Int[Array, "*batch"], free: Board
+) -> Bool[Array, "heading *batch"]:
+    """The headings in which a robot can first arrive on the cell in column `x`, row `y`; none if it is unreachable.
+
+    Args:
+      pose: pose of the robot.
+      x: column of the cell.
+      y: row of the cell.
+      free: cells the robot may use.
+    """
+
+    def there(reached: PoseSet, cell: tuple[Array, Array]) -> Bool[Array, "heading *batch"]:
+        return jnp.stack([bitboard.contains(reached[heading], *cell) for heading in range(HEADINGS)])
+
+    start = only(pose, *free.shape[:2]) & free
+    active = bitboard.contains(free, pose.x, pose.y) & bitboard.contains(free, x, y)
+    return _search(start, active, free, one_action_on, (x, y), there)[0]
+
+
+#: Base-2 logarithm of the wavefront steps between changes of the high planes.
+_LOW_BITS = 4
+
+
+def _count(pose: Pose, free: Board) -> tuple[PoseSet, PoseSet, UInt32[Array, "bit heading n_words h *batch"]]:
+    """Bit-sliced distances from a pose in actions, counted while the wavefront grows.
+
+    A step adds one to the count of every pose not yet reached. Consecutive numbers differ in one bit of Gray code, so
+    adding one is an exclusive or with one plane: usually a low plane, now and then a high plane.
+
+    Returns:
+      The pose at distance 0; the poses with a distance; and the distance minus one in Gray code, highest bit first.
+      Each plane holds the poses whose code has that bit.
+    """
+    n_words, height = free.shape[:2]
+    start = only(pose, n_words, height) & free
+    high_bits = _pose_count(free).bit_length() - _LOW_BITS
+
+    def flipped(planes: Array, plane: Array, flips: PoseSet) -> Array:
+        index = jax.lax.broadcasted_iota(jnp.int32, planes.shape, 0)
+        return planes ^ jnp.where(index == plane, flips, jnp.uint32(0))
+
+    def trailing_ones(number: Array) -> Array:
+        return jax.lax.population_count(number & ~(number + 1))
+
+    def grow(number: Array, carry: tuple[PoseSet, Array]) -> tuple[PoseSet, Array]:
+        reached, low = carry
+        reached = reached | (one_action_on(reached) & free)
+        return reached, flipped(low, trailing_ones(number), ~reached)
+
+    def grow_a_round(carry: tuple[PoseSet, Array, Array, Array, Array]) -> tuple[PoseSet, Array, Array, Array, Array]:
+        before, low, high, rounds, _ = carry
+        reached, low = repeated(2**_LOW_BITS, grow, (before, low))
+        # The last of these steps flips a high bit instead of a low one.
+        high = flipped(high, trailing_ones(rounds), ~reached)
+        return reached, low, high, rounds + 1, jnp.any(reached != before)
+
+    low, high = (jnp.zeros((bits, *start.shape), jnp.uint32) for bits in (_LOW_BITS, high_bits))
+    first = start, low, high, jnp.int32(0), jnp.bool_(True)
+    reached, low, high, _, _ = until(lambda carry: ~carry[-1], grow_a_round, first, most=_pose_count(free) + 1)
+    return start, reached, jnp.concatenate([low, high])[::-1]
+
+
+def distances(pose: Pose, free: Board, width: int) -> Int[Array, "heading h w *batch"]:
+    """Length in actions of a shortest plan from `pose` to every pose over free cells, -1 for unreachable poses."""
+    start, reached, planes = _count(pose, free)
+
+    def read(carry: tuple[Array, Array], plane: PoseSet) -> tuple[tuple[Array, Array], None]:
+        lengths, binary = carry
+        binary = binary ^ plane
+        return (2 * lengths + poses.unpack(binary, width), binary), None
+
+    zero = jnp.zeros((HEADINGS, free.shape[1], width, *free.shape[2:]), jnp.int32)
+    (lengths, _), _ = jax.lax.scan(read, (zero, jnp.zeros_like(start)), planes)
+    lengths = jnp.where(poses.unpack(start, width), 0, lengths + 1)
+    return jnp.where(poses.unpack(reached, width), lengths, -1)
+
+
+def nearest_headings(
+    pose: Pose, candidates: PoseSet, free: Board, width: int
+) -> tuple[PoseSet, Int[Array, "h w *batch"]]:
+    """The nearest candidate headings of every cell, and the number of actions to reach them.
+
+    Args:
+      pose: pose of the robot; must not be a candidate.
+      candidates: poses to compare; unreachable candidates are ignored.
+      free: cells the robot may use.
+      width: columns of the map.
+
+    Returns:
+      The nearest candidates of every cell, and their distance in actions. The distance is undefined on cells without
+      candidates.
+    """
+    _, reached, planes = _count(pose, free)
+
+    def compare(carry: tuple[PoseSet, PoseSet], plane: PoseSet) -> tuple[tuple[PoseSet, PoseSet], Board]:
+        nearest, binary = carry
+        binary = binary ^ plane
+        # From the highest bit to the lowest: where one candidate has a zero, candidates with a one are farther.
+        without = nearest & ~binary
+        some_without = poses.occupied(without)
+        return (nearest & ~(binary & some_without), binary), ~some_without
+
+    start = (candidates & reached, jnp.zeros_like(candidates))
+    (nearest, _), cell_planes = jax.lax.platform_dependent(
+        start,
+        planes,
+        cpu=functools.partial(jax.lax.scan, compare),
+        default=functools.partial(jax.lax.scan, compare, unroll=True),
+    )
+    lengths = jnp.int32(0)
+    for plane in cell_planes:
+        lengths = 2 * lengths + bitboard.unpack(plane, width)
+    return nearest, lengths + 1
+
+
+#: Moves between cells, `(dx, dy)`: the four a robot can make, and the eight of the paper's cost-to-go images.
+FOUR_CONNECTED = ((1, 0), (-1, 0), (0, 1), (0, -1))
+EIGHT_CONNECTED = (*FOUR_CONNECTED, (1, 1), (1, -1), (-1, 1), (-1, -1))
+
+
+def _grown_goals(traversable: Bool[Array, "h w *batch"], goals: Bool[Array, "h w *batch"]) -> Bool[Array, "h w *batch"]:
+    """The goal cells, grown by 3x3 squares until they touch traversable ground (unchanged where they never do)."""
+
+    def grow(cells: Bool[Array, "h w *batch"]) -> Bool[Array, "h w *batch"]:
+        rows = cells | shifted(cells, 0, 1, False) | shifted(cells, 0, -1, False)
+        return rows | shifted(rows, 1, 0, False) | shifted(rows, -1, 0, False)
+
+    def somewhere(cells: Bool[Array, "h w *batch"]) -> Bool[Array, "*batch"]:
+        return jnp.any(cells, axis=(0, 1))
+
+    ground = traversable & ~goals
+    can_touch = somewhere(goals) & somewhere(ground)
+
+    def lonely(cells: Bool[Array, "h w *batch"]) -> Bool[Array, "*batch"]:
+        return can_touch & ~somewhere(grow(cells) & ground)
+
+    return until(
+        lambda cells: ~jnp.any(lonely(cells)),
+        lambda cells: jnp.where(lonely(cells), grow(cells), cells),
+        goals,
+        most=max(goals.shape[:2]),
+    )
+
+
+def cost_to_go(
+    traversable: Bool[Array, "h w *batch"],
+    goals: Bool[Array, "h w *batch"],
+    *,
+    moves: tuple[tuple[int, int], ...] = EIGHT_CONNECTED,
+) -> Float[Array, "h w *batch"]:
+    """Exact least travel cost from every cell to the nearest goal cell, in cells (Algorithm 1, line 5).
+
+    Steps lead over traversable cells and goal cells. A straight step costs 1, a diagonal step sqrt 2; diagonal steps
+    past corners are allowed. Where no goal cell touches traversable ground, the goal is dilated by 3x3 squares until it
+    does. The cost is kept as two integers, the numbers of straight and diagonal steps. It is therefore rounded only
+    once, and equal costs compare equal.
+
+    Args:
+      traversable: cells a robot may drive on.
+      goals: goal cells.
+      moves: allowed steps between cells: `EIGHT_CONNECTED` as in the paper, or `FOUR_CONNECTED` as the robot drives.
+
+    Returns:
+      float32 costs; infinity on cells that are not traversable or cannot reach a goal.
+    """
+    goals = _grown_goals(traversable, goals)
+    free = traversable | goals
+
+    def relax(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
+        straight, diagonal, cost, _ = carry
+        best_straight, best_diagonal, best = straight, diagonal, cost
+        for dx, dy in moves:
+            is_diagonal = abs(dx * dy)
+            new_straight = shifted(straight, dx, dy, 0) + (1 - is_diagonal)
+            new_diagonal = shifted(diagonal, dx, dy, 0) + is_diagonal
+            reached = free & jnp.isfinite(shifted(cost, dx, dy, jnp.inf))
+            new = jnp.where(reached, new_straight + jnp.sqrt(jnp.float32(2)) * new_diagonal, jnp.inf)
+            better = new < best
+            best_straight = jnp.where(better, new_straight, best_straight)
+            best_diagonal = jnp.where(better, new_diagonal, best_diagonal)
+            best = jnp.where(better, new, best)
+        return best_straight, best_diagonal, best, jnp.any(best < cost)
+
+    zero = jnp.zeros(goals.shape, jnp.int32)
+    start = (zero, zero, jnp.where(goals, jnp.float32(0), jnp.float32(jnp.inf)), jnp.any(goals))
+    # A cheapest path has fewer steps than there are cells.
+    return until(lambda carry: ~carry[3], relax, start, most=goals.shape[0] * goals.shape[1] + 1)[2]

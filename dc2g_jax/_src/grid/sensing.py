@@ -1,0 +1,278 @@
+"""Which cells a robot sees from a pose: kernels of constant offsets, one set per heading.
+
+The paper's field of view has no occlusion: it is four constant sets of offsets, moved to the robot's cell. With
+occlusion (`line_of_sight`), the offsets form a tree: a cell is seen through an adjacent cell nearer to the robot, which
+is its parent. Batch axes come last, see `grid.bitboard`.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Int, Shaped, UInt, UInt32
+from scipy import ndimage
+
+from dc2g_jax._src.grid import bitboard
+from dc2g_jax._src.grid.bitboard import WORD_BITS, Board
+from dc2g_jax._src.grid.poses import FORWARD, HEADINGS, Pose, PoseSet
+
+#: Largest sensing range that options accept, in cells: the size of a kernel grows with its square.
+MAX_SENSING_RANGE = 64
+
+
+@dataclasses.dataclass(frozen=True)
+class Kernel:
+    """A set of offsets from the robot's cell for each heading. Hashable, so it can be a static argument of `jit`.
+
+    Attributes:
+      radius: bound on the absolute offsets along x and y, in cells.
+      offsets: the offsets `(dx, dy)` of each of the four headings.
+    """
+
+    radius: int
+    offsets: tuple[tuple[tuple[int, int], ...], ...] = dataclasses.field(repr=False)
+
+    def as_array(self) -> Bool[np.ndarray, "heading dy dx"]:
+        """The kernel as a boolean array with the robot's cell at index `(radius, radius)`."""
+        size = 2 * self.radius + 1
+        array = np.zeros((HEADINGS, size, size), dtype=bool)
+        for heading, offsets in enumerate(self.offsets):
+            for dx, dy in offsets:
+                array[heading, dy + self.radius, dx + self.radius] = True
+        return array
+
+    def visible(self, pose: Pose, opaque: Board, width: int | Int[Array, ""]) -> Board:
+        """The in-bounds cells that are seen from a pose.
+
+        Args:
+          pose: pose of the robot.
+          opaque: cells that hide what is behind them. This kernel ignores them.
+          width: columns of the grid.
+        """
+        (n_words, height), n_rows = opaque.shape[:2], 2 * self.radius + 3
+        row = jax.lax.broadcasted_iota(jnp.int32, (height, *pose.x.shape), 0)
+        kernel_row = jnp.clip(row - pose.y + self.radius + 1, 0, n_rows - 1) + pose.heading * n_rows
+        word_start = WORD_BITS * jax.lax.broadcasted_iota(jnp.int32, (n_words, height, *pose.x.shape), 0)
+        covered = jnp.zeros(word_start.shape, jnp.uint32)
+        for bounds in _kernel_runs(self):
+            first, last = (
+                jnp.asarray(bound.reshape(-1)).at[kernel_row].get(mode="promise_in_bounds") for bound in bounds
+            )
+            end = jnp.minimum(pose.x + last + 1, width)
+            covered |= _bits_below(end - word_start) & ~_bits_below(pose.x + first - word_start)
+        return covered
+
+    def poses_that_see(self, targets: Board, opaque: Board) -> PoseSet:
+        """Poses from which at least one target cell is seen, see `visible`."""
+        del opaque
+        return jnp.stack([bitboard.cells_that_see(targets, offsets) for offsets in self.offsets])
+
+    def count_seen(self, targets: Board, opaque: Board, width: int) -> UInt[Array, "heading h w *batch"]:
+        """Number of target cells that are seen from every pose, see `visible`.
+
+        Args:
+          targets: cells to count.
+          opaque: see `visible`.
+          width: columns of the grid.
+        """
+        del opaque
+        height, radius = targets.shape[1], self.radius
+        frame = [(radius, radius), (radius, radius), *((0, 0) for _ in targets.shape[2:])]
+        framed = jnp.pad(bitboard.unpack(targets, width).astype(self._count), frame)
+        # Without the barrier, a GPU would unpack every cell again for each offset. A CPU is faster without it.
+        framed = jax.lax.platform_dependent(framed, cpu=lambda cells: cells, default=jax.lax.optimization_barrier)
+
+        def counted(offsets: tuple[tuple[int, int], ...]) -> Array:
+            # Many small integers fit into a vector: this is faster than sharing work between neighboring cells.
+            views = (framed[radius + dy :, radius + dx :][:height, :width] for dx, dy in offsets)
+            return functools.reduce(jnp.add, views)
+
+        return jnp.stack([counted(offsets) for offsets in self.offsets])
+
+    @property
+    def _count(self) -> type:
+        """The integer type that can count the cells in view."""
+        return jnp.uint8 if max(map(len, self.offsets)) < 256 else jnp.uint16
+
+
+@dataclasses.dataclass(frozen=True)
+class OccludedKernel(Kernel):
+    """A set of offsets that are seen only where nothing opaque is in between.
+
+    An offset is seen through its parent: the offset one cell less ahead that lies next to the straight line to the
+    robot. A cell is hidden if its parent is hidden or opaque; the robot's own cell hides nothing. Hidden cells are
+    therefore revealed one after the other: a robot that drives to a pose from which, as far as it knows, it would see
+    something unobserved does observe something new there.
+    """
+
+    def visible(self, pose: Pose, opaque: Board, width: int | Int[Array, ""]) -> Board:
+        """The in-bounds cells that are seen from a pose, see `Kernel.visible`."""
+        height = opaque.shape[1]
+        dx, dy, parents = (jnp.asarray(table)[pose.heading] for table in self._tree())
+        x, y = (jnp.moveaxis(offsets, -1, 0) + here for offsets, here in ((dx, pose.x), (dy, pose.y)))
+        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        is_opaque = jax.vmap(functools.partial(bitboard.contains, opaque))
+        hides = is_opaque(jnp.clip(x, 0, width - 1), jnp.clip(y, 0, height - 1)) & inside
+        # The robot's own cell comes first and hides nothing.
+        through = jnp.concatenate([jnp.ones_like(hides[:1]), ~hides[1:]])
+        parents = jnp.moveaxis(parents, -1, 0)
+        seen = jnp.ones_like(inside)
+        # The depth of an offset in the tree is its distance ahead.
+        for _ in range(self.radius):
+            seen = jnp.take_along_axis(seen & through, parents, axis=0)
+        cells = bitboard.single(x, jnp.where(seen & inside, y, -1), *opaque.shape[:2])
+        return jnp.bitwise_or.reduce(cells, axis=2)
+
+    def poses_that_see(self, targets: Board, opaque: Board) -> PoseSet:
+        """Poses from which at least one target cell is seen, see `visible`."""
+        return self._over_offsets(jnp.bitwise_or, targets, targets, opaque)
+
+    def count_seen(self, targets: Board, opaque: Board, width: int) -> UInt[Array, "heading h w *batch"]:
+        """Number of target cells that are seen from every pose, see `Kernel.count_seen`."""
+
+        def add(count: Array, more: Board) -> Array:
+            return count + bitboard.unpack(more, width)
+
+        return self._over_offsets(add, bitboard.unpack(targets, width).astype(self._count), targets, opaque)
+
+    def _over_offsets(
+        self, add: Callable[[Array, Board], Array], own: Array, targets: Board, opaque: Board
+    ) -> Shaped[Array, "heading ..."]:
+        """Fold `add(result so far, cells from which a target is seen at the offset)` over the offsets of each heading.
+
+        Args:
+          add: called for each offset except the robot's own cell.
+          own: the result for the robot's own cell, with which the fold begins.
+          targets: cells to see.
+          opaque: cells that hide what is behind them.
+        """
+        height = opaque.shape[1]
+        dx, dy, parents = self._tree()
+        # Slots are reused: parents are never further back. The compiler copies all slots in every step.
+        slots = 1 + int(np.max(np.arange(parents.shape[1]) - parents))
+        reach = range(-self.radius, self.radius + 1)
+        framed = [(0, 0), (self.radius, self.radius)] + [(0, 0)] * (opaque.ndim - 2)
+        columns = jnp.stack(
+            [jnp.stack([jnp.pad(bitboard.shift(board, -dx, 0), framed) for board in (targets, opaque)]) for dx in reach]
+        )
+
+        def look(carry: tuple[Array, Array], offset: tuple[Array, ...]) -> tuple[tuple[Array, Array], None]:
+            result, through = carry
+            number, dx, dy, parent = offset
+            there = jax.lax.dynamic_slice_in_dim(columns[dx + self.radius], dy + self.radius, height, axis=2)
+            result = add(result, through[parent] & there[0])
+            return (result, through.at[number % slots].set(through[parent] & ~there[1])), None
+
+        def all_offsets(tree: tuple[Array, ...]) -> Array:
+            # Cells from which each offset is seen and seen through; the robot's own cell hides nothing.
+            through = jnp.broadcast_to(~jnp.zeros_like(opaque), (slots, *opaque.shape))
+            offsets = (jnp.arange(1, tree[0].size), *(table[1:] for table in tree))
+            return jax.lax.scan(look, (own, through), offsets)[0][0]
+
+        return jax.lax.map(all_offsets, (jnp.asarray(dx), jnp.asarray(dy), jnp.asarray(parents % slots)))
+
+    def _tree(self) -> tuple[Int[np.ndarray, "heading offsets"], ...]:
+        """Columns, rows and parents' indices of the offsets; the robot's own cell first, parents before children."""
+        # Heading 0 looks along x: its offsets are cells ahead and aside. The other headings have them turned.
+        offsets = sorted(self.offsets[0])
+        number = {offset: index for index, offset in enumerate(offsets)}
+        parents = np.array([number[_toward_the_robot(*offset)] for offset in offsets], np.int32)
+        ahead, lateral = np.array(offsets, np.int32).T
+        ex, ey = np.array(FORWARD, np.int32).T[..., None]
+        return ahead * ex - lateral * ey, ahead * ey + lateral * ex, np.tile(parents, (HEADINGS, 1))
+
+
+def _toward_the_robot(ahead: int, lateral: int) -> tuple[int, int]:
+    """The parent: one cell less ahead, next to the straight line to the robot; of two, the one nearer to the middle."""
+    if ahead == 0:
+        return 0, 0
+    # Rounding toward the middle keeps the parent within the wedge.
+    beside = (2 * abs(lateral) * (ahead - 1) + ahead - 1) // (2 * ahead)
+    return ahead - 1, beside if lateral > 0 else -beside
+
+
+def _window(radius: int) -> tuple[Bool[np.ndarray, "lateral ahead"], Int[np.ndarray, "lateral ahead"]]:
+    """Which cells around the robot are less than 45 degrees off the heading, and their squared distances."""
+    steps = np.array(range(-radius, radius + 1))  # a range refuses fractions
+    ahead, lateral = steps, steps[:, None]
+    return np.abs(lateral) < ahead, ahead**2 + lateral**2
+
+
+def _turned(cells: Bool[np.ndarray, "lateral ahead"]) -> Kernel:
+    """The kernel of these cells around the robot, turned to each of the four headings."""
+    radius = len(cells) // 2
+    headings = (np.argwhere(np.rot90(cells, -heading))[:, ::-1] - radius for heading in range(HEADINGS))
+    return Kernel(radius, tuple(tuple((dx, dy) for dx, dy in offsets.tolist()) for offsets in headings))
+
+
+@functools.cache
+def field_of_view(radius: int) -> Kernel:
+    """The 90-degree field of view of range `radius` cells (paper, section IV-B).
+
+    A cell is seen iff its center is within `radius` of the robot's and strictly less than 45 degrees off the
+    heading, that is |lateral| < ahead; the robot's own cell always is.
+
+    Raises:
+      ValueError: `radius` is less than 1.
+    """
+    if radius < 1:
+        raise ValueError(f"sensing range {radius} is less than one cell; give a whole number of at least 1")
+    wedge, squared = _window(radius)
+    return _turned((wedge & (squared <= radius**2)) | (squared == 0))
+
+
+@functools.cache
+def line_of_sight(radius: int) -> OccludedKernel:
+    """The field of view with occlusion: houses, trees and other opaque cells hide what is behind them.
+
+    Raises:
+      ValueError: `radius` is less than 1.
+    """
+    return OccludedKernel(radius, field_of_view(radius).offsets)
+
+
+@functools.cache
+def expanding_kernel(radius: int) -> Kernel:
+    """Offsets from a robot to the frontier cells that the authors' published code assumes it sees past.
+
+    The open wedge of range `radius` eroded by a 3x3 square inside its window, plus the cells 0, 1 and 2 ahead.
+
+    Raises:
+      ValueError: `radius` is less than 2.
+    """
+    if radius < 2:
+        raise ValueError(f"expanding range {radius} is less than two cells; give a whole number of at least 2")
+    wedge, squared = _window(radius)
+    # The border counts as inside the wedge: the authors' erosion ignores cells beyond the window.
+    cells = ndimage.binary_erosion(wedge & (squared < radius**2), np.ones((3, 3)), border_value=1)
+    cells[radius, radius : radius + 3] = True
+    return _turned(cells)
+
+
+def _kernel_runs(kernel: Kernel) -> list[Int[np.ndarray, "bound heading dy"]]:
+    """The kernel as horizontal runs: arrays of first and last `dx` for each heading and row, `dy = -radius - 1` first.
+
+    There are as many arrays as the row with the most runs has. Rows with fewer runs, and the rows beyond the kernel,
+    have empty runs.
+    """
+    padded = np.pad(kernel.as_array(), ((0, 0), (1, 1), (1, 1)))
+    change = np.diff(padded.astype(np.int8), axis=-1)
+    runs: list[np.ndarray] = []
+    for heading, row in np.ndindex(padded.shape[:2]):
+        starts, ends = (np.flatnonzero(change[heading, row] == sign) for sign in (1, -1))
+        for number, bounds in enumerate(zip(starts, ends - 1, strict=True)):
+            if number == len(runs):
+                empty = np.broadcast_to(np.array([0, -1], np.int32)[:, None, None], (2, *padded.shape[:2]))
+                runs.append(empty.copy())
+            runs[number][:, heading, row] = np.array(bounds) - kernel.radius
+    return runs
+
+
+def _bits_below(end: Int[Array, "..."]) -> UInt32[Array, "..."]:
+    """A word with its lowest `end` bits set: none for negative `end`, all for 32 and more."""
+    all_bits = jnp.uint32(0xFFFFFFFF)
+    some = ~(all_bits << jnp.clip(end, 0, WORD_BITS - 1).astype(jnp.uint32))
+    return jnp.where(end >= WORD_BITS, all_bits, some)

@@ -1,0 +1,437 @@
+"""Figures for publication as PNG, SVG and PDF, readable in grayscale and with color blindness."""
+
+import itertools
+import math
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import matplotlib
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.typing import ColorType
+
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, FIGURE_COLORS, FIGURE_RGB
+from dc2g_jax._src.rollouts.evaluation import EpisodeResult
+from dc2g_jax._src.rollouts.leaderboard import PRIVILEGED, Standings, in_order
+from dc2g_jax._src.rollouts.statistics import Summary
+
+Table = Mapping[str, Mapping[str, Summary]]
+
+#: Width of figures, inches: the two columns of a page, so that text has its final size.
+PAGE_WIDTH = 7.16
+
+
+class PlannerStyle(NamedTuple):
+    """Style of a planner in all figures.
+
+    Attributes:
+      label: name in legends.
+      color: a color of Okabe and Ito.
+      hatch: hatch of bars.
+      marker: marker of points.
+    """
+
+    label: str
+    color: str
+    hatch: str = ""
+    marker: str = "o"
+
+
+#: The styles of planners by name, in the order in which figures show them.
+PLANNER_STYLES = {
+    "oracle": PlannerStyle("Oracle", "#333333", marker="*"),
+    "authors_frontier": PlannerStyle("Frontier, authors' code", "#f5c99b", hatch="///"),
+    "frontier": PlannerStyle("Frontier", "#d55e00", marker="s"),
+    "authors_dc2g": PlannerStyle("DC2G, authors' network", "#a9d3ee", hatch="///"),
+    "dc2g_paper": PlannerStyle("DC2G, Algorithm 2 alone", "#f0e442", hatch="\\\\\\", marker="v"),
+    "dc2g": PlannerStyle("DC2G", "#0072b2"),
+    "dc2g_uncertain": PlannerStyle("DC2G, averse to risk", "#cc79a7", hatch="...", marker="D"),
+    "dc2g_guarded": PlannerStyle("DC2G, guarded", "#56b4e9", hatch="---", marker="p"),
+    "true_cost_to_go": PlannerStyle("DC2G, exact cost-to-go", "#009e73", hatch="xxx", marker="^"),
+}
+
+#: Colors, hatches and markers of other planners, each used in turn: bars repeat after 20 planners, lines after 28.
+_OTHER_COLORS = ("#332288", "#999933", "#882255", "#8c564b")
+_OTHER_HATCHES = ("", "\\\\\\", "...", "+++", "ooo")
+_OTHER_MARKERS = ("P", "X", "v", "h", "<", "p", ">")
+
+#: Ground that has not been observed is drawn in the class colors mixed with this much white.
+_HIDDEN_WHITE = 0.85
+
+_GROUP_LABELS = {
+    "train": "training\nhouses",
+    "val": "validation\nhouses",
+    "same_neighborhood": "same\nneighborhood",
+    "new_neighborhood": "new\nneighborhood",
+    "urban": "urban",
+    "all": "all",
+    "test": "all test\nhouses",
+}
+_TITLES = {
+    "published": "The 400 published episodes, 5-cell sensing",
+    "paper": "Sampled starts, 8-cell sensing",
+}
+
+
+def planner_styles(planners: Iterable[str]) -> dict[str, PlannerStyle]:
+    """Styles of planners, in the order of `PLANNER_STYLES`, other planners last."""
+    present = dict.fromkeys(planners)
+    styles = {name: style for name, style in PLANNER_STYLES.items() if name in present}
+    for n, name in enumerate([name for name in present if name not in styles]):
+        color, hatch, marker = (looks[n % len(looks)] for looks in (_OTHER_COLORS, _OTHER_HATCHES, _OTHER_MARKERS))
+        styles[name] = PlannerStyle(name.rpartition(":")[2], color, hatch, marker)  # named without its module
+    return styles
+
+
+def _rounded(value: float) -> str:
+    """A number of percent, as below bars."""
+    return f"{value:.0f}" if value >= 10 else f"{value:.1f}"
+
+
+def _bars(axes: Axes, table: Table, groups: Sequence[str], styles: Mapping[str, PlannerStyle]) -> None:
+    """Draw grouped bars of the mean with its interval, and a line at the median. Below each bar is its mean."""
+    planners = [planner for planner in styles if planner in table]
+    width = 0.92 / len(planners)
+    means = [table[planner][group].mean_extra for planner in planners for group in groups]
+    longest = max(len(_rounded(mean)) for mean in means)
+    upright = 0.9 * 72 * PAGE_WIDTH * width / len(groups) < 4.7 * longest  # too wide to be side by side
+    for place, planner in enumerate(planners):
+        _, color, hatch, _ = styles[planner]
+        x = np.arange(len(groups)) + (place - (len(planners) - 1) / 2) * width
+        rows = [table[planner][group] for group in groups]
+        mean, median = [row.mean_extra for row in rows], [row.median_extra for row in rows]
+        low, high = np.array([(row.mean_low, row.mean_high) for row in rows]).T
+        axes.bar(x, mean, width * 0.92, color=color, hatch=hatch, edgecolor="#333333", linewidth=0.5)
+        axes.vlines(x, low, high, color="white", linewidth=2.2)
+        axes.hlines(median, x - width * 0.46, x + width * 0.46, color="black", linewidth=1.4)
+        axes.vlines(x, low, high, color="#333333", linewidth=1.0)
+        for position, value in zip(x, mean, strict=True):
+            axes.annotate(
+                _rounded(value),
+                (position, 0),
+                xycoords=("data", "axes fraction"),
+                xytext=(0, -3),
+                textcoords="offset points",
+                ha="center",
+                va="top",
+                rotation=90 if upright else 0,
+                fontsize=7,
+            )
+    axes.set_xticks(np.arange(len(groups)), [_GROUP_LABELS.get(group, group) for group in groups])
+    axes.set_xlim(-0.5, len(groups) - 0.5)
+    plain_axes(axes, grid="y", label_size=7.5)
+    axes.tick_params(axis="x", length=0, pad=8 + 4.5 * longest if upright else 13)
+
+
+def save_figure(figure: Figure, path: str | Path, dpi: int = 160) -> list[Path]:
+    """Write a figure as PNG with `dpi` pixels per inch, as SVG and as PDF; `path` is the file name without ending.
+
+    Text stays text: it can be searched and edited. The PDF embeds its font (TrueType, as journals require). Viewers
+    show the SVG in DejaVu Sans if they have it.
+    """
+    FigureCanvasAgg(figure)
+    written = [Path(f"{path}{ending}") for ending in (".png", ".svg", ".pdf")]
+    with matplotlib.rc_context({"svg.fonttype": "none", "pdf.fonttype": 42}):
+        for target in written:
+            figure.savefig(target, dpi=dpi)
+    return written
+
+
+def plot_extra_steps(path: str | Path, tables: Mapping[str, Table], caption: str) -> list[Path]:
+    """Draw the bars of Fig. 7: mean extra steps beyond the oracle by planner and group, with a panel per setting.
+
+    Args:
+      path: output path without ending.
+      tables: setting -> planner -> group -> summary.
+      caption: description of the runs, such as houses and network.
+
+    Returns:
+      The files written: PNG, SVG and PDF.
+
+    Raises:
+      InputError: no planner but the oracle.
+    """
+    panels = {settings: table for settings, table in tables.items() if table.keys() - {"oracle"}}
+    if not panels:
+        raise InputError("no planner to compare with the oracle: give the table of another one as well")
+    figure = Figure(figsize=(PAGE_WIDTH, 0.8 + 2.2 * len(panels)), layout="constrained")
+    all_axes = figure.subplots(len(panels), 1, squeeze=False, sharey=True)[:, 0]
+    styles = planner_styles(name for table in panels.values() for name in table if name != "oracle")
+    for axes, (settings, table) in zip(all_axes, panels.items(), strict=True):
+        _bars(axes, table, sorted(next(iter(table.values())), key=_group_place), styles)
+        axes.set_title(_TITLES.get(settings, settings), fontsize=8.5)
+    figure.supylabel("extra steps beyond the oracle (%)", fontsize=8)
+    patches = [
+        Patch(facecolor=style.color, hatch=style.hatch, edgecolor="#333333", linewidth=0.5, label=style.label)
+        for style in styles.values()
+    ]
+    columns = 2 if len(styles) == 4 else min(len(styles), 3)
+    figure.legend(handles=patches, loc="outside upper center", ncols=columns, frameon=False, fontsize=7.5)
+    note = "Bars, numbers: mean, with its 95 % interval over houses; black lines: median."
+    figure.supxlabel(textwrap.fill(f"{note} {caption}", 140), fontsize=7, color="#555555")
+    return save_figure(figure, path, dpi=300)
+
+
+#: Description of `_scale_extra_steps` for captions.
+_SCALE_NOTE = "logarithmic beyond 10 %"
+
+
+def _scale_extra_steps(axes: Axes, direction: str, ends: tuple[float, float]) -> None:
+    """Scale an axis linearly up to 10 % and logarithmically beyond, so that episodes without extra steps are shown."""
+    ticks = [tick for tick in (0, 10, 30, 100, 300, 1000, 3000) if tick < ends[1]]
+    getattr(axes, f"set_{direction}scale")("symlog", linthresh=10, linscale=0.6)
+    getattr(axes, f"set_{direction}lim")(*ends)
+    getattr(axes, f"set_{direction}ticks")(ticks, [str(tick) for tick in ticks])
+    axes.minorticks_off()
+
+
+def plot_head_to_head(path: str | Path, extra: Mapping[str, Sequence[tuple[float, float]]]) -> list[Path]:
+    """Draw one point per episode, the authors' extra steps along x, ours along y, with a panel per group of houses.
+
+    Args:
+      path: output path without ending.
+      extra: group -> (authors', ours) of each episode, in percent.
+
+    Returns:
+      The files written: PNG, SVG and PDF.
+    """
+    rows = -(-len(extra) // 2)
+    figure = Figure(figsize=(PAGE_WIDTH, 3.5 * rows + 0.3), layout="constrained")
+    all_axes = figure.subplots(rows, 2, squeeze=False, sharex=True, sharey=True).ravel()
+    for axes in all_axes[len(extra) :]:
+        axes.remove()
+    most = max(value for pairs in extra.values() for pair in pairs for value in pair)
+    ends = (-4.0, 1.6 * most)
+    for axes, (group, pairs) in zip(all_axes, extra.items(), strict=False):
+        authors, ours = np.array(pairs, float).T
+        below, above = int(np.sum(ours < authors)), int(np.sum(ours > authors))
+        axes.fill_between(ends, ends, ends[0], color="#0072b2", alpha=0.08, linewidth=0)
+        axes.plot(ends, ends, color="#555555", linewidth=0.8)
+        axes.plot(authors, ours, "o", color="#0072b2", markeredgecolor="white", markeredgewidth=0.4, markersize=5)
+        axes.plot(authors.mean(), ours.mean(), "X", color="#d55e00", markeredgecolor="black", markersize=10)
+        for direction in "xy":
+            _scale_extra_steps(axes, direction, ends)
+        axes.grid(True, color="#dddddd", linewidth=0.5)
+        axes.set_axisbelow(True)
+        axes.tick_params(labelsize=8)
+        axes.set_aspect("equal")
+        axes.set_title(_GROUP_LABELS.get(group, group).replace("\n", " "), fontsize=10)
+        style: dict[str, Any] = {"xycoords": "axes fraction", "fontsize": 8.5, "color": "#333333"}
+        axes.annotate(f"lower in {below} episodes", (0.97, 0.04), ha="right", **style)
+        axes.annotate(f"higher in {above} episodes", (0.03, 0.93), ha="left", **style)
+    figure.supylabel("extra steps, this package (%)", fontsize=9)
+    figure.supxlabel(
+        f"extra steps, authors' network (%)\ncross: means; each against its own oracle; axes {_SCALE_NOTE}", fontsize=9
+    )
+    return save_figure(figure, path, dpi=200)
+
+
+def plot_leaderboard(path: str | Path, table: Standings) -> list[Path]:
+    """Draw steps relative to the reference, with a panel for each family, the best planner at the top.
+
+    Args:
+      path: output path without ending.
+      table: planner -> family -> standing.
+
+    Returns:
+      The files written: PNG, SVG and PDF.
+    """
+    planners = in_order(table)[::-1]
+    families = list(table[planners[0]])
+    figure = Figure(figsize=(PAGE_WIDTH, 0.9 + 0.19 * len(planners)), layout="constrained")
+    all_axes = figure.subplots(1, len(families), squeeze=False, sharex=True, sharey=True)[0]
+    for axes, family in zip(all_axes, families, strict=True):
+        axes.axvline(1, color="#555555", linewidth=0.8)
+        for row, planner in enumerate(planners):
+            own = table[planner][family]
+            color = "#888888" if planner in PRIVILEGED else "#0072b2" if planner == "dc2g" else "#d55e00"
+            axes.hlines(row, own.low, own.high, color=color, linewidth=1.6)
+            axes.plot(own.ratio, row, "o", color=color, markersize=3.2)
+        axes.set_title(family, fontsize=7.5)
+        plain_axes(axes, grid="both", label_size=6.5)
+    all_axes[0].set_xscale("log")
+    all_axes[0].set_xticks(ticks := (0.2, 1, 5), [f"{tick:g}" for tick in ticks])
+    all_axes[0].minorticks_off()
+    all_axes[0].set_yticks(range(len(planners)), [name.rpartition(":")[2] for name in planners])
+    figure.supxlabel("steps relative to frontier exploration: mean of ratios, 95 % interval over maps", fontsize=7.5)
+    return save_figure(figure, path, dpi=200)
+
+
+#: From this cell size on, unequal numbers of pixels per cell are hard to see.
+_EVEN_PIXELS = 4
+
+
+def planner_style(name: str) -> PlannerStyle:
+    """The style of a planner; a plain style for planners that are not in `PLANNER_STYLES`."""
+    return planner_styles([name])[name]
+
+
+def present_classes(terrain: UInt8[np.ndarray, "*cells"]) -> list[int]:
+    """The classes of a map, the most frequent first."""
+    cells = np.bincount(terrain.ravel(), minlength=len(CLASS_NAMES))
+    return np.argsort(-cells, kind="stable")[: np.count_nonzero(cells)].tolist()
+
+
+def map_image(terrain: UInt8[np.ndarray, "h w"], seen: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 3"]:
+    """Class colors where observed, a pale version of them elsewhere; RGB from 0 to 1."""
+    colors = FIGURE_RGB[terrain] / 255
+    return np.where(seen[..., None], colors, colors * (1 - _HIDDEN_WHITE) + _HIDDEN_WHITE)
+
+
+def whole_pixels(inches: float, dpi: int) -> float:
+    """The side of a cell in inches, rounded down to whole pixels so that cells look alike; unchanged if very small."""
+    return math.floor(inches * dpi) / dpi if inches * dpi >= _EVEN_PIXELS else inches
+
+
+def legend_patch(label: str, color: ColorType) -> Patch:
+    """The legend entry of a kind of cells on a map."""
+    return Patch(facecolor=color, edgecolor="#777777", linewidth=0.4, label=label)
+
+
+def class_patch(index: int, color: ColorType | None = None) -> Patch:
+    """The legend entry of a class, in its color from `FIGURE_COLORS` or the given one."""
+    label = CLASS_NAMES[index].replace("_", " ") if index else "unknown"
+    return legend_patch(label, FIGURE_COLORS[CLASS_NAMES[index]] if color is None else color)
+
+
+def hidden_color(index: int) -> tuple[float, float, float]:
+    """The color of a class where it has not been observed, RGB from 0 to 1."""
+    red, green, blue = map_image(np.full((1, 1), index, np.uint8), np.zeros((1, 1), bool))[0, 0].tolist()
+    return red, green, blue
+
+
+def plain_axes(axes: Axes, *, grid: Literal["both", "x", "y"] = "both", label_size: float = 8) -> None:
+    """Draw a grid behind the data, and no frame above and on the right."""
+    axes.grid(True, axis=grid, color="#dddddd", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.tick_params(labelsize=label_size)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+#: Heights in strip plots, inches: a planner's lane, the space between houses, and a group's headline.
+_LANE, _BETWEEN, _HEADLINE = 0.075, 0.06, 0.2
+
+#: Largest number of houses in a single column of strips.
+_ONE_COLUMN = 20
+
+
+def plot_house_strips(
+    path: str | Path, results: Iterable[EpisodeResult], group_by_house: Mapping[str, str], settings: str = ""
+) -> list[Path]:
+    """Draw one strip per house: the extra steps of episodes as points, with a lane and a mean for each planner.
+
+    Args:
+      path: output path without ending.
+      results: episodes of any number of planners; those of the oracle are left out.
+      group_by_house: house -> group; houses are ordered by group and name.
+      settings: name or description of the episodes' settings.
+
+    Returns:
+      The files written: PNG, SVG and PDF.
+
+    Raises:
+      InputError: no planner but the oracle.
+    """
+    extra: dict[str, dict[str, list[float]]] = {}
+    for result in results:
+        if result.planner != "oracle":
+            extra.setdefault(result.house, {}).setdefault(result.planner, []).append(result.extra)
+    if not extra:
+        raise InputError("no planner to compare with the oracle: give episodes of another one as well")
+    styles = planner_styles(planner for by_planner in extra.values() for planner in by_planner)
+    houses = sorted(extra, key=lambda house: (_group_place(group_by_house[house]), house))
+    room = len(houses) if len(houses) <= _ONE_COLUMN else math.ceil(len(houses) / 2)
+    pages = [houses[first : first + room] for first in range(0, len(houses), room)]
+    house_height = _LANE * len(styles) + _BETWEEN
+    heights = [_HEADLINE * len({group_by_house[house] for house in page}) + house_height * len(page) for page in pages]
+    entries_a_row = 2 * len(pages)
+    height = max(heights) + 0.85 + 0.15 * math.ceil(len(styles) / entries_a_row)
+    figure = Figure(figsize=(PAGE_WIDTH / 2 * len(pages), height), layout="constrained")
+    most = max(value for by_planner in extra.values() for values in by_planner.values() for value in values)
+    columns = figure.subplots(1, len(pages), squeeze=False)[0]
+    for axes, page in zip(columns, pages, strict=True):
+        _draw_strips(axes, page, group_by_house, extra, styles)
+        axes.set_ylim(max(heights), 0)
+        _scale_extra_steps(axes, "x", (-3.0, max(1.3 * most, 12.0)))
+        axes.tick_params(axis="x", labelsize=7.5)
+        axes.xaxis.grid(True, color="#cccccc", linewidth=0.5)
+        axes.set_axisbelow(True)
+        axes.spines[["top", "right", "left"]].set_visible(False)
+    lines = [f"extra steps beyond the oracle (%), {_SCALE_NOTE}", "bars: means"]
+    figure.supxlabel(("\n" if len(pages) == 1 else "; ").join(lines), fontsize=8.5)
+    handles = [
+        Line2D([], [], linestyle="none", marker=style.marker, color=style.color, markersize=5, label=style.label)
+        for style in styles.values()
+    ]
+    figure.legend(
+        handles=handles, title=_TITLES.get(settings, settings), title_fontsize=8.5, loc="outside upper center",
+        ncols=entries_a_row, frameon=False, fontsize=8.5,
+    )  # fmt: skip
+    return save_figure(figure, path, dpi=300)
+
+
+def plot_results(results: Iterable[EpisodeResult], path: str | Path) -> list[Path]:
+    """Draw the extra steps of every episode in the results of `dc2g_jax.evaluate`, with one strip per house.
+
+    Args:
+      results: episodes of any number of planners; those of the oracle are left out.
+      path: output path without ending.
+
+    Returns:
+      The files written: PNG, SVG and PDF.
+
+    Raises:
+      InputError: no planner but the oracle.
+    """
+    results = list(results)
+    return plot_house_strips(path, results, {result.house: "houses" for result in results})
+
+
+def _group_place(group: str) -> tuple[int, str]:
+    """Sort key of a group."""
+    order = list(_GROUP_LABELS)
+    return (order.index(group) if group in order else len(order)), group
+
+
+def _draw_strips(
+    axes: Axes,
+    page: Sequence[str],
+    group_by_house: Mapping[str, str],
+    extra: Mapping[str, Mapping[str, Sequence[float]]],
+    styles: Mapping[str, PlannerStyle],
+) -> None:
+    """Draw one column of strips, from the top down in inches."""
+    names: list[tuple[float, str]] = []
+    y, lanes = 0.0, _LANE * len(styles)
+    for group, houses in itertools.groupby(page, key=lambda house: group_by_house[house]):
+        label = _GROUP_LABELS.get(group, group).replace("\n", " ")
+        axes.annotate(
+            label, (0, y + 0.75 * _HEADLINE), xycoords=("axes fraction", "data"), fontsize=8, fontweight="bold"
+        )
+        y += _HEADLINE
+        for number, house in enumerate(houses):
+            if number % 2 == 0:
+                axes.axhspan(y, y + lanes + _BETWEEN, color="#f1f1f1", linewidth=0)
+            names.append((y + (lanes + _BETWEEN) / 2, house))
+            for lane, (planner, style) in enumerate(styles.items()):
+                values = extra[house].get(planner, [])
+                middle = y + _BETWEEN / 2 + _LANE * (lane + 0.5)
+                axes.plot(
+                    values, [middle] * len(values), style.marker, color=style.color, markersize=3, alpha=0.55,
+                    markeredgewidth=0, clip_on=False,
+                )  # fmt: skip
+                if values:
+                    ends = (middle - 0.55 * _LANE, middle + 0.55 * _LANE)
+                    axes.vlines(float(np.mean(values)), *ends, color="black", linewidth=2.0)
+                    axes.vlines(float(np.mean(values)), *ends, color=style.color, linewidth=1.0)
+            y += lanes + _BETWEEN
+    axes.set_yticks([place for place, _ in names], [name for _, name in names], fontsize=7)
+    axes.tick_params(axis="y", length=0)

@@ -1,0 +1,53 @@
+"""Image sequences of a simulated camera that drives to a goal along a shortest path."""
+
+from collections.abc import Iterable, Iterator
+
+import jax
+import numpy as np
+from jaxtyping import Array, UInt8
+
+from dc2g_jax._src.grid.poses import Pose, every_heading, moved
+from dc2g_jax._src.grid.search import first_action
+from dc2g_jax._src.grid.terrain import FRONT_DOOR
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.mapping.camera import Frame, Intrinsics
+from dc2g_jax._src.mapping.scene import scene_from_terrain
+from dc2g_jax._src.mapping.sequences import Shot
+from dc2g_jax._src.mapping.simulator import picture, render, robot_camera
+from dc2g_jax._src.programs import jit
+
+
+def path_to_goal(terrain: UInt8[np.ndarray, "h w"], start: Pose) -> list[Pose]:
+    """The poses of a shortest path from a start to the nearest goal, one per step. A path must exist."""
+    world = world_from_terrain(terrain)
+
+    @jit
+    def step(pose: Pose) -> Pose:
+        action = first_action(pose, every_heading(world.goals), world.traversable).action
+        return moved(pose, action, *terrain.shape)
+
+    path = [start]
+    while terrain[path[-1].y, path[-1].x] != FRONT_DOOR:
+        path.append(step(path[-1]))
+    return path
+
+
+def simulated_shots(
+    terrain: UInt8[np.ndarray, "h w"], path: Iterable[Pose], camera: Intrinsics, cell_size: float
+) -> Iterator[Shot]:
+    """What a simulated camera sees from each pose of a path.
+
+    Args:
+      terrain: class indices of the map.
+      path: poses of the robot.
+      camera: the camera's intrinsics.
+      cell_size: side length of the map's cells, meters.
+    """
+    scene = scene_from_terrain(terrain, cell_size)
+
+    @jit
+    def look(robot: Pose) -> tuple[Frame, Array]:
+        pose = robot_camera(robot, cell_size)
+        return render(scene, camera, pose), picture(scene, camera, pose)
+
+    return (Shot(*jax.device_get(look(pose))) for pose in path)

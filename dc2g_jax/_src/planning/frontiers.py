@@ -1,0 +1,112 @@
+"""Frontier cells and frontier-expanding poses (Algorithm 2, lines 6 to 8).
+
+There are two definitions: that of the paper's text (`complete`) and that of the authors' published code (`reference`).
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, UInt
+
+from dc2g_jax._src.grid import bitboard, poses
+from dc2g_jax._src.grid.bitboard import Board
+from dc2g_jax._src.grid.gridworld import Belief
+from dc2g_jax._src.grid.poses import PoseSet, only
+from dc2g_jax._src.grid.sensing import Kernel
+
+
+def _beyond(belief: Belief, known: Board) -> Board:
+    """In-bounds cells that are not in a set."""
+    beyond = bitboard.complement(known, belief.width)
+    return beyond if belief.outside is None else beyond & ~belief.outside
+
+
+def unseen(belief: Belief) -> Board:
+    """In-bounds cells that have not been observed."""
+    return _beyond(belief, belief.seen)
+
+
+def _reachable_but_here(pose_set: PoseSet, belief: Belief, reachable: Board) -> PoseSet:
+    """The poses on reachable cells, without the one the robot is in."""
+    return pose_set & reachable & ~only(belief.pose, *reachable.shape[:2])
+
+
+def frontier_cells(belief: Belief, reachable: Board) -> Board:
+    """Reachable cells with an unobserved in-bounds 4-neighbor (paper, section III-D)."""
+    return reachable & bitboard.neighbors(unseen(belief))
+
+
+def complete(belief: Belief, reachable: Board, sensing: Kernel) -> PoseSet:
+    """Reachable poses, not the current one, that see an unobserved 4-neighbor of a frontier cell.
+
+    Every such pose reveals something when it is reached, so exploration ends. If the set is empty, the goal is
+    unreachable.
+
+    Args:
+      belief: belief of the robot.
+      reachable: observed traversable cells connected to the robot.
+      sensing: the robot's field of view.
+    """
+    targets = unseen(belief) & bitboard.neighbors(frontier_cells(belief, reachable))
+    return _reachable_but_here(sensing.poses_that_see(targets, belief.opaque), belief, reachable)
+
+
+def reference(belief: Belief, reachable: Board, expanding: Kernel) -> PoseSet:
+    """Reachable poses, not the current one, whose `expanding` kernel covers a frontier cell (the authors' code).
+
+    A frontier cell here is any observed cell, traversable or not, with an unobserved in-bounds 4-neighbor.
+
+    Args:
+      belief: belief of the robot.
+      reachable: observed traversable cells connected to the robot.
+      expanding: see `grid.sensing.expanding_kernel`.
+    """
+    frontier = belief.seen & bitboard.neighbors(unseen(belief))
+    return _reachable_but_here(expanding.poses_that_see(frontier, belief.opaque), belief, reachable)
+
+
+def opening(belief: Belief, candidates: PoseSet, sensing: Kernel, rim_width: int) -> PoseSet:
+    """The poses that see an unobserved cell more than `rim_width` moves beyond everything observed.
+
+    The others fill a corner or complete a wall: if all unobserved cells in view are along the rim of the known map,
+    little can be revealed.
+
+    Args:
+      belief: belief of the robot.
+      candidates: poses to choose from.
+      sensing: the robot's field of view.
+      rim_width: width of the rim, in cells; 0 for no rim.
+    """
+    rim = belief.seen
+    for _ in range(rim_width):
+        rim = rim | bitboard.neighbors(rim)
+    return candidates & sensing.poses_that_see(_beyond(belief, rim), belief.opaque)
+
+
+def information_gain(belief: Belief, candidates: PoseSet, sensing: Kernel) -> UInt[Array, "h w *batch"]:
+    """Number of newly seen cells at the best candidate pose of each cell; 0 for cells without candidates.
+
+    Cells beyond the map's edge do not count.
+
+    Args:
+      belief: belief of the robot.
+      candidates: candidate poses.
+      sensing: the robot's field of view.
+    """
+    new = sensing.count_seen(unseen(belief), belief.opaque, belief.width)
+    return jnp.max(jnp.where(poses.unpack(candidates, belief.width), new, 0), axis=0)
+
+
+def facing_most(belief: Belief, pose_set: PoseSet) -> PoseSet:
+    """The poses of each cell that face the most unobserved cells, at any distance: in all rows or columns ahead.
+
+    Args:
+      belief: belief of the robot.
+      pose_set: poses to choose from. Each cell with a pose keeps at least one.
+    """
+    new = bitboard.unpack(unseen(belief), belief.width)
+    of_columns, of_rows = (jnp.sum(new, axis=axis, dtype=jnp.int32, keepdims=True) for axis in (0, 1))
+    up_to_column, up_to_row = jnp.cumsum(of_columns, axis=1), jnp.cumsum(of_rows, axis=0)
+    right, below = up_to_column[:, -1:] - up_to_column, up_to_row[-1:] - up_to_row
+    left, above = up_to_column - of_columns, up_to_row - of_rows
+    ahead = jnp.stack([jnp.broadcast_to(cells, new.shape) for cells in (right, below, left, above)])
+    ahead = jnp.where(poses.unpack(pose_set, belief.width), ahead, -1)
+    return pose_set & poses.pack(ahead == jnp.max(ahead, axis=0))

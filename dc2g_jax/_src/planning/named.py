@@ -1,0 +1,188 @@
+"""Planners by name. The parameters of those with a network were chosen on validation houses."""
+
+import dataclasses
+import functools
+import inspect
+import os
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.estimators import Estimator, ExactCostToGo, NetworkCostToGo, answers_in_cells
+from dc2g_jax._src.own_parts import own_part
+from dc2g_jax._src.planning.frontiers import facing_most
+from dc2g_jax._src.planning.guarantee import CautiousDC2G, Guaranteed
+from dc2g_jax._src.planning.planners import DC2G, Frontier, MapRevisingPlanner, Oracle
+from dc2g_jax._src.planning.rules import Rules, Settings, named_settings, nearest_goal
+from dc2g_jax._src.planning.selection import ENDLESS, ExpectedCost, Patience, QuantileCost, Selection
+
+#: Patience of planners with a network in the gridworld, where every decision is a step.
+STEP_PATIENCE = Patience(radius=8, decisions=30, price=0.25)
+
+
+def _on_network(
+    selection: Selection,
+    estimator: Estimator,
+    rules: Rules,
+    patience: Patience = STEP_PATIENCE,
+    kind: type[DC2G] = CautiousDC2G,
+) -> DC2G:
+    """A planner with a network, with the parameters chosen on validation houses and towns (see docs/notebook).
+
+    It alternates between the map and its mirror image as the network's input. It heads for the nearest reachable goal
+    under all rules. Without a scale, no distance can be added to the costs; the paper's rule needs none. Its actions
+    are bounded on maps unlike those of the training, if every decision is an action.
+    """
+    if not answers_in_cells(estimator):
+        return DC2G(estimator, rules)
+    return (kind if patience.price else DC2G)(
+        estimator,
+        dataclasses.replace(rules, goal_poses=nearest_goal),
+        selection=selection,
+        rim_width=1,
+        views=((), (1,)),
+        gain_weight=3.0,
+        headings=facing_most,
+        patience=patience,
+        enough_news=1 / 3,
+        magnifies=isinstance(estimator, NetworkCostToGo),
+    )
+
+
+def _by_the_paper(estimator: Estimator, rules: Rules, patience: Patience = ENDLESS) -> DC2G:
+    """Algorithm 2 and nothing else: the lowest mean cost-to-go wins, whatever the distance. Its patience never ends."""
+    del patience
+    return DC2G(estimator, rules)
+
+
+def _guarded(estimator: Estimator, rules: Rules, patience: Patience = STEP_PATIENCE) -> Guaranteed:
+    """`dc2g` with a bound on its actions (see docs/notebook/guarantee.md)."""
+    planner = NETWORK_PLANNERS["dc2g"](estimator, rules, patience, DC2G)
+    return Guaranteed(planner, planner.rules, factor=2.0, slack=3.0)
+
+
+#: Planners after other papers, each in a file of its own, which is imported when the planner is asked for: without and
+#: with a network.
+RIVALS: tuple[str, ...] = ("random_frontier", "right_hand", "hysteresis", "cost_utility", "next_best_view")
+NETWORK_RIVALS: tuple[str, ...] = (
+    "frontier_potential", "visible_uncertainty", "learned_subgoals", "sampled_goals",
+)  # fmt: skip
+
+
+def _rival(name: str, rules: Rules, **estimator: Estimator) -> MapRevisingPlanner:
+    """A planner after another paper. The class `NextBestView` is in the file of `next_best_view`."""
+    rival = own_part("planner", f"dc2g_jax._src.rivals.{name}:{name.title().replace('_', '')}", RIVALS)
+    return rival(rules, **estimator)
+
+
+def _rival_on_network(name: str, estimator: Estimator, rules: Rules, patience: Patience = ENDLESS) -> Any:
+    """The same with a network, whose costs are in cells. It has no patience."""
+    del patience
+    if not answers_in_cells(estimator):
+        raise InputError(f"the planner {name!r} needs costs in cells; give another network")
+    return _rival(name, rules, estimator=estimator)
+
+
+#: Planners without a network, called with the rules.
+_PLANNERS_BY_RULES: Mapping[str, Callable[[Rules], MapRevisingPlanner]] = {
+    "oracle": lambda rules: Oracle(),
+    "frontier": Frontier,
+    "true_cost_to_go": lambda rules: DC2G(ExactCostToGo(), rules),
+    **{name: functools.partial(_rival, name) for name in RIVALS},
+}
+
+#: Planners with a network, called with the network, the rules and, optionally, their patience.
+NETWORK_PLANNERS: Mapping[str, Callable[..., Any]] = {
+    "dc2g_paper": _by_the_paper,
+    "dc2g": functools.partial(_on_network, ExpectedCost(distance_weight=0.5)),
+    "dc2g_uncertain": functools.partial(_on_network, QuantileCost(level=0.7, distance_weight=0.5)),
+    "dc2g_guarded": _guarded,
+    **{name: functools.partial(_rival_on_network, name) for name in NETWORK_RIVALS},
+}
+
+#: Planners of the figures and tables unless others are chosen, in their order.
+FIGURE_PLANNERS: tuple[str, ...] = ("oracle", "frontier", "dc2g", "dc2g_uncertain", "true_cost_to_go")
+
+#: All planner names.
+PLANNERS: tuple[str, ...] = (*FIGURE_PLANNERS, "dc2g_paper", "dc2g_guarded", *RIVALS, *NETWORK_RIVALS)
+
+
+def make(
+    name: str,
+    *,
+    network: Estimator | str | os.PathLike[str] | None = None,
+    settings: str | Settings = "paper",
+    sensing_range: int | None = None,
+) -> MapRevisingPlanner:
+    """Make a planner by name.
+
+    ```
+    planner = dc2g_jax.make("dc2g", sensing_range=8)
+    ```
+
+    Args:
+      name: one of `PLANNERS`, or `package.module:Name` for a class of your own, which is called with the rules.
+      network: network of a planner in `NETWORK_PLANNERS`: an estimator, or the place of a trained network, see
+        `estimation.hub.load`; `None` for the shipped network.
+      settings: the rules, one of `planning.rules.SETTINGS` or its name.
+      sensing_range: range of the field of view in cells; `None` for the default of the settings.
+
+    Raises:
+      InputError: the planner or the settings are unknown, the sensing range is out of bounds, or the network cannot be
+        read.
+    """
+    rules = named_settings(settings).rules(sensing_range)
+    return make_planner(name, rules, open_estimator(network) if name in NETWORK_PLANNERS else None)
+
+
+def make_planner(
+    name: str, rules: Rules, estimator: Estimator | None = None, *, patience: Patience = STEP_PATIENCE
+) -> MapRevisingPlanner:
+    """Make a planner by name from rules and an estimator.
+
+    Args:
+      name: one of `PLANNERS`, or `package.module:Name` for a class of your own, which is called with the rules.
+      rules: field of view and definition of frontiers.
+      estimator: network of a planner in `NETWORK_PLANNERS`.
+      patience: patience of a planner in `NETWORK_PLANNERS`.
+
+    Raises:
+      InputError: the name is unknown, the class takes no rules, or the estimator is missing.
+    """
+    if name in _PLANNERS_BY_RULES:
+        return _PLANNERS_BY_RULES[name](rules)
+    if name in NETWORK_PLANNERS and estimator is not None:
+        return NETWORK_PLANNERS[name](estimator, rules, patience)
+    if name in NETWORK_PLANNERS:
+        raise InputError(f"the planner {name!r} needs an estimator, such as a trained network")
+    own = own_part("planner", name, PLANNERS)
+    try:
+        inspect.signature(own).bind(rules)
+    except TypeError as error:
+        raise InputError(f"planner {name!r}: cannot be called with the rules ({error}); give it one argument") from None
+    return own(rules)
+
+
+def check_names(names: Iterable[str]) -> None:
+    """Check that every name is one of `PLANNERS` or an importable class.
+
+    Raises:
+      InputError: a name is neither.
+    """
+    for name in names:
+        if name not in PLANNERS:
+            own_part("planner", name, PLANNERS)
+
+
+def open_estimator(network: Estimator | str | os.PathLike[str] | None) -> Estimator:
+    """Load the network in a place, or the shipped one for `None`. Estimators are returned as they are.
+
+    Raises:
+      InputError: the network cannot be read.
+    """
+    if network is not None and not isinstance(network, str | os.PathLike):
+        return network
+    # Orbax takes a second to import and is only needed for files.
+    from dc2g_jax._src.estimation.hub import load
+
+    return load(network)

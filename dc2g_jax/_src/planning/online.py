@@ -1,0 +1,243 @@
+"""The planner for a real robot: each call takes the map so far and the pose, and returns a decision.
+
+There is no simulator and no batch. The robot's software provides the map. Cells may change and the map may grow between
+calls.
+"""
+
+import dataclasses
+import functools
+import itertools
+import operator
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpy.typing as npt
+from jaxtyping import Array, Int, UInt8
+
+from dc2g_jax._src.errors import InputError, short
+from dc2g_jax._src.estimation.estimators import Estimator
+from dc2g_jax._src.files.cache import keep_compiled_programs
+from dc2g_jax._src.grid import bitboard, poses
+from dc2g_jax._src.grid.gridworld import Belief, belief_from_map
+from dc2g_jax._src.grid.poses import HEADINGS, Pose
+from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, FREE, OUTSIDE, TRAVERSABLE, UNKNOWN
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.planning.decisions import Decision, RobotPose, View, decide
+from dc2g_jax._src.planning.named import make
+from dc2g_jax._src.planning.planners import Assessment, Planner, assess, measured, memoryless
+from dc2g_jax._src.planning.rules import Rules, complete_rules
+from dc2g_jax._src.programs import ONE_OPERATION_OPTIONS, jit, one_operation
+
+#: Planners that only need the robot's map, and no memory.
+ONLINE_PLANNERS = ("frontier", "dc2g", "dc2g_uncertain")
+
+#: Side length of the smallest compiled grid, in cells. Each further one is twice as large.
+_SMALLEST_GRID = 32
+
+#: Minimum number of unobserved cells on each side of an open-ended map. The network was trained on maps of 50 x 50
+#: cells; with this margin, even the smallest map looks like one of them.
+_OPEN_MARGIN = 24
+
+
+def view_fields(belief: Belief, assessment: Assessment) -> tuple[Any, ...]:
+    """The fields of a `View` of one robot, for use in compiled functions."""
+    distance, score = measured(belief, assessment)
+    subgoals, candidates = (
+        poses.unpack(these, belief.width) for these in (assessment.plan.subgoals, assessment.candidates)
+    )
+    return distance, assessment.plan.mode, subgoals, candidates, assessment.cost_to_go, score, assessment.penalty
+
+
+@functools.partial(jit, static_argnames=("rules",), compiler_options=ONE_OPERATION_OPTIONS)
+def _look(planner: Planner, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"], *, rules: Rules) -> tuple[Any, ...]:
+    """The fields of a `View`, given class indices that are `OUTSIDE` beyond the map, and column, row and heading."""
+
+    def look(planner: Planner, terrain: UInt8[Array, "h w"], pose: Int[Array, "3"]) -> tuple[Any, ...]:
+        observed = jnp.where(terrain == OUTSIDE, jnp.uint8(UNKNOWN), terrain)
+        belief = dataclasses.replace(belief_from_map(observed, Pose(*pose)), outside=bitboard.pack(terrain == OUTSIDE))
+        assessment, _ = assess(planner, belief, planner.init(world_from_terrain(observed)), rules)
+        return view_fields(belief, assessment)
+
+    return one_operation(look, planner, terrain, pose)
+
+
+class OnlinePlanner:
+    """Decides for one robot from its own partial map, one call at a time.
+
+    ```
+    planner = OnlinePlanner("dc2g")
+    decision = planner.plan(grid, (x, y, heading))
+    ```
+
+    Each call plans from scratch and the planner keeps no memory, so cells of the map may change in any way. (Therefore
+    the network evaluates both the map and its mirror image at every call, and there is no penalty for staying in a
+    place.) Exploration ends if the robot observes everything in its field of view at every pose that it reaches. Mark
+    cells that its sensor cannot classify as `nothing`.
+
+    Creating the planner compiles a program for each of a few grid sizes. This takes some seconds each, and longer for
+    longer sensing ranges. The programs are kept on disk (see
+    `files.cache.keep_compiled_programs`), and later starts load them. No call compiles anything after the
+    start, and decisions do not depend on the grid size. Other estimators than `NetworkCostToGo` and planners of your
+    own get grids of exactly the map's size; each new size is compiled.
+
+    Args:
+      planner: one of `ONLINE_PLANNERS`, or any planner. If it has `rules`, they are used.
+      network: estimator of a planner by name, or the place of a trained network, see `estimation.hub.load`;
+        `None` for the shipped one.
+      sensing_range: range of the robot's 90-degree field of view, in cells, 1 to 64.
+      largest: rows and columns of the largest map.
+      open_ended: whether the world continues beyond the map's edges. If so, the robot explores across them too.
+        Otherwise the map's size is the world's, and there is nothing to observe beyond it.
+      settings: rules of a planner by name, see `planning.rules.SETTINGS`; `occluded` if walls hide what is
+        behind them.
+
+    Attributes:
+      rules: field of view and definition of frontiers.
+      largest: rows and columns of the largest map.
+
+    Raises:
+      InputError: the planner is unknown or has another sensing range, the network cannot be read, or a size is invalid.
+    """
+
+    def __init__(
+        self,
+        planner: str | Planner = "dc2g",
+        *,
+        network: Estimator | str | Path | None = None,
+        sensing_range: int = 8,
+        largest: tuple[int, int] = (100, 100),
+        open_ended: bool = False,
+        settings: str = "paper",
+    ):
+        keep_compiled_programs()
+        rows, columns = _whole_numbers("largest", largest, 2)
+        (reach,) = _whole_numbers("sensing_range", [sensing_range], 1)
+        if min(rows, columns, reach) < 1:
+            raise InputError(f"largest {rows} x {columns}, sensing_range {reach}: give whole numbers of at least 1")
+        if reach > MAX_SENSING_RANGE:
+            raise InputError(f"sensing_range {reach}: give one of at most {MAX_SENSING_RANGE}")
+        if isinstance(planner, str):
+            if planner not in ONLINE_PLANNERS and ":" not in planner:
+                raise InputError(
+                    f"planner {planner!r}: use one of {', '.join(ONLINE_PLANNERS)}, or give one of your own"
+                )
+            planner = make(planner, network=network, settings=settings, sensing_range=reach)
+        self.rules: Rules = getattr(planner, "rules", complete_rules(reach))
+        if self.rules.sensing.radius != reach:
+            raise InputError(f"sensing_range {reach}: the planner's rules say {self.rules.sensing.radius}; give that")
+        self._planner = memoryless(planner)
+        self.largest = rows, columns
+        self._margin = max(_OPEN_MARGIN, reach) if open_ended else 0
+        reader = getattr(self._planner, "estimator", self._planner)
+        self._pads_maps = getattr(reader, "knows_outside", Planner.knows_outside)
+        frame = 2 * self._margin
+        shapes = _shapes_up_to(rows + frame, columns + frame, larger_than=frame)
+        self._shapes = shapes if self._pads_maps else shapes[-1:]
+        for shape in self._shapes:
+            terrain = np.full(shape, UNKNOWN, np.uint8)
+            terrain[0, 0] = FREE
+            self._view(terrain, RobotPose(0, 0, 0))
+
+    def plan(self, grid: npt.ArrayLike, pose: npt.ArrayLike, *, origin: npt.ArrayLike = (0, 0)) -> Decision:
+        """Decide the next action (Algorithm 2).
+
+        All poses, given and returned, are in the coordinates of the origin. So a map that grows to the left or to the
+        top gets a smaller origin, and its cells keep their coordinates. If y grows upward instead of downward, "L" and
+        "R" are swapped, and so are north and south.
+
+        Args:
+          grid: observed class indices, uint8 `[h w]`, 0 for unobserved cells; see `grid.terrain`.
+          pose: column x, row y and heading of the robot, on an observed traversable cell.
+          origin: column x and row y of the grid's first cell.
+
+        Raises:
+          InputError: the grid or the pose is invalid.
+        """
+        left, top = _whole_numbers("origin", origin, 2)
+        checked = _checked_grid(grid, self.largest)
+        robot = _checked_pose(pose, checked, left, top)
+        left, top = left - self._margin, top - self._margin
+        in_view = RobotPose(robot.x - left, robot.y - top, robot.heading)
+        return decide(self._view(self._padded(checked), in_view), left, top)
+
+    def _padded(self, grid: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h2 w2"]:
+        """The map with its margin, in the upper left corner of the smallest compiled grid that fits it."""
+        height, width = grid.shape
+        rows, columns = height + 2 * self._margin, width + 2 * self._margin
+        fitting = (shape for shape in self._shapes if rows <= shape[0] and columns <= shape[1])
+        terrain = np.full(next(fitting) if self._pads_maps else (rows, columns), OUTSIDE, np.uint8)
+        terrain[:rows, :columns] = UNKNOWN
+        terrain[self._margin : rows - self._margin, self._margin : columns - self._margin] = grid
+        return terrain
+
+    def _view(self, terrain: UInt8[np.ndarray, "h w"], robot: RobotPose) -> View:
+        """The inputs of a decision, computed in one call of the device."""
+        looked = _look(self._planner, terrain, np.array(robot, np.int32), rules=self.rules)
+        return View(*jax.tree.map(np.asarray, looked))
+
+
+def _shapes_up_to(rows: int, columns: int, *, larger_than: int) -> list[tuple[int, int]]:
+    """Shapes of the compiled grids, ascending: squares, limited to the largest shape."""
+    doubled = (_SMALLEST_GRID << doublings for doublings in itertools.count())
+    sides = itertools.takewhile(lambda side: side < max(rows, columns), doubled)
+    return [*((min(side, rows), min(side, columns)) for side in sides if side > larger_than), (rows, columns)]
+
+
+def _whole_numbers(name: str, values: Any, count: int) -> list[int]:
+    """Exactly `count` integers from values of any integer type."""
+    try:
+        numbers = [operator.index(value) for value in values]
+    except TypeError:
+        numbers = []
+    if len(numbers) != count:
+        raise InputError(f"{name} is {short(values)}; give whole numbers, {count} of them")
+    return numbers
+
+
+def _checked_grid(grid: npt.ArrayLike, largest: tuple[int, int]) -> UInt8[np.ndarray, "h w"]:
+    """The grid, if it is valid."""
+    try:
+        grid = np.asarray(grid)
+    except ValueError:
+        raise InputError(f"grid is {short(grid)}; give class indices, uint8 [rows columns]") from None
+    if grid.dtype != np.uint8 or grid.ndim != 2:
+        raise InputError(
+            f"grid has dtype {grid.dtype} and shape {grid.shape}; give class indices, uint8 [rows columns]"
+        )
+    if grid.size == 0 or grid.shape[0] > largest[0] or grid.shape[1] > largest[1]:
+        raise InputError(
+            f"grid has shape {grid.shape}; give 1 to {largest[0]} rows and 1 to {largest[1]} columns, or make the "
+            "planner with a larger `largest`"
+        )
+    if grid.max() >= len(CLASS_NAMES):
+        y, x = np.argwhere(grid >= len(CLASS_NAMES))[0]
+        raise InputError(
+            f"grid[{y}, {x}] is {grid[y, x]}; give class indices from 0 (not observed) to {len(CLASS_NAMES) - 1}, "
+            "see dc2g_jax._src.grid.terrain.CLASS_NAMES"
+        )
+    return grid
+
+
+def _checked_pose(pose: npt.ArrayLike, grid: UInt8[np.ndarray, "h w"], left: int, top: int) -> RobotPose:
+    """The pose, if it is valid."""
+    x, y, heading = _whole_numbers("pose", pose, 3)
+    height, width = grid.shape
+    if not 0 <= heading < HEADINGS:
+        raise InputError(f"the robot's heading is {heading}; give 0 (+x), 1 (+y), 2 (-x) or 3 (-y)")
+    if not (left <= x < left + width and top <= y < top + height):
+        raise InputError(
+            f"the robot is at ({x}, {y}), off the map of columns {left} to {left + width - 1} and rows {top} to "
+            f"{top + height - 1}; give both pose and origin in cells of one frame"
+        )
+    terrain = grid[y - top, x - left]
+    if not TRAVERSABLE[terrain]:
+        found = "has not been observed" if terrain == UNKNOWN else f"is {CLASS_NAMES[terrain]!r}, not traversable"
+        raise InputError(
+            f"the robot's cell ({x}, {y}) {found}; mark the ground under the robot as what it is, or as "
+            f"{CLASS_NAMES.index('traversable')} ('traversable')"
+        )
+    return RobotPose(x, y, heading)

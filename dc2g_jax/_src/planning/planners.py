@@ -1,0 +1,538 @@
+"""Planners with one protocol: `init` once per world, `plan` once per step.
+
+`assess` makes the same decision as `plan`, and also returns its inputs.
+
+Worlds, beliefs and states are those of one robot or of a batch, whose axes come last.
+
+A planner is a frozen dataclass and a pytree. Learned parameters (an estimator's weights) are its leaves; rules are
+static. So one compiled program serves every checkpoint of the same architecture.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, get_args
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Float, Int, UInt8
+
+from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.estimation.estimators import Estimates, Estimator, Extent, NetworkCostToGo, extent_of, update_where
+from dc2g_jax._src.estimation.extents import Surroundings
+from dc2g_jax._src.estimation.padding import PaddedNetwork, mirrored
+from dc2g_jax._src.grid import bitboard, poses, search
+from dc2g_jax._src.grid.bitboard import Board
+from dc2g_jax._src.grid.gridworld import Belief
+from dc2g_jax._src.grid.poses import PoseSet, every_heading
+from dc2g_jax._src.grid.streets import in_town
+from dc2g_jax._src.grid.terrain import OUTSIDE
+from dc2g_jax._src.grid.world import World
+from dc2g_jax._src.planning import frontiers
+from dc2g_jax._src.planning.nearby import Decided, nearby
+from dc2g_jax._src.planning.rules import Rules
+from dc2g_jax._src.planning.selection import ENDLESS, ExpectedCost, Patience, Selection
+
+#: Plan modes.
+EXPLORE, TO_GOAL, GAVE_UP = 0, 1, 2
+Mode = Literal["explore", "to_goal", "gave_up"]
+MODE_NAMES: tuple[Mode, ...] = get_args(Mode)
+
+
+@struct.dataclass
+class Plan:
+    """One decision.
+
+    Attributes:
+      action: 0 forward, 1 turn left, 2 turn right; undefined if the planner gave up.
+      mode: `EXPLORE`, `TO_GOAL` or `GAVE_UP`.
+      length: number of actions to the subgoal.
+      subgoals: poses at which the plan may end; it ends at the nearest.
+    """
+
+    action: Int[Array, "*batch"]
+    mode: Int[Array, "*batch"]
+    length: Int[Array, "*batch"]
+    subgoals: PoseSet
+
+
+@struct.dataclass
+class Assessment:
+    """One decision and its inputs, for recordings, figures and `OnlinePlanner`.
+
+    Attributes:
+      plan: the decision.
+      ground: cells that the plan may use.
+      candidates: candidate poses for the subgoal.
+      score: score of every cell with a candidate; the lowest wins. `None` if the nearest candidate wins. Undefined
+        while the planner does not explore.
+      cost_to_go: the planner's cost-to-go of every cell; the last one while it does not explore. `None` for planners
+        without one.
+      penalty: part of the score beyond cost-to-go and distance; `None` for planners without one.
+    """
+
+    plan: Plan
+    ground: Board
+    candidates: PoseSet
+    score: Float[Array, "h w *batch"] | None = None
+    cost_to_go: Float[Array, "h w *batch"] | None = None
+    penalty: Float[Array, "h w *batch"] | None = None
+
+
+class Planner(Protocol):
+    """The interface of a planner. Both methods are pure and traced.
+
+    Attributes:
+      batch_per_core: number of robots to simulate side by side on one CPU core. A single one is fastest, except for a
+        network, which needs less time per map in larger batches. May be left out.
+      knows_outside: whether it takes maps in a larger grid, as `OnlinePlanner` pads them. A planner with an estimator
+        takes what the estimator takes.
+    """
+
+    batch_per_core: ClassVar[int] = 1
+    knows_outside: ClassVar[bool] = False
+
+    def init(self, world: World) -> Any:
+        """The planner's state at the start of an episode in `world`.
+
+        Only planners that know the map ahead of time (`Oracle`, an exact estimator) may read the world.
+        """
+        ...
+
+    def plan(self, belief: Belief, state: Any) -> tuple[Plan, Any]:
+        """Decide the next action from what has been observed."""
+        ...
+
+    def memoryless(self) -> "Planner":
+        """The planner for a single robot whose state is new at every step; itself unless a subclass defines it."""
+        return self
+
+
+def memoryless(planner: Planner) -> Planner:
+    """See `Planner.memoryless`; also for planners that do not derive from `Planner`."""
+    return planner.memoryless() if hasattr(planner, "memoryless") else planner
+
+
+class AssessingPlanner(Planner, Protocol):
+    """A planner that returns the inputs of its decisions."""
+
+    def assess(self, belief: Belief, state: Any) -> tuple[Assessment, Any]:
+        """Decide the next action, and return the inputs. Compilation removes unused ones."""
+        ...
+
+    def plan(self, belief: Belief, state: Any) -> tuple[Plan, Any]:
+        """Decide the next action from what has been observed."""
+        assessment, state = self.assess(belief, state)
+        return assessment.plan, state
+
+
+class MapRevisingPlanner(Planner, Protocol):
+    """A planner for maps whose cells may change their class, such as maps from a camera."""
+
+    def revised(self, state: Any, changed: Board) -> Any:
+        """The state without what is invalid after these cells changed their class since the last decision."""
+        ...
+
+
+def plan_to(belief: Belief, subgoals: PoseSet, ground: Board, mode: int | Int[Array, "*batch"]) -> Plan:
+    """A shortest plan over the ground to the nearest subgoal, in this mode; `GAVE_UP` if none can be reached."""
+    first = search.first_action(belief.pose, subgoals, ground)
+    mode = jnp.where(first.found, mode, GAVE_UP).astype(jnp.int32)
+    return Plan(action=first.action, mode=mode, length=first.length, subgoals=subgoals)
+
+
+@struct.dataclass
+class Oracle(AssessingPlanner):
+    """Shortest plan to the nearest goal on the whole map: the lower bound for all planners."""
+
+    def init(self, world: World) -> tuple[Board, Board]:
+        """The whole map: traversable cells and goal cells."""
+        return world.traversable, world.goals
+
+    def assess(self, belief: Belief, state: tuple[Board, Board]) -> tuple[Assessment, tuple[Board, Board]]:
+        """Head for the nearest goal; give up if it is unreachable. There are no candidates."""
+        traversable, goals = state
+        plan = plan_to(belief, every_heading(goals), traversable, TO_GOAL)
+        return Assessment(plan, traversable, candidates=jnp.zeros_like(plan.subgoals)), state
+
+    def revised(self, state: tuple[Board, Board], changed: Board) -> tuple[Board, Board]:
+        """The whole state, which only depends on the world."""
+        return state
+
+
+def observed_terrain(belief: Belief) -> UInt8[Array, "h w *batch"]:
+    """What an estimator is asked about: observed class indices, and `OUTSIDE` beyond the map."""
+    terrain = belief.terrain
+    if belief.outside is not None:
+        terrain = jnp.where(bitboard.unpack(belief.outside, belief.width), jnp.uint8(OUTSIDE), terrain)
+    # Without the barrier, XLA would unpack every cell again for each of a network's one-hot inputs.
+    return jax.lax.optimization_barrier(terrain)
+
+
+def reachable_cells(belief: Belief, before: Board) -> Board:
+    """Reachable cells (Algorithm 2, line 4), grown from those of the previous step: ground is never lost."""
+    robot = bitboard.single(belief.pose.x, belief.pose.y, *before.shape[:2])
+    return bitboard.flood(robot | before, belief.traversable)
+
+
+def assess(planner: Planner, belief: Belief, state: Any, rules: Rules) -> tuple[Assessment, Any]:
+    """A planner's decision and its inputs.
+
+    For a planner without `assess`, the candidates are those of the rules on reachable ground, and the nearest wins. The
+    same holds for a subclass with its own `plan` and an inherited `assess`, which would describe another plan.
+    """
+    classes = type(planner).__mro__
+    own_assess, own_plan = (
+        next((depth for depth, kind in enumerate(classes) if name in vars(kind)), len(classes))
+        for name in ("assess", "plan")
+    )
+    if own_assess <= own_plan:
+        return planner.assess(belief, state)  # type: ignore[attr-defined]
+    plan, state = planner.plan(belief, state)
+    reachable = reachable_cells(belief, jnp.zeros_like(belief.seen))
+    return Assessment(plan, reachable, rules.frontier_expanding(belief, reachable)), state
+
+
+def measured(
+    belief: Belief, assessment: Assessment
+) -> tuple[Int[Array, "heading h w *batch"], Float[Array, "h w *batch"]]:
+    """Actions from the robot to every pose, -1 for unreachable poses; and scores, NaN for cells without candidates."""
+    distance = search.distances(belief.pose, assessment.ground, belief.width)
+    candidates = poses.unpack(assessment.candidates, belief.width) & (distance >= 0)
+    score = assessment.score
+    if score is None:
+        score = jnp.min(distance, axis=0, where=candidates, initial=distance.size).astype(jnp.float32)
+    return distance, jnp.where(jnp.any(candidates, axis=0), score, jnp.nan)
+
+
+def _subgoals(
+    belief: Belief, reachable: Board, candidates: PoseSet, rules: Rules
+) -> tuple[PoseSet, Int[Array, "*batch"]]:
+    """Poses to head for (Algorithm 2, lines 5 and 9): those of the goal if it is reachable, else the candidates."""
+    goals = reachable & belief.goals
+    goal_reachable = ~bitboard.is_empty(goals)
+    poses_of_goal = rules.goal_poses(belief, goals, reachable)
+    return jnp.where(goal_reachable, poses_of_goal, candidates), jnp.where(goal_reachable, TO_GOAL, EXPLORE)
+
+
+def explore_or_finish(belief: Belief, reachable: Board, candidates: PoseSet, rules: Rules) -> Plan:
+    """Algorithm 2 after the choice of the subgoal: go to the goal if it is reachable, else explore.
+
+    Gives up if neither is reachable: nothing is left to explore, or an estimate is NaN.
+    """
+    subgoals, mode = _subgoals(belief, reachable, candidates, rules)
+    return plan_to(belief, subgoals, reachable, mode)
+
+
+@struct.dataclass
+class Frontier(AssessingPlanner):
+    """Frontier exploration: go to the nearest frontier-expanding pose (Yamauchi's frontier, the paper's baseline)."""
+
+    rules: Rules = struct.field(pytree_node=False)
+    knows_outside: ClassVar[bool] = True
+
+    def init(self, world: World) -> Board:
+        """Nothing is reachable before the first observation."""
+        return jnp.zeros_like(world.traversable)
+
+    def decide(self, belief: Belief, before: Board) -> Decided:
+        """The decision by all of a map, given cells that are known to be reachable."""
+        reachable = reachable_cells(belief, before)
+        plan = explore_or_finish(belief, reachable, self.rules.frontier_expanding(belief, reachable), self.rules)
+        return Decided(plan.action, plan.mode, plan.length, reachable)
+
+    def assess(self, belief: Belief, state: Board) -> tuple[Assessment, Board]:
+        """Head for the nearest frontier-expanding pose, or for the goal once it is reachable."""
+        near = nearby(belief, state, self.decide, self.rules.reach)
+        if near is None:
+            decided = self.decide(belief, state)
+        else:
+            there, certain = near
+            certain &= there.mode[0] != GAVE_UP
+            decided = jax.lax.cond(certain, lambda: there, lambda: self.decide(belief, there.reachable))
+        reachable = decided.reachable
+        candidates = self.rules.frontier_expanding(belief, reachable)
+        subgoals, _ = _subgoals(belief, reachable, candidates, self.rules)
+        plan = Plan(decided.action, decided.mode, decided.length, subgoals)
+        return Assessment(plan, reachable, candidates), reachable
+
+    def revised(self, state: Board, changed: Board) -> Board:
+        """An empty state, since ground can be lost."""
+        return jnp.zeros_like(state)
+
+
+def any_heading(belief: Belief, nearest: PoseSet) -> PoseSet:
+    """All of each cell's nearest candidates."""
+    del belief
+    return nearest
+
+
+#: Axes to mirror the map along, one tuple per view; and a function from maps to estimates.
+Views = tuple[tuple[int, ...], ...]
+Ask = Callable[[UInt8[Array, "h w *batch"]], Estimates]
+
+
+def in_turn(ask: Ask, terrain: UInt8[Array, "h w *batch"], views: Views, view: Int[Array, "*batch"]) -> Estimates:
+    """The estimates for one view of the map, number `view`."""
+
+    def in_view(cells: Array, first: int) -> Array:
+        seen_as = cells
+        for number, axes in enumerate(views):
+            turned = jnp.flip(cells, [first + axis for axis in axes])
+            seen_as = jnp.where(view == number, turned, seen_as) if axes else seen_as
+        return seen_as
+
+    return in_view(ask(in_view(terrain, 0)), 1)
+
+
+def at_once(ask: Ask, terrain: UInt8[Array, "h w *batch"], views: Views) -> Estimates:
+    """The mean of the estimates for all views of the map. The grid may be larger than the map."""
+    inside = terrain != OUTSIDE
+    answers = [mirrored(ask(mirrored(terrain, axes, inside, 0)), axes, inside, 1) for axes in views]
+    return jnp.mean(jnp.stack(answers).astype(jnp.float32), axis=0)
+
+
+@struct.dataclass
+class DC2G(AssessingPlanner):
+    """Deep Cost-to-Go (Algorithm 2): go to the frontier-expanding pose with the lowest estimated cost-to-go.
+
+    Candidates are the frontier-expanding poses of the rules that reveal something when reached; if there are none, all
+    poses that do. So exploration always ends, under all rules. (The `complete` rules have no other poses; with the
+    `reference` rules alone, a robot can move back and forth forever between two poses that reveal nothing.)
+
+    The defaults of selection, rim, gain and patience are the paper's.
+
+    Attributes:
+      estimator: maps a partial map to costs-to-go; lower is better.
+      rules: field of view and definition of frontiers.
+      selection: rule that scores subgoals.
+      rim_width: candidates that see a cell more than this many cells beyond everything observed take precedence.
+      views: axes to mirror the map along for the estimator, one tuple per view: test-time augmentation spread over
+        steps. New estimates alternate between the views, and the planner uses the mean of each view's latest estimate.
+        This halves errors that a network makes in only one view, at no extra cost. Views other than the original map
+        are for estimators that only read the map.
+      gain_weight: weight of the information gain: a cell's score is lower by this much if its whole field of view would
+        be new. The gain does not change while nothing new is seen, so exploration still ends.
+      headings: selects among the nearest headings of a cell, if the score depends on distance: all of them, or
+        `planning.frontiers.facing_most`.
+      patience: penalty for staying near promising cells that reveal no goal.
+      enough_news: share of the cells in the field of view that has to be newly seen before the planner decides anew; it
+        also does when its subgoal reveals nothing more. 0 to decide anew as soon as any cell is.
+      magnifies: whether the estimator is given a part of the map of a town, see
+        `estimation.extents.Surroundings`.
+      memory: whether the state is kept between steps. If not, for a single robot, each estimate averages all views.
+    """
+
+    estimator: Estimator
+    rules: Rules = struct.field(pytree_node=False)
+    selection: Selection = struct.field(pytree_node=False, default=ExpectedCost(distance_weight=0.0))
+    rim_width: int = struct.field(pytree_node=False, default=0)
+    views: Views = struct.field(pytree_node=False, default=((),))
+    gain_weight: float = struct.field(pytree_node=False, default=0.0)
+    headings: Callable[[Belief, PoseSet], PoseSet] = struct.field(pytree_node=False, default=any_heading)
+    patience: Patience = struct.field(pytree_node=False, default=ENDLESS)
+    enough_news: float = struct.field(pytree_node=False, default=0.0)
+    magnifies: bool = struct.field(pytree_node=False, default=False)
+    memory: bool = struct.field(pytree_node=False, default=True)
+    batch_per_core: ClassVar[int] = 64
+
+    def memoryless(self) -> "DC2G":
+        """This planner for a single robot with a new state at every step, on maps of any size."""
+        network = self.estimator
+        estimator = PaddedNetwork(network) if isinstance(network, NetworkCostToGo) and network.is_compact else network
+        return dataclasses.replace(self, estimator=estimator, patience=ENDLESS, magnifies=False, memory=False)
+
+    def init(self, world: World) -> "ExplorationState":
+        """Nothing is reachable before the first observation. The estimator initializes its own state."""
+        nothing = jnp.zeros_like(world.traversable)
+        estimator_state = self.estimator.init(world)
+        told = jax.eval_shape(self._told, world.terrain, estimator_state)
+        prior = self._extent(world).prior
+        choice = Choice(
+            estimates=tuple(jnp.full(told.shape, prior, jnp.float32) for _ in self.views),
+            estimated_from=nothing,
+            view=jnp.zeros(nothing.shape[2:], jnp.int32),
+            subgoals=every_heading(nothing),
+        )
+        return ExplorationState(nothing, choice, jnp.zeros(told.shape[1:], jnp.int32), estimator_state)
+
+    @property
+    def _known_side(self) -> int:
+        """Longer side of the maps that the estimator knows, in cells."""
+        network = self.estimator
+        return network.architecture.side if isinstance(network, NetworkCostToGo) else Architecture.side
+
+    def _extent(self, world: World) -> Extent:
+        """The part of the map that the estimator is given; a world stands for a belief at the start of an episode."""
+        side = self._known_side
+        if not self.magnifies or max(world.height, world.width) <= side:
+            return extent_of(self.estimator)
+        zooms = in_town(world) if isinstance(world, Belief) else jnp.zeros(world.goals.shape[2:], bool)
+        return Surroundings(zooms, side, float(side))
+
+    def _told(self, terrain: UInt8[Array, "h w *batch"], state: Any) -> Estimates:
+        """The selection rule's summary of the estimate.
+
+        Args:
+          terrain: observed class indices.
+          state: state of the estimator.
+
+        Raises:
+          ValueError: the estimate does not have the shape `[outcomes, *shape of the map]`.
+        """
+        estimator, summary = self.estimator, self.selection.summary
+        if getattr(summary, "linear", False) and hasattr(estimator, "summarized"):
+            estimator, summary = estimator.summarized(summary), lambda costs: costs
+        costs = estimator.estimate(terrain, state)
+        if costs.shape[1:] != terrain.shape:
+            raise ValueError(
+                f"{type(self.estimator).__name__} answers with {list(costs.shape)} for a map of {list(terrain.shape)}; "
+                "give [outcomes, *shape of the map], with one outcome at least"
+            )
+        return summary(costs).astype(jnp.float32)
+
+    def _candidates(self, belief: Belief, reachable: Board, revealing: PoseSet) -> PoseSet:
+        """Candidate poses for the subgoal (Algorithm 2, lines 6 to 8), of those that reveal something."""
+        preferred = self.rules.frontier_expanding(belief, reachable) & revealing
+        candidates = jnp.where(poses.is_empty(preferred), revealing, preferred)
+        if self.rim_width:
+            opening = frontiers.opening(belief, candidates, self.rules.sensing, self.rim_width)
+            candidates = jnp.where(poses.is_empty(opening), candidates, opening)
+        return candidates
+
+    def _penalty(
+        self, belief: Belief, candidates: PoseSet, decided_near: Int[Array, "h w *batch"]
+    ) -> Float[Array, "h w *batch"]:
+        """The term added to the score of each cell: the penalty of `patience` minus the weighted information gain."""
+        penalty = jnp.zeros(decided_near.shape, jnp.float32)
+        if self.patience.price:
+            penalty += self.patience.cost(decided_near)
+        if self.gain_weight:
+            sensing = self.rules.sensing
+            of_one_cell = self.gain_weight / len(sensing.offsets[0])
+            penalty -= of_one_cell * frontiers.information_gain(belief, candidates, sensing)
+        return penalty
+
+    def _scored(
+        self,
+        belief: Belief,
+        reachable: Board,
+        revealing: PoseSet,
+        estimate: Estimates,
+        decided_near: Int[Array, "h w *batch"],
+    ) -> tuple[PoseSet, Float[Array, "h w *batch"], Float[Array, "h w *batch"]]:
+        """The candidates, the score of each cell with one, and the penalty in it (Algorithm 2, lines 6 to 10)."""
+        candidates = nearest = self._candidates(belief, reachable, revealing)
+        lengths = jnp.int32(0)
+        if self.selection.distance_weight:
+            nearest, lengths = search.nearest_headings(belief.pose, candidates, reachable, belief.width)
+            nearest = self.headings(belief, nearest)
+        cost = self.selection(estimate, lengths)
+        penalty = self._penalty(belief, candidates, decided_near)
+        return nearest, cost + penalty, penalty
+
+    def _choose(
+        self, inputs: tuple[Belief, Board, PoseSet, Int[Array, "h w *batch"], Any], before: "Choice"
+    ) -> "Choice":
+        """A new estimate, and the subgoals of lowest score with it (Algorithm 2, lines 6 to 11)."""
+        belief, reachable, revealing, decided_near, estimator_state = inputs
+        choice = self._estimated(belief, estimator_state, before)
+        candidates, score, _ = self._scored(belief, reachable, revealing, choice.estimate, decided_near)
+        return choice._replace(subgoals=_lowest(score, candidates, belief.width))
+
+    def _estimated(self, belief: Belief, estimator_state: Any, before: "Choice") -> "Choice":
+        """A new estimate, with the subgoals of before."""
+        terrain = observed_terrain(belief)
+        extent, ask = self._extent(belief), functools.partial(self._told, state=estimator_state)
+        part = extent.part(terrain, belief.pose)
+        answer = in_turn(ask, part, self.views, before.view) if self.memory else at_once(ask, part, self.views)
+        latest = extent.merged(answer, belief.pose, before.estimates[0])
+        first = bitboard.is_empty(before.estimated_from)
+        # The first estimate stands for all views.
+        estimates = (latest, *(jnp.where(first, latest, older) for older in before.estimates[:-1]))
+        return before._replace(
+            estimates=estimates, estimated_from=belief.seen, view=(before.view + 1) % len(self.views)
+        )
+
+    def assess(self, belief: Belief, state: "ExplorationState") -> "tuple[Assessment, ExplorationState]":
+        """Head for the most promising frontier-expanding pose, or for the goal once it is reachable.
+
+        The scores are the current ones; the subgoal had the lowest when it was chosen.
+        """
+        reachable = reachable_cells(belief, state.reachable)
+        revealing = frontiers.complete(belief, reachable, self.rules.sensing)
+        undecided = ~poses.is_empty(revealing) & ~bitboard.intersects(reachable, belief.goals)
+        decided_near = state.decided_near
+        if self.patience.price:
+            decided_near = decided_near + self.patience.near(belief.pose, belief.height, belief.width)
+        news = bitboard.count(belief.seen ^ state.choice.estimated_from)
+        enough = max(1, round(self.enough_news * len(self.rules.sensing.offsets[0])))
+        # Robots that do not explore need no subgoal.
+        outdated = undecided & ((news >= enough) | poses.is_empty(state.choice.subgoals & revealing))
+        inputs = belief, reachable, revealing, decided_near, state.estimator
+        if self.memory:
+            choice = update_where(self._choose, outdated, inputs, state.choice)
+        else:
+            choice = jax.lax.cond(
+                outdated, lambda: self._estimated(belief, state.estimator, state.choice), lambda: state.choice
+            )
+        candidates, score, penalty = self._scored(belief, reachable, revealing, choice.estimate, decided_near)
+        if not self.memory:  # the choice is always new, so it is made from these scores
+            choice = choice._replace(subgoals=_lowest(score, candidates, belief.width))
+        plan = explore_or_finish(belief, reachable, choice.subgoals & revealing, self.rules)
+        cost_to_go = jnp.mean(choice.estimate, axis=0)
+        state = ExplorationState(reachable, choice, decided_near, state.estimator)
+        return Assessment(plan, reachable, candidates, score, cost_to_go, penalty), state
+
+    def revised(self, state: "ExplorationState", changed: Board) -> "ExplorationState":
+        """The state without the ground, which can be lost. If observed cells changed, it is time for another choice."""
+        choice = state.choice._replace(
+            estimated_from=state.choice.estimated_from & ~changed,
+            subgoals=jnp.where(bitboard.is_empty(changed), state.choice.subgoals, jnp.uint32(0)),
+        )
+        return state._replace(reachable=jnp.zeros_like(state.reachable), choice=choice)
+
+
+class Choice(NamedTuple):
+    """The last choice of a subgoal.
+
+    Attributes:
+      estimates: the selection rule's summaries of the latest estimate of each view, the newest first.
+      estimated_from: observed cells at the time of the newest estimate.
+      view: number of the next view.
+      subgoals: poses of lowest score; the plan goes to the nearest.
+    """
+
+    estimates: tuple[Estimates, ...]
+    estimated_from: Board
+    view: Int[Array, "*batch"]
+    subgoals: PoseSet
+
+    @property
+    def estimate(self) -> Estimates:
+        """The mean of the views' estimates."""
+        return sum(self.estimates[1:], self.estimates[0]) / len(self.estimates)
+
+
+class ExplorationState(NamedTuple):
+    """State of DC2G between steps.
+
+    Attributes:
+      reachable: reachable cells at the last step.
+      choice: the last choice of a subgoal.
+      decided_near: number of decisions near each cell, if `patience` has a price.
+      estimator: state of the estimator.
+    """
+
+    reachable: Board
+    choice: Choice
+    decided_near: Int[Array, "h w *batch"]
+    estimator: Any
+
+
+def _lowest(score: Float[Array, "h w *batch"], candidates: PoseSet, width: int) -> PoseSet:
+    """The poses on cells of lowest score (Algorithm 2, line 11). Ties are all kept: the plan goes to the nearest."""
+    chosen_from = bitboard.unpack(poses.occupied(candidates), width)
+    score = jnp.where(chosen_from, score, jnp.inf)
+    return candidates & bitboard.pack(chosen_from & (score == jnp.min(score, axis=(0, 1))))

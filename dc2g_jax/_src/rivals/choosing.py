@@ -1,0 +1,158 @@
+"""What most rivals share: score the frontier-expanding poses, head for the best, and keep to it for a while."""
+
+import math
+from typing import Any, ClassVar, NamedTuple
+
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int
+
+from dc2g_jax._src.estimation.estimators import Estimator, update_where
+from dc2g_jax._src.grid import bitboard, poses, search
+from dc2g_jax._src.grid.bitboard import Board
+from dc2g_jax._src.grid.gridworld import Belief
+from dc2g_jax._src.grid.poses import PoseSet, every_heading
+from dc2g_jax._src.grid.world import World
+from dc2g_jax._src.planning import frontiers
+from dc2g_jax._src.planning.planners import (
+    AssessingPlanner,
+    Assessment,
+    explore_or_finish,
+    observed_terrain,
+    reachable_cells,
+)
+from dc2g_jax._src.planning.rules import Rules
+
+#: Scores of poses, or values of them.
+PoseValues = Float[Array, "heading h w *batch"]
+
+
+#: Scores that differ by less, relatively, are ties. XLA may compute a score twice and round it otherwise, so that none
+#: would be equal to the lowest.
+_ROUNDING = 1e-5
+
+
+class Moment(NamedTuple):
+    """What a planner chooses from.
+
+    Attributes:
+      reachable: reachable cells.
+      candidates: poses to choose from.
+      distance: actions from the robot to every pose, -1 for unreachable ones.
+      kept: the subgoals chosen before that would still reveal something.
+      estimator: state of the estimator, if there is one.
+    """
+
+    reachable: Board
+    candidates: PoseSet
+    distance: Int[Array, "heading h w *batch"]
+    kept: PoseSet
+    estimator: Any
+
+
+class Chosen(NamedTuple):
+    """State between steps.
+
+    Attributes:
+      reachable: reachable cells at the last step.
+      subgoals: poses of the lowest score when they were chosen; the plan leads to the nearest.
+      chosen_from: cells that had been observed then.
+      estimator: state of the estimator, if there is one.
+    """
+
+    reachable: Board
+    subgoals: PoseSet
+    chosen_from: Board
+    estimator: Any
+
+
+def exploring_poses(belief: Belief, reachable: Board, rules: Rules) -> PoseSet:
+    """The frontier-expanding poses that reveal something when reached; without any, all poses that do."""
+    revealing = frontiers.complete(belief, reachable, rules.sensing)
+    preferred = rules.frontier_expanding(belief, reachable) & revealing
+    return jnp.where(poses.is_empty(preferred), revealing, preferred)
+
+
+def with_batch_axes(values: Any, batch: tuple[int, ...]) -> Array:
+    """An array `[h w]` as `[h w *batch]`, with batch axes of length 1."""
+    return jnp.reshape(values, (*jnp.shape(values), *(1 for _ in batch)))
+
+
+def in_square(cells: Bool[Array, "h w *batch"], radius: int) -> Int[Array, "h w *batch"]:
+    """Number of cells of the set in the square of `2 radius + 1` cells around each cell."""
+    counts = cells.astype(jnp.int32)
+    for axis in (0, 1):
+        margins = [(0, 0)] * counts.ndim
+        margins[axis] = (radius + 1, radius)
+        sums = jnp.cumsum(jnp.pad(counts, margins), axis=axis)
+        size, step = counts.shape[axis], 2 * radius + 1
+        low, high = (jnp.take(sums, jnp.arange(size) + first, axis=axis) for first in (0, step))
+        counts = high - low
+    return counts
+
+
+def predicted(estimator: Estimator, belief: Belief, state: Any) -> Float[Array, "outcomes h w *batch"]:
+    """The estimated costs-to-go of every cell, in cells, for an estimator that reads the whole map."""
+    return estimator.estimate(observed_terrain(belief), state).astype(jnp.float32)
+
+
+@struct.dataclass
+class ChoosingPlanner(AssessingPlanner):
+    """Heads for the frontier-expanding pose of the lowest score, or for the goal once it is reachable.
+
+    It keeps to its choice until that pose would reveal nothing more, or enough has been seen since. Nothing is chosen
+    anew while nothing new is seen, so exploration ends.
+
+    Attributes:
+      rules: field of view and definition of frontiers.
+      enough_news: share of the cells in the field of view that has to be newly seen before the planner chooses anew.
+    """
+
+    rules: Rules = struct.field(pytree_node=False)
+    enough_news: float = struct.field(pytree_node=False, default=math.inf)
+    #: A choice is made for some robots at a time.
+    batch_per_core: ClassVar[int] = 32
+
+    def score(self, belief: Belief, moment: Moment) -> PoseValues:
+        """Score of every pose; the lowest of a candidate wins. Values of other poses do not matter."""
+        raise NotImplementedError
+
+    def init(self, world: World) -> Chosen:
+        """Nothing is reachable before the first observation."""
+        nothing = jnp.zeros_like(world.traversable)
+        estimator = getattr(self, "estimator", None)
+        return Chosen(nothing, every_heading(nothing), nothing, () if estimator is None else estimator.init(world))
+
+    def _moment(self, belief: Belief, reachable: Board, candidates: PoseSet, state: Chosen) -> Moment:
+        distance = search.distances(belief.pose, reachable, belief.width)
+        return Moment(reachable, candidates, distance, state.subgoals & candidates, state.estimator)
+
+    def _choose(self, inputs: tuple[Belief, Board, PoseSet], state: Chosen) -> Chosen:
+        """The poses of the lowest score."""
+        belief, reachable, candidates = inputs
+        moment = self._moment(belief, reachable, candidates, state)
+        eligible = poses.unpack(candidates, belief.width) & (moment.distance >= 0)
+        score = jnp.where(eligible, self.score(belief, moment), jnp.inf)
+        lowest = jnp.min(score, axis=(0, 1, 2))
+        best = eligible & (score <= lowest + _ROUNDING * (1 + jnp.abs(lowest)))
+        return state._replace(subgoals=poses.pack(best), chosen_from=belief.seen)
+
+    def assess(self, belief: Belief, state: Chosen) -> tuple[Assessment, Chosen]:
+        """Head for the chosen pose, or for the goal. The scores are the current ones."""
+        reachable = reachable_cells(belief, state.reachable)
+        candidates = exploring_poses(belief, reachable, self.rules)
+        news = bitboard.count(belief.seen ^ state.chosen_from)
+        enough = max(1.0, self.enough_news * len(self.rules.sensing.offsets[0]))
+        outdated = (news >= enough) | poses.is_empty(state.subgoals & candidates)
+        undecided = ~poses.is_empty(candidates) & ~bitboard.intersects(reachable, belief.goals)
+        state = update_where(self._choose, outdated & undecided, (belief, reachable, candidates), state)
+        plan = explore_or_finish(belief, reachable, state.subgoals & candidates, self.rules)
+        moment = self._moment(belief, reachable, candidates, state)
+        score = jnp.min(jnp.where(poses.unpack(candidates, belief.width), self.score(belief, moment), jnp.inf), axis=0)
+        return Assessment(plan, reachable, candidates, score), state._replace(reachable=reachable)
+
+    def revised(self, state: Chosen, changed: Board) -> Chosen:
+        """The state without ground and choice: both can be lost."""
+        del changed
+        nothing = jnp.zeros_like(state.reachable)
+        return state._replace(reachable=nothing, subgoals=every_heading(nothing))

@@ -1,0 +1,454 @@
+"""Evaluate planners from given starts in houses, relative to the oracle (paper, section IV-B)."""
+
+import collections
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Int, UInt8
+
+from dc2g_jax._src.datasets.houses import (
+    PROCEDURAL,
+    House,
+    HouseDataset,
+    open_dataset,
+    procedural_dataset,
+    stack_worlds,
+)
+from dc2g_jax._src.datasets.starts import Start, sample_starts, usable_houses
+from dc2g_jax._src.errors import InputError, short
+from dc2g_jax._src.estimation.estimators import Estimator, extent_of
+from dc2g_jax._src.files.cache import keep_compiled_programs
+from dc2g_jax._src.grid import gridworld
+from dc2g_jax._src.grid.gridworld import Belief
+from dc2g_jax._src.grid.ground import connected_to_goal, longest_way
+from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS, Pose, make_pose
+from dc2g_jax._src.grid.sensing import Kernel
+from dc2g_jax._src.grid.terrain import FRONT_DOOR
+from dc2g_jax._src.grid.world import World
+from dc2g_jax._src.planning.named import NETWORK_PLANNERS, check_names, make_planner, open_estimator
+from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES, Mode, Oracle, Planner
+from dc2g_jax._src.planning.rules import Rules, Settings, named_settings
+from dc2g_jax._src.rollouts.progress import EpisodeProgress
+from dc2g_jax._src.rollouts.results import write_rows
+from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes, Trajectories, rollout
+from dc2g_jax._src.rollouts.statistics import ExtraSteps, Summary, extra_steps, tabulate
+
+#: Cells of a map per action of its step limit: the published maps, of 50 x 50 cells, have a limit of 500.
+_CELLS_A_STEP = 50 * 50 // STEP_LIMIT
+
+#: Actions for each cell of the longest way to a goal, at least.
+_STEPS_A_CELL_OF_WAY = 4
+
+#: Largest error of extra steps in a table, in percent: earlier versions wrote one or two digits.
+_ROUNDING = 0.1
+
+#: A planner's name, a planner, or a class or function that makes one from the rules of an episode.
+PlannerSource = str | Planner | Callable[[Rules], Planner]
+
+#: Names for `make_planner`; or a mapping from a name of your choice to one of these, or to another source.
+Planners = Iterable[str] | Mapping[str, PlannerSource]
+
+
+class EpisodeResult(NamedTuple):
+    """One episode of one planner, a row of `episodes.csv`.
+
+    Attributes:
+      house: name of the house.
+      x: first column.
+      y: first row.
+      heading: first heading.
+      range: range of the field of view, in cells.
+      expanding_range: range of the frontier-expanding kernel in cells, `None` if the rules have none.
+      planner: name of the planner.
+      success: whether the robot reached a goal within the step limit.
+      steps: number of actions.
+      oracle_steps: number of actions of the oracle from the same start.
+      extra: extra steps beyond the oracle's, in percent.
+      mode: plan mode of the last decision.
+      actions: the actions as letters F, L, R; empty if the planner gave up at once.
+    """
+
+    house: str
+    x: int
+    y: int
+    heading: int
+    range: int
+    expanding_range: int | None
+    planner: str
+    success: bool
+    steps: int
+    oracle_steps: int
+    extra: float
+    mode: Mode
+    actions: str = ""
+
+    def check(self) -> None:
+        """Check that the values of a row belong together, such as one that was read from a file.
+
+        Raises:
+          ValueError: they do not.
+        """
+        if min(self.x, self.y, self.heading, self.range, self.steps) < 0 or self.heading >= HEADINGS:
+            raise ValueError(f"x {self.x}, y {self.y}, heading {self.heading}, range {self.range}, {self.steps} steps")
+        if set(self.actions) - set(ACTION_LETTERS):
+            raise ValueError(f"actions {short(self.actions)} are not letters {', '.join(ACTION_LETTERS)}")
+        if self.actions and len(self.actions) != self.steps:
+            raise ValueError(f"{len(self.actions)} actions for {self.steps} steps")
+        if not abs(self.extra - extra_steps(self.steps, self.oracle_steps)) < _ROUNDING:
+            raise ValueError(f"extra is {self.extra} for {self.steps} steps and {self.oracle_steps} of the oracle")
+
+
+class Results(tuple[EpisodeResult, ...]):
+    """A tuple of results of one or more planners: planner by planner, each in the order of the starts.
+
+    `print(results)` shows the summary of each planner.
+    """
+
+    def of(self, planner: str) -> "Results":
+        """The episodes of one planner."""
+        return Results(result for result in self if result.planner == planner)
+
+    def summary(self) -> dict[str, Summary]:
+        """Mean and median extra steps in percent, and success, by planner. The interval of the mean is over houses."""
+        episodes = (ExtraSteps(one.planner, "all", one.house, one.extra, one.success) for one in self)
+        return {planner: row["all"] for planner, row in tabulate(episodes, ("all",)).items()}
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write `episodes.csv`: one row per episode and planner, with `success` as 0 or 1 and `extra` in percent."""
+        write_rows(Path(path), EpisodeResult, self)
+
+    def __str__(self) -> str:
+        """See `as_text`."""
+        return as_text(self.summary())
+
+
+def as_text(table: Mapping[str, Summary]) -> str:
+    """A table: extra steps beyond the oracle and success, a line for each planner."""
+    width = max(map(len, ("planner", *table)))
+    lines = [f"{'planner':{width}}   extra steps %: mean   median   success %   episodes"]
+    for planner, row in table.items():
+        lines.append(
+            f"{planner:{width}}{row.mean_extra:>22.1f}{row.median_extra:>9.1f}{100 * row.success:>12.1f}"
+            f"{row.episodes:>11,}"
+        )
+    return "\n".join(lines)
+
+
+def action_letters(trajectories: Trajectories, episode: int) -> str:
+    """The actions of one episode as letters F, L, R."""
+    return "".join(ACTION_LETTERS[action] for action in trajectories.actions[episode][: trajectories.steps[episode]])
+
+
+def episodes_from(starts: Sequence[Start], index: Mapping[str, int]) -> Episodes:
+    """Convert starts to `Episodes`, given each house's index in the stack of worlds."""
+    table = np.array([(index[start.house], start.x, start.y, start.heading) for start in starts], np.int32)
+    world, x, y, heading = table.reshape(-1, 4).T
+    return Episodes(world=jnp.asarray(world), start=make_pose(x, y, heading))
+
+
+def _default_step_limit(terrain: UInt8[np.ndarray, "h w"]) -> int:
+    """Actions that a map may need by its size, its ground, and its longest way to a goal."""
+    ground = int(np.sum(connected_to_goal(terrain)))
+    return max(min(terrain.size // _CELLS_A_STEP, ground), _STEPS_A_CELL_OF_WAY * longest_way(terrain))
+
+
+def _estimates_nan(
+    estimator: Estimator, world: World, start: Pose, actions: Int[Array, "t"], *, sensing: Kernel
+) -> bool:
+    """Whether an estimate is NaN after these actions. Planners give up then, as where nothing is left to explore."""
+
+    def act(belief: Belief, action: Array) -> tuple[Belief, None]:
+        return gridworld.step(world, belief, action, sensing), None
+
+    belief, _ = jax.lax.scan(act, gridworld.reset(world, start, sensing), actions)
+    part = extent_of(estimator).part(belief.terrain, belief.pose)
+    return bool(jnp.any(jnp.isnan(estimator.estimate(part, estimator.init(world)))))
+
+
+class Runner:
+    """Runs planners from given starts in the houses of one dataset, all episodes of a planner at once.
+
+    Args:
+      dataset: the houses.
+      settings: rules by sensing range.
+      step_limit: actions after which an episode ends without success; `None` for the most that any map needs: an action
+        for every five cells, but no more than for every cell of ground that leads to a goal; four for every cell of its
+        longest way to a goal; 500, as on the published maps.
+      progress: called as `progress(planner, finished, episodes)` between calls of the device.
+
+    Attributes:
+      step_limit: actions after which an episode ends without success.
+
+    Raises:
+      InputError: the step limit is less than 1.
+    """
+
+    def __init__(
+        self,
+        dataset: HouseDataset,
+        settings: Settings,
+        *,
+        step_limit: int | None = None,
+        progress: Callable[[str, int, int], None] | None = None,
+    ):
+        self._dataset = dataset
+        # All houses of a size, even unused ones, so that the same compiled program serves all calls.
+        by_size: dict[tuple[int, ...], list[House]] = collections.defaultdict(list)
+        for house in dataset.houses:
+            by_size[house.terrain.shape].append(house)
+        self._worlds = {size: stack_worlds(houses) for size, houses in by_size.items()}
+        self._size = {house.name: house.terrain.shape for house in dataset.houses}
+        self._index = {house.name: number for houses in by_size.values() for number, house in enumerate(houses)}
+        self._settings = settings
+        if step_limit is None:
+            step_limit = max([STEP_LIMIT, *(_default_step_limit(house.terrain) for house in dataset.houses)])
+        if step_limit < 1:
+            raise InputError(f"step limit {step_limit}: give at least 1 (--step-limit)")
+        self.step_limit = step_limit
+        self._progress = progress
+        self._oracle_steps: dict[tuple[Rules, tuple[Start, ...]], Int[np.ndarray, episodes]] = {}
+
+    def rules(self, start: Start) -> Rules:
+        """The rules of an episode.
+
+        Raises:
+          InputError: the start has an expanding range, and the rules have no frontier-expanding kernel.
+        """
+        return self._settings.rules(start.sensing_range, start.expanding_range)
+
+    def trajectories(self, planner: Planner, rules: Rules, starts: Sequence[Start], name: str = "") -> Trajectories:
+        """Run one planner from every start, ignoring the ranges of the starts.
+
+        Args:
+          planner: the planner.
+          rules: rules with the robots' field of view.
+          starts: first poses, in houses of one size.
+          name: name for progress reports.
+
+        Raises:
+          KeyError: a start is in a house that the dataset does not have.
+          ValueError: the houses differ in size.
+          InputError: the planner lacks a part of the protocol, or gives up because its estimator estimates NaN.
+        """
+        for needed in ("init", "plan"):
+            if not hasattr(planner, needed):
+                who = name or type(planner).__name__
+                raise InputError(f"planner {who!r}: has no {needed}; dc2g_jax.check_planner tells what a planner needs")
+        sizes = {self._size[start.house] for start in starts}
+        if len(sizes) != 1:
+            raise ValueError(f"starts in houses of {len(sizes)} sizes; give starts in houses of one size")
+        worlds = self._worlds[sizes.pop()]
+        episodes = episodes_from(starts, self._index)
+
+        def report(finished: int) -> None:
+            if self._progress is not None:
+                self._progress(name, finished, len(starts))
+
+        report(0)  # before minutes of compilation, perhaps
+        done = rollout(
+            planner,
+            worlds,
+            episodes,
+            sensing=rules.sensing,
+            step_limit=self.step_limit,
+            on_progress=report,
+        )
+        estimator, gave_up = getattr(planner, "estimator", None), np.flatnonzero(done.mode == GAVE_UP)
+        if estimator is not None and gave_up.size:
+            first = int(gave_up[0])
+            world = jax.tree.map(lambda leaf: leaf[..., self._index[starts[first].house]], worlds)
+            pose = jax.tree.map(lambda leaf: leaf[first], episodes.start)
+            actions = jnp.asarray(done.actions[first][: done.steps[first]], jnp.int32)
+            if _estimates_nan(estimator, world, pose, actions, sensing=rules.sensing):
+                raise InputError(
+                    f"planner {name or type(planner).__name__}: {type(estimator).__name__} estimates NaN in house "
+                    f"{starts[first].house} after {len(actions)} actions; give an estimator of numbers"
+                )
+        return done
+
+    def _oracle(self, rules: Rules, starts: Sequence[Start]) -> Trajectories:
+        """The oracle's trajectories, of which the numbers of steps are kept.
+
+        Raises:
+          InputError: not even the oracle reaches a goal from a start within the step limit.
+        """
+        oracle = self.trajectories(Oracle(), rules, starts, "oracle")
+        if not np.all(oracle.success):
+            raise InputError(
+                f"{starts[int(np.argmin(oracle.success))]}: even with the map known no goal is reached within "
+                f"{self.step_limit} actions; give a larger step limit, or start elsewhere"
+            )
+        self._oracle_steps[rules, tuple(starts)] = oracle.steps
+        return oracle
+
+    def run(
+        self, starts: Sequence[Start], planners: Planners, estimator: Estimator | None = None
+    ) -> list[EpisodeResult]:
+        """Run planners from every start.
+
+        Args:
+          starts: first poses; each may have its own ranges.
+          planners: see `Planners`. The name `oracle` is reserved for the oracle of the package.
+          estimator: network of the planners that need one.
+
+        Returns:
+          Results, planner by planner in the given order, each in the order of the starts.
+
+        Raises:
+          ValueError: a start is not on the map or is on a front door, or another planner is called `oracle`.
+          InputError: a planner is unknown or was made for another field of view, the oracle does not reach a goal from
+            a start within the step limit, or a start has an expanding range and the rules have no frontier-expanding
+            kernel.
+        """
+        named = by_name(planners)
+        if named.get("oracle", "oracle") != "oracle":
+            raise ValueError(
+                "planner oracle: the name is reserved for the oracle that all are compared with; use another"
+            )
+        for start in starts:
+            terrain = self._dataset.house(start.house).terrain
+            height, width = terrain.shape
+            if not (0 <= start.x < width and 0 <= start.y < height and 0 <= start.heading < HEADINGS):
+                raise ValueError(
+                    f"{start}: is no pose on a map of {width} x {height} cells; columns, rows and headings count from 0"
+                )
+            if terrain[start.y, start.x] == FRONT_DOOR:
+                raise ValueError(f"{start}: stands on a front door already; start elsewhere")
+        together: dict[tuple[Any, ...], list[int]] = collections.defaultdict(list)
+        for number, start in enumerate(starts):
+            together[start.sensing_range, start.expanding_range, self._size[start.house]].append(number)
+        results: dict[tuple[str, int], EpisodeResult] = {}
+        for numbers in together.values():
+            chosen = [starts[number] for number in numbers]
+            rules = self.rules(chosen[0])
+            key = rules, tuple(chosen)
+            needed = "oracle" in named or key not in self._oracle_steps
+            oracle = self._oracle(rules, chosen) if needed else None
+            for name, source in named.items():
+                if name == "oracle" and oracle is not None:
+                    done = oracle
+                else:
+                    done = self.trajectories(_made(name, source, rules, estimator), rules, chosen, name)
+                oracle_steps = self._oracle_steps[key]
+                for row, number in enumerate(numbers):
+                    results[name, number] = _result(chosen[row], rules, name, done, row, int(oracle_steps[row]))
+        return [results[name, number] for name in named for number in range(len(starts))]
+
+
+def by_name(planners: Planners) -> Mapping[str, PlannerSource]:
+    """Planners by the names that they have in results, each once."""
+    return planners if isinstance(planners, Mapping) else {name: name for name in planners}
+
+
+def _result(
+    start: Start, rules: Rules, name: str, trajectories: Trajectories, row: int, oracle_steps: int
+) -> EpisodeResult:
+    steps = int(trajectories.steps[row])
+    return EpisodeResult(
+        house=start.house,
+        x=start.x,
+        y=start.y,
+        heading=start.heading,
+        range=rules.sensing.radius,
+        expanding_range=rules.expanding_range,
+        planner=name,
+        success=bool(trajectories.success[row]),
+        steps=steps,
+        oracle_steps=oracle_steps,
+        extra=extra_steps(steps, oracle_steps),
+        mode=MODE_NAMES[trajectories.mode[row]],
+        actions=action_letters(trajectories, row),
+    )
+
+
+def evaluate(
+    planners: str | Planners,
+    dataset: HouseDataset | str | os.PathLike[str] | None = None,
+    *,
+    split: str = "test",
+    starts: Sequence[Start] | None = None,
+    starts_per_house: int = 10,
+    seed: int = 0,
+    settings: str | Settings = "paper",
+    sensing_range: int | None = None,
+    network: Estimator | str | os.PathLike[str] | None = None,
+    step_limit: int | None = None,
+    progress: Callable[[str, int, int], None] | bool = True,
+) -> Results:
+    """Run planners from the same starts and compare each episode with the oracle's.
+
+    Compiled programs are kept on disk, see `files.cache.keep_compiled_programs`.
+
+    ```
+    results = dc2g_jax.evaluate(["frontier", "dc2g"], "procedural", split="val")
+    results = dc2g_jax.evaluate({"mine": MyPlanner, "frontier": "frontier"}, "procedural", split="val")
+    print(results)
+    ```
+
+    Args:
+      planners: names, each one of `dc2g_jax.PLANNERS` or `package.module:Class`; or a mapping from a name of your
+        choice to one of these, to a planner, or to a function or class that makes a planner from the rules.
+      dataset: houses, a folder of them, or a name such as `procedural`; `None` for the published ones, see
+        `open_dataset`.
+      split: split of the houses to sample starts in: `train`, `val` or `test`.
+      starts: first poses; `None` to sample them.
+      starts_per_house: number of sampled starts in each house.
+      seed: seed of the sampled starts.
+      settings: the rules, one of `dc2g_jax.SETTINGS` or its name.
+      sensing_range: range of the field of view in cells, for starts without one; `None` for the settings' default.
+      network: network of the planners that need one: an estimator or the folder of a trained network; `None` for the
+        shipped network.
+      step_limit: actions after which an episode ends without success; `None` for the default for the maps' size, see
+        `Runner`.
+      progress: whether to show a progress bar for each planner in the error stream; or a function, called as
+        `progress(planner, finished, episodes)` between calls of the device.
+
+    Raises:
+      InputError: an argument is invalid, no episode can be run in any house, or a planner was made for another field of
+        view than that of the episodes.
+    """
+    keep_compiled_programs()
+    if isinstance(planners, str) or not isinstance(planners, Iterable):
+        planners = [planners]
+    named = by_name(planners)
+    if not isinstance(planners, Mapping):
+        for name in named:
+            if not isinstance(name, str):
+                raise InputError(f"planner {short(name)}: is no name; give a mapping, such as {{'mine': MyPlanner}}")
+    sources = [source for source in named.values() if isinstance(source, str)]
+    check_names(sources)
+    settings = named_settings(settings)
+    settings.rules(sensing_range)
+    estimator = open_estimator(network) if NETWORK_PLANNERS.keys() & set(sources) else None
+    if not isinstance(dataset, HouseDataset):
+        only = {"split": split} if starts is None else {}
+        dataset = procedural_dataset(**only) if dataset == PROCEDURAL else open_dataset(dataset)
+    if starts is None:
+        houses = usable_houses(dataset, split, instead="use another split")
+        starts = sample_starts(houses, starts_per_house, seed=seed)
+    if sensing_range is not None:
+        starts = [start._replace(sensing_range=start.sensing_range or sensing_range) for start in starts]
+    told = progress if callable(progress) else EpisodeProgress(leave=False) if progress else None
+    runner = Runner(dataset, settings, step_limit=step_limit, progress=told)
+    return Results(runner.run(starts, named, estimator))
+
+
+def _made(name: str, source: PlannerSource, rules: Rules, estimator: Estimator | None) -> Planner:
+    """Make a planner and check that it uses the episodes' field of view."""
+    if isinstance(source, str):
+        return make_planner(source, rules, estimator)
+    ready = hasattr(source, "plan") and not isinstance(source, type)
+    planner: Any = source if ready else source(rules)  # type: ignore[operator]
+    sensing = getattr(planner, "rules", rules).sensing
+    if sensing != rules.sensing:
+        kind = "" if sensing.radius != rules.sensing.radius else " of another kind"
+        raise InputError(
+            f"planner {name!r}: was made for a field of view of {sensing.radius} cells, and the robots here have "
+            f"one of {rules.sensing.radius}{kind}; make it with the settings and the sensing_range of the evaluation"
+        )
+    return planner

@@ -1,0 +1,164 @@
+"""The 400 published episodes: our runs compared with the authors' (paper, section IV-B)."""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from dc2g_jax._src.datasets.starts import PublishedEpisode, published_episodes
+from dc2g_jax._src.rollouts.evaluation import EpisodeResult
+from dc2g_jax._src.rollouts.rollout import STEP_LIMIT
+from dc2g_jax._src.rollouts.statistics import ExtraSteps, extra_steps, house_bootstrap
+
+#: Groups of the published episodes in tables, in order; `all` holds all episodes.
+PUBLISHED_GROUPS = ("train", "same_neighborhood", "new_neighborhood", "urban", "all")
+
+
+class EpisodePair(NamedTuple):
+    """One episode of both sides, a row of `head_to_head.csv`.
+
+    Attributes:
+      house: name of the house.
+      x: first column.
+      y: first row.
+      heading: first heading.
+      group: group of the house.
+      oracle: number of actions of our oracle.
+      authors_oracle: number of actions of the authors' oracle.
+      frontier: number of actions of our frontier exploration.
+      authors_frontier: number of actions of the authors' frontier exploration.
+      dc2g: number of actions of our DC2G, or of the planner that replaces it.
+      authors_dc2g: number of actions of the authors' DC2G.
+      reached: whether ours reached the door. If not, its number of actions is the step limit.
+      extra: extra steps of ours beyond our oracle, in percent.
+      authors_extra: extra steps of the authors' DC2G beyond the authors' oracle, in percent.
+    """
+
+    house: str
+    x: int
+    y: int
+    heading: int
+    group: str
+    oracle: int
+    authors_oracle: int
+    frontier: int
+    authors_frontier: int
+    dc2g: int
+    authors_dc2g: int
+    reached: bool
+    extra: float
+    authors_extra: float
+
+
+def with_authors(results: Sequence[EpisodeResult]) -> list[ExtraSteps]:
+    """Extra steps in the published episodes: of our results, planner by planner, and of the authors' own runs."""
+    published = published_episodes()
+    found = [
+        ExtraSteps(one.planner, published[number % len(published)].group, one.house, one.extra, one.success)
+        for number, one in enumerate(results)
+    ]
+    for episode in published:
+        for planner, steps in (("authors_frontier", episode.frontier), ("authors_dc2g", episode.dc2g)):
+            extra = extra_steps(steps, episode.oracle)
+            found.append(ExtraSteps(planner, episode.group, episode.start.house, extra, steps < STEP_LIMIT))
+    return found
+
+
+def pair_up(
+    published: Sequence[PublishedEpisode], frontier: Sequence[EpisodeResult], dc2g: Sequence[EpisodeResult]
+) -> list[EpisodePair]:
+    """Pair our results with the authors', in the order of the published episodes."""
+
+    def steps(result: EpisodeResult) -> int:
+        return result.steps if result.success else STEP_LIMIT
+
+    return [
+        EpisodePair(
+            house=theirs.start.house,
+            x=theirs.start.x,
+            y=theirs.start.y,
+            heading=theirs.start.heading,
+            group=theirs.group,
+            oracle=ours.oracle_steps,
+            authors_oracle=theirs.oracle,
+            frontier=steps(blind),
+            authors_frontier=theirs.frontier,
+            dc2g=steps(ours),
+            authors_dc2g=theirs.dc2g,
+            reached=ours.success,
+            extra=extra_steps(steps(ours), ours.oracle_steps),
+            authors_extra=extra_steps(theirs.dc2g, theirs.oracle),
+        )
+        for theirs, blind, ours in zip(published, frontier, dc2g, strict=True)
+    ]
+
+
+def by_group(pairs: Sequence[EpisodePair]) -> dict[str, list[EpisodePair]]:
+    """The pairs of each of `PUBLISHED_GROUPS`."""
+    return {group: [pair for pair in pairs if group in (pair.group, "all")] for group in PUBLISHED_GROUPS}
+
+
+def compare(pairs: Sequence[EpisodePair], *, resamples: int, seed: int) -> dict[str, Any]:
+    """Statistics of one group of episodes, with 95 % bootstrap intervals from `resamples` samples of its houses."""
+    houses = [pair.house for pair in pairs]
+    ours, authors = np.array([(pair.dc2g, pair.authors_dc2g) for pair in pairs]).T
+    extra = np.array([pair.extra for pair in pairs])
+    authors_extra = np.array([pair.authors_extra for pair in pairs])
+    shorter, longer = int(np.sum(ours < authors)), int(np.sum(ours > authors))
+
+    def interval(values: np.ndarray) -> list[float]:
+        return [round(bound, 4) for bound in house_bootstrap(values, houses, resamples=resamples, seed=seed)]
+
+    faster, authors_faster = _frontier_over_dc2g(pairs)
+    return {
+        "episodes": len(pairs),
+        "houses": len(set(houses)),
+        "mean_extra": round(float(extra.mean()), 4),
+        "mean_extra_interval": interval(extra),
+        "authors_mean_extra": round(float(authors_extra.mean()), 4),
+        "difference": round(float(np.mean(extra - authors_extra)), 4),
+        "difference_interval": interval(extra - authors_extra),
+        "median_extra": round(float(np.median(extra)), 4),
+        "authors_median_extra": round(float(np.median(authors_extra)), 4),
+        "shorter": shorter,
+        "equal": len(pairs) - shorter - longer,
+        "longer": longer,
+        "shorter_of_differing": round(shorter / max(1, shorter + longer), 4),
+        "time_outs": sum(not pair.reached for pair in pairs),
+        "authors_time_outs": int(np.sum(authors >= STEP_LIMIT)),
+        "frontier_over_dc2g": round(float(faster.mean()), 4),
+        "frontier_over_dc2g_interval": interval(faster),
+        "authors_frontier_over_dc2g": round(float(authors_faster.mean()), 4),
+    }
+
+
+def houses_where_frontier_is_shorter(pairs: Sequence[EpisodePair]) -> dict[str, list[str]]:
+    """Houses in which frontier exploration takes fewer actions than DC2G on average: `ours`, and the `authors`'."""
+    more: dict[str, Counter[str]] = {"ours": Counter(), "authors": Counter()}
+    for pair in pairs:
+        more["ours"][pair.house] += pair.dc2g - pair.frontier
+        more["authors"][pair.house] += pair.authors_dc2g - pair.authors_frontier
+    return {whose: sorted(house for house, steps in own.items() if steps > 0) for whose, own in more.items()}
+
+
+def frontier_over_dc2g(results: Sequence[EpisodeResult]) -> dict[str, dict[str, float]]:
+    """Mean of frontier steps / DC2G steps - 1, in percent, by group: the paper's "189 % faster".
+
+    Empty if one of the two was not run.
+    """
+    frontier, dc2g = ([one for one in results if one.planner == planner] for planner in ("frontier", "dc2g"))
+    if not (frontier and dc2g):
+        return {}
+    groups = by_group(pair_up(published_episodes(), frontier, dc2g))
+    means = {group: [float(side.mean()) for side in _frontier_over_dc2g(own)] for group, own in groups.items()}
+    both = enumerate(("ours", "authors"))
+    return {whose: {group: mean[side] for group, mean in means.items()} for side, whose in both}
+
+
+def _frontier_over_dc2g(pairs: Sequence[EpisodePair]) -> Float[np.ndarray, "side episodes"]:
+    """Frontier steps / DC2G steps - 1, in percent: ours, and the authors'."""
+    steps = [[(one.frontier, one.dc2g), (one.authors_frontier, one.authors_dc2g)] for one in pairs]
+    frontier, dc2g = np.array(steps, float).T
+    return 100 * (frontier / dc2g - 1)

@@ -1,0 +1,317 @@
+"""Training pairs from houses, and validation episodes (Algorithm 1 and section IV-B)."""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, UInt8
+
+from dc2g_jax._src.datasets.houses import House, HouseDataset, stack_worlds
+from dc2g_jax._src.datasets.pairs import Pair, TrainingSet, draw_pairs
+from dc2g_jax._src.datasets.procedural import procedural_training_houses
+from dc2g_jax._src.datasets.starts import Start, sample_starts, usable_houses
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.estimation.estimators import Estimator, world_cost_to_go
+from dc2g_jax._src.grid import bitboard
+from dc2g_jax._src.grid.sampling import sample_grid
+from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE
+from dc2g_jax._src.mapping.noise import IN_MAPS, noisy_map, scaled
+from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
+from dc2g_jax._src.programs import jit
+from dc2g_jax._src.rollouts.evaluation import Runner, episodes_from
+from dc2g_jax._src.training.cost_to_go import DrawBatch
+from dc2g_jax._src.training.mask_collection import LEADERS, Masks, by_house, collect_masks, leading_planners
+
+#: Seed of the procedural validation houses. Seeds of training must be below it.
+_VALIDATION_SEED = 10_000
+
+#: Worlds per batch in the computation of labels.
+_LABELS_AT_A_TIME = 128
+
+
+def _with_noise(key: Array, terrain: UInt8[Array, "h w"], highest: float) -> UInt8[Array, "h w"]:
+    """A map with camera noise of a random level."""
+    level_key, noise_key = jax.random.split(key)
+    return noisy_map(noise_key, terrain, scaled(IN_MAPS, jax.random.uniform(level_key, maxval=highest)))
+
+
+@dataclasses.dataclass(frozen=True)
+class DataConfig:
+    """Training data of a network.
+
+    Attributes:
+      extra_houses: number of procedural houses besides the dataset's training houses.
+      starts_per_house: episodes in each of the dataset's training houses, for each sensing range and leading planner.
+      starts_per_extra_house: the same for the procedural houses.
+      masks_per_episode: number of moments of each episode that become observation masks.
+      ranges: sensing ranges, in cells, of the robots that collect the masks.
+      own_share: share of a batch drawn from the dataset's houses rather than procedural ones, 0 to 1.
+      edge_weight: loss weight of cells within 2 cells of unobserved ground; others have weight 1.
+      half_weight_cost: cost-to-go, in cells, at which a cell has half the weight of a goal; `inf` for equal weights.
+      jitter: logarithm of the largest factor by which half of the maps are stretched; they are shifted by up to 40
+        cells times it.
+      whole_share: share of pairs with a fully observed map, 0 to 1.
+      map_noise: highest level of camera noise in the maps; 0 for none.
+      data_seed: seed of houses and masks, 0 to 9999.
+    """
+
+    extra_houses: int = 2000
+    starts_per_house: int = 12
+    starts_per_extra_house: int = 1
+    masks_per_episode: int = 4
+    ranges: tuple[int, ...] = (4, 5, 6, 8, 10, 12)
+    own_share: float = 0.4
+    edge_weight: float = 4.0
+    half_weight_cost: float = 16.0
+    jitter: float = 0.15
+    whole_share: float = 0.2
+    map_noise: float = 0.0
+    data_seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.data_seed < _VALIDATION_SEED:
+            raise InputError(f"data seed {self.data_seed}: give one from 0 to {_VALIDATION_SEED - 1}")
+        if not self.ranges or not 1 <= min(self.ranges) <= max(self.ranges) <= MAX_SENSING_RANGE:
+            raise InputError(f"sensing ranges {self.ranges}: give one at least, each of 1 to {MAX_SENSING_RANGE} cells")
+        for name in ("starts_per_house", "starts_per_extra_house", "masks_per_episode"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} {getattr(self, name)}: give at least 1")
+        if self.extra_houses < 0:
+            raise InputError(f"extra houses {self.extra_houses}: give 0 or more")
+        for name in ("own_share", "whole_share"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InputError(f"{name} {getattr(self, name)}: give a share from 0 to 1")
+        for name in ("edge_weight", "jitter", "map_noise"):
+            if not 0 <= getattr(self, name) < float("inf"):
+                raise InputError(f"{name} {getattr(self, name)}: give a number from 0 on")
+        if not self.half_weight_cost > 0:
+            raise InputError(f"half_weight_cost {self.half_weight_cost}: give a number above 0, or inf")
+
+    @property
+    def draw_batch(self) -> DrawBatch:
+        """The function that draws the pairs of a step; see `datasets.pairs.draw_pairs`."""
+        return functools.partial(
+            draw_pairs,
+            own_share=self.own_share,
+            edge_weight=self.edge_weight,
+            half_weight_cost=self.half_weight_cost,
+            jitter=self.jitter,
+            whole_share=self.whole_share,
+            degrade=functools.partial(_with_noise, highest=self.map_noise) if self.map_noise else None,
+        )
+
+
+def drawn_houses(prefix: str, split: str, count: int, seed: int, cells: int) -> list[House]:
+    """Procedural houses on a grid of `cells` x `cells`."""
+    images = procedural_training_houses(count, seed)
+    return [House(f"{prefix}{index:05d}", split, sample_grid(image, cells)) for index, image in enumerate(images)]
+
+
+def _require_squares(own: list[House], drawn: int) -> None:
+    """Check that procedural houses, if there are any, can be combined with a dataset's."""
+    height, width = own[0].terrain.shape
+    if drawn and height != width:
+        raise InputError(
+            f"{own[0].name}: has {width} x {height} cells, and drawn houses, which are square, are run beside it; "
+            "sample the maps to squares, or have none drawn: --extra-houses 0, and --validate-every 0 (training) or "
+            "--no-episodes (sweeps)"
+        )
+
+
+def check_houses(dataset: HouseDataset, *, extra: int, drawn: bool, validated: bool) -> None:
+    """Check quickly, before anything is written, that a dataset can be trained on.
+
+    Args:
+      dataset: the houses.
+      extra: number of procedural houses to train on besides.
+      drawn: whether validation runs episodes in procedural houses.
+      validated: whether the dataset's validation houses are used.
+
+    Raises:
+      InputError: no episode can be run in the houses of a split, or procedural houses cannot be combined with them.
+    """
+    _require_squares(usable_houses(dataset, "train"), extra)
+    if validated:
+        _require_squares(usable_houses(dataset, "val"), int(drawn))
+
+
+def _with_drawn(own: list[House], prefix: str, count: int, seed: int) -> list[House]:
+    """Houses of a dataset, followed by procedural ones on a grid of the same size.
+
+    Raises:
+      InputError: a house of the dataset is not square or has the name of a procedural house.
+    """
+    _require_squares(own, count)
+    height = own[0].terrain.shape[0]
+    drawn = drawn_houses(prefix, own[0].split, count, seed, height)
+    taken = {house.name for house in drawn}
+    for house in own:
+        if house.name in taken:
+            raise InputError(f"{house.name}: a drawn house that is run beside it has this name; rename the house")
+    return own + drawn
+
+
+def training_houses(dataset: HouseDataset, config: DataConfig) -> tuple[list[House], int]:
+    """The dataset's training houses followed by procedural ones of the same size; and the number of the former."""
+    own = usable_houses(dataset, "train")
+    return _with_drawn(own, "e", config.extra_houses, config.data_seed), len(own)
+
+
+def observation_masks(
+    config: DataConfig,
+    houses: Sequence[House],
+    n_own: int,
+    on_progress: Callable[[int, int], None],
+    network: Estimator | None = None,
+) -> Masks:
+    """Masks of robots of all sensing ranges in all houses, ordered by house.
+
+    Robots explore frontiers or are led by the exact cost-to-go with errors. With a network, it leads them instead, so
+    that it learns from its own mistakes (DAgger). They then use every other sensing range of the configuration, and
+    four times as many moments of each episode.
+
+    Args:
+      config: configuration of the training data.
+      houses: the houses; those of the dataset first.
+      n_own: number of houses of the dataset.
+      on_progress: called as `on_progress(finished rollouts, total rollouts)`.
+      network: network of the `dc2g` planner.
+    """
+    if network is not None:
+        config = dataclasses.replace(config, ranges=config.ranges[::2], masks_per_episode=4 * config.masks_per_episode)
+    index = {house.name: number for number, house in enumerate(houses)}
+    worlds = stack_worlds(houses)
+    collected: list[Masks] = []
+    for place, sensing_range in enumerate(config.ranges):
+        rules = complete_rules(sensing_range)
+        if network is None:
+            leaders = leading_planners(rules, *houses[0].terrain.shape, seed=config.data_seed)
+        else:
+            leaders = [make_planner("dc2g", rules, network)]
+        for turn, planner in enumerate(leaders):
+            seed = (config.data_seed * len(config.ranges) + place) * LEADERS + turn
+            starts = sample_starts(houses[:n_own], config.starts_per_house, seed=seed)
+            starts += sample_starts(houses[n_own:], config.starts_per_extra_house, seed=seed)
+            collected.append(
+                collect_masks(
+                    planner,
+                    worlds,
+                    episodes_from(starts, index),
+                    sensing=rules.sensing,
+                    per_episode=config.masks_per_episode,
+                    seed=seed,
+                )
+            )
+            on_progress(len(collected), len(config.ranges) * len(leaders))
+    return by_house(collected)
+
+
+def check_masks(masks: Masks, houses: Sequence[House], where: str) -> None:
+    """Check that masks belong to these houses.
+
+    Args:
+      masks: the masks.
+      houses: the houses.
+      where: source of the masks, for the message.
+
+    Raises:
+      InputError: the masks have another size or belong to other houses.
+    """
+    height, width = houses[0].terrain.shape
+    wanted = (bitboard.word_count(width), height)
+    if masks.boards.ndim != 3 or masks.boards.shape[1:] != wanted or masks.boards.dtype != np.uint32:
+        raise InputError(
+            f"{where}: masks of shape {masks.boards.dtype.name}{list(masks.boards.shape[1:])}, but maps of "
+            f"{height} x {width} cells need uint32{list(wanted)}; delete the file to collect masks anew"
+        )
+    numbers = masks.world.ndim == 1 and np.issubdtype(masks.world.dtype, np.integer)
+    if not numbers or len(masks.world) != len(masks.boards) or np.any((masks.world < 0) | (masks.world >= len(houses))):
+        raise InputError(
+            f"{where}: masks of houses other than these {len(houses)}; delete the file to collect them anew"
+        )
+
+
+def training_set(houses: Sequence[House], n_own: int, masks: Masks) -> TrainingSet:
+    """The training set of houses with their labels (Algorithm 1, line 5) and masks."""
+    solve = jit(world_cost_to_go)
+    labels = []
+    for first in range(0, len(houses), _LABELS_AT_A_TIME):
+        # The last call repeats the last house, so that all calls have the same shape.
+        some = np.minimum(np.arange(first, first + _LABELS_AT_A_TIME), len(houses) - 1)
+        labels.append(np.moveaxis(np.asarray(solve(stack_worlds([houses[number] for number in some]))), -1, 0))
+    return TrainingSet(
+        terrain=jnp.asarray(np.stack([house.terrain for house in houses])),
+        cost_to_go=jnp.asarray(np.concatenate(labels)[: len(houses)]),
+        masks=jnp.asarray(masks.boards),
+        mask_world=jnp.asarray(masks.world, jnp.int32),
+        n_own=jnp.int32(np.sum(masks.world < n_own)),
+    )
+
+
+def validation_pairs(dataset: HouseDataset, *, count: int, edge_weight: float) -> Pair:
+    """Validation pairs, the same in every run: half from the dataset's validation houses, half from procedural ones.
+
+    Procedural houses are square. If the dataset's maps are not, all pairs are from the dataset.
+
+    Args:
+      dataset: dataset of the validation houses.
+      count: number of pairs.
+      edge_weight: see `datasets.pairs.make_pair`.
+    """
+    own = usable_houses(dataset, "val")
+    height, width = own[0].terrain.shape
+    houses = _with_drawn(own, "v", 32 if height == width else 0, _VALIDATION_SEED)
+    config = DataConfig(ranges=(5, 8), starts_per_house=8)
+    masks = observation_masks(config, houses, len(own), lambda done, total: None)
+    data = training_set(houses, len(own), masks)
+    return draw_pairs(
+        jax.random.key(0), data, batch_size=count, own_share=0.5, edge_weight=edge_weight, jitter=0.0, whole_share=0.0
+    )
+
+
+class Validation:
+    """Episodes in validation houses: those of the dataset, and procedural ones that are not used in training.
+
+    Args:
+      dataset: dataset of the validation houses.
+      drawn: number of procedural houses.
+      progress: see `rollouts.evaluation.Runner`.
+
+    Raises:
+      InputError: no episode can be run in any validation house, the oracle exceeds the step limit in one, or procedural
+        houses cannot be combined with the dataset's.
+    """
+
+    def __init__(self, dataset: HouseDataset, drawn: int = 64, progress: Callable[[str, int, int], None] | None = None):
+        own = usable_houses(dataset, "val")
+        houses = HouseDataset("validation", "folder", tuple(_with_drawn(own, "v", drawn, _VALIDATION_SEED)))
+        self._runners = {name: Runner(houses, SETTINGS[name], progress=progress) for name in ("published", "paper")}
+        self._starts: Mapping[str, list[Start]] = {
+            "own": sample_starts(own, 20, seed=0),
+            "procedural": sample_starts(houses.houses[len(own) :], 3, seed=0),
+        }
+        for runner in self._runners.values():
+            for starts in self._starts.values():
+                runner.run(starts, ["oracle"])  # cached for later; raises before any training
+
+    def figures(self, estimator: Estimator, planner: str = "dc2g") -> dict[str, float]:
+        """Mean and median extra steps of a planner in percent, for 5-cell (`published`) and 8-cell sensing (`paper`).
+
+        `mean_extra`, the mean of the four means, is the figure for model selection.
+        """
+        figures: dict[str, Any] = {}
+        for settings, runner in self._runners.items():
+            for houses, starts in self._starts.items():
+                results = runner.run(starts, [planner], estimator)
+                extra = np.array([result.extra for result in results])
+                figures[f"{settings}_{houses}_mean_extra"] = float(extra.mean())
+                figures[f"{settings}_{houses}_median_extra"] = float(np.median(extra))
+        figures["mean_extra"] = float(
+            np.mean([value for name, value in figures.items() if name.endswith("mean_extra")])
+        )
+        return {name: round(value, 2) for name, value in figures.items()}

@@ -1,0 +1,175 @@
+"""Evaluate estimators by their cost-to-go images (section IV-A)."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, UInt8
+
+from dc2g_jax._src.datasets.houses import House, HouseDataset
+from dc2g_jax._src.datasets.similarity import distance_to_training, similarity_scale
+from dc2g_jax._src.estimation.estimators import Estimator, TranslatorCostToGo
+from dc2g_jax._src.estimation.images import cost_to_go_image, largest_cost
+from dc2g_jax._src.estimation.metrics import Comparison, ImageMetrics, compare_images
+from dc2g_jax._src.grid.sampling import ClassImage, resize_nearest
+from dc2g_jax._src.grid.terrain import TRAVERSABLE
+from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.programs import jit
+from dc2g_jax._src.training.image_pairs import (
+    GRID_CELLS,
+    ImageSet,
+    MaskedMap,
+    houses_with_door,
+    labeled_grid,
+    labeled_map,
+    masked_map,
+)
+
+#: Side length, in pixels, of the maps for the comparison with training maps.
+_COMPARED_SIZE = 256
+
+
+def map_for(estimator: Estimator, image: ClassImage) -> tuple[UInt8[np.ndarray, "s s"], Float[np.ndarray, "s s"]]:
+    """A whole house as the input of an estimator, and its exact cost-to-go.
+
+    The translator reads images of its own size, all other estimators the robots' grid.
+    """
+    if isinstance(estimator, TranslatorCostToGo):
+        return labeled_map(image, estimator.architecture.size)
+    return labeled_grid(image, GRID_CELLS)
+
+
+def _costs_to_drive(estimator: Estimator, terrain: UInt8[Array, "s s"]) -> Float[Array, "s s"]:
+    """The expected cost-to-go of traversable cells; infinity elsewhere."""
+    cost = jnp.mean(estimator.estimate(terrain, estimator.init(world_from_terrain(terrain))), axis=0)
+    return jnp.where(jnp.asarray(TRAVERSABLE)[terrain], cost, jnp.inf)
+
+
+def _predicted_image(
+    estimator: Estimator, observed: UInt8[Array, "s s"], whole: UInt8[Array, "s s"]
+) -> Float[Array, "s s 3"]:
+    """The cost-to-go image that an estimator predicts.
+
+    The translator draws it. Any other estimator gives a cost for every cell, from which the image is made in the same
+    way as the true one. Traversability is then known from the map, not estimated, and black is the largest cost that
+    the estimator gives on the whole map, as it is the largest cost of the whole map in the true image.
+
+    Args:
+      estimator: the estimator.
+      observed: observed class indices, see `map_for`.
+      whole: class indices of the whole map.
+    """
+    if isinstance(estimator, TranslatorCostToGo):
+        return estimator.translate(observed[None])[0]
+    largest = largest_cost(_costs_to_drive(estimator, whole))
+    return cost_to_go_image(_costs_to_drive(estimator, observed), observed, largest)
+
+
+@jit
+def compare(
+    estimator: Estimator, terrain: UInt8[Array, "s s"], cost_to_go: Float[Array, "s s"], seen: Array
+) -> tuple[ImageMetrics, Array, Array, Array]:
+    """Compare an estimator's image of one map with the true one.
+
+    Args:
+      estimator: the estimator.
+      terrain: class indices of the whole map.
+      cost_to_go: exact cost-to-go of the whole map.
+      seen: observed pixels, bool `[m m]` at any resolution.
+
+    Returns:
+      The metrics, and three images: input, prediction and truth.
+    """
+    observed = resize_nearest(seen, *terrain.shape)
+    pair = MaskedMap(terrain, cost_to_go, observed, largest_cost(cost_to_go)).pictures()
+    predicted = _predicted_image(estimator, jnp.where(observed, terrain, jnp.uint8(0)), terrain)
+    return compare_images(predicted, pair.target).metrics(), pair.image, predicted, pair.target
+
+
+class HouseMetrics(NamedTuple):
+    """Metrics of a network by house.
+
+    Attributes:
+      distance: distance of each house from the training houses.
+      metrics: metric -> value of each house.
+      fits: metric -> slope and intercept of the regression line, without metrics that have none.
+    """
+
+    distance: Sequence[float]
+    metrics: Mapping[str, Sequence[float]]
+    fits: Mapping[str, tuple[float, float]]
+
+    @classmethod
+    def of(cls, distance: Sequence[float], rows: Sequence[Mapping[str, float]]) -> "HouseMetrics":
+        """Metrics of houses, see `full_map_metrics`, with a least-squares line for each.
+
+        There is no line if all houses have the same distance. Houses without a value are ignored.
+        """
+        metrics = {name: [row[name] for row in rows] for name in ImageMetrics._fields}
+        fits = {}
+        for name, values in metrics.items():
+            known = np.isfinite(values)
+            apart = np.asarray(distance)[known]
+            if apart.size and np.ptp(apart) > 0:
+                slope, intercept = np.polyfit(apart, np.asarray(values)[known], 1)
+                fits[name] = (float(slope), float(intercept))
+        return cls(distance, metrics, fits)
+
+    def summary(self, name: str) -> dict[str, float]:
+        """Mean, lowest and highest value of a metric over the houses with a value; slope and intercept of its line.
+
+        NaN where there is none.
+        """
+        known = [value for value in self.metrics[name] if np.isfinite(value)] or [math.nan]
+        slope, intercept = self.fits.get(name, (math.nan, math.nan))
+        return {
+            "mean": float(np.mean(known)),
+            "lowest": min(known),
+            "highest": max(known),
+            "slope": slope,
+            "intercept": intercept,
+        }
+
+
+def full_map_metrics(estimator: Estimator, images: Iterable[ClassImage]) -> list[dict[str, float]]:
+    """Metrics of an estimator on fully observed maps, one entry per house (Fig. 6)."""
+    everything = jnp.ones((1, 1), bool)
+    rows = []
+    for image in images:
+        terrain, cost = map_for(estimator, image)
+        rows.append(as_floats(compare(estimator, jnp.asarray(terrain), jnp.asarray(cost), everything)[0]))
+    return rows
+
+
+def distances_from_training(dataset: HouseDataset, houses: Sequence[House]) -> list[float]:
+    """Distance of each house from the dataset's training houses (section IV-A3), 0 to 1."""
+
+    def squeezed(house: House) -> UInt8[np.ndarray, "s s"]:
+        return resize_nearest(house.terrain, _COMPARED_SIZE, _COMPARED_SIZE)
+
+    scale = similarity_scale(np.stack([squeezed(house) for house in houses_with_door(dataset, "train")]))
+    return [distance_to_training(squeezed(house), scale) for house in houses]
+
+
+def as_floats(metrics: ImageMetrics) -> dict[str, float]:
+    """Metrics as Python numbers, by name."""
+    return {name: float(value) for name, value in metrics._asdict().items()}
+
+
+@jit
+def _compare_pair(network: TranslatorCostToGo, data: ImageSet, index: Int[Array, ""]) -> Comparison:
+    pair = masked_map(data, index).pictures()
+    return compare_images(network.answer(pair.image[None])[0], pair.target)
+
+
+def metrics_over_pairs(network: TranslatorCostToGo, data: ImageSet) -> dict[str, float]:
+    """Metrics over all pairs of a set (Fig. 5), evaluated one at a time.
+
+    Precision and recall are over the pixels of all images together. Per-image precision would be undefined for images
+    without predicted pixels near a goal, and would so reward a network that predicts few.
+    """
+    rows = [_compare_pair(network, data, index) for index in range(len(data.pair_house))]
+    return as_floats(jax.tree.map(lambda *values: jnp.sum(jnp.stack(values)), *rows).metrics(len(rows)))

@@ -1,0 +1,133 @@
+"""Losses between an estimated distribution of the cost-to-go and the exact value, for each cell."""
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from dc2g_jax._src.errors import InputError, short
+from dc2g_jax._src.own_parts import own_part
+
+#: What losses get, in units of the network's cost scale, and the levels of the estimated quantiles.
+_Estimate = Float[Array, "h w quantiles"]
+_Target = Float[Array, "h w 1"]
+_Levels = Float[Array, "quantiles"]
+
+#: `(estimate, target, levels) ->` loss of each estimate, in units of the network's cost scale.
+Loss = Callable[[_Estimate, _Target, _Levels], _Estimate]
+
+#: The Huber loss is quadratic up to this error, in cost scales.
+_HUBER_BEND = 0.25
+
+#: The logarithmic loss measures absolute errors below this cost, in cost scales, and relative errors above it.
+_LOG_BEND = 0.25
+
+
+def _quantile(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimate:
+    """Quantile loss: each estimate converges to its level of the distribution. At level 1/2 it is `l1`."""
+    error = target - estimate
+    return 2 * jnp.maximum(levels * error, (levels - 1) * error)
+
+
+def _l1(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimate:
+    """Absolute error: estimates converge to the median."""
+    del levels
+    return jnp.abs(target - estimate)
+
+
+def _l2(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimate:
+    """Squared error: estimates converge to the mean."""
+    del levels
+    return jnp.square(target - estimate)
+
+
+def _huber(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimate:
+    """Squared for small errors, absolute for large ones."""
+    del levels
+    error = jnp.abs(target - estimate)
+    small = jnp.minimum(error, _HUBER_BEND)
+    return small * (error - 0.5 * small) / _HUBER_BEND
+
+
+def _log(estimate: _Estimate, target: _Target, levels: _Levels) -> _Estimate:
+    """Absolute error of the inverse hyperbolic sine: a relative error that is defined for all values."""
+    del levels
+    return jnp.abs(jnp.arcsinh(target / _LOG_BEND) - jnp.arcsinh(estimate / _LOG_BEND)) * _LOG_BEND
+
+
+#: Losses by name.
+LOSSES: Mapping[str, Loss] = MappingProxyType(
+    {"quantile": _quantile, "l1": _l1, "l2": _l2, "huber": _huber, "log": _log}
+)
+
+
+def named_loss(name: str) -> Loss:
+    """A loss by name, one of `LOSSES` or `package.module:Name`.
+
+    Raises:
+      InputError: the name is unknown, or the loss is not one number for each estimate.
+    """
+    if name in LOSSES:
+        return LOSSES[name]
+    loss = own_part("loss", name, LOSSES)
+    shapes = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in ((2, 3, 5), (2, 3, 1), (5,))]
+    found = jax.eval_shape(loss, *shapes) if callable(loss) else loss
+    if getattr(found, "shape", None) != shapes[0].shape:
+        raise InputError(
+            f"loss {name!r}: gives {short(found)} for 2 x 3 cells and 5 quantiles; give a function of estimate, target "
+            "and levels that returns one number for each estimate"
+        )
+    return loss
+
+
+def parse_losses(text: str) -> tuple[tuple[str, float], ...]:
+    """Parse losses and their weights from text such as `l1`, `quantile=1,log=0.5` or `package.module:Name`.
+
+    Raises:
+      InputError: a loss is unknown or given twice, or a weight is not a number above 0.
+    """
+    losses = []
+    for part in text.split(","):
+        name, weighted, weight = (piece.strip() for piece in part.partition("="))
+        try:
+            value = float(weight) if weighted else 1.0
+        except ValueError:
+            value = -1.0
+        named_loss(name)
+        if not 0 < np.float32(value) < np.inf:
+            raise InputError(
+                f"loss {text!r}: the weight of {name} is {weight!r}; give a number above 0 that single precision holds"
+            )
+        losses.append((name, value))
+    if len(dict(losses)) < len(losses):
+        raise InputError(f"loss {text!r}: names a loss twice; give each once")
+    return tuple(losses)
+
+
+def losses_as_text(losses: Sequence[tuple[str, float]]) -> str:
+    """Losses with their weights other than 1, for people."""
+    return " + ".join(name if weight == 1 else f"{weight!r} {name}" for name, weight in losses)
+
+
+def map_loss(
+    loss: Loss,
+    estimate: Float[Array, "h w quantiles"],
+    target: Float[Array, "h w"],
+    weight: Float[Array, "h w"],
+    levels: Float[Array, "quantiles"],
+) -> Float[Array, ""]:
+    """Weighted mean of a loss over the cells of one map and the quantiles; 0 if all weights are 0.
+
+    Args:
+      loss: loss of a cell.
+      estimate: quantiles of the cost-to-go.
+      target: exact cost-to-go in the same unit; may be infinite for cells of weight 0.
+      weight: weight of each cell.
+      levels: levels of the quantiles.
+    """
+    finite = jnp.where(weight > 0, target, 0.0)[..., None]
+    of_cell = jnp.mean(loss(estimate, finite, levels), axis=-1)
+    return jnp.sum(of_cell * weight) / jnp.maximum(jnp.sum(weight), 1e-6)

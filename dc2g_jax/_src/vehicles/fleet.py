@@ -1,0 +1,107 @@
+"""Many robots, each in the whole loop of an episode of its own, over all devices."""
+
+from collections.abc import Callable, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, Key, UInt8
+
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.mapping.scene import scene_from_terrain
+from dc2g_jax._src.rollouts.devices import deal, gather, mesh_of, replicate
+from dc2g_jax._src.rollouts.rollout import Episodes
+from dc2g_jax._src.vehicles.drive import ARRIVED, Equipment, Robot, Site, reset, step
+from dc2g_jax._src.vehicles.robot import at_starts, run_to_end
+from dc2g_jax._src.vehicles.vehicle import CONTROL_PERIOD
+
+#: Control periods that the first call of the device drives.
+_FIRST_PERIODS = 10
+
+
+@struct.dataclass
+class Drives:
+    """Results of the drives, in the order of the episodes.
+
+    Attributes:
+      seconds: duration of the episode.
+      status: how it ended, see `vehicles.drive`; `DRIVING` where time was up.
+      off_ground: seconds for which the footprint touched ground where it should not be.
+      touched: seconds for which it touched a pedestrian.
+    """
+
+    seconds: Float[np.ndarray, "episodes"]
+    status: Int[np.ndarray, "episodes"]
+    off_ground: Float[np.ndarray, "episodes"]
+    touched: Float[np.ndarray, "episodes"]
+
+    @property
+    def success(self) -> Bool[np.ndarray, "episodes"]:
+        """Whether the robot reached a front door."""
+        return self.status == ARRIVED
+
+
+def sites_of(terrains: Sequence[UInt8[np.ndarray, "h w"]]) -> Site:
+    """Houses of one size in three dimensions, stacked along the first axis.
+
+    Args:
+      terrains: class index of every cell, house after house.
+
+    Raises:
+      InputError: there is no house, or two differ in size.
+    """
+    shapes = sorted({terrain.shape for terrain in terrains})
+    if len(shapes) != 1:
+        found = " and ".join(f"{width} x {height}" for height, width in shapes[:2])
+        raise InputError(f"houses of {found or 'no'} cells: give one at least, all of one size")
+    sites = [Site(terrain=jnp.asarray(terrain), scene=scene_from_terrain(terrain)) for terrain in terrains]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sites)
+
+
+def drive_all(
+    equipment: Equipment,
+    sites: Site,
+    episodes: Episodes,
+    *,
+    seed: int = 0,
+    pedestrians: int = 0,
+    knows_map: bool = False,
+    time_limit: float = 500.0,
+    on_progress: Callable[[int], None] | None = None,
+) -> Drives:
+    """Drive every episode to its end: a front door, nothing left to explore, or the time limit.
+
+    Args:
+      equipment: components of the robots.
+      sites: houses, stacked along the first axis.
+      episodes: index of the house and first pose of each episode, at least one.
+      seed: seed of noise and pedestrians.
+      pedestrians: number of pedestrians in each episode.
+      knows_map: whether the robots know the map beforehand.
+      time_limit: seconds after which an episode ends without success.
+      on_progress: called now and then with the number of episodes that have ended.
+    """
+    mesh = mesh_of()
+    count, last_period = len(episodes), round(time_limit / CONTROL_PERIOD)
+    keys = jax.random.key_data(jax.random.split(jax.random.key(seed), count))
+    equipment, sites = replicate((equipment, sites), mesh)
+    episodes, keys = deal((episodes, keys), count, mesh)
+    shared = sites, equipment, jnp.asarray(knows_map)
+    robots = at_starts(keys, episodes, shared, mesh=mesh, reset=at_start, number=pedestrians)
+    robots = run_to_end(
+        robots, step, episodes.world, sites, equipment,
+        limit=last_period, count=count, first_steps=_FIRST_PERIODS, on_progress=on_progress,
+    )  # fmt: skip
+    status, *periods = gather((robots.status, robots.periods, robots.off_ground, robots.touched), count)
+    seconds, off_ground, touched = (CONTROL_PERIOD * number for number in periods)
+    return Drives(seconds=seconds, status=status, off_ground=off_ground, touched=touched)
+
+
+def at_start(
+    key: Key[Array, ""], episode: Episodes, shared: tuple[Site, Equipment, Bool[Array, ""]], pedestrians: int
+) -> Robot:
+    """The robot at the start of its episode; for `vehicles.robot.at_starts`."""
+    sites, equipment, knows_map = shared
+    site = jax.tree.map(lambda leaf: leaf[episode.world], sites)
+    return reset(key, episode.start, site, equipment, pedestrians=pedestrians, knows_map=knows_map)
