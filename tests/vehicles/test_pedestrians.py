@@ -5,9 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from dc2g_jax._src.mapping.camera import Frame, intrinsics, level_camera
 from dc2g_jax._src.vehicles._pedestrians import (
     NOWHERE,
     PATIENCE,
+    PERSON_HEIGHT,
     PERSON_RADIUS,
     RETURNS,
     SPACE,
@@ -15,6 +17,7 @@ from dc2g_jax._src.vehicles._pedestrians import (
     place,
     walk,
     walkable_cells,
+    without_people,
 )
 from dc2g_jax._src.vehicles.footprint import Ground
 from dc2g_jax._src.vehicles.vehicle import VehicleState, at_rest
@@ -183,3 +186,36 @@ def test_where_they_cannot_walk_people_stand_and_without_sidewalks_they_are_nowh
         assert np.abs(person.position).min() > NOWHERE / 2
     later = walks_once(jax.random.key(1), person, ground, FAR_AWAY)
     np.testing.assert_allclose(later.position, person.position, atol=1e-6)
+
+
+def test_a_camera_shows_those_who_stand_in_front_and_nothing_behind_them():
+    camera, pose, reach = intrinsics(90.0, 24, 32), level_camera(1.0, -2.0, 1.0, 0.4, 0.2), 6.0
+    bearings, distances = np.array([0.0, 0.02, 0.6, 3.1, -0.5]), np.array([2.0, 3.0, 5.0, 2.0, 7.0])
+    # In front; behind the first; behind a wall at 3.5 m; behind the camera; too far away.
+    people = np.array([1.0, -2.0]) + distances[:, None] * np.stack([np.cos(0.4 + bearings), np.sin(0.4 + bearings)], -1)
+    depth = np.full((24, 32), 3.5, np.float32)
+    before = Frame(depth=jnp.asarray(depth), classes=jnp.full((24, 32), 7, jnp.uint8), pose=pose)
+    after, shown = without_people(before, jnp.asarray(people, jnp.float32), camera, reach)
+    assert shown.tolist() == [True, False, False, False, False]
+    covered = np.asarray(after.depth) == 0
+    np.testing.assert_array_equal(after.depth, np.where(covered, 0, depth))
+    np.testing.assert_array_equal(after.classes, np.where(covered, 0, 7))
+    # Walk along each ray in small steps.
+    sides = (np.arange(32) - 15.5) / 16, (np.arange(24) - 11.5) / 16
+    right, down, ahead = np.asarray(pose.rotation).T
+    directions = sides[0][None, :, None] * right + sides[1][:, None, None] * down + ahead
+    steps = np.arange(0.005, 3.5, 0.005)
+    points = np.asarray(pose.position) + steps[:, None, None, None] * directions
+    gap = np.linalg.norm(points[..., None, :2] - people, axis=-1).min(-1)
+    upright = (points[..., 2] > 0) & (points[..., 2] < PERSON_HEIGHT)
+    inside, grazed = (np.any(upright & (gap < PERSON_RADIUS + more), axis=0) for more in (-0.01, 0.01))
+    assert np.sum(inside) > 30
+    assert np.all(covered[inside])
+    assert not np.any(covered & ~grazed)
+
+
+def test_where_nobody_is_a_frame_stays_as_it_was():
+    camera, pose = intrinsics(90.0, 24, 32), level_camera(1.0, -2.0, 1.0, 0.4, 0.2)
+    before = Frame(depth=jnp.full((24, 32), 2.0), classes=jnp.full((24, 32), 7, jnp.uint8), pose=pose)
+    after, shown = without_people(before, jnp.full((1, 2), NOWHERE), camera, 6.0)
+    jax.tree.map(np.testing.assert_array_equal, (after, shown), (before, np.array([False])))

@@ -5,8 +5,12 @@ only where there is no other. It keeps to one side of the cells' centers and kee
 does not step in front of a vehicle but waits. After a while it goes back and tries another path. A pedestrian who has
 gone back too often, for example at a dead end, is removed. Pedestrians ignore each other.
 
+A camera sees a pedestrian as an upright cylinder.
+
 All functions take the pedestrians of one world; use `jax.vmap` for batches of worlds.
 """
+
+import dataclasses
 
 import jax
 import jax.numpy as jnp
@@ -15,13 +19,14 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from dc2g_jax._src.grid.poses import FORWARD
-from dc2g_jax._src.grid.terrain import CLASS_NAMES
+from dc2g_jax._src.grid.terrain import CLASS_NAMES, UNKNOWN
+from dc2g_jax._src.mapping.camera import Frame, Intrinsics, rays
 from dc2g_jax._src.vehicles.footprint import Ground, cell_centers, contains, distance_to_segment
 from dc2g_jax._src.vehicles.vehicle import CONTROL_PERIOD, VehicleState
 
-#: Walking speed, meters per second; radius of the circle that a pedestrian occupies, and the distance that pedestrians
-#: keep to a vehicle in front of them, meters.
-WALKING_SPEED, PERSON_RADIUS, SPACE = 1.2, 0.25, 0.3
+#: Walking speed, meters per second; radius of the circle that a pedestrian occupies, height, and the distance that
+#: pedestrians keep to a vehicle in front of them, meters.
+WALKING_SPEED, PERSON_RADIUS, PERSON_HEIGHT, SPACE = 1.2, 0.25, 1.7, 0.3
 
 #: Time for which pedestrians predict the vehicle at constant velocity, and time that they wait for it before they go
 #: back, seconds; how often they go back before they are removed.
@@ -138,6 +143,43 @@ def walk(
         )
 
     return jax.vmap(one)(jax.random.split(key, len(people.waited)), people)
+
+
+def without_people(
+    frame: Frame, positions: Float[Array, "people 2"], intrinsics: Intrinsics, max_range: float
+) -> tuple[Frame, Bool[Array, "people"]]:
+    """A frame without the pixels that show people, and which of the people it shows.
+
+    The camera tells people from what stands still, so its map leaves them out; they hide what is behind them.
+
+    Args:
+      frame: what the camera would see if nobody were there.
+      positions: centers of the people, meters.
+      intrinsics: intrinsics of the camera. It is below the people's heads and in none of them.
+      max_range: range of the camera, meters.
+    """
+    directions = rays(intrinsics, frame.pose)
+    to_person = positions - frame.pose.position[:2]
+    # A ray's depth t where it enters a circle: |t d - p| = r, a quadratic equation.
+    along = directions[..., 0, None] * to_person[:, 0] + directions[..., 1, None] * to_person[:, 1]
+    across = directions[..., 0, None] * to_person[:, 1] - directions[..., 1, None] * to_person[:, 0]
+    squared = jnp.sum(directions[..., :2] ** 2, axis=-1, keepdims=True)
+    root = PERSON_RADIUS**2 * squared - across**2
+    depth = (along - jnp.sqrt(jnp.maximum(root, 0))) / squared
+    height = frame.pose.position[2] + depth * directions[..., 2, None]
+    reach = max_range / jnp.linalg.norm(directions, axis=-1, keepdims=True)
+    before = jnp.where(frame.depth > 0, frame.depth, jnp.inf)[..., None]
+    is_hit = (root > 0) & (depth > 0) & (depth <= reach) & (height >= 0) & (height <= PERSON_HEIGHT)
+    depth = jnp.where(is_hit & (depth < before), depth, jnp.inf)
+    nearest = jnp.min(depth, axis=-1, keepdims=True)
+    shown = (depth == nearest) & jnp.isfinite(nearest)
+    covered = jnp.any(shown, axis=-1)
+    left = dataclasses.replace(
+        frame,
+        depth=jnp.where(covered, 0, frame.depth),
+        classes=jnp.where(covered, jnp.uint8(UNKNOWN), frame.classes),
+    )
+    return left, jnp.any(shown, axis=(0, 1))
 
 
 def _next_cell(key: Array, person: Pedestrians, sidewalks: Ground) -> Int[Array, "2"]:

@@ -10,6 +10,9 @@ then on, so that exploration ends whatever the camera misses. A mapped door that
 has been there. A robot with nothing left to explore distrusts its map: it begins a new one a few times before it gives
 up.
 
+The vehicle avoids the people that its camera has shown in the last few seconds. What a frame tells of them is exact;
+afterwards they are supposed to walk on as they did.
+
 All functions take one robot; `vehicles.fleet` runs many.
 """
 
@@ -34,7 +37,15 @@ from dc2g_jax._src.mapping.scene import Scene
 from dc2g_jax._src.mapping.semantic_map import MapSettings, SemanticMap, empty_map, integrate, terrain_map
 from dc2g_jax._src.mapping.simulator import CAMERA_HEIGHT, CAMERA_PITCH, CAMERA_RANGE, render
 from dc2g_jax._src.planning.planners import EXPLORE, GAVE_UP, TO_GOAL, MapRevisingPlanner
-from dc2g_jax._src.vehicles._pedestrians import PERSON_RADIUS, Pedestrians, place, walk, walkable_cells
+from dc2g_jax._src.vehicles._pedestrians import (
+    NOWHERE,
+    PERSON_RADIUS,
+    Pedestrians,
+    place,
+    walk,
+    walkable_cells,
+    without_people,
+)
 from dc2g_jax._src.vehicles.avoidance import People, navigate
 from dc2g_jax._src.vehicles.following import ARRIVAL, Path, path_through
 from dc2g_jax._src.vehicles.footprint import Ground, cell_at, cell_centers, clearance, surroundings
@@ -56,6 +67,9 @@ _DECISION_PERIODS = 10
 
 #: Number of new maps that a robot with nothing left to explore begins before it gives up.
 _NEW_MAPS = 3
+
+#: Control periods after which a robot forgets a person that its camera does not show.
+_FORGETTING_PERIODS = 30
 
 #: The robot has turned to a yaw if it differs by less, radians.
 _TURNED = 0.1
@@ -116,6 +130,8 @@ class Robot(SimulatedRobot):
       mode: plan mode of that decision.
       new_maps: number of new maps that it has begun.
       people: pedestrians around it.
+      known: those of them that it knows of, where it supposes them; the others are at `NOWHERE`.
+      seen_at: control period of the last frame that showed each of them.
       decided_at: control period of the last decision.
       off_ground: control periods in which its footprint touched ground where it should not be.
       touched: control periods in which it touched a pedestrian.
@@ -135,6 +151,8 @@ class Robot(SimulatedRobot):
     mode: Int[Array, ""]
     new_maps: Int[Array, ""]
     people: Pedestrians
+    known: People
+    seen_at: Int[Array, "people"]
     decided_at: Int[Array, ""]
     off_ground: Int[Array, ""]
     touched: Int[Array, ""]
@@ -166,6 +184,7 @@ def reset(
     nowhere = jnp.zeros(site.terrain.shape, bool)
     prior = jnp.where(knows_map, site.terrain, jnp.uint8(UNKNOWN))
     zero = jnp.int32(0)
+    people = place(own_key, Ground(walkable_cells(site.terrain), cell_size), pedestrians, position)
     return Robot(
         key=key,
         vehicle=at_rest(position, yaw),
@@ -182,7 +201,9 @@ def reset(
         decided_on=prior,
         mode=jnp.int32(EXPLORE),
         new_maps=zero,
-        people=place(own_key, Ground(walkable_cells(site.terrain), cell_size), pedestrians, position),
+        people=people,
+        known=People(jnp.full_like(people.position, NOWHERE), jnp.zeros_like(people.velocity), PERSON_RADIUS),
+        seen_at=jnp.zeros_like(people.turned_back),
         periods=zero,
         # The first period begins with a decision.
         decided_at=jnp.int32(-_DECISION_PERIODS),
@@ -228,14 +249,28 @@ def look(robot: Robot, site: Site, equipment: Equipment) -> Robot:
 
 
 def sensed(robot: Robot, site: Site, equipment: Equipment) -> tuple[Frame, Robot]:
-    """The next camera frame with noise, at the estimated pose. Its error grows with the motion since the last frame."""
+    """The next camera frame with noise, at the estimated pose. Its error grows with the motion since the last frame.
+
+    The robot then knows of the people that the frame shows.
+    """
     key, drift_key, frame_key = jax.random.split(robot.key, 3)
     noise, since = equipment.noise, jnp.sqrt(robot.moved)
     steps = dataclasses.replace(noise, position_drift=noise.position_drift * since, yaw_drift=noise.yaw_drift * since)
     drift = drift_on(drift_key, robot.drift, steps)
     pose = outdoor_camera(robot.vehicle)
-    frame = noisy_frame(frame_key, render(site.scene, equipment.camera, pose, CAMERA_RANGE), noise)
-    robot = dataclasses.replace(robot, key=key, drift=drift, moved=jnp.zeros_like(robot.moved))
+    frame = render(site.scene, equipment.camera, pose, CAMERA_RANGE)
+    frame, shown = without_people(frame, robot.people.position, equipment.camera, CAMERA_RANGE)
+    frame = noisy_frame(frame_key, frame, noise)
+    people, known = robot.people, robot.known
+    known = dataclasses.replace(
+        known,
+        positions=jnp.where(shown[:, None], people.position, known.positions),
+        velocities=jnp.where(shown[:, None], people.velocity, known.velocities),
+    )
+    seen_at = jnp.where(shown, robot.periods, robot.seen_at)
+    robot = dataclasses.replace(
+        robot, key=key, drift=drift, moved=jnp.zeros_like(robot.moved), known=known, seen_at=seen_at
+    )
     return dataclasses.replace(frame, pose=drifted(pose, drift)), robot
 
 
@@ -346,9 +381,9 @@ def _path(belief: Belief, subgoals: PoseSet) -> tuple[Int[Array, "n 2"], Int[Arr
 def _drive(robot: Robot, site: Site, equipment: Equipment) -> Robot:
     """One control period: choose a command on the estimated map, and execute it on the true ground."""
     limits, cell_size = equipment.limits, equipment.mapping.cell_size
-    known = Ground(jnp.asarray(TRAVERSABLE)[robot.terrain], cell_size)
+    ground = Ground(jnp.asarray(TRAVERSABLE)[robot.terrain], cell_size)
     vehicle = believed(robot)
-    command = navigate(vehicle, robot.path, known, _people_seen(robot), limits)
+    command = navigate(vehicle, robot.path, ground, _people_around(robot), limits)
     key, walk_key = jax.random.split(robot.key)
     after = drive(robot.vehicle, command, limits)
     sidewalks = Ground(walkable_cells(site.terrain), cell_size)
@@ -364,6 +399,7 @@ def _drive(robot: Robot, site: Site, equipment: Equipment) -> Robot:
         vehicle=after,
         moved=robot.moved + after.speed * CONTROL_PERIOD + turned,
         people=people,
+        known=_walked_on(robot),
         periods=robot.periods + 1,
         status=jnp.where(site.terrain[row, column] == FRONT_DOOR, ARRIVED, robot.status).astype(jnp.int32),
         off_ground=robot.off_ground + (clear < limits.radius),
@@ -371,8 +407,16 @@ def _drive(robot: Robot, site: Site, equipment: Equipment) -> Robot:
     )
 
 
-def _people_seen(robot: Robot) -> People:
-    """The people at their true places relative to the robot, around its estimated pose."""
+def _walked_on(robot: Robot) -> People:
+    """The people that the robot knows of, one period later; without those that it has not seen for long."""
+    known = robot.known
+    forgotten = (robot.periods - robot.seen_at >= _FORGETTING_PERIODS)[:, None]
+    positions = jnp.where(forgotten, NOWHERE, known.positions + CONTROL_PERIOD * known.velocities)
+    return dataclasses.replace(known, positions=positions)
+
+
+def _people_around(robot: Robot) -> People:
+    """The people that the robot knows of, placed relative to the robot around its estimated pose."""
     drift = robot.drift
     along, across = jnp.cos(drift.yaw), jnp.sin(drift.yaw)
     turn = jnp.stack([jnp.stack([along, across]), jnp.stack([-across, along])])
@@ -380,5 +424,5 @@ def _people_seen(robot: Robot) -> People:
     def turned(offsets: Float[Array, "people 2"]) -> Float[Array, "people 2"]:
         return jnp.sum(offsets[..., None] * turn, axis=-2)
 
-    positions = believed(robot).position + turned(robot.people.position - robot.vehicle.position)
-    return People(positions=positions, velocities=turned(robot.people.velocity), radius=PERSON_RADIUS)
+    positions = believed(robot).position + turned(robot.known.positions - robot.vehicle.position)
+    return People(positions=positions, velocities=turned(robot.known.velocities), radius=PERSON_RADIUS)

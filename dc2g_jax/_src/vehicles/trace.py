@@ -20,7 +20,7 @@ class Moment(NamedTuple):
 
     Attributes:
       seconds: time since the start.
-      picture: color image of the camera.
+      picture: color image of the camera, without people.
       frame: depth and classes that the robot gets.
       robot: the robot afterwards.
       believed: the vehicle at its estimated pose then.
