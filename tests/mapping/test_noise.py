@@ -176,6 +176,10 @@ def test_drift_is_a_random_walk():
         np.testing.assert_allclose(
             paths[:, step - 1].std(axis=0), np.array([0.01, 0.01, 0.002]) * np.sqrt(step), rtol=0.06
         )
+    still = drift_on(jax.random.key(8), no_drift(), levels, 0.0)
+    assert (still.x, still.y, still.yaw) == (0, 0, 0)
+    far = drift_on(jax.random.key(8), no_drift(), levels, 4.0)
+    np.testing.assert_allclose(far.x, 2 * drift_on(jax.random.key(8), no_drift(), levels).x, rtol=1e-6)
     increments = np.diff(paths, axis=1)
     # Steps are independent of one another, and x, y and yaw of each other.
     assert abs(np.corrcoef(increments[:, 0, 0], increments[:, 1, 0])[0, 1]) < 0.08

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from dc2g_jax._src.mapping.noise import NoiseLevels
 from dc2g_jax._src.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax._src.objectnav.mapping import IndoorMapSettings
 from dc2g_jax._src.objectnav.searches import sample_episodes, search_all
@@ -50,6 +51,22 @@ def test_robots_in_a_batch_do_what_they_do_one_by_one(found):
         robots = next_leg(robots)
     np.testing.assert_allclose(robots.track, made.track, atol=1e-3)
     np.testing.assert_array_equal(robots.periods, made.steps)
+
+
+def test_drift_moves_where_a_robot_believes_to_be_and_not_where_it_is(found):
+    house, (episode, *_), _, _ = found
+    start, target = jnp.array([episode.x, episode.y, episode.yaw]), jnp.int32(0)
+    site = site_of(house.world, house.name, AGENT)
+    next_leg = jax.jit(lambda robot, noise: leg(robot, site, AGENT.replace(noise=noise)))
+    for noise in (NoiseLevels(0.0), NoiseLevels(0.0, position_drift=0.3, yaw_drift=0.1)):
+        first = reset(jax.random.key(0), start, target, AGENT, 30)
+        robot = next_leg(next_leg(next_leg(first, noise), noise), noise)
+        drift = jnp.stack([robot.drift.x, robot.drift.y, robot.drift.yaw])
+        assert np.any(drift != 0) == np.any(noise.position_drift != 0)
+        x, y, yaw = robot.track[robot.periods, :3]
+        np.testing.assert_array_equal(robot.true.position, (x, y))
+        np.testing.assert_allclose(robot.vehicle.position, drift[:2] + jnp.stack([x, y]), atol=1e-6)
+        np.testing.assert_allclose(robot.vehicle.yaw, drift[2] + yaw, atol=1e-6)
 
 
 def test_cells_of_another_size_are_refused(found):

@@ -1,6 +1,7 @@
 """Shared by the commands for object goals: options, `episodes.csv`, and the final report."""
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -10,6 +11,7 @@ import tyro
 from dc2g_jax._src.cli.options import OutOptions, ResumeOptions, SharedOptions, require_positive
 from dc2g_jax._src.cli.outputs import print_files
 from dc2g_jax._src.datasets.houses import PROCEDURAL
+from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.objectnav.agent import CONTROLLER, Agent
 from dc2g_jax._src.objectnav.evaluation import SearchResult, difference, results_of
@@ -37,6 +39,7 @@ class SearchOptions(OutOptions, SharedOptions):
         the procedural floor plans.
       split: `val` to make choices, `test` to report results.
       samples: plans that the controller samples at each step.
+      noise: noise level of camera and pose; 0 is no noise, 1 as in experiments.noisy_mapping.
       limit: steps of 0.1 s after which a search ends without success.
       seed: seed of starts, targets and the robots' noise.
     """
@@ -44,8 +47,13 @@ class SearchOptions(OutOptions, SharedOptions):
     dataset: Annotated[str, tyro.conf.arg(metavar="FOLDER")] = PROCEDURAL
     split: Literal["val", "test"] = "test"
     samples: int = CONTROLLER.samples
+    noise: float = 0.0
     limit: int = TIME_LIMIT
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.noise < math.inf:
+            raise InputError(f"--noise {self.noise:g}: give a number from 0 on")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

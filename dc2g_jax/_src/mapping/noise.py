@@ -34,8 +34,8 @@ class NoiseLevels:
         of the image have no effect.
       blob_radius: mean radius of these regions, as a share of the image's width.
       dropped: share of the pixels that lose depth and label.
-      position_drift: standard deviation of the error that each step adds to x and to y, meters.
-      yaw_drift: standard deviation of the error that each step adds to yaw, radians.
+      position_drift: standard deviation of the error that each unit of motion adds to x and to y, meters.
+      yaw_drift: standard deviation of the error that each unit of motion adds to yaw, radians.
     """
 
     depth: ArrayLike = 0.0
@@ -155,9 +155,16 @@ def no_drift() -> PoseDrift:
     return PoseDrift(x=jnp.float32(0), y=jnp.float32(0), yaw=jnp.float32(0))
 
 
-def drift_on(key: Key[Array, ""], drift: PoseDrift, levels: NoiseLevels) -> PoseDrift:
-    """The drift one step later: a random walk in x, y and yaw."""
-    x, y, yaw = jax.random.normal(key, (3,))
+def drift_on(key: Key[Array, ""], drift: PoseDrift, levels: NoiseLevels, moved: ArrayLike = 1.0) -> PoseDrift:
+    """The drift after a motion: a random walk in x, y and yaw.
+
+    Args:
+      key: random key.
+      drift: the drift before.
+      levels: noise levels.
+      moved: the motion: meters driven plus quarter turns.
+    """
+    x, y, yaw = jnp.sqrt(moved) * jax.random.normal(key, (3,))
     return PoseDrift(
         x=drift.x + levels.position_drift * x,
         y=drift.y + levels.position_drift * y,

@@ -18,6 +18,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
 from dc2g_jax._src.mapping.camera import Frame, Intrinsics
+from dc2g_jax._src.mapping.noise import NoiseLevels
 from dc2g_jax._src.objectnav._cost_maps import STOP, cost_lookup, dense_costs
 from dc2g_jax._src.objectnav._starts import ROBOT_RADIUS
 from dc2g_jax._src.objectnav.mapping import (
@@ -141,6 +142,7 @@ class Agent:
       camera: intrinsics of the camera.
       mapping: settings of the map.
       controller: settings of the controller, with the limits of the vehicle.
+      noise: noise of a simulated camera and pose.
       renewal: control periods between two camera frames, and between two sets of costs.
     """
 
@@ -149,6 +151,7 @@ class Agent:
     camera: Intrinsics
     mapping: IndoorMapSettings = IndoorMapSettings()
     controller: MPPISettings = CONTROLLER
+    noise: NoiseLevels = NoiseLevels()
     renewal: int = struct.field(pytree_node=False, default=5)
 
 

@@ -5,9 +5,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.hub import local_folder
 from dc2g_jax._src.files.resources import resource
+from dc2g_jax._src.mapping.noise import PAPER_LIKE, scaled
 from dc2g_jax._src.objectnav.agent import CONTROLLER, MPC, Agent, Guide, LookAround, RandomUntilSeen, Steering
 from dc2g_jax._src.objectnav.camera import indoor_camera
 from dc2g_jax._src.objectnav.guides import (
@@ -41,13 +44,14 @@ def costs_for(agents: Iterable[str], place: str | Path | None) -> PredictedCosts
     return open_costs(place) if set(ON_NETWORK) & set(agents) else None
 
 
-def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLER.samples) -> Agent:
+def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLER.samples, noise: float = 0.0) -> Agent:
     """The agent of this name. Agents with an exploration rule look around first.
 
     Args:
       name: one of `AgentName`.
       costs: the network, for agents that use one.
       samples: plans that the controller samples at each step.
+      noise: noise level; 0 is no noise, 1 the presumed noise of the DC2G paper's maps.
 
     Raises:
       InputError: the agent needs a network.
@@ -69,4 +73,5 @@ def agent_with(name: str, costs: PredictedCosts | None, samples: int = CONTROLLE
         steering=steering,
         camera=indoor_camera(),
         controller=dataclasses.replace(CONTROLLER, samples=samples),
+        noise=scaled(PAPER_LIKE, np.float32(noise)),
     )

@@ -12,7 +12,9 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
+from dc2g_jax._src.grid.poses import HEADINGS
 from dc2g_jax._src.mapping.camera import CameraPose
+from dc2g_jax._src.mapping.noise import PoseDrift, drift_on, drifted, no_drift, noisy_frame
 from dc2g_jax._src.mapping.scene import Scene
 from dc2g_jax._src.mapping.simulator import render
 from dc2g_jax._src.objectnav.agent import DECLARED, Agent, Searcher, arrives, begin, look, steer
@@ -20,7 +22,10 @@ from dc2g_jax._src.objectnav.camera import camera_pose, view
 from dc2g_jax._src.objectnav.worlds import IndoorWorld, painted, scene
 from dc2g_jax._src.vehicles.footprint import Ground
 from dc2g_jax._src.vehicles.robot import is_driving, stopped_by_obstacles
-from dc2g_jax._src.vehicles.vehicle import VehicleState, at_rest, drive
+from dc2g_jax._src.vehicles.vehicle import CONTROL_PERIOD, VehicleState, at_rest, drive
+
+#: Folded into a robot's key for the keys of its noise. Without noise, other random numbers thus stay as they are.
+_NOISE = 1_000_003
 
 
 @struct.dataclass
@@ -42,13 +47,19 @@ class IndoorSite:
 
 @struct.dataclass
 class IndoorRobot(Searcher):
-    """State of a simulated robot.
+    """State of a simulated robot. Its `vehicle` is at the estimated pose.
 
     Attributes:
+      true: the true state of the vehicle.
+      drift: error of the estimated pose.
+      moved: distance driven since the last frame, meters, plus quarter turns.
       collisions: control periods in which an obstacle stopped the robot.
-      track: x, y, yaw, speed and turn rate at the start and after each control period; constant after the end.
+      track: true x, y, yaw, speed and turn rate at the start and after each control period; constant after the end.
     """
 
+    true: VehicleState
+    drift: PoseDrift
+    moved: Float[Array, ""]
     collisions: Int[Array, ""]
     track: Float[Array, "time 5"]
 
@@ -83,23 +94,45 @@ def reset(
     """
     searcher = begin(key, at_rest(start[:2], start[2]), target, agent)
     track = jnp.tile(_tracked(searcher.vehicle), (limit + 1, 1))
-    return IndoorRobot(**vars(searcher), collisions=jnp.int32(0), track=track)
+    return IndoorRobot(
+        **vars(searcher),
+        true=searcher.vehicle,
+        drift=no_drift(),
+        moved=jnp.float32(0),
+        collisions=jnp.int32(0),
+        track=track,
+    )
 
 
-def _camera_of(robot: Searcher) -> CameraPose:
-    """The pose of the robot's camera."""
-    x, y = robot.vehicle.position
-    return camera_pose(x, y, robot.vehicle.yaw)
+def _camera_of(robot: IndoorRobot) -> CameraPose:
+    """The true pose of the robot's camera."""
+    x, y = robot.true.position
+    return camera_pose(x, y, robot.true.yaw)
 
 
-def picture(robot: Searcher, site: IndoorSite) -> UInt8[Array, "48 64 3"]:
+def _estimated(vehicle: VehicleState, drift: PoseDrift) -> VehicleState:
+    """The vehicle at its estimated pose."""
+    position = vehicle.position + jnp.stack([drift.x, drift.y])
+    return dataclasses.replace(vehicle, position=position, yaw=vehicle.yaw + drift.yaw)
+
+
+def picture(robot: IndoorRobot, site: IndoorSite) -> UInt8[Array, "48 64 3"]:
     """The picture of the robot's camera."""
     return view(site.scene, site.paint, _camera_of(robot)).image
 
 
 def look_and_decide(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
-    """The first part of a leg: add a camera frame to the map, and ask the guide for new costs."""
-    frame = render(site.scene, agent.camera, _camera_of(robot), agent.mapping.reach)
+    """The first part of a leg: add a camera frame to the map, and ask the guide for new costs.
+
+    The frame has noise; the picture for networks has none.
+    """
+    drift_key, frame_key = jax.random.split(jax.random.fold_in(robot.key, _NOISE))
+    drift, pose = drift_on(drift_key, robot.drift, agent.noise, robot.moved), _camera_of(robot)
+    frame = noisy_frame(frame_key, render(site.scene, agent.camera, pose, agent.mapping.reach), agent.noise)
+    frame = dataclasses.replace(frame, pose=drifted(pose, drift))
+    robot = dataclasses.replace(
+        robot, vehicle=_estimated(robot.true, drift), drift=drift, moved=jnp.zeros_like(robot.moved)
+    )
     image = picture(robot, site) if agent.guide.uses_image else None
     return look(robot, frame, image, site.known, agent)
 
@@ -108,15 +141,19 @@ def act(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
     """One control period: plan, drive, and check whether the object is reached."""
     limits = agent.controller.limits
     robot, command = steer(robot, agent)
-    driven = drive(robot.vehicle, command, limits)
+    driven = drive(robot.true, command, limits)
     ground = Ground(site.free, agent.mapping.cell_size)
-    vehicle, bumped = stopped_by_obstacles(robot.vehicle, driven, ground, limits.radius)
+    true, bumped = stopped_by_obstacles(robot.true, driven, ground, limits.radius)
+    vehicle = _estimated(true, robot.drift)
+    moved = CONTROL_PERIOD * (true.speed + jnp.abs(true.turn_rate) / (2 * jnp.pi / HEADINGS))
     return dataclasses.replace(
         robot,
         vehicle=vehicle,
+        true=true,
+        moved=robot.moved + moved,
         collisions=robot.collisions + bumped,
         status=jnp.where(arrives(robot, vehicle.position, agent), DECLARED, robot.status).astype(jnp.int32),
-        track=jnp.where(jnp.arange(len(robot.track))[:, None] < robot.periods, robot.track, _tracked(vehicle)),
+        track=jnp.where(jnp.arange(len(robot.track))[:, None] < robot.periods, robot.track, _tracked(true)),
     )
 
 

@@ -254,13 +254,11 @@ def sensed(robot: Robot, site: Site, equipment: Equipment) -> tuple[Frame, Robot
     The robot then knows of the people that the frame shows.
     """
     key, drift_key, frame_key = jax.random.split(robot.key, 3)
-    noise, since = equipment.noise, jnp.sqrt(robot.moved)
-    steps = dataclasses.replace(noise, position_drift=noise.position_drift * since, yaw_drift=noise.yaw_drift * since)
-    drift = drift_on(drift_key, robot.drift, steps)
+    drift = drift_on(drift_key, robot.drift, equipment.noise, robot.moved)
     pose = outdoor_camera(robot.vehicle)
     frame = render(site.scene, equipment.camera, pose, CAMERA_RANGE)
     frame, shown = without_people(frame, robot.people.position, equipment.camera, CAMERA_RANGE)
-    frame = noisy_frame(frame_key, frame, noise)
+    frame = noisy_frame(frame_key, frame, equipment.noise)
     people, known = robot.people, robot.known
     known = dataclasses.replace(
         known,

@@ -68,7 +68,7 @@ def main(options: Options) -> None:
     else:
         episode = search_for(house, options.target, seed=options.seed)
     costs = costs_for([options.agent], options.network)
-    agent = agent_with(options.agent, costs, options.samples)
+    agent = agent_with(options.agent, costs, options.samples, options.noise)
     out = output_folder(options, "objectnav_fig5")
     site = site_of(house.world, house.name, agent)
     target = OBJECT_CLASSES.index(episode.target)

@@ -46,7 +46,7 @@ def main(options: Options) -> None:
     searches, all_results = ResumableTable(out / "episodes.csv", SearchResult), dict[str, list[SearchResult]]()
     for name in options.agents:
         began = time.perf_counter()
-        agent = functools.partial(agent_with, name, costs, options.samples)
+        agent = functools.partial(agent_with, name, costs, options.samples, options.noise)
         all_results[name] = run_searches(searches, name, agent, houses, episodes, options)
         print(f"{AGENT_TITLES[name]}: {len(episodes)} searches, {time.perf_counter() - began:.0f} s", flush=True)
     summaries = {name: summarize(results, resamples=options.resamples) for name, results in all_results.items()}

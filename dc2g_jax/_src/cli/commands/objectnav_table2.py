@@ -90,7 +90,7 @@ def main(options: Options) -> None:
     metrics = {}
     for name, costs in networks.items():
         metrics[name] = prediction_metrics(costs, houses, options)
-        agent = functools.partial(agent_with, options.agent, costs, options.samples)
+        agent = functools.partial(agent_with, options.agent, costs, options.samples, options.noise)
         results[name] = run_searches(searches, name, agent, houses, episodes, options)
     summaries = {name: summarize(found, resamples=options.resamples) for name, found in results.items()}
     facts = {
