@@ -50,6 +50,8 @@ def test_a_broken_table_is_named_with_its_line(tmp_path):
     refusal(lambda: read_rows(path, SearchResult), path, "line 2", "repair")
 
 
-@pytest.mark.parametrize("wrong", [{"count": 0}, {"samples": 0}, {"agents": ()}, {"agents": ("random", "random")}])
+@pytest.mark.parametrize(
+    "wrong", [{"count": 0}, {"samples": 0}, {"noise": -1.0}, {"agents": ()}, {"agents": ("random", "random")}]
+)
 def test_numbers_that_are_none_are_refused(wrong, tmp_path):
     refusal(lambda: main(dataclasses.replace(OPTIONS, **wrong, out=tmp_path / "out")), "give")
