@@ -130,8 +130,8 @@ class Robot(SimulatedRobot):
       mode: plan mode of that decision.
       new_maps: number of new maps that it has begun.
       people: pedestrians around it.
-      known: those of them that it knows of, where it supposes them; the others are at `NOWHERE`.
-      seen_at: control period of the last frame that showed each of them.
+      seen: each of them in the last frame that showed it.
+      seen_at: control period of that frame.
       decided_at: control period of the last decision.
       off_ground: control periods in which its footprint touched ground where it should not be.
       touched: control periods in which it touched a pedestrian.
@@ -151,7 +151,7 @@ class Robot(SimulatedRobot):
     mode: Int[Array, ""]
     new_maps: Int[Array, ""]
     people: Pedestrians
-    known: People
+    seen: Pedestrians
     seen_at: Int[Array, "people"]
     decided_at: Int[Array, ""]
     off_ground: Int[Array, ""]
@@ -202,8 +202,8 @@ def reset(
         mode=jnp.int32(EXPLORE),
         new_maps=zero,
         people=people,
-        known=People(jnp.full_like(people.position, NOWHERE), jnp.zeros_like(people.velocity), PERSON_RADIUS),
-        seen_at=jnp.zeros_like(people.turned_back),
+        seen=people,
+        seen_at=jnp.full_like(people.turned_back, -_FORGETTING_PERIODS - 1),
         periods=zero,
         # The first period begins with a decision.
         decided_at=jnp.int32(-_DECISION_PERIODS),
@@ -259,15 +259,14 @@ def sensed(robot: Robot, site: Site, equipment: Equipment) -> tuple[Frame, Robot
     frame = render(site.scene, equipment.camera, pose, CAMERA_RANGE)
     frame, shown = without_people(frame, robot.people.position, equipment.camera, CAMERA_RANGE)
     frame = noisy_frame(frame_key, frame, equipment.noise)
-    people, known = robot.people, robot.known
-    known = dataclasses.replace(
-        known,
-        positions=jnp.where(shown[:, None], people.position, known.positions),
-        velocities=jnp.where(shown[:, None], people.velocity, known.velocities),
-    )
-    seen_at = jnp.where(shown, robot.periods, robot.seen_at)
+    latest = jax.vmap(lambda shown, *both: jax.tree.map(lambda now, before: jnp.where(shown, now, before), *both))
     robot = dataclasses.replace(
-        robot, key=key, drift=drift, moved=jnp.zeros_like(robot.moved), known=known, seen_at=seen_at
+        robot,
+        key=key,
+        drift=drift,
+        moved=jnp.zeros_like(robot.moved),
+        seen=latest(shown, robot.people, robot.seen),
+        seen_at=jnp.where(shown, robot.periods, robot.seen_at),
     )
     return dataclasses.replace(frame, pose=drifted(pose, drift)), robot
 
@@ -397,7 +396,6 @@ def _drive(robot: Robot, site: Site, equipment: Equipment) -> Robot:
         vehicle=after,
         moved=robot.moved + after.speed * CONTROL_PERIOD + turned,
         people=people,
-        known=_walked_on(robot),
         periods=robot.periods + 1,
         status=jnp.where(site.terrain[row, column] == FRONT_DOOR, ARRIVED, robot.status).astype(jnp.int32),
         off_ground=robot.off_ground + (clear < limits.radius),
@@ -405,22 +403,16 @@ def _drive(robot: Robot, site: Site, equipment: Equipment) -> Robot:
     )
 
 
-def _walked_on(robot: Robot) -> People:
-    """The people that the robot knows of, one period later; without those that it has not seen for long."""
-    known = robot.known
-    forgotten = (robot.periods - robot.seen_at >= _FORGETTING_PERIODS)[:, None]
-    positions = jnp.where(forgotten, NOWHERE, known.positions + CONTROL_PERIOD * known.velocities)
-    return dataclasses.replace(known, positions=positions)
-
-
 def _people_around(robot: Robot) -> People:
-    """The people that the robot knows of, placed relative to the robot around its estimated pose."""
-    drift = robot.drift
+    """The people that the robot has seen lately, where it supposes them, placed around its estimated pose."""
+    drift, age = robot.drift, (robot.periods - robot.seen_at)[:, None]
+    supposed = robot.seen.position + age * CONTROL_PERIOD * robot.seen.velocity
+    supposed = jnp.where(age > _FORGETTING_PERIODS, NOWHERE, supposed)
     along, across = jnp.cos(drift.yaw), jnp.sin(drift.yaw)
     turn = jnp.stack([jnp.stack([along, across]), jnp.stack([-across, along])])
 
     def turned(offsets: Float[Array, "people 2"]) -> Float[Array, "people 2"]:
         return jnp.sum(offsets[..., None] * turn, axis=-2)
 
-    positions = believed(robot).position + turned(robot.known.positions - robot.vehicle.position)
-    return People(positions=positions, velocities=turned(robot.known.velocities), radius=PERSON_RADIUS)
+    positions = believed(robot).position + turned(supposed - robot.vehicle.position)
+    return People(positions=positions, velocities=turned(robot.seen.velocity), radius=PERSON_RADIUS)
