@@ -143,12 +143,12 @@ def _translator(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
     )
     mesh = mesh_for_batch(config.batch_size)
     training = TranslatorTraining(config, draw)
-    state, pairs = replicate((first_state(config, seed=0), (run_key(0), data)), mesh)
+    state, pairs = replicate((first_state(config, seed=0), data), mesh)
 
     def train() -> jax.Array:
         nonlocal state
         for _ in range(steps):
-            state, loss = supervised_step(state, pairs, training=training, mesh=mesh)
+            state, loss = supervised_step(state, pairs, run_key(0), training=training, mesh=mesh)
         return loss
 
     measured = bench.measure(train)

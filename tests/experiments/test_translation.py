@@ -43,7 +43,7 @@ def steps(monkeypatch):
     """Stand-in for the real step: notes its number, and misbehaves where told."""
     taken, trouble = [], {}
 
-    def step(state, data, *, training, mesh):
+    def step(state, data, key, *, training, mesh):
         number = int(state.step)
         if trouble.get(number) is KeyboardInterrupt:
             del trouble[number]

@@ -24,9 +24,11 @@ from dc2g_jax._src.grid.terrain import FIGURE_RGB, TRAVERSABLE
 from dc2g_jax._src.inspection import _legend as legend
 from dc2g_jax._src.inspection._legend import CostScale
 from dc2g_jax._src.inspection.training_recording import TrainingRecording, maps_to_watch, next_file, prediction_picture
-from dc2g_jax._src.training.cost_to_go import TrainingConfig, first_state, learning_rates, train_step
+from dc2g_jax._src.rollouts.devices import mesh_for_batch
+from dc2g_jax._src.training.cost_to_go import TrainingConfig, first_state, learning_rates
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Pauses, Task, train
+from dc2g_jax._src.training.step import supervised_step
 from tests.support.recordings import read
 
 _CONFIG = TrainingConfig(architecture=Architecture(widths=(4, 4, 4, 4)), steps=6, batch_size=2)
@@ -187,13 +189,13 @@ def test_training_is_the_same_with_and_without_a_recording(tmp_path):
         mask_world=jnp.arange(2),
         n_own=jnp.int32(2),
     )
-    draw = DataConfig(extra_houses=0).draw_batch
+    training, mesh = CostToGoTraining(_CONFIG.recipe, DataConfig(extra_houses=0).draw_batch), mesh_for_batch(1)
 
     def trained(name, watch, validate):
         task = Task(
             _CONFIG.steps,
             lambda: first_state(_CONFIG),
-            lambda state: train_step(state, _CONFIG.hyperparameters, data, recipe=_CONFIG.recipe, draw_batch=draw),
+            lambda state: supervised_step(state, data, _CONFIG.hyperparameters, training=training, mesh=mesh),
             validate=validate,
             watch=watch,
             steps_per_look=1,

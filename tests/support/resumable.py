@@ -231,7 +231,7 @@ def objectnav_table2_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> 
 
 
 def _training(patch: pytest.MonkeyPatch, module: Any) -> None:
-    patch.setattr(module, "train_step", fake_step)
+    patch.setattr(module, "supervised_step", fake_step)
     patch.setattr(module, "first_state", functools.cache(module.first_state))
     patch.setattr(module, "Validation", FakeValidation)
     patch.setattr(training_sets, "observation_masks", fake_masks)

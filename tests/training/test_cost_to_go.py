@@ -13,9 +13,9 @@ from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.grid import bitboard
-from dc2g_jax._src.rollouts.devices import mesh_of
-from dc2g_jax._src.training import cost_to_go
-from dc2g_jax._src.training.cost_to_go import TrainingConfig, first_state, train_step
+from dc2g_jax._src.rollouts.devices import mesh_of, replicate
+from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, first_state
+from dc2g_jax._src.training.step import draw_batches, learn, supervised_step
 from dc2g_jax._src.training.translator import TranslatorConfig
 from tests.support.states import assert_same_bits, infinite
 from tests.support.trainings import COST_TO_GO as CONFIG
@@ -30,10 +30,10 @@ def data() -> TrainingSet:
 
 def train(data, steps: int, state=None, config: TrainingConfig = CONFIG, devices=None):
     """Train on from a state (the first by default); the state is used up."""
-    state = first_state(config) if state is None else state
-    losses, mesh = [], mesh_of(devices)
+    losses, mesh, training = [], mesh_of(devices), CostToGoTraining(config.recipe, DRAW)
+    state, data = replicate((first_state(config) if state is None else state, data), mesh)
     for _ in range(steps):
-        state, loss = train_step(state, config.hyperparameters, data, recipe=config.recipe, draw_batch=DRAW, mesh=mesh)
+        state, loss = supervised_step(state, data, config.hyperparameters, training=training, mesh=mesh)
         losses.append(float(loss))
     return state, losses
 
@@ -165,14 +165,6 @@ def test_weights_that_are_not_finite_are_noticed_in_the_step_that_makes_them(dat
     assert np.isnan(losses[0])
 
 
-def test_all_at_once_is_like_by_parts(data, monkeypatch):
-    by_parts, losses = train(data, 5)
-    monkeypatch.setattr(cost_to_go, "platform", lambda mesh: "gpu")
-    at_once, others = train(data, 5)
-    np.testing.assert_allclose(losses, others, rtol=1e-4)
-    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-5), by_parts, at_once)
-
-
 def test_the_number_of_devices_changes_a_step_by_rounding_only(data):
     one, losses = train(data, 5, devices=jax.devices()[:1])
     two, others = train(data, 5, devices=jax.devices()[:2])
@@ -182,15 +174,16 @@ def test_the_number_of_devices_changes_a_step_by_rounding_only(data):
 
 def test_a_step_on_several_cores_is_over_when_it_returns(data):
     # Cores that exchange data wait for each other forever if too many programs are started behind.
-    state = first_state(CONFIG)
+    mesh, training = mesh_of(), CostToGoTraining(CONFIG.recipe, DRAW)
+    state, data = replicate((first_state(CONFIG), data), mesh)
     for _ in range(3):
-        state, loss = train_step(state, CONFIG.hyperparameters, data, recipe=CONFIG.recipe, draw_batch=DRAW)
+        state, loss = supervised_step(state, data, CONFIG.hyperparameters, training=training, mesh=mesh)
         assert all(leaf.is_ready() for leaf in jax.tree.leaves((state, loss)))
 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_step_is_compiled_once(data, count):
-    programs, devices = [cost_to_go._draw, cost_to_go._gradient, cost_to_go._update], jax.devices()[:count]
+    programs, devices = [draw_batches, learn], jax.devices()[:count]
     train(data, 1, devices=devices)
     before = [program.compiled_count() for program in programs]
     train(data, 3, devices=devices)

@@ -14,7 +14,7 @@ from dc2g_jax._src.estimation.pix2pix import Discriminator
 from dc2g_jax._src.estimation.weights import with_weights
 from dc2g_jax._src.rollouts.devices import mesh_of, replicate
 from dc2g_jax._src.training.image_pairs import ImageSet
-from dc2g_jax._src.training.step import supervised_step
+from dc2g_jax._src.training.step import draw_batches, learn, supervised_step
 from dc2g_jax._src.training.translator import (
     TRANSLATOR_LOSSES,
     TranslatorConfig,
@@ -40,9 +40,11 @@ def data() -> ImageSet:
 def train(data, steps: int, state=None, config: TranslatorConfig = CONFIG, devices=None, seed=0):
     mesh, differences = mesh_of(devices), []
     state = first_state(config, seed=0) if state is None else state
-    state, pairs = replicate((state, (run_key(seed), data)), mesh)
+    state, pairs = replicate((state, data), mesh)
     for _ in range(steps):
-        state, difference = supervised_step(state, pairs, training=TranslatorTraining(config, DRAW), mesh=mesh)
+        state, difference = supervised_step(
+            state, pairs, run_key(seed), training=TranslatorTraining(config, DRAW), mesh=mesh
+        )
         differences.append(float(difference))
     return state, differences
 
@@ -162,8 +164,8 @@ def test_the_number_of_devices_changes_a_step_by_rounding_only(data):
 def test_a_step_is_compiled_once(data, count):
     devices = jax.devices()[:count]
     state, _ = train(data, 1, devices=devices)
-    before = supervised_step.compiled_count()
+    before = [program.compiled_count() for program in (draw_batches, learn)]
     train(data, 1, first_state(CONFIG, seed=1), devices=devices, seed=1)
     state, _ = train(data, 2, state, devices=devices)
     train(dataclasses.replace(data, masks=data.masks ^ jnp.uint32(1)), 1, state, devices=devices)
-    assert supervised_step.compiled_count() == before
+    assert [program.compiled_count() for program in (draw_batches, learn)] == before

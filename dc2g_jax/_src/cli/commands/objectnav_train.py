@@ -45,7 +45,7 @@ from dc2g_jax._src.objectnav.training import (
 )
 from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
-from dc2g_jax._src.training.step import TrainingState, supervised_step
+from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
 from dc2g_jax._src.training.training_sets import kept_arrays
 
 #: Training houses for the encoder and pictures of each, if no encoder is given.
@@ -190,7 +190,7 @@ def training_task(
         step=lambda state: supervised_step(state, data, training=config, mesh=mesh),
         validate=validate,
         validated=Log(options.out).by_step(),
-        place=functools.partial(replicate, mesh=mesh),
+        place=functools.partial(placed, mesh=mesh),
         learning_rate=lambda step: rate(step - 1),
     )
 

@@ -5,6 +5,7 @@ After an interruption, --resume continues where it stopped.
 """
 
 import dataclasses
+import functools
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -28,20 +29,20 @@ from dc2g_jax._src.files.tables import write_table
 from dc2g_jax._src.inspection.training_figures import plot_sweep
 from dc2g_jax._src.inspection.training_recording import prediction_picture
 from dc2g_jax._src.programs import jit
-from dc2g_jax._src.rollouts.devices import fetch, mesh_of, replicate, require_memory
+from dc2g_jax._src.rollouts.devices import fetch, mesh_for_batch, replicate, require_memory
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.training import sweeps
 from dc2g_jax._src.training.cost_to_go import (
+    CostToGoTraining,
     TrainingConfig,
-    TrainingState,
     first_state,
     learning_rates,
     least_memory,
-    train_step,
 )
 from dc2g_jax._src.training.cost_to_go_data import DataConfig, Validation, check_houses, validation_pairs
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax._src.training.losses import losses_as_text
+from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
 from dc2g_jax._src.training.tracking import Image
 from dc2g_jax._src.training.training_sets import open_training_set
 
@@ -114,7 +115,9 @@ def train_group(
         return
     configs = list(runs.values())
     recipe, hyperparameters = configs[0].recipe, sweeps.stacked_hyperparameters(configs)
-    draw, log = options.data.draw_batch, Log(options.out)
+    training, log = CostToGoTraining(recipe, options.data.draw_batch), Log(options.out)
+    mesh = mesh_for_batch(recipe.batch_size, len(runs))
+    data = replicate(data, mesh)
     rates = np.stack([learning_rates(config) for config in configs], axis=1)
 
     def networks_of(states: TrainingState) -> list[NetworkCostToGo]:
@@ -143,13 +146,14 @@ def train_group(
     task = Task(
         steps=recipe.steps,
         init=lambda: jit(sweeps.init_states, static_argnums=0)(recipe, hyperparameters),
-        step=lambda states: train_step(states, hyperparameters, data, recipe=recipe, draw_batch=draw),
+        step=lambda states: supervised_step(states, data, hyperparameters, training=training, mesh=mesh),
         validate=validate,
         validated=set.intersection(*(set(log.by_step(run)) for run in runs)),
         name=f"{len(runs)} runs",
         runs=tuple(runs),
         learning_rate=lambda step: rates[step - 1],
         pictures=pictures,
+        place=functools.partial(placed, mesh=mesh),
     )
     checkpoints = sweeps.StackedCheckpoints(
         [
@@ -244,7 +248,7 @@ def main(options: Options) -> None:
     # These raise for unsuitable houses before minutes of data collection.
     pairs = validation_pairs(dataset, count=_PAIRS, edge_weight=options.data.edge_weight)
     validation = Validation(dataset, drawn=16, progress=EpisodeProgress(leave=False)) if options.episodes else None
-    data = replicate(open_training_set(options.out, dataset, options.data), mesh_of())
+    data = open_training_set(options.out, dataset, options.data)
     log = Log(options.out)
     print(f"runs: {len(runs)}; shapes of networks: {len(groups)}; turns: {len(turns)}")
     for turn in turns:
