@@ -21,7 +21,6 @@ from dc2g_jax._src.datasets.procedural.suburbs import SUBURBS
 from dc2g_jax._src.datasets.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
-from dc2g_jax._src.estimation.extents import CroppedEstimator, Window, WindowedEstimator
 from dc2g_jax._src.estimation.hub import load
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.grid.terrain import UNKNOWN
@@ -33,6 +32,7 @@ from dc2g_jax._src.rollouts.statistics import summarize
 from dc2g_jax._src.training.cost_to_go_data import drawn_houses
 
 from .benchmarks.decisions import milliseconds
+from .benchmarks.extents import CroppedEstimator, Window, WindowedEstimator
 
 #: Seeds of the procedural houses and neighborhoods of a split. Training uses smaller ones.
 SEEDS = {"val": 10_000, "test": 10_001}

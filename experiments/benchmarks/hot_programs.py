@@ -12,7 +12,6 @@ from jax.sharding import PartitionSpec as P
 
 from dc2g_jax._src.cli.driving import DrivingOptions, equipment
 from dc2g_jax._src.cli.translation import TranslationOptions
-from dc2g_jax._src.datasets.pairs import TrainingSet
 from dc2g_jax._src.estimation.checkpoints import load_network
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.poses import Pose
@@ -31,6 +30,7 @@ from dc2g_jax._src.training import cost_to_go, translator
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.image_pairs import ImageSet, draw_image_pairs
+from dc2g_jax._src.training.pairs import TrainingSet
 from dc2g_jax._src.training.step import Supervised, draw_batches, learn
 from dc2g_jax._src.vehicles import fleet, robot
 from dc2g_jax._src.vehicles.drive import Site, step

@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dc2g_jax._src.datasets.pairs import TrainingSet
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.devices import mesh_for_batch, replicate
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, Hyperparameters, TrainingConfig, first_state
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
+from dc2g_jax._src.training.pairs import TrainingSet
 from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
 from dc2g_jax._src.training.sweeps import init_states, stacked_hyperparameters
 

@@ -13,7 +13,6 @@ import pytest
 
 from dc2g_jax._src.cli.commands.train import Options, watching
 from dc2g_jax._src.datasets.houses import House, HouseDataset
-from dc2g_jax._src.datasets.pairs import Pair, TrainingSet
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation import compact_unet
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
@@ -25,9 +24,10 @@ from dc2g_jax._src.inspection import _legend as legend
 from dc2g_jax._src.inspection._legend import CostScale
 from dc2g_jax._src.inspection.training_recording import TrainingRecording, maps_to_watch, next_file, prediction_picture
 from dc2g_jax._src.rollouts.devices import mesh_for_batch
-from dc2g_jax._src.training.cost_to_go import TrainingConfig, first_state, learning_rates
+from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, first_state, learning_rates
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Pauses, Task, train
+from dc2g_jax._src.training.pairs import Pair, TrainingSet
 from dc2g_jax._src.training.step import supervised_step
 from tests.support.recordings import read
 

@@ -32,7 +32,6 @@ from dc2g_jax._src.cli.commands import (
 )
 from dc2g_jax._src.cli.driving import DriveResult
 from dc2g_jax._src.datasets.houses import House
-from dc2g_jax._src.datasets.pairs import TrainingSet
 from dc2g_jax._src.datasets.starts import PublishedEpisode, Start
 from dc2g_jax._src.estimation.checkpoints import load_network
 from dc2g_jax._src.estimation.weights import fresh_weights, write_network
@@ -51,6 +50,7 @@ from dc2g_jax._src.training import train as training
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Task
 from dc2g_jax._src.training.mask_collection import Masks
+from dc2g_jax._src.training.pairs import TrainingSet
 from dc2g_jax._src.training.step import TrainingState
 from experiments import unknown_dimensions
 from tests.support import trainings

@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.datasets.pairs import TrainingSet
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.rollouts.devices import mesh_of, replicate
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, first_state
+from dc2g_jax._src.training.pairs import TrainingSet
 from dc2g_jax._src.training.step import draw_batches, learn, supervised_step
 from dc2g_jax._src.training.translator import TranslatorConfig
 from tests.support.states import assert_same_bits, infinite

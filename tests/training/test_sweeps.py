@@ -9,16 +9,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.datasets.pairs import TrainingSet, draw_pairs
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.rollouts import devices
 from dc2g_jax._src.rollouts.devices import mesh_for_batch, replicate
+from dc2g_jax._src.training import step
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, first_state, mean_loss
 from dc2g_jax._src.training.losses import parse_losses
+from dc2g_jax._src.training.pairs import TrainingSet, draw_pairs
 from dc2g_jax._src.training.step import learn, placed, supervised_step
 from dc2g_jax._src.training.sweeps import (
     StackedCheckpoints,
@@ -125,6 +127,13 @@ def test_more_runs_than_fit_take_turns():
         in_turns(runs, 0)
 
 
+@pytest.fixture(params=["cpu", "gpu"])
+def on(request, monkeypatch):
+    """Steps as a CPU takes them, and as an accelerator does."""
+    for module in (step, devices):
+        monkeypatch.setattr(module, "platform", lambda mesh: request.param)
+
+
 def take_steps(data, state, hyperparameters, recipe, steps: int, runs: int = 1):
     mesh, training, losses = mesh_for_batch(recipe.batch_size, runs), CostToGoTraining(recipe, DRAW), []
     state, data = placed(state, mesh), replicate(data, mesh)
@@ -140,6 +149,7 @@ def train(data, configs, steps: int, states=None):
     return take_steps(data, states, hyperparameters, recipe, steps, len(configs))
 
 
+@pytest.mark.usefixtures("on")
 def test_together_is_like_alone(data):
     configs = list(group_by_shape(grid(losses=["l1", "l2=3"], learning_rates=[1e-3, 4e-3]))[0].values())
     states, losses = train(data, configs, 5)
@@ -151,6 +161,7 @@ def test_together_is_like_alone(data):
             np.testing.assert_allclose(stacked[index], one, rtol=1e-3, atol=1e-5)
 
 
+@pytest.mark.usefixtures("on")
 def test_runs_together_are_one_program(data):
     configs = list(group_by_shape(grid(seeds=[3, 4, 5, 6]))[0].values())
     train(data, configs, 1)
@@ -159,6 +170,7 @@ def test_runs_together_are_one_program(data):
     assert learn.compiled_count() == before
 
 
+@pytest.mark.usefixtures("on")
 def test_stopped_and_gone_on_is_bit_for_bit_like_not_stopped(data):
     configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
     whole, _ = train(data, configs, 6)
@@ -178,6 +190,7 @@ def test_a_loss_of_no_weight_makes_no_run_diverge(data):
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), both, one)
 
 
+@pytest.mark.usefixtures("on")
 def test_a_run_that_diverges_keeps_its_weights_and_leaves_the_others_alone(data):
     configs = list(group_by_shape(grid(seeds=[0, 1]))[0].values())
     losses = tuple((name, float("nan")) for name, _ in configs[1].losses)

@@ -15,7 +15,6 @@ from jaxtyping import Array, Float, UInt8
 from PIL import Image, ImageDraw
 
 from dc2g_jax._src.datasets.houses import HouseDataset, stack_worlds
-from dc2g_jax._src.datasets.pairs import Pair, make_pair
 from dc2g_jax._src.datasets.starts import sample_starts, usable_houses
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation import compact_unet
@@ -31,6 +30,7 @@ from dc2g_jax._src.rollouts.evaluation import episodes_from
 from dc2g_jax._src.training.cost_to_go import TrainingConfig, learning_rates
 from dc2g_jax._src.training.cost_to_go_data import training_set
 from dc2g_jax._src.training.mask_collection import Masks, collect_masks
+from dc2g_jax._src.training.pairs import Pair, make_pair
 
 #: Gap between two maps side by side, columns.
 _GAP = 2

@@ -135,10 +135,10 @@ def mesh_of(devices: Sequence[jax.Device] | None = None) -> Mesh:
 def mesh_for_batch(size: int, runs: int = 1) -> Mesh:
     """A mesh for training: runs are divided among its first axis, the batch of each run among its second.
 
-    As many devices share a batch of this size as can do so equally. If some device of several processes would be left
-    over, each process works on its own, on one device.
+    As many devices share a batch of this size as can do so equally, and on a CPU all work on one run. If some device of
+    several processes would be left over, each process works on its own, on one device.
     """
-    groups = math.gcd(runs, jax.device_count())
+    groups = 1 if platform(mesh_of()) == "cpu" else math.gcd(runs, jax.device_count())
     each = math.gcd(size, jax.device_count() // groups)
     if jax.process_count() > 1 and groups * each < jax.device_count():
         return Mesh(np.array(jax.local_devices()[:1]).reshape(1, 1), (RUNS, AXIS))

@@ -13,11 +13,11 @@ import optax
 from flax import struct
 from jaxtyping import Array, Float, Int, UInt32
 
-from dc2g_jax._src.datasets.pairs import Pair
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation import compact_unet
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.training.losses import LOSSES, map_loss, named_loss
+from dc2g_jax._src.training.pairs import Pair
 from dc2g_jax._src.training.step import Supervised, TrainingState, state_of
 
 #: Maximum number of equal parts of a batch, which devices can share.

@@ -18,7 +18,6 @@ from dc2g_jax._src.cli.common import command_line, digests
 from dc2g_jax._src.cli.options import DatasetOptions, TrainingOptions
 from dc2g_jax._src.cli.outputs import number_or_null, output_folder
 from dc2g_jax._src.datasets.houses import open_dataset
-from dc2g_jax._src.datasets.pairs import Pair, TrainingSet
 from dc2g_jax._src.errors import InputError, short
 from dc2g_jax._src.estimation.checkpoints import CARD, TrainingCheckpoints, load_network, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture, check_network, multiply_accumulates
@@ -42,6 +41,7 @@ from dc2g_jax._src.training.cost_to_go import (
 from dc2g_jax._src.training.cost_to_go_data import DataConfig, Validation, check_houses, validation_pairs
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax._src.training.losses import losses_as_text
+from dc2g_jax._src.training.pairs import Pair, TrainingSet
 from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
 from dc2g_jax._src.training.tracking import Image
 from dc2g_jax._src.training.training_sets import open_training_set

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dc2g_jax._src.datasets.drawn_masks import VARIANTS, drawn_masks, mask_variants
+from dc2g_jax._src.training.drawn_masks import VARIANTS, drawn_masks, mask_variants
 
 
 def test_a_mask_has_eight_variants():

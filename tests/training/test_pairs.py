@@ -8,8 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.datasets.masks import moments_along
-from dc2g_jax._src.datasets.pairs import SYMMETRY_COUNT, Pair, TrainingSet, draw_pairs, jittered, make_pair
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.grid import bitboard, gridworld
 from dc2g_jax._src.grid.poses import make_pose
@@ -22,6 +20,8 @@ from dc2g_jax._src.rollouts.rollout import Episodes, rollout
 from dc2g_jax._src.training import mask_collection
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.mask_collection import by_house, collect_masks
+from dc2g_jax._src.training.masks import moments_along
+from dc2g_jax._src.training.pairs import SYMMETRY_COUNT, Pair, TrainingSet, draw_pairs, jittered, make_pair
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 

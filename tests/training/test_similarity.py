@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dc2g_jax._src.datasets.similarity import VOCABULARY, distance_to_training, patch_histograms, similarity_scale
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, GRASS, HOUSE, ROAD
+from dc2g_jax._src.training.similarity import VOCABULARY, distance_to_training, patch_histograms, similarity_scale
 from tests.support import maps
 
 SHAPE = (64, 64)
