@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dc2g_jax._src.datasets.houses import open_dataset, town_dataset
+from dc2g_jax._src.datasets.houses import grid_dataset, open_dataset
 from dc2g_jax._src.datasets.map_report import unlike_training
 from dc2g_jax._src.datasets.procedural.towns import TOWN_SIZES, draw_town
 from dc2g_jax._src.datasets.starts import sample_starts, why_no_episode
@@ -13,14 +13,14 @@ from dc2g_jax._src.grid.terrain import FREE, FRONT_DOOR, GRASS, HOUSE, ROAD, TRA
 
 def test_there_are_a_hundred_towns_to_choose_on_and_a_hundred_aside():
     towns = open_dataset("towns")
-    assert towns is town_dataset()
+    assert towns is grid_dataset("towns")
     assert [len(towns.split(split)) for split in ("train", "val", "test")] == [0, 100, 100]
     assert {town.terrain.shape[::-1] for town in towns.split("test")} == set(TOWN_SIZES)
     assert len({town.terrain.tobytes() for town in towns.houses}) == 200
 
 
 def test_every_door_can_be_reached_from_every_street():
-    for town in town_dataset().houses:
+    for town in grid_dataset("towns").houses:
         terrain = town.terrain
         assert why_no_episode(town) is None
         assert connected_to(terrain == ROAD, TRAVERSABLE[terrain])[terrain == FRONT_DOOR].all()

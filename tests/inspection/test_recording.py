@@ -406,7 +406,7 @@ def test_recorded_robot_is_the_replay(logged, frames):
             np.sign([arrows[step][0] for step in steps]), np.asarray(FORWARD)[found.pose.heading]
         )
         # A piece of the way at each step that moves the robot: together they are the way, and none is sent twice.
-        pieces = logged[f"/{name}/robot/trajectory", "LineStrips2D:strips"]
+        pieces = logged[f"/{name}/robot/path", "LineStrips2D:strips"]
         moving = [step for step in steps if step and np.any(centers[step] != centers[step - 1])]
         assert sorted(pieces) == moving
         for step, strips in pieces.items():

@@ -185,34 +185,22 @@ def procedural_dataset(seed: int = 0, *, cells: int | None = 50, split: str | No
     With a `split`, the others are not drawn: drawing all takes seconds.
 
     Raises:
-        InputError: `cells` is less than 1 or more than the maps have pixels.
+      InputError: `cells` is less than 1 or more than the maps have pixels.
     """
     name = PROCEDURAL if seed == 0 else f"{PROCEDURAL}-{seed}"
-    return HouseDataset(
-        name,
-        PROCEDURAL,
-        tuple(
-            House(house, of, sampled(f"procedural house {house}", classes, cells))
-            for house, of, classes in procedural_houses(seed, split)
-        ),
+    houses = (
+        House(house, of, sampled(f"procedural house {house}", classes, cells))
+        for house, of, classes in procedural_houses(seed, split)
     )
+    return HouseDataset(name, PROCEDURAL, tuple(houses))
 
 
 @functools.lru_cache(maxsize=4)
-def town_dataset(seed: int = 0) -> HouseDataset:
-    """Return the drawn towns, see `datasets.procedural.towns`, each on its own grid."""
-    return HouseDataset(
-        TOWNS if seed == 0 else f"{TOWNS}-{seed}",
-        PROCEDURAL,
-        tuple(House(town, split, sampled(town, classes, None)) for town, split, classes in drawn_towns(seed)),
-    )
-
-
-@functools.lru_cache(maxsize=4)
-def plain_dataset(kind: str, seed: int = 0) -> HouseDataset:
-    """Return maps without classes of one of the kinds of `datasets.procedural.plain.PLAIN`."""
-    houses = (House(name, split, sampled(name, classes, None)) for name, split, classes in plain_maps(kind, seed))
-    return HouseDataset(kind if seed == 0 else f"{kind}-{seed}", PROCEDURAL, tuple(houses))
+def grid_dataset(kind: str) -> HouseDataset:
+    """Return maps that are drawn on their own grids: the towns, or those of one of the kinds of `PLAIN`."""
+    drawn = drawn_towns() if kind == TOWNS else plain_maps(kind)
+    houses = (House(name, split, sampled(name, classes, None)) for name, split, classes in drawn)
+    return HouseDataset(kind, PROCEDURAL, tuple(houses))
 
 
 def extract_dataset(folder: str | os.PathLike[str]) -> HouseDataset:
@@ -290,10 +278,8 @@ def open_dataset(
 def _open_location(location: str, setting: str, cells: int | None) -> HouseDataset:
     if location == PROCEDURAL:
         return procedural_dataset(cells=cells)
-    if location == TOWNS:
-        return town_dataset()
-    if location in PLAIN:
-        return plain_dataset(location)
+    if location in NAMED:
+        return grid_dataset(location)
     if is_own_part(location):
         return _own_dataset(location)
     try:

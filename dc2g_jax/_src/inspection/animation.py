@@ -1,7 +1,8 @@
 """Animations of episodes as GIF or MP4: planners side by side, step by step."""
 
+import functools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -321,16 +322,6 @@ def _doing(frames: Frames, frame: int) -> str:
     return {EXPLORE: "exploring", TO_GOAL: "goal seen", GAVE_UP: "gave up"}[int(frames.mode[frame])]
 
 
-def every_nth(last: int) -> list[int]:
-    """Numbers from 0 to `last`, both included, evenly spaced: at most as many as an animation has pictures."""
-    return [*range(0, last, -(-max(last, 1) // _MOST_PICTURES)), last]
-
-
-def steps_shown(frames_by_planner: Mapping[str, Frames]) -> list[int]:
-    """The steps with a picture: all, or every second, third ... step of a long episode, and always the last."""
-    return every_nth(max(len(frames) for frames in frames_by_planner.values()) - 1)
-
-
 def pictures(house: House, frames_by_planner: Mapping[str, Frames], steps: Iterable[int]) -> Iterator[Picture]:
     """Pictures of planners from one start: RGB, of equal size, with an even width and height.
 
@@ -353,20 +344,18 @@ def pictures(house: House, frames_by_planner: Mapping[str, Frames], steps: Itera
 
 def write_animation(
     path: str | Path,
-    shown: Iterator[Picture],
-    sample: Iterable[Picture],
-    colors: Sequence[str],
+    paint: Callable[[Sequence[int]], Iterator[Picture]],
     count: int,
+    colors: Sequence[str],
     frames_per_second: int,
 ) -> Path:
     """Write an animation. Where the encoder of MP4 is missing, a GIF takes its place, with a line on the error stream.
 
     Args:
       path: file to write; its ending gives the format, `.gif` or `.mp4`.
-      shown: the pictures.
-      sample: some of them, from which the colors of a GIF are chosen.
-      colors: colors, as `#rrggbb`, that a GIF surely has.
+      paint: paints the pictures of these numbers. Of many, every second, third ... is shown, and always the last.
       count: number of pictures.
+      colors: colors, as `#rrggbb`, that a GIF surely has.
       frames_per_second: pictures per second; the last one stays longer.
 
     Returns:
@@ -381,13 +370,15 @@ def write_animation(
     if path.suffix.lower() == ".mp4" and h264_encoder() is None:
         path = path.with_suffix(".gif")
         tell_on_stderr(f'{path}: is no MP4, as there is no encoder for it; run: pip install "dc2g_jax[all]"')
+    shown = [*range(0, count - 1, -(-max(count - 1, 1) // _MOST_PICTURES)), count - 1]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.suffix.lower() == ".gif":
-            durations = [1 / frames_per_second] * (count - 1) + [_LAST_SECONDS]
-            write_gif(path, shown, frequent_colors(sample, colors), durations)
+            sample = shown[:: max(1, len(shown) // _SAMPLE)] + shown[-1:]
+            durations = [1 / frames_per_second] * (len(shown) - 1) + [_LAST_SECONDS]
+            write_gif(path, paint(shown), frequent_colors(paint(sample), colors), durations)
         else:
-            write_mp4(path, shown, frames_per_second, _LAST_SECONDS)
+            write_mp4(path, paint(shown), frames_per_second, _LAST_SECONDS)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); name a file in a folder of yours") from None
     return path
@@ -396,7 +387,7 @@ def write_animation(
 def animate(
     path: str | Path, house: House, frames_by_planner: Mapping[str, Frames], *, frames_per_second: int = 12
 ) -> Path:
-    """Write an animation of planners from one start, side by side, see `pictures` and `steps_shown`.
+    """Write an animation of planners from one start, side by side, see `pictures`.
 
     Args:
       path: file to write, see `write_animation`.
@@ -410,13 +401,6 @@ def animate(
     Raises:
       InputError: see `write_animation`.
     """
-    steps = steps_shown(frames_by_planner)
-    sample = steps[:: max(1, len(steps) // _SAMPLE)] + steps[-1:]
-    return write_animation(
-        path,
-        pictures(house, frames_by_planner, steps),
-        pictures(house, frames_by_planner, sample),
-        (MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR),
-        len(steps),
-        frames_per_second,
-    )
+    paint = functools.partial(pictures, house, frames_by_planner)
+    count = max(len(frames) for frames in frames_by_planner.values())
+    return write_animation(path, paint, count, (MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR), frames_per_second)

@@ -13,6 +13,7 @@ import rerun.blueprint as rrb
 from jaxtyping import Bool, Float, Int, UInt8
 
 from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.inspection._legend import ROBOT_COLOR, TRAJECTORY_COLOR
 
 #: Name of the timeline: actions of a robot, or steps of an optimizer.
 TIMELINE = "step"
@@ -131,3 +132,33 @@ def send_curve(stream: rr.RecordingStream, entity: str, values: Float[np.ndarray
     known = np.flatnonzero(np.isfinite(values))
     if known.size:
         send(stream, entity, known, rr.Scalars.columns(scalars=values[known].astype(np.float64)))
+
+
+def send_track(
+    stream: rr.RecordingStream,
+    entity: str,
+    here: Float[np.ndarray, "t 2"],
+    ahead: Float[np.ndarray, "t 2"],
+    size: float,
+) -> None:
+    """Send a robot's position, heading and path: one segment of the path per step, which the viewer accumulates.
+
+    Args:
+      stream: the recording.
+      entity: the robot; `heading` and `path` lie below it.
+      here: its place at each step.
+      ahead: the arrow of its heading.
+      size: radius of its disc; arrow and path are as much thinner everywhere.
+    """
+    steps = np.arange(len(here))
+    stream.log(entity, rr.Points2D.from_fields(radii=size, colors=ROBOT_COLOR, draw_order=60), static=True)
+    arrow = rr.Arrows2D.from_fields(radii=0.3 * size, colors=ROBOT_COLOR, draw_order=61)
+    stream.log(f"{entity}/heading", arrow, static=True)
+    line = rr.LineStrips2D.from_fields(radii=0.2 * size, colors=TRAJECTORY_COLOR, draw_order=30)
+    stream.log(f"{entity}/path", line, static=True)
+    send(stream, entity, steps, rr.Points2D.columns(positions=here))
+    send(stream, f"{entity}/heading", steps, rr.Arrows2D.columns(origins=here, vectors=ahead))
+    moves = 1 + np.flatnonzero(np.any(np.diff(here, axis=0), axis=1))
+    if len(moves):
+        pieces = np.stack([here[moves - 1], here[moves]], axis=1)
+        send(stream, f"{entity}/path", moves, rr.LineStrips2D.columns(strips=pieces))

@@ -30,6 +30,7 @@ from dc2g_jax._src.inspection.columns import (
     send_curve,
     send_images,
     send_lines,
+    send_track,
 )
 from dc2g_jax._src.inspection.costs import exact_cost_to_go, predicts
 from dc2g_jax._src.inspection.figures import planner_styles
@@ -93,24 +94,6 @@ def _cells_of(path: np.ndarray) -> Float[np.ndarray, "cells 2"]:
     return centers(cells[:, 0], cells[:, 1])
 
 
-def _send_robot(stream: rr.RecordingStream, entity: str, frames: Frames) -> None:
-    """Send the robot's position, heading and path: one segment of the path per step, which the viewer accumulates."""
-    pose, steps = frames.pose, np.arange(len(frames))
-    here = centers(np.asarray(pose.x), np.asarray(pose.y))
-    ahead = 2.5 * np.asarray(FORWARD, np.float32)[pose.heading]
-    stream.log(entity, rr.Points2D.from_fields(radii=0.8, colors=legend.ROBOT_COLOR, draw_order=60), static=True)
-    arrow = rr.Arrows2D.from_fields(radii=0.3, colors=legend.ROBOT_COLOR, draw_order=61)
-    stream.log(f"{entity}/heading", arrow, static=True)
-    send(stream, entity, steps, rr.Points2D.columns(positions=here))
-    send(stream, f"{entity}/heading", steps, rr.Arrows2D.columns(origins=here, vectors=ahead))
-    line = rr.LineStrips2D.from_fields(radii=0.16, colors=legend.TRAJECTORY_COLOR, draw_order=30)
-    stream.log(f"{entity}/trajectory", line, static=True)
-    moves = 1 + np.flatnonzero(np.any(np.diff(here, axis=0), axis=1))
-    if len(moves):
-        pieces = np.stack([here[moves - 1], here[moves]], axis=1)
-        send(stream, f"{entity}/trajectory", moves, rr.LineStrips2D.columns(strips=pieces))
-
-
 def _outcome(result: EpisodeResult) -> str:
     """The outcome of an episode, in words."""
     if result.success:
@@ -162,7 +145,9 @@ def _send_episode(
     entity = rr.new_entity_path([label])
     _send_maps(stream, entity, frames, scale)
     _send_plan(stream, f"{entity}/plan", frames)
-    _send_robot(stream, f"{entity}/robot", frames)
+    pose = frames.pose
+    ahead = 2.5 * np.asarray(FORWARD, np.float32)[pose.heading]
+    send_track(stream, f"{entity}/robot", centers(np.asarray(pose.x), np.asarray(pose.y)), ahead, 0.8)
     status = _status(result, frames)
     texts = rr.TextDocument.columns(text=status, media_type=["text/markdown"] * len(status))
     send(stream, f"{entity}/status", np.arange(len(frames)), texts)
@@ -203,7 +188,7 @@ def _layout(shape: tuple[int, ...], estimates: Mapping[str, bool]) -> rrb.Bluepr
     entities = {label: rr.new_entity_path([label]) for label in estimates}
 
     def grid_view(name: str, contents: Sequence[str], robot: str | None = None) -> rrb.Spatial2DView:
-        overrides: dict[Any, Any] = {} if robot is None else {f"{robot}/trajectory": SO_FAR}
+        overrides: dict[Any, Any] = {} if robot is None else {f"{robot}/path": SO_FAR}
         return rrb.Spatial2DView(origin="/", contents=contents, name=name, visual_bounds=bounds, overrides=overrides)
 
     def column(above: rrb.View, below: rrb.View, words: rrb.View) -> rrb.Vertical:

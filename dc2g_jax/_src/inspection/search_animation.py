@@ -9,7 +9,7 @@ from jaxtyping import Float, Int, UInt8
 from PIL import Image, ImageDraw
 
 from dc2g_jax._src.inspection._video import Picture
-from dc2g_jax._src.inspection.animation import every_nth, font, write_animation
+from dc2g_jax._src.inspection.animation import font, write_animation
 from dc2g_jax._src.inspection.search_figures import (
     PATH_COLOR,
     ROBOT_COLOR,
@@ -102,8 +102,6 @@ def animate_search(
     target: int,
     track: Float[np.ndarray, "time 5"],
     moments: Sequence[SearchMoment],
-    *,
-    frames_per_second: int = 8,
 ) -> Path:
     """Write an animation of a search, see `search_pictures`.
 
@@ -113,7 +111,6 @@ def animate_search(
       target: class index of the wanted object.
       track: the robot's track.
       moments: moments of the search in order; of many, some are left out.
-      frames_per_second: pictures per second.
 
     Returns:
       The path of the file.
@@ -121,13 +118,8 @@ def animate_search(
     Raises:
       InputError: see `write_animation`.
     """
-    shown = [moments[number] for number in every_nth(len(moments) - 1)]
-    sample = shown[:: max(1, len(shown) // 12)] + shown[-1:]
-    return write_animation(
-        path,
-        search_pictures(world, target, track, shown),
-        search_pictures(world, target, track, sample),
-        (ROBOT_COLOR, TARGET_COLOR, PATH_COLOR),
-        len(shown),
-        frames_per_second,
-    )
+
+    def paint(numbers: Sequence[int]) -> Iterator[Picture]:
+        return search_pictures(world, target, track, [moments[number] for number in numbers])
+
+    return write_animation(path, paint, len(moments), (ROBOT_COLOR, TARGET_COLOR, PATH_COLOR), 8)

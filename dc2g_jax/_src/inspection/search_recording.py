@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 from jaxtyping import Float
 
 from dc2g_jax._src.inspection import _legend
-from dc2g_jax._src.inspection.columns import SO_FAR, first_view, open_recording, send, send_curve
+from dc2g_jax._src.inspection.columns import SO_FAR, first_view, open_recording, send_curve, send_track
 from dc2g_jax._src.inspection.search_figures import (
     ROWS,
     SearchMoment,
@@ -89,18 +89,8 @@ def record_search(
         stream.log("doing", rr.TextLog(moment.doing))
     driven = track[: moments[-1].step + 1]
     here = (driven[:, :2] / (size, -size)).astype(np.float32)
-    steps, yaw = np.arange(len(driven)), driven[:, 2]
-    stream.log("robot", rr.Points2D.from_fields(radii=2.0, colors=_legend.ROBOT_COLOR, draw_order=60), static=True)
-    ahead = rr.Arrows2D.from_fields(radii=0.6, colors=_legend.ROBOT_COLOR, draw_order=61)
-    stream.log("robot/heading", ahead, static=True)
-    line = rr.LineStrips2D.from_fields(radii=0.4, colors=_legend.TRAJECTORY_COLOR, draw_order=30)
-    stream.log("robot/path", line, static=True)
-    send(stream, "robot", steps, rr.Points2D.columns(positions=here))
-    vectors = 6.0 * np.stack([np.cos(yaw), -np.sin(yaw)], axis=-1)
-    send(stream, "robot/heading", steps, rr.Arrows2D.columns(origins=here, vectors=vectors))
-    if len(here) > 1:
-        pieces = np.stack([here[:-1], here[1:]], axis=1)
-        send(stream, "robot/path", steps[1:], rr.LineStrips2D.columns(strips=pieces))
+    yaw = driven[:, 2]
+    send_track(stream, "robot", here, 6.0 * np.stack([np.cos(yaw), -np.sin(yaw)], axis=-1), 2.0)
     lowest = np.full(len(driven), np.nan)
     for moment in moments:
         lowest[moment.step] = np.min(moment.costs, initial=np.inf, where=np.isfinite(moment.costs))

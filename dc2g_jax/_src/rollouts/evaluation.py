@@ -211,7 +211,7 @@ class Runner:
             raise InputError(f"step limit {step_limit}: give at least 1 (--step-limit)")
         self.step_limit = step_limit
         self._progress = progress
-        self._oracle_steps: dict[tuple[Rules, tuple[Start, ...]], Int[np.ndarray, episodes]] = {}
+        self._oracle_steps: dict[tuple[Rules, tuple[Start, ...]], np.ndarray] = {}
 
     def rules(self, start: Start) -> Rules:
         """The rules of an episode.

@@ -197,21 +197,16 @@ def extract_files(folder: Path) -> list[Path]:
     return sorted(path for ending in EXTRACT_ENDINGS for path in folder.glob(f"*{ending}"))
 
 
-def drawn_extracts(folder: Path, meters: float = 60.0, cells: int = 50) -> Iterator[tuple[str, ClassImage]]:
+def drawn_extracts(folder: Path) -> Iterator[tuple[str, ClassImage]]:
     """Name and class indices, uint8 [H W], of the buildings of all extracts in a folder that have a street in reach.
 
-    What is not mapped is added, with seed 0.
-
-    Args:
-      folder: the folder.
-      meters: side of the maps.
-      cells: columns and rows of the grid that they are sampled to.
+    The maps are 60 m wide, in 50 x 50 cells. What is not mapped is added, with seed 0.
 
     Raises:
       InputError: an extract cannot be read.
     """
     for path in extract_files(folder):
-        here = Neighborhood(read_extract(path), meters=meters, cells=cells, seed=0, only_mapped=False)
+        here = Neighborhood(read_extract(path), meters=60.0, cells=50, seed=0, only_mapped=False)
         for building in here.buildings:
             drawn = here.map_of(building)
             if isinstance(drawn, BuildingMap):

@@ -7,6 +7,7 @@ robot that starts on the road can reach a front door in the map's 50x50 grid.
 import numpy as np
 
 from dc2g_jax._src.datasets.procedural._city import draw_city
+from dc2g_jax._src.datasets.procedural.drawing import first_usable
 from dc2g_jax._src.datasets.procedural.suburbs import SUBURBS, draw_row, draw_suburb
 from dc2g_jax._src.grid.ground import connected_to_goal
 from dc2g_jax._src.grid.sampling import ClassImage, sample_grid
@@ -18,7 +19,6 @@ STYLES: tuple[str, ...] = (*SUBURBS, "urban")
 #: Least number of road cells of the 50x50 grid from which a front door can be reached.
 MIN_ROAD_CELLS = 20
 
-_ATTEMPTS = 100
 # Splits of the houses of each neighborhood, one neighborhood a style; as many as in the published dataset.
 _SPLITS = {
     "p000": ("train",) * 21,
@@ -82,12 +82,12 @@ def draw_house(seed: int, style: str) -> ClassImage:
     """
     if style not in STYLES:
         raise ValueError(f"no style {style!r}; there are {', '.join(STYLES)}")
-    for attempt in range(_ATTEMPTS):
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(STYLES.index(style), attempt)))
+
+    def draw(rng: np.random.Generator) -> ClassImage | None:
         classes = draw_city(rng) if style == "urban" else draw_suburb(rng, SUBURBS[style])
-        if classes is not None and is_usable(classes):
-            return classes
-    raise RuntimeError(f"no usable {style} house within {_ATTEMPTS} drawings of seed {seed}")
+        return classes if classes is not None and is_usable(classes) else None
+
+    return first_usable(draw, seed, (STYLES.index(style),), f"{style} house")
 
 
 def draw_neighborhood(seed: int, style: str, cells: int, doors: int) -> ClassImage:
@@ -111,13 +111,12 @@ def draw_neighborhood(seed: int, style: str, cells: int, doors: int) -> ClassIma
         raise ValueError(f"no style {style!r}; there are {', '.join(SUBURBS)}")
     if cells < 50 or doors < 1:
         raise ValueError(f"{cells} cells and {doors} doors; give at least 50 cells and a door")
-    for attempt in range(_ATTEMPTS):
-        key = (len(STYLES) + STYLES.index(style), attempt)
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+
+    def draw(rng: np.random.Generator) -> ClassImage | None:
         classes = draw_row(rng, SUBURBS[style], cells, doors)
-        if is_usable(classes, cells=cells):
-            return sample_grid(classes, cells)
-    raise RuntimeError(f"no usable {style} neighborhood within {_ATTEMPTS} drawings of seed {seed}")
+        return sample_grid(classes, cells) if is_usable(classes, cells=cells) else None
+
+    return first_usable(draw, seed, (len(STYLES) + STYLES.index(style),), f"{style} neighborhood")
 
 
 def procedural_houses(seed: int = 0, split: str | None = None) -> list[tuple[str, str, ClassImage]]:

@@ -4,7 +4,7 @@ Shapes lie in a plane measured in meters. A shape is a list of polygons, each fl
 selects the rotated rectangle of the plane that becomes the image. A `Sketch` fills polygons into masks, one per layer.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -32,6 +32,8 @@ Points = npt.NDArray[np.float64]
 Polygons = list[Points]
 Range = tuple[float, float]
 
+_ATTEMPTS = 100
+
 #: Layer -> terrain class, in painting order: later layers cover earlier ones. Pavement minus verge is sidewalk.
 LAYERS: dict[str, int] = {
     "blocked": NOTHING,
@@ -51,6 +53,28 @@ LAYERS: dict[str, int] = {
     "court_path": PATH,
     "door": FRONT_DOOR,
 }
+
+
+def first_usable(
+    draw: Callable[[np.random.Generator], ClassImage | None], seed: int, key: tuple[int, ...], what: str
+) -> ClassImage:
+    """Draw again and again, each time with random numbers of its own, until something usable comes out.
+
+    Args:
+      draw: draws a map; `None` if it is not usable.
+      seed: a non-negative integer.
+      key: sets these random numbers apart from those of other drawings of this seed.
+      what: what is drawn, for the message.
+
+    Raises:
+      ValueError: the seed is negative.
+      RuntimeError: 100 drawings in a row turn out unusable.
+    """
+    for attempt in range(_ATTEMPTS):
+        drawn = draw(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*key, attempt))))
+        if drawn is not None:
+            return drawn
+    raise RuntimeError(f"no usable {what} within {_ATTEMPTS} drawings of seed {seed}")
 
 
 def uniform(rng: np.random.Generator, limits: Range) -> float:

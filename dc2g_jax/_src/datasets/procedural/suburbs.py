@@ -21,6 +21,9 @@ from dc2g_jax._src.grid.sampling import ClassImage
 #: Side of a single house's map in cells, and side of a cell of a larger map in pixels.
 _HOUSE_CELLS, _PIXELS_A_CELL = 50, 4
 
+#: Distance of the farthest neighbor of the main lot, meters.
+_REACH = 75.0
+
 #: Kinds of streets for rows of houses, with weights.
 _THROUGH = {"straight": 0.5, "fork": 0.5}
 
@@ -219,7 +222,7 @@ def _fits(sketch: Sketch, shapes: dict[str, Polygons]) -> bool:
     return covered < 0.18 and sketch.overlap(driveway, "house", "door") == 0
 
 
-def _lots_along(rng: np.random.Generator, streets: Streets, lot_width: float, reach: float = 75.0) -> list[Curb]:
+def _lots_along(rng: np.random.Generator, streets: Streets, lot_width: float) -> list[Curb]:
     """Places for neighbors: about every lot width along all curbs near the main lot, nearest first."""
     main = streets.curbs[0]
     center = main.at(0.0).origin
@@ -229,7 +232,7 @@ def _lots_along(rng: np.random.Generator, streets: Streets, lot_width: float, re
         for count in range(-6, 7):
             moved = Curb(curb.line, curb.position + first + count * lot_width * uniform(rng, (0.9, 1.15)))
             distance = float(np.hypot(*(moved.at(0.0).origin - center)))
-            if distance < reach and not (curb is main and count == 0):
+            if distance < _REACH and not (curb is main and count == 0):
                 places.append((distance, moved))
     return [curb for _, curb in sorted(places, key=lambda place: place[0])]
 

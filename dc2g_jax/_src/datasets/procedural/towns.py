@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dc2g_jax._src.datasets.procedural.drawing import Range, uniform
+from dc2g_jax._src.datasets.procedural.drawing import Range, first_usable, uniform
 from dc2g_jax._src.grid.ground import connected_to
 from dc2g_jax._src.grid.sampling import ClassImage
 from dc2g_jax._src.grid.terrain import (
@@ -50,8 +50,6 @@ _SCALES, _SHORTEST_SIDE = (0.5, 0.7, 1.0, 1.4, 2.0), 60
 
 #: Largest number of houses with a front door.
 _MOST_DOORS = 3
-
-_ATTEMPTS = 100
 
 
 @dataclass(frozen=True)
@@ -263,16 +261,12 @@ def draw_town(seed: int, columns: int, rows: int) -> ClassImage:
     """
     if seed < 0 or min(columns, rows) < _SHORTEST_SIDE:
         raise ValueError(f"seed {seed} and {columns} x {rows} cells; give a seed of at least 0 and 60 cells each way")
-    for attempt in range(_ATTEMPTS):
-        town = _draw(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(attempt,))), columns, rows)
-        if town is not None:
-            return town
-    raise RuntimeError(f"no usable town of {columns} x {rows} cells within {_ATTEMPTS} drawings of seed {seed}")
+    return first_usable(lambda rng: _draw(rng, columns, rows), seed, (), f"town of {columns} x {rows} cells")
 
 
-def drawn_towns(seed: int = 0) -> list[tuple[str, str, ClassImage]]:
+def drawn_towns() -> list[tuple[str, str, ClassImage]]:
     """Towns by `TOWN_SPLIT`: (name, split, class indices uint8 [rows columns]) of each."""
     return [
-        (name, split, draw_town((seed << 32) | number, *TOWN_SIZES[number % len(TOWN_SIZES)]))
+        (name, split, draw_town(number, *TOWN_SIZES[number % len(TOWN_SIZES)]))
         for number, (name, split) in enumerate(TOWN_SPLIT)
     ]
