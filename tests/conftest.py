@@ -113,7 +113,7 @@ def golden_grids(shared: Path) -> dict[str, np.ndarray]:
 @pytest.fixture(scope="session")
 def published_dataset(shared: Path):
     """The published houses, read from their images."""
-    from dc2g_jax._src.datasets.houses import load_dataset
+    from dc2g_jax._src.readers.houses import load_dataset
 
     return load_dataset(PUBLISHED)
 

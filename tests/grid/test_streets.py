@@ -4,11 +4,11 @@ import jax
 import numpy as np
 import pytest
 
-from dc2g_jax._src.datasets.houses import grid_dataset, procedural_dataset
 from dc2g_jax._src.grid.gridworld import belief_from_map
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.streets import in_town, is_town, street_width
 from dc2g_jax._src.grid.terrain import GRASS, ROAD, UNKNOWN
+from dc2g_jax._src.readers.houses import grid_dataset, procedural_dataset
 
 SHAPES = ((34, 75), (34, 104))
 

@@ -9,9 +9,9 @@ import jax
 import numpy as np
 import pytest
 
-from dc2g_jax._src.datasets.houses import load_dataset
-from dc2g_jax._src.datasets.procedural import draw_house
-from dc2g_jax._src.datasets.starts import sample_starts
+from dc2g_jax._src.procedural import draw_house
+from dc2g_jax._src.readers.houses import load_dataset
+from dc2g_jax._src.readers.starts import sample_starts
 from dc2g_jax._src.rollouts.devices import (
     cores,
     deal,

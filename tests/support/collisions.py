@@ -101,17 +101,17 @@ def with_property(whole: Any, name: str) -> tuple[tuple[type, type], Callable[[t
 
 def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     """Boundary -> what sends an object of a class through it, and the two classes."""
-    from dc2g_jax._src.datasets.houses import HouseDataset
-    from dc2g_jax._src.datasets.starts import Start
     from dc2g_jax._src.environments import functional, gymnasium_env
     from dc2g_jax._src.estimation.estimators import ExactCostToGo
+    from dc2g_jax._src.figures.replay import replay
     from dc2g_jax._src.grid.poses import make_pose
     from dc2g_jax._src.grid.world import world_from_terrain
-    from dc2g_jax._src.inspection.replay import replay
     from dc2g_jax._src.objectnav import guides, searches, training as indoor_training
     from dc2g_jax._src.planning.online import OnlinePlanner
     from dc2g_jax._src.planning.planners import DC2G, Frontier
     from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
+    from dc2g_jax._src.readers.houses import HouseDataset
+    from dc2g_jax._src.readers.starts import Start
     from dc2g_jax._src.rollouts.devices import mesh_for_batch, mesh_of
     from dc2g_jax._src.rollouts.evaluation import Runner, episodes_from
     from dc2g_jax._src.training import cost_to_go, translator

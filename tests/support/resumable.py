@@ -31,8 +31,6 @@ from dc2g_jax._src.cli.commands import (
     train_translator,
 )
 from dc2g_jax._src.cli.driving import DriveResult
-from dc2g_jax._src.datasets.houses import House
-from dc2g_jax._src.datasets.starts import PublishedEpisode, Start
 from dc2g_jax._src.estimation.checkpoints import load_network
 from dc2g_jax._src.estimation.weights import fresh_weights, write_network
 from dc2g_jax._src.grid.terrain import GRASS
@@ -42,6 +40,8 @@ from dc2g_jax._src.objectnav.metrics import OF_CLASSES
 from dc2g_jax._src.objectnav.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
 from dc2g_jax._src.objectnav.tables import METRICS
 from dc2g_jax._src.programs import jit
+from dc2g_jax._src.readers.houses import House
+from dc2g_jax._src.readers.starts import PublishedEpisode, Start
 from dc2g_jax._src.rollouts import published
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax._src.rollouts.published import PUBLISHED_GROUPS

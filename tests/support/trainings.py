@@ -9,7 +9,6 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Int
 
-from dc2g_jax._src.datasets.houses import House
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
@@ -18,6 +17,7 @@ from dc2g_jax._src.grid.world import world_from_terrain
 from dc2g_jax._src.objectnav.data import JourneySet
 from dc2g_jax._src.objectnav.networks import CostMapArchitecture
 from dc2g_jax._src.objectnav.training import BETTER_RECIPE, CostMapConfig
+from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.drawn_masks import drawn_masks
 from dc2g_jax._src.training.image_pairs import ImageSet, all_pairs, draw_image_pairs

@@ -4,20 +4,18 @@ import contextlib
 import dataclasses
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.compact_unet import Architecture
-from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.rollouts.devices import mesh_of, replicate
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, first_state
 from dc2g_jax._src.training.pairs import TrainingSet
-from dc2g_jax._src.training.step import draw_batches, learn, supervised_step
+from dc2g_jax._src.training.step import supervised_step
 from dc2g_jax._src.training.translator import TranslatorConfig
-from tests.support.states import assert_same_bits, infinite
+from tests.support.states import assert_same_bits
 from tests.support.trainings import COST_TO_GO as CONFIG, DRAW_PAIRS as DRAW, training_set
 
 
@@ -52,30 +50,6 @@ def test_the_same_configuration_gives_the_same_bits(data, trained):
 def test_another_seed_gives_other_weights(data):
     other = first_state(dataclasses.replace(CONFIG, seed=1))
     assert not np.array_equal(other.weights["embed"]["kernel"], first_state(CONFIG).weights["embed"]["kernel"])
-
-
-def test_an_interrupted_run_ends_like_one_that_was_not(data, trained, tmp_path):
-    state, losses = None, []
-    for steps in (7, 20, CONFIG.steps - 27):
-        # A new process each time.
-        checkpoints = TrainingCheckpoints(tmp_path / "run", CONFIG, first_state=first_state)
-        state = checkpoints.restore()
-        assert (state is None) == (not losses)
-        assert state is None or int(state.step) == len(losses)
-        state, part = train(data, steps, state)
-        losses += part
-        checkpoints.save(state)
-        checkpoints.close()
-    assert losses == trained[1]
-    assert_same_bits(state, trained[0])
-
-
-def test_what_is_restored_is_what_was_saved(data, tmp_path):
-    state, _ = train(data, 3)
-    checkpoints = TrainingCheckpoints(tmp_path / "run", CONFIG, first_state=first_state)
-    checkpoints.save(state)
-    assert_same_bits(checkpoints.restore(), state)
-    checkpoints.close()
 
 
 @pytest.mark.parametrize(
@@ -136,12 +110,6 @@ def test_numbers_that_no_training_can_have_are_refused(name, value):
             TranslatorConfig(**{name: value})
 
 
-def test_the_loss_goes_down(trained):
-    losses = trained[1]
-    assert np.isfinite(losses).all()
-    assert np.mean(losses[-5:]) < 0.6 * np.mean(losses[:5])
-
-
 def test_the_average_follows_the_weights(data, trained):
     assert int(trained[0].step) == CONFIG.steps
     state = first_state(CONFIG)
@@ -155,38 +123,3 @@ def test_the_average_follows_the_weights(data, trained):
         ]
     for average, expected in zip(jax.tree.leaves(state.average), wanted, strict=True):
         np.testing.assert_allclose(average, expected, rtol=1e-4, atol=1e-6)
-
-
-def test_weights_that_are_not_finite_are_noticed_in_the_step_that_makes_them(data):
-    state = first_state(CONFIG)
-    _, losses = train(data, 1, state.replace(optimizer=infinite(state.optimizer)))
-    assert np.isnan(losses[0])
-
-
-def test_the_number_of_devices_changes_a_step_by_rounding_only(data):
-    one, losses = train(data, 5, devices=jax.devices()[:1])
-    two, others = train(data, 5, devices=jax.devices()[:2])
-    np.testing.assert_allclose(losses, others, rtol=1e-6)
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-6), one, two)
-
-
-def test_a_step_on_several_cores_is_over_when_it_returns(data):
-    # Cores that exchange data wait for each other forever if too many programs are started behind.
-    mesh, training = mesh_of(), CostToGoTraining(CONFIG.recipe, DRAW)
-    state, data = replicate((first_state(CONFIG), data), mesh)
-    for _ in range(3):
-        state, loss = supervised_step(state, data, CONFIG.hyperparameters, training=training, mesh=mesh)
-        assert all(leaf.is_ready() for leaf in jax.tree.leaves((state, loss)))
-
-
-@pytest.mark.parametrize("count", [1, 2])
-def test_a_step_is_compiled_once(data, count):
-    programs, devices = [draw_batches, learn], jax.devices()[:count]
-    train(data, 1, devices=devices)
-    before = [program.compiled_count() for program in programs]
-    train(data, 3, devices=devices)
-    other = dataclasses.replace(data, masks=~data.masks & jnp.asarray(bitboard.full(16, 16)))
-    train(other, 1, devices=devices)
-    changed = dataclasses.replace(CONFIG, seed=5, learning_rate=1e-4, losses=(("quantile", 0.5),))
-    train(data, 1, config=changed, devices=devices)
-    assert [program.compiled_count() for program in programs] == before

@@ -8,11 +8,11 @@ from typing import Annotated, Any, Literal, NamedTuple
 import tyro
 
 from dc2g_jax._src.cli.outputs import command_written, commit, number_or_null
-from dc2g_jax._src.datasets.houses import HouseDataset
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints, newest_step, save_network
 from dc2g_jax._src.estimation.estimators import TranslatorCostToGo
 from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
+from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
 from dc2g_jax._src.training.cost_to_go import check_numbers
 from dc2g_jax._src.training.image_evaluation import metrics_over_pairs

@@ -10,9 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, UInt8
 
-from dc2g_jax._src.datasets.houses import House, HouseDataset, stack_worlds
-from dc2g_jax._src.datasets.procedural import procedural_training_houses
-from dc2g_jax._src.datasets.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator, world_cost_to_go
 from dc2g_jax._src.grid import bitboard
@@ -21,7 +18,10 @@ from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax._src.mapping.noise import IN_MAPS, noisy_map, scaled
 from dc2g_jax._src.planning.named import make_planner
 from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
+from dc2g_jax._src.procedural import procedural_training_houses
 from dc2g_jax._src.programs import jit
+from dc2g_jax._src.readers.houses import House, HouseDataset, stack_worlds
+from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import Runner, episodes_from
 from dc2g_jax._src.training.cost_to_go import DrawBatch
 from dc2g_jax._src.training.mask_collection import LEADERS, Masks, by_house, collect_masks, leading_planners

@@ -11,8 +11,6 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 
-from dc2g_jax._src.datasets.houses import HouseDataset, open_dataset
-from dc2g_jax._src.datasets.starts import usable_houses
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import CARD, TrainingCheckpoints, load_network, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture, check_network
@@ -20,6 +18,8 @@ from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.estimation.hub import local_folder
 from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.files.reading import read_object
+from dc2g_jax._src.readers.houses import HouseDataset, open_dataset
+from dc2g_jax._src.readers.starts import usable_houses
 from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
 from dc2g_jax._src.rollouts.evaluation import Results, evaluate
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
@@ -43,7 +43,7 @@ PAUSES = Pauses(validate_every=16000, minutes_per_checkpoint=2.0)
 
 
 class Recording(Protocol):
-    """Shows a training, see `inspection.training_recording.TrainingRecording`."""
+    """Shows a training, see `viewer.training_recording.TrainingRecording`."""
 
     def look(self, step: int, loss: float, network: NetworkCostToGo) -> None:
         """Show a loss."""

@@ -18,11 +18,10 @@ from dc2g_jax._src.cli.common import HouseOption, command_line
 from dc2g_jax._src.cli.options import NetworkOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.cli.searches import SearchOptions
+from dc2g_jax._src.figures.search_animation import animate_search
+from dc2g_jax._src.figures.search_figures import plot_prediction, plot_search
+from dc2g_jax._src.figures.search_moments import choose_legs, moment_of, prediction_at, run_search
 from dc2g_jax._src.files.atomic import write_json
-from dc2g_jax._src.inspection.search_animation import animate_search
-from dc2g_jax._src.inspection.search_figures import plot_prediction, plot_search
-from dc2g_jax._src.inspection.search_moments import choose_legs, moment_of, prediction_at, run_search
-from dc2g_jax._src.inspection.search_recording import record_search
 from dc2g_jax._src.objectnav.agent import DECLARED
 from dc2g_jax._src.objectnav.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax._src.objectnav.evaluation import results_of
@@ -33,6 +32,7 @@ from dc2g_jax._src.objectnav.named import AgentName, agent_with, costs_for
 from dc2g_jax._src.objectnav.searches import Searches, sample_episodes, search_for
 from dc2g_jax._src.objectnav.simulation import reset, site_of
 from dc2g_jax._src.objectnav.tables import AGENT_TITLES
+from dc2g_jax._src.viewer.search_recording import record_search
 
 #: Number of moments in the figure.
 _COLUMNS = 5

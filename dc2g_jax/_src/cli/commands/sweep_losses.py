@@ -17,17 +17,16 @@ import tyro
 from dc2g_jax._src.cli.common import command_line, digests
 from dc2g_jax._src.cli.options import DatasetOptions, TrainingOptions
 from dc2g_jax._src.cli.outputs import number_or_null, output_folder
-from dc2g_jax._src.datasets.houses import open_dataset
 from dc2g_jax._src.errors import InputError, short
 from dc2g_jax._src.estimation.checkpoints import CARD, TrainingCheckpoints, load_network, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture, check_network, multiply_accumulates
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
+from dc2g_jax._src.figures.training_figures import plot_sweep
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.reading import read_object
 from dc2g_jax._src.files.tables import write_table
-from dc2g_jax._src.inspection.training_figures import plot_sweep
-from dc2g_jax._src.inspection.training_recording import prediction_picture
 from dc2g_jax._src.programs import jit
+from dc2g_jax._src.readers.houses import open_dataset
 from dc2g_jax._src.rollouts.devices import fetch, mesh_for_batch, replicate, require_memory
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.training import sweeps
@@ -45,6 +44,7 @@ from dc2g_jax._src.training.pairs import Pair, TrainingSet
 from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
 from dc2g_jax._src.training.tracking import Image
 from dc2g_jax._src.training.training_sets import open_training_set
+from dc2g_jax._src.viewer.training_recording import prediction_picture
 
 #: Number of validation pairs, and of those in pictures for a tracker.
 _PAIRS, _PAIRS_SHOWN = 512, 6
