@@ -9,7 +9,14 @@ from PIL import Image
 
 from dc2g_jax._src.estimation.weights import fresh_weights
 from dc2g_jax._src.figures.search_animation import animate_search, search_pictures
-from dc2g_jax._src.figures.search_figures import PATH_COLOR, ROBOT_COLOR, TARGET_COLOR, SearchMoment, plot_prediction
+from dc2g_jax._src.figures.search_figures import (
+    PATH_COLOR,
+    ROBOT_COLOR,
+    TARGET_COLOR,
+    Search,
+    SearchMoment,
+    plot_prediction,
+)
 from dc2g_jax._src.figures.search_moments import choose_legs, prediction_at
 from dc2g_jax._src.objectnav.classes import GOALS, PLANT
 from dc2g_jax._src.objectnav.guides import TrueCost
@@ -59,20 +66,21 @@ def test_a_prediction_lies_beside_the_truth_of_the_same_cells(tmp_path):
         assert path.stat().st_size > 5_000
 
 
-def a_search() -> tuple[np.ndarray, list[SearchMoment]]:
+def a_search() -> Search:
     """A track eastward, and two moments on it with a map of nothing and costs of a meter."""
     step = np.arange(6)
     track = np.stack([1.0 + 0.2 * step, -2.0 + 0 * step, 0 * step, 0 * step, 0 * step], axis=-1)
     zero = np.zeros(2, int)
-    return track, [
+    moments = [
         SearchMoment(at, doing, np.zeros((30, 30), np.uint32), zero, np.ones((9, 9)), zero + 3, np.zeros((0, 2, 2)))
         for at, doing in ((0, "exploring"), (5, "goal reacher"))
     ]
+    return Search(two_rooms().world, PLANT, track, moments)
 
 
 def test_the_animation_of_a_search_shows_robot_path_and_costs(tmp_path):
-    (track, moments), world = a_search(), two_rooms().world
-    first, last = (picture.astype(int) for picture in search_pictures(world, PLANT, track, moments))
+    search = a_search()
+    first, last = (picture.astype(int) for picture in search_pictures(search, [0, 1]))
     assert first.shape == last.shape
     assert (np.array(first.shape[:2]) % 2 == 0).all()
 
@@ -88,18 +96,17 @@ def test_the_animation_of_a_search_shows_robot_path_and_costs(tmp_path):
     assert np.ptp(paths[1]) > 0.7 * moved[1] > 20
     assert paths[1].max() < last.shape[1] / 3
     assert len(places(first, TARGET_COLOR)) > 20
-    path = animate_search(tmp_path / "search.gif", world, PLANT, track, moments)
+    path = animate_search(tmp_path / "search.gif", search)
     with Image.open(path) as image:
         assert image.n_frames == 2
 
 
 def test_the_recording_of_a_search_has_its_path_and_maps(tmp_path):
-    (track, moments), world = a_search(), two_rooms().world
-    found = read(record_search(tmp_path / "search.rrd", "search", world, PLANT, track, moments))
-    size = float(world.cell_size)
+    search = a_search()
+    found = read(record_search(tmp_path / "search.rrd", "search", search))
     for step in range(6):
         (place,) = found["/robot", "Points2D:positions"][step]
-        np.testing.assert_allclose(place, track[step, :2] / (size, -size), rtol=1e-5)
+        np.testing.assert_allclose(place, search.track[step, :2] / (search.size, -search.size), rtol=1e-5)
     assert sorted(found["/robots_map", "Image:buffer"]) == sorted(found["/costs", "Image:buffer"]) == [0, 5]
     assert found["/doing", "TextLog:text"] == {0: ["exploring"], 5: ["goal reacher"]}
     ((corner,),) = {tuple(map(tuple, there)) for there in found["/costs", "Transform3D:translation"].values()}

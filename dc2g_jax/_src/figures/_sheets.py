@@ -115,6 +115,12 @@ def empty_sheet(
     return Sheet(figure, panel_width, panel_height, rows, row, column, lines)
 
 
+def spread(last: int, count: int, turn: int | None = None) -> list[int]:
+    """Numbers from 0 to `last`, both included, evenly spaced, at most `count`; those before the last end at `turn`."""
+    chosen = np.linspace(0, last, count) if turn is None else np.append(np.linspace(0, turn, count - 1), last)
+    return np.unique(chosen.round().astype(int)).tolist()
+
+
 def cell_rim(cells: Bool[np.ndarray, "h w"] | Int[np.ndarray, "h w"]) -> list[Any]:
     """The edges between cells of different values, each as its two ends."""
     y, x = np.nonzero(cells[:, 1:] != cells[:, :-1])

@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
 from matplotlib.path import Path
 
+from dc2g_jax._src.figures._sheets import spread
 from dc2g_jax._src.figures.costs import BLOCKED_COLOR, COST_COLORS, UNSEEN_COLOR, cost_image, end_of_colors
 from dc2g_jax._src.figures.results_figures import (
     class_patch,
@@ -89,8 +90,8 @@ def plot_moments(path: str | FilePath, drive: Sequence[Moment], rows: int, cell_
     Returns:
       The files written: PNG, SVG and PDF.
     """
-    numbers = np.unique(np.linspace(0, len(drive) - 1, rows).round().astype(int)).tolist()
-    chosen = [drive[number] for number in numbers]
+    numbers = spread(len(drive) - 1, rows)
+    chosen: list[Any] = [drive[number] for number in numbers]
     way = _in_cells([moment.believed.position for moment in drive], cell_size)
     height, width = chosen[0].robot.terrain.shape
     figure = Figure(figsize=(10.5, 2.5 * len(chosen) + 0.9), layout="constrained")

@@ -15,7 +15,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.lines import Line2D
 
-from dc2g_jax._src.figures._sheets import DPI, FONT, Sheet, cell_rim, empty_sheet
+from dc2g_jax._src.figures._sheets import DPI, FONT, Sheet, cell_rim, empty_sheet, spread
 from dc2g_jax._src.figures.costs import (
     BLOCKED_COLOR,
     COST_COLORS,
@@ -164,11 +164,7 @@ def moments(frames: Frames, count: int) -> list[int]:
     """
     last = len(frames) - 1
     known = np.flatnonzero(frames.mode == TO_GOAL)
-    if known.size and 0 < known[0] < last:
-        chosen = np.append(np.linspace(0, known[0], count - 1), last)
-    else:
-        chosen = np.linspace(0, last, count)
-    return np.unique(chosen.round().astype(int)).tolist()
+    return spread(last, count, int(known[0]) if known.size and 0 < known[0] < last else None)
 
 
 def _titles(frames: Frames, chosen: Sequence[int]) -> list[str]:

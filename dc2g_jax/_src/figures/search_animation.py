@@ -1,7 +1,8 @@
 """Animations of object searches: the true map, the robot's map and its costs, decision by decision."""
 
+import functools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,39 +16,24 @@ from dc2g_jax._src.figures.search_figures import (
     ROBOT_COLOR,
     ROWS,
     TARGET_COLOR,
-    SearchMoment,
+    Search,
     cost_image,
-    extent_of,
-    highest_of,
-    map_image,
     rim_of,
     robots_map,
 )
 from dc2g_jax._src.objectnav.classes import OBJECT_CLASSES
-from dc2g_jax._src.objectnav.worlds import IndoorWorld
 
 #: Pixels: largest width and height of a panel, gap between panels, space above them; length of the robot's arrow.
 _ROOM, _GAP, _CAPTION, _ARROW = (380, 380), 14, 38, 12
 
 
-def search_pictures(
-    world: IndoorWorld, target: int, track: Float[np.ndarray, "time 5"], moments: Sequence[SearchMoment]
-) -> Iterator[Picture]:
-    """Pictures of a search, one for each moment: RGB, of equal size, with an even width and height.
-
-    Args:
-      world: the house.
-      target: class index of the wanted object.
-      track: the robot's track, see `objectnav.agent.IndoorRobot`, from step 0 on.
-      moments: moments of the search, at least one.
-    """
-    size, classes = float(world.cell_size), np.asarray(world.classes)
-    extent = extent_of(np.asarray(world.free | world.obstacle), size)
-    left, right, bottom, top = extent
-    high = highest_of(moments, extent, size)
+def search_pictures(search: Search, numbers: Iterable[int]) -> Iterator[Picture]:
+    """Pictures of some moments of a search: RGB, of equal size, with an even width and height."""
+    size, track, high = search.size, search.track, search.highest
+    left, right, bottom, top = search.extent
     scale = min(_ROOM[0] / (right - left), _ROOM[1] / (top - bottom))  # pixels a meter
     width, height = round(scale * (right - left)), round(scale * (top - bottom))
-    true = map_image(classes, np.asarray(world.free), np.asarray(world.walls))
+    true = search.true_map
 
     def pixels(x: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:
         """Pixels in a panel of places in meters."""
@@ -61,19 +47,20 @@ def search_pictures(
         cells = image[np.clip(rows, 0, len(image) - 1)[:, None], np.clip(columns, 0, image.shape[1] - 1)]
         return Image.fromarray(np.where(inside[..., None], cells, 255).astype(np.uint8))
 
-    rim = [pixels(*line.T) for line in rim_of(classes == target, size)]
+    rim = [pixels(*line.T) for line in rim_of(search.wanted, size)]
     across, down = 3 * (width + _GAP) + _GAP, height + _CAPTION + 2 * _GAP
     paper_size = (across + across % 2, down + down % 2)
-    for moment in moments:
+    for number in numbers:
+        moment = search.moments[number]
         costs = np.asarray(255 * (1 - (1 - cost_image(moment.costs, high)[..., :3]) * _known(moment.costs)), np.uint8)
         panels = (panel(true, (0, 0)), panel(robots_map(moment.cells), moment.origin), panel(costs, moment.corner))
         paper = Image.new("RGB", paper_size, "white")
         draw = ImageDraw.Draw(paper)
         x, y, yaw = (float(value) for value in track[moment.step, :3])
-        captions = (f"step {moment.step}: {moment.doing}", f"target: {OBJECT_CLASSES[target]}", "")
-        for number, (image, name, words) in enumerate(zip(panels, ROWS, captions, strict=True)):
-            on, corner = ImageDraw.Draw(image), (_GAP + number * (width + _GAP), _GAP + _CAPTION)
-            if number == 0:
+        captions = (f"step {moment.step}: {moment.doing}", f"target: {OBJECT_CLASSES[search.target]}", "")
+        for place, (image, name, words) in enumerate(zip(panels, ROWS, captions, strict=True)):
+            on, corner = ImageDraw.Draw(image), (_GAP + place * (width + _GAP), _GAP + _CAPTION)
+            if place == 0:
                 for line in rim:
                     on.line(line, fill=TARGET_COLOR, width=2)
                 way = pixels(*track[: moment.step + 1, :2].T)
@@ -96,30 +83,7 @@ def _known(costs: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 1"]:
     return np.isfinite(costs)[..., None].astype(float)
 
 
-def animate_search(
-    path: str | Path,
-    world: IndoorWorld,
-    target: int,
-    track: Float[np.ndarray, "time 5"],
-    moments: Sequence[SearchMoment],
-) -> Path:
-    """Write an animation of a search, see `search_pictures`.
-
-    Args:
-      path: file to write, see `figures.animation.write_animation`.
-      world: the house.
-      target: class index of the wanted object.
-      track: the robot's track.
-      moments: moments of the search in order; of many, some are left out.
-
-    Returns:
-      The path of the file.
-
-    Raises:
-      InputError: see `write_animation`.
-    """
-
-    def paint(numbers: Sequence[int]) -> Iterator[Picture]:
-        return search_pictures(world, target, track, [moments[number] for number in numbers])
-
-    return write_animation(path, paint, len(moments), (ROBOT_COLOR, TARGET_COLOR, PATH_COLOR), 8)
+def animate_search(path: str | Path, search: Search) -> Path:
+    """Write an animation of a search, see `search_pictures`, as `figures.animation.write_animation` does."""
+    paint = functools.partial(search_pictures, search)
+    return write_animation(path, paint, len(search.moments), (ROBOT_COLOR, TARGET_COLOR, PATH_COLOR), 8)

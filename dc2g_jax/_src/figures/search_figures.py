@@ -65,6 +65,59 @@ class SearchMoment(NamedTuple):
     plans: Float[np.ndarray, "k t 2"]
 
 
+class Search(NamedTuple):
+    """A search for an object.
+
+    Attributes:
+      world: the house.
+      target: class index of the wanted object.
+      track: the robot's track, see `objectnav.agent.IndoorRobot`, from step 0 on.
+      moments: moments of the search in order, at least one.
+    """
+
+    world: IndoorWorld
+    target: int
+    track: Float[np.ndarray, "time 5"]
+    moments: Sequence[SearchMoment]
+
+    @property
+    def size(self) -> float:
+        """Side of a cell, meters."""
+        return float(self.world.cell_size)
+
+    @property
+    def wanted(self) -> Bool[np.ndarray, "h w"]:
+        """Cells of the wanted object."""
+        return np.asarray(self.world.classes) == self.target
+
+    @property
+    def true_map(self) -> UInt8[np.ndarray, "h w 3"]:
+        """Colors of the house."""
+        return map_image(*(np.asarray(cells) for cells in (self.world.classes, self.world.free, self.world.walls)))
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """Smallest and largest x, then y, of the house with its margin, meters."""
+        rows, columns = np.nonzero(np.asarray(self.world.free | self.world.obstacle))
+        x, y = (columns.min(), columns.max() + 1), (-rows.max() - 1, -rows.min())
+        left, right, bottom, top = (float(edge * self.size) for edge in (*x, *y))
+        return left - _MARGIN, right + _MARGIN, bottom - _MARGIN, top + _MARGIN
+
+    @property
+    def highest(self) -> float:
+        """The cost at the end of the colors, meters: nearly all costs in the panels are lower."""
+        left, right, bottom, top = self.extent
+        shown = []
+        for moment in self.moments:
+            y, x = (
+                sign * (first + np.arange(len(moment.costs)) + 0.5) * self.size
+                for sign, first in zip((-1, 1), moment.corner, strict=True)
+            )
+            inside = ((y > bottom) & (y < top))[:, None] & (x > left) & (x < right)
+            shown.append(moment.costs[inside & np.isfinite(moment.costs)])
+        return end_of_colors(shown)
+
+
 class PredictedMap(NamedTuple):
     """A network's prediction for a robot's local map, and the truth.
 
@@ -83,13 +136,7 @@ class PredictedMap(NamedTuple):
     true_cost: Float[Leaf, "n n"]
 
 
-def plot_search(
-    path: str | Path,
-    world: IndoorWorld,
-    target: int,
-    track: Float[np.ndarray, "time 5"],
-    moments: Sequence[SearchMoment],
-) -> list[Path]:
+def plot_search(path: str | Path, search: Search) -> list[Path]:
     """Draw moments of a search (Fig. 5 of the paper on dense cost maps), one per column.
 
     The rows show the true map with the path so far, the robot's map, and the costs of the controller with its sampled
@@ -97,23 +144,18 @@ def plot_search(
 
     Args:
       path: output path without ending.
-      world: the house.
-      target: class index of the wanted object.
-      track: the robot's track, see `objectnav.agent.IndoorRobot`, from step 0 on.
-      moments: moments of the search, at least one.
+      search: the search, with the moments to show.
 
     Returns:
       The files written: PNG, SVG and PDF.
     """
-    size, classes = float(world.cell_size), np.asarray(world.classes)
-    left, right, bottom, top = extent_of(np.asarray(world.free | world.obstacle), size)
+    moments, track, size, high = search.moments, search.track, search.size, search.highest
+    left, right, bottom, top = search.extent
     panel = (PAGE_WIDTH - _BESIDE) / len(moments)
     height = 3 * min(panel, 2.2) * (top - bottom) / (right - left) + _AROUND
     figure = Figure(figsize=(PAGE_WIDTH, height), layout=ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.02))
     panels = figure.subplots(3, len(moments), squeeze=False, sharex=True, sharey=True)
-    high = highest_of(moments, (left, right, bottom, top), size)
-    house = map_image(classes, np.asarray(world.free), np.asarray(world.walls))
-    rim = rim_of(classes == target, size)
+    house, rim = search.true_map, rim_of(search.wanted, size)
     for (true, own, costs), moment in zip(panels.T, moments, strict=True):
         x, y, yaw = (float(value) for value in track[moment.step, :3])
         true.set_title(f"step {moment.step}\n{moment.doing}", fontsize=FONT, pad=3)
@@ -135,8 +177,8 @@ def plot_search(
         axes.spines[:].set(color="#888888", linewidth=0.5)
     _cost_bar(figure, high, panels[2], aspect=45, shrink=0.5)
     figure.legend(
-        handles=_legend(classes, target), loc="outside lower center", ncols=7, fontsize=FONT, frameon=False,
-        handlelength=1.3, columnspacing=1.3,
+        handles=_legend(np.asarray(search.world.classes), search.target), loc="outside lower center", ncols=7,
+        fontsize=FONT, frameon=False, handlelength=1.3, columnspacing=1.3,
     )  # fmt: skip
     return save_figure(figure, path, DPI)
 
@@ -193,27 +235,6 @@ def _cost_bar(figure: Figure, high: float, panels: Any, **options: Any) -> None:
     bar.set_label("cost (m)", fontsize=FONT, labelpad=1)
     bar.ax.tick_params(labelsize=FONT, length=2, pad=1.5)
     bar.outline.set_linewidth(0.5)  # type: ignore[operator]
-
-
-def extent_of(house: Bool[np.ndarray, "h w"], size: float) -> tuple[float, float, float, float]:
-    """Smallest and largest x, then y, of a house with its margin, meters."""
-    rows, columns = np.nonzero(house)
-    x, y = (columns.min(), columns.max() + 1), (-rows.max() - 1, -rows.min())
-    return x[0] * size - _MARGIN, x[1] * size + _MARGIN, y[0] * size - _MARGIN, y[1] * size + _MARGIN
-
-
-def highest_of(moments: Sequence[SearchMoment], extent: tuple[float, float, float, float], size: float) -> float:
-    """The cost at the end of the colors, meters: nearly all costs in the panels are lower."""
-    left, right, bottom, top = extent
-    shown = []
-    for moment in moments:
-        y, x = (
-            sign * (first + np.arange(len(moment.costs)) + 0.5) * size
-            for sign, first in zip((-1, 1), moment.corner, strict=True)
-        )
-        inside = ((y > bottom) & (y < top))[:, None] & (x > left) & (x < right)
-        shown.append(moment.costs[inside & np.isfinite(moment.costs)])
-    return end_of_colors(shown)
 
 
 def robots_map(cells: UInt32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:

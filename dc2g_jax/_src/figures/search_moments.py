@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from tqdm import tqdm
 
+from dc2g_jax._src.figures._sheets import spread
 from dc2g_jax._src.figures.search_figures import PredictedMap, SearchMoment
 from dc2g_jax._src.objectnav.agent import MPC, Agent, cost_of_pose, observed
 from dc2g_jax._src.objectnav.guides import TrueCost
@@ -42,12 +43,10 @@ def choose_legs(to_goal: Bool[np.ndarray, " leg"], count: int) -> list[int]:
       count: number of legs to show; fewer if the search has fewer legs.
     """
     last = len(to_goal) - 1
-    numbers = np.linspace(0, last, count)
     exploring = np.flatnonzero(~to_goal)
     taken_over = int(exploring[-1]) + 1 if exploring.size else 0
-    if numbers[-2] < taken_over < last:
-        numbers = np.append(np.linspace(0, taken_over, count - 1), last)
-    return np.unique(numbers.round().astype(int)).tolist()
+    late = last * (count - 2) / (count - 1) < taken_over < last
+    return spread(last, count, taken_over if late else None)
 
 
 @jit

@@ -1,1 +1,1 @@
-"""Datasets of houses (published, own or procedural), episode starts, and training pairs."""
+"""Datasets of houses (published, own or procedural), maps of any origin, and episode starts."""

@@ -1,24 +1,13 @@
 """Recordings of object searches for the rerun viewer."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from jaxtyping import Float
 
-from dc2g_jax._src.figures.search_figures import (
-    ROWS,
-    SearchMoment,
-    cost_image,
-    extent_of,
-    highest_of,
-    map_image,
-    robots_map,
-)
+from dc2g_jax._src.figures.search_figures import ROWS, Search, cost_image, robots_map
 from dc2g_jax._src.objectnav.classes import OBJECT_CLASSES
-from dc2g_jax._src.objectnav.worlds import IndoorWorld
 from dc2g_jax._src.viewer import _legend
 from dc2g_jax._src.viewer.columns import SO_FAR, first_view, open_recording, send_curve, send_track
 
@@ -26,23 +15,13 @@ from dc2g_jax._src.viewer.columns import SO_FAR, first_view, open_recording, sen
 _MAPS = ("true_map", "robots_map", "costs")
 
 
-def record_search(
-    path: str | Path,
-    name: str,
-    world: IndoorWorld,
-    target: int,
-    track: Float[np.ndarray, "time 5"],
-    moments: Sequence[SearchMoment],
-) -> Path:
+def record_search(path: str | Path, name: str, search: Search) -> Path:
     """Write a rerun file (`.rrd`) of a search: maps at each decision, in cells of the house, and the path.
 
     Args:
       path: file to write; its folder is created.
       name: name of the recording.
-      world: the house.
-      target: class index of the wanted object.
-      track: the robot's track, see `objectnav.agent.IndoorRobot`, from step 0 on.
-      moments: moments of the search in order, at least one.
+      search: the search.
 
     Returns:
       The path.
@@ -50,9 +29,8 @@ def record_search(
     Raises:
       InputError: the file cannot be written.
     """
-    size, classes = float(world.cell_size), np.asarray(world.classes)
-    extent = extent_of(np.asarray(world.free | world.obstacle), size)
-    left, right, bottom, top = (edge / size for edge in extent)
+    size, moments, high = search.size, search.moments, search.highest
+    left, right, bottom, top = (edge / size for edge in search.extent)
     bounds = rrb.VisualBounds2D(x_range=[left, right], y_range=[-top, -bottom])
     views = [
         rrb.Spatial2DView(
@@ -69,14 +47,12 @@ def record_search(
         rrb.TimeSeriesView(origin="/lowest_cost", name="lowest cost around the robot (m)"),
     )
     stream = open_recording(Path(path), name=name, blueprint=first_view(rrb.Horizontal(*views, words), fps=20.0))
-    true = map_image(classes, np.asarray(world.free), np.asarray(world.walls))
-    stream.log("true_map", rr.Image(true), static=True)
-    rows, columns = np.nonzero(classes == target)
+    stream.log("true_map", rr.Image(search.true_map), static=True)
+    rows, columns = np.nonzero(search.wanted)
     stream.log("true_map/target", rr.Points2D(
         np.stack([columns, rows], axis=-1) + 0.5, radii=0.4, colors=_legend.SUBGOAL_COLOR,
-        labels=[OBJECT_CLASSES[target]] * len(rows), show_labels=False,
+        labels=[OBJECT_CLASSES[search.target]] * len(rows), show_labels=False,
     ), static=True)  # fmt: skip
-    high = highest_of(moments, extent, size)
     for moment in moments:
         stream.set_time("step", sequence=moment.step)
         costs = (255 * cost_image(moment.costs, high)).astype(np.uint8)
@@ -87,7 +63,7 @@ def record_search(
             row, column = (float(number) for number in first)
             stream.log(entity, rr.Transform3D(translation=[column, row, 0.0]), rr.Image(image))
         stream.log("doing", rr.TextLog(moment.doing))
-    driven = track[: moments[-1].step + 1]
+    driven = search.track[: moments[-1].step + 1]
     here = (driven[:, :2] / (size, -size)).astype(np.float32)
     yaw = driven[:, 2]
     send_track(stream, "robot", here, 6.0 * np.stack([np.cos(yaw), -np.sin(yaw)], axis=-1), 2.0)
