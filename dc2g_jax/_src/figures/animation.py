@@ -24,7 +24,7 @@ from dc2g_jax._src.figures.costs import (
     highest_cost,
     predicts,
 )
-from dc2g_jax._src.figures.episode_figures import goal_marks, outcome
+from dc2g_jax._src.figures.episode_figures import MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR, goal_marks, outcome
 from dc2g_jax._src.figures.replay import Frames, running_extra_steps
 from dc2g_jax._src.figures.results_figures import hidden_color, map_image, planner_style, present_classes
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FIGURE_COLORS, TRAVERSABLE
@@ -51,8 +51,6 @@ _LAST_SECONDS = 2.5
 #: Number of colors of the predicted cost-to-go; few, so that files stay small.
 _COST_LEVELS = 40
 
-#: Colors of marks: start and goal, robot, subgoal.
-MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR = "#ffffff", "#f0e442", "#ff6ec7"
 _INK, _PALE_INK, _FRAME = "#222222", "#666666", "#bbbbbb"
 
 #: Colors of the outlines of seen cells and of the field of view.

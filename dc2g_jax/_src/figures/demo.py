@@ -21,9 +21,9 @@ from PIL import Image
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator, answers_in_cells
-from dc2g_jax._src.figures.animation import CROSS, MARK_COLOR, ROBOT_COLOR, STAR, SUBGOAL_COLOR, TRIANGLES
+from dc2g_jax._src.figures.animation import CROSS, STAR, TRIANGLES
 from dc2g_jax._src.figures.costs import cost_image, score_colors
-from dc2g_jax._src.figures.episode_figures import goal_marks
+from dc2g_jax._src.figures.episode_figures import MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR, goal_marks
 from dc2g_jax._src.figures.replay import first_carry
 from dc2g_jax._src.figures.results_figures import map_image
 from dc2g_jax._src.files.class_images import PALETTE_FILE, read_palette, write_palette

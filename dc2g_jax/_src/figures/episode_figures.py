@@ -48,14 +48,17 @@ _GRAY = "#444444"
 #: Color map of paths, from the start on; its ends differ in grayscale.
 _WAY_COLORS = "plasma"
 
+#: Colors of marks: start and goal, robot, subgoal.
+MARK_COLOR, ROBOT_COLOR, SUBGOAL_COLOR = "#ffffff", "#f0e442", "#ff6ec7"
+
 # Marks lie over lines and frames and are not cut off at the edge of a map. The mark of a reached goal is larger than
 # the robot that covers it.
 _EDGE: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "black", "clip_on": False, "zorder": 3}
-_START: dict[str, Any] = {"marker": "o", "color": "white", "markersize": 3.6, "markeredgewidth": 0.8, **_EDGE}
-_ROBOT: dict[str, Any] = {"color": "#f0e442", "markersize": 6, "markeredgewidth": 0.7, **_EDGE}
-_GOAL: dict[str, Any] = {"marker": "*", "color": "white", "markersize": 5.5, "markeredgewidth": 0.6, **_EDGE}
+_START: dict[str, Any] = {"marker": "o", "color": MARK_COLOR, "markersize": 3.6, "markeredgewidth": 0.8, **_EDGE}
+_ROBOT: dict[str, Any] = {"color": ROBOT_COLOR, "markersize": 6, "markeredgewidth": 0.7, **_EDGE}
+_GOAL: dict[str, Any] = {"marker": "*", "color": MARK_COLOR, "markersize": 5.5, "markeredgewidth": 0.6, **_EDGE}
 _REACHED: dict[str, Any] = _GOAL | {"markersize": 13}
-_SUBGOAL: dict[str, Any] = {"marker": "X", "color": "#ff6ec7", "markersize": 5, "markeredgewidth": 0.6, **_EDGE}
+_SUBGOAL: dict[str, Any] = {"marker": "X", "color": SUBGOAL_COLOR, "markersize": 5, "markeredgewidth": 0.6, **_EDGE}
 _LINE_STYLE: dict[str, Any] = {"solid_joinstyle": "round", "scalex": False, "scaley": False}
 _HEADING_MARKERS = ">v<^"
 
