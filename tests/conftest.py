@@ -121,18 +121,9 @@ def published_dataset(shared: Path):
 @pytest.fixture(scope="session")
 def street() -> np.ndarray:
     """Two doors on a street, each behind its own path or driveway; no symmetry."""
-    from tests.support.maps import drawn
+    from tests.support.houses import STREET
 
-    return drawn("""
-        ##D#..t...
-        ..P..##D#.
-        ..P..##d#.
-        SSPSSSSdSS
-        RRRRRRRRRR
-        RRRRRRRRRR
-        SSSSSSSSSS
-        .t...#....
-    """)
+    return STREET
 
 
 @pytest.fixture(scope="session")

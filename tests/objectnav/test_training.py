@@ -7,44 +7,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.objectnav.data import JourneySet
 from dc2g_jax._src.objectnav.networks import CostMapEstimator
 from dc2g_jax._src.objectnav.training import (
     BETTER_RECIPE,
     PAPER_RECIPE,
     figures,
-    first_state,
     validation_samples,
 )
-from dc2g_jax._src.rollouts.devices import mesh_of, replicate
-from dc2g_jax._src.training.step import supervised_step
-from tests.support.trainings import COST_MAPS as CONFIG, journeys
+from dc2g_jax._src.rollouts.devices import first_copy
+from tests.support.trainings import CASES, COST_MAPS as CONFIG, journeys, train
 
 
-@pytest.fixture(scope="module")
-def data() -> JourneySet:
-    return journeys()
-
-
-def train(data, steps, state=None, devices=None):
-    losses, mesh = [], mesh_of(devices)
-    state, data = replicate((first_state(CONFIG) if state is None else state, data), mesh)
-    for _ in range(steps):
-        state, loss = supervised_step(state, data, training=CONFIG, mesh=mesh)
-        losses.append(float(loss))
-    return state, losses
-
-
-@pytest.fixture(scope="module")
-def trained(data):
-    state, losses = train(data, CONFIG.steps)
-    return jax.tree.map(np.array, state), losses
-
-
-def test_figures_of_a_network_do_not_change(data, trained):
-    batches = validation_samples(data, CONFIG, 8)
+def test_figures_of_a_network_do_not_change():
+    batches = validation_samples(journeys(), CONFIG, 8)
+    state, _ = train(CASES["cost_maps"], CONFIG.steps)
     assert len(batches) == 2
-    estimator = CostMapEstimator(weights=trained[0].average, architecture=CONFIG.architecture)
+    estimator = CostMapEstimator(weights=first_copy(state.average), architecture=CONFIG.architecture)
     found = figures(estimator, batches, CONFIG)
     metrics = {f"{metric} {kind}" for metric in ("F1", "IoU") for kind in ("free", "occupied")}
     metrics |= {"MPA", "mF1", "mIoU", "aAP5", "aAP9"}

@@ -10,44 +10,12 @@ import pytest
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.compact_unet import Architecture
-from dc2g_jax._src.rollouts.devices import mesh_of, replicate
-from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig, first_state
-from dc2g_jax._src.training.pairs import TrainingSet
-from dc2g_jax._src.training.step import supervised_step
+from dc2g_jax._src.training.cost_to_go import first_state
 from dc2g_jax._src.training.translator import TranslatorConfig
-from tests.support.states import assert_same_bits
-from tests.support.trainings import COST_TO_GO as CONFIG, DRAW_PAIRS as DRAW, training_set
+from tests.support.trainings import CASES, COST_TO_GO as CONFIG, train
 
 
-@pytest.fixture(scope="module")
-def data() -> TrainingSet:
-    return training_set()
-
-
-def train(data, steps: int, state=None, config: TrainingConfig = CONFIG, devices=None):
-    """Train on from a state (the first by default); the state is used up."""
-    losses, mesh, training = [], mesh_of(devices), CostToGoTraining(config.recipe, DRAW)
-    state, data = replicate((first_state(config) if state is None else state, data), mesh)
-    for _ in range(steps):
-        state, loss = supervised_step(state, data, config.hyperparameters, training=training, mesh=mesh)
-        losses.append(float(loss))
-    return state, losses
-
-
-@pytest.fixture(scope="module")
-def trained(data):
-    """A run without interruption."""
-    state, losses = train(data, CONFIG.steps)
-    return jax.tree.map(np.array, state), losses
-
-
-def test_the_same_configuration_gives_the_same_bits(data, trained):
-    again, losses = train(data, CONFIG.steps)
-    assert losses == trained[1]
-    assert_same_bits(again, trained[0])
-
-
-def test_another_seed_gives_other_weights(data):
+def test_another_seed_gives_other_weights():
     other = first_state(dataclasses.replace(CONFIG, seed=1))
     assert not np.array_equal(other.weights["embed"]["kernel"], first_state(CONFIG).weights["embed"]["kernel"])
 
@@ -86,13 +54,13 @@ def test_a_damaged_configuration_is_refused(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Orbax's, closed after a failure
-def test_a_state_that_cannot_be_read_is_refused(trained, tmp_path):
+def test_a_state_that_cannot_be_read_is_refused(tmp_path):
     with contextlib.closing(TrainingCheckpoints(tmp_path, CONFIG, first_state=first_state)) as checkpoints:
-        checkpoints.save(trained[0])
+        checkpoints.save(first_state(CONFIG))
     for manifest in (tmp_path / "states").rglob("manifest.ocdbt"):
         manifest.write_bytes(b"damaged")
     with contextlib.closing(TrainingCheckpoints(tmp_path, CONFIG, first_state=first_state)) as checkpoints:
-        with pytest.raises(InputError, match=rf"states/{CONFIG.steps}: cannot be restored"):
+        with pytest.raises(InputError, match=r"states/0: cannot be restored"):
             checkpoints.restore()
         checkpoints.delete()
         assert checkpoints.restore() is None
@@ -110,12 +78,11 @@ def test_numbers_that_no_training_can_have_are_refused(name, value):
             TranslatorConfig(**{name: value})
 
 
-def test_the_average_follows_the_weights(data, trained):
-    assert int(trained[0].step) == CONFIG.steps
+def test_the_average_follows_the_weights():
     state = first_state(CONFIG)
     wanted = jax.tree.leaves(jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), state.weights))
     for step in range(12):
-        state, _ = train(data, 1, state)
+        state, _ = train(CASES["cost_to_go"], 1, state)
         decay = min(CONFIG.average_decay, (1 + step) / (10 + step))
         wanted = [
             decay * average + (1 - decay) * np.asarray(weights)

@@ -1,8 +1,6 @@
 """Every supervised training is a function of its configuration alone, whatever interrupts it, and it learns."""
 
-import functools
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,47 +8,12 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
-from dc2g_jax._src.objectnav import training as cost_maps
 from dc2g_jax._src.rollouts import devices
-from dc2g_jax._src.rollouts.devices import mesh_for_batch, mesh_of, replicate
-from dc2g_jax._src.training import cost_to_go, step, translator
-from dc2g_jax._src.training.cost_to_go import CostToGoTraining
-from dc2g_jax._src.training.step import Supervised, TrainingState, draw_batches, learn, placed, supervised_step
-from dc2g_jax._src.training.translator import TranslatorTraining
-from tests.support import trainings
+from dc2g_jax._src.rollouts.devices import mesh_for_batch
+from dc2g_jax._src.training import step, translator
+from dc2g_jax._src.training.step import draw_batches, learn, placed, supervised_step
 from tests.support.states import assert_same_bits, infinite
-
-
-class Case(NamedTuple):
-    """A training: what it is of, and how much of its first loss is left after `steps`."""
-
-    training: Supervised
-    config: Any
-    first_state: Callable[[Any], TrainingState]
-    data: Callable[[], Any]
-    hyperparameters: Any
-    others: Any
-    steps: int
-    left: float
-
-
-TRANSLATOR_STATE = functools.partial(translator.first_state, seed=0)
-COST_TO_GO = trainings.COST_TO_GO
-CASES = {
-    "cost_to_go": Case(
-        CostToGoTraining(COST_TO_GO.recipe, trainings.DRAW_PAIRS), COST_TO_GO, cost_to_go.first_state,
-        trainings.training_set, COST_TO_GO.hyperparameters,
-        COST_TO_GO.hyperparameters.replace(seed=jnp.uint32(5), learning_rate=jnp.float32(1e-4)), COST_TO_GO.steps, 0.6,
-    ),
-    "translator": Case(
-        TranslatorTraining(trainings.TRANSLATOR, trainings.DRAW_IMAGES), trainings.TRANSLATOR, TRANSLATOR_STATE,
-        trainings.image_set, translator.run_key(0), translator.run_key(1), 30, 0.8,
-    ),
-    "cost_maps": Case(
-        trainings.COST_MAPS, trainings.COST_MAPS, cost_maps.first_state, trainings.journeys, None, None,
-        trainings.COST_MAPS.steps, 0.8,
-    ),
-}  # fmt: skip
+from tests.support.trainings import CASES, Case, train
 
 
 @pytest.fixture(scope="module", params=CASES)
@@ -58,23 +21,17 @@ def case(request) -> Case:
     return CASES[request.param]
 
 
-def train(case: Case, steps: int, state=None, devices=None, hyperparameters=None):
-    """Train on from a state (the first by default); the state is used up."""
-    mesh, losses = mesh_of(devices), []
-    state, data = replicate((case.first_state(case.config) if state is None else state, case.data()), mesh)
-    numbers = case.hyperparameters if hyperparameters is None else hyperparameters
-    for _ in range(steps):
-        state, loss = supervised_step(state, data, numbers, training=case.training, mesh=mesh)
-        assert all(leaf.is_ready() for leaf in jax.tree.leaves((state, loss)))
-        losses.append(float(loss))
-    return state, losses
-
-
 @pytest.fixture(scope="module")
 def trained(case):
     """A run without interruption."""
     state, losses = train(case, case.steps)
     return jax.tree.map(np.array, state), losses
+
+
+def test_the_same_configuration_gives_the_same_bits(case, trained):
+    again, losses = train(case, case.steps)
+    assert losses == trained[1]
+    assert_same_bits(again, trained[0])
 
 
 def test_the_loss_goes_down(case, trained):

@@ -11,9 +11,7 @@ import pytest
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.pix2pix import Discriminator
 from dc2g_jax._src.estimation.weights import with_weights
-from dc2g_jax._src.rollouts.devices import mesh_of, replicate
 from dc2g_jax._src.training.image_pairs import ImageSet
-from dc2g_jax._src.training.step import supervised_step
 from dc2g_jax._src.training.translator import (
     TRANSLATOR_LOSSES,
     TranslatorConfig,
@@ -21,12 +19,9 @@ from dc2g_jax._src.training.translator import (
     discriminator_loss,
     first_state,
     generator_loss,
-    run_key,
 )
 from tests.support.states import infinite
-from tests.support.trainings import DRAW_IMAGES as DRAW, TRANSLATOR as CONFIG, image_set
-
-STEPS = 30
+from tests.support.trainings import CASES, DRAW_IMAGES as DRAW, TRANSLATOR as CONFIG, image_set, train
 
 
 @pytest.fixture(scope="module")
@@ -34,36 +29,18 @@ def data() -> ImageSet:
     return image_set()
 
 
-def train(data, steps: int, state=None, config: TranslatorConfig = CONFIG, devices=None, seed=0):
-    mesh, differences = mesh_of(devices), []
-    state = first_state(config, seed=0) if state is None else state
-    state, pairs = replicate((state, data), mesh)
-    for _ in range(steps):
-        state, difference = supervised_step(
-            state, pairs, run_key(seed), training=TranslatorTraining(config, DRAW), mesh=mesh
-        )
-        differences.append(float(difference))
-    return state, differences
-
-
-@pytest.fixture(scope="module")
-def trained(data):
-    """A run without interruption."""
-    state, differences = train(data, STEPS)
-    return jax.tree.map(np.array, state), differences
-
-
 def first_layers(state) -> tuple[np.ndarray, np.ndarray]:
     layers = state.weights["generator"]["down0"], state.weights["discriminator"]["layer0"]
     return tuple(np.array(layer["convolution"]["kernel"]) for layer in layers)
 
 
-def test_the_discriminator_learns_only_where_it_is_asked(data, trained):
+def test_the_discriminator_learns_only_where_it_is_asked():
+    case, l1 = CASES["translator"], dataclasses.replace(CONFIG, loss="l1")
     start = first_layers(first_state(CONFIG, seed=0))
-    both = first_layers(trained[0])
+    both = first_layers(train(case, 1)[0])
     assert not np.array_equal(both[0], start[0])
     assert not np.array_equal(both[1], start[1])
-    alone = first_layers(train(data, 1, config=dataclasses.replace(CONFIG, loss="l1"))[0])
+    alone = first_layers(train(case._replace(training=TranslatorTraining(l1, DRAW)), 1)[0])
     assert not np.array_equal(alone[0], start[0])
     assert np.array_equal(alone[1], start[1])
 
@@ -109,9 +86,9 @@ def test_an_unknown_loss_is_refused_with_those_there_are():
 
 
 @pytest.mark.parametrize("network", ["generator", "discriminator"])
-def test_weights_that_are_not_finite_are_noticed_in_the_step_that_makes_them(data, network):
+def test_weights_that_are_not_finite_are_noticed_in_the_step_that_makes_them(network):
     state = first_state(CONFIG, seed=0)
     adam, *rest = state.optimizer
     broken = adam._replace(mu=adam.mu | {network: infinite(adam.mu[network])})
-    _, differences = train(data, 1, state.replace(optimizer=(broken, *rest)))
+    _, differences = train(CASES["translator"], 1, state.replace(optimizer=(broken, *rest)))
     assert np.isnan(differences[0])
