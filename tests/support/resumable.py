@@ -182,7 +182,7 @@ def head_to_head_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Comm
 def compare_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
     _episodes(patch)
     patch.setattr(compare, "plot_leaderboard", fake_figure)
-    return _command(compare, compare.Options(family=(dataset,), planner=("frontier", "oracle"), starts=3))
+    return _command(compare, compare.Options(family=(dataset,), planner=("frontier", "random_frontier"), starts=3))
 
 
 def unknown_dimensions_(dataset: str, folder: Path, patch: pytest.MonkeyPatch) -> Command:
