@@ -52,7 +52,8 @@ def test_a_command_names_itself_as_it_is_typed(name, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("words", "meant"),
     [
-        (["fig77"], "dc2g fig7"),
+        (["fig77"], "dc2g fig7?"),
+        (["map", "exploer"], "did you mean dc2g map explore?"),
         (["map", "--dataset"], "dc2g map check or dc2g map explore"),
         (["xyzzy"], "dc2g --help lists all"),
     ],

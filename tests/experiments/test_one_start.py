@@ -123,8 +123,8 @@ def test_outcomes_are_told(yard, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("left_out", "written"),
     [
-        ({"figures": False, "record": False}, set()),
-        ({"figures": False}, {"episode.rrd"}),
+        ({"no_figures": True, "no_record": True}, set()),
+        ({"no_figures": True}, {"episode.rrd"}),
         ({"record": False}, {*figure("episode"), *figure("trajectories"), "episode.gif"}),
     ],
 )

@@ -87,11 +87,11 @@ class TrainingOptions(ResumeOptions):
 
     Attributes:
       out: folder for checkpoints, networks, logs and figures.
-      track: tracker to send curves and pictures to.
+      track: tracker to send curves and pictures to: tensorboard, wandb or trackio; none by default.
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
-    track: Annotated[TrackerName | None, tyro.conf.arg(help_behavior_hint="")] = None
+    track: Annotated[TrackerName | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
 
 
 def require_positive(options: object, *names: str) -> None:

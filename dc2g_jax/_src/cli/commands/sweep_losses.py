@@ -7,7 +7,7 @@ After an interruption, --resume continues where it stopped.
 import dataclasses
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import jax
 import numpy as np
@@ -67,7 +67,7 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
       steps: optimizer steps of each run.
       batch_size: pairs per step of each run.
       validate_every: steps between validations on pairs; the last step is validated too. 0 for the last step only.
-      episodes: run the planner in validation houses with every network at the end; `--no-episodes` turns it off.
+      no_episodes: do not run the planner in validation houses with every network at the end.
       runs_at_once: largest number of runs to train together; best a multiple of the number of devices. It may change
         when the sweep is resumed.
     """
@@ -81,7 +81,7 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
     steps: int = 2000
     batch_size: int = TrainingConfig.batch_size
     validate_every: int = 200
-    episodes: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
+    no_episodes: bool = False
     runs_at_once: int = 64
 
     def runs(self, side: int) -> dict[str, TrainingConfig]:
@@ -236,14 +236,15 @@ def main(options: Options) -> None:
         check_network(config.architecture)
     groups = sweeps.group_by_shape(runs)
     turns = [turn for group in groups for turn in sweeps.in_turns(group, options.runs_at_once)]
-    check_houses(dataset, extra=options.data.extra_houses, drawn=options.episodes, validated=True)
+    check_houses(dataset, extra=options.data.extra_houses, drawn=not options.no_episodes, validated=True)
     largest = max(sum(least_memory(config, height, width) for config in turn.values()) for turn in turns)
     require_memory(largest, f"--batch-size {options.batch_size} or --runs-at-once {options.runs_at_once}")
     output_folder(options, "sweep_losses", free=("minutes_per_checkpoint", "runs_at_once"), inputs=digests(dataset))
     facts = {"data": dataclasses.asdict(options.data), "dataset": dataset.name}
     # These raise for unsuitable houses before minutes of data collection.
     pairs = validation_pairs(dataset, count=_PAIRS, edge_weight=options.data.edge_weight)
-    validation = Validation(dataset, drawn=16, progress=EpisodeProgress(leave=False)) if options.episodes else None
+    progress = EpisodeProgress(leave=False)
+    validation = None if options.no_episodes else Validation(dataset, drawn=16, progress=progress)
     data = replicate(open_training_set(options.out, dataset, options.data), mesh_of())
     log = Log(options.out)
     print(f"runs: {len(runs)}; shapes of networks: {len(groups)}; turns: {len(turns)}")
