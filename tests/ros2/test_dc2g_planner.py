@@ -257,8 +257,8 @@ def test_arguments_of_the_launch_file(monkeypatch):
     node, arguments = launched(monkeypatch)
     file = "/share/dc2g_planner/config/dc2g_planner.yaml"
     assert (node["parameters"], node["remappings"], node["namespace"]) == ([file], [("map", "map")], "")
-    node, _ = launched(monkeypatch, drive="true", use_sim_time="false", map="/semantic", namespace="r", params_file="p")
-    assert node["parameters"] == ["p", {"drive": True, "use_sim_time": False}]
+    node, _ = launched(monkeypatch, drive="true", python="/py", map="/semantic", namespace="r", params_file="p")
+    assert node["parameters"] == ["p", {"drive": True, "python": "/py"}]
     assert (node["remappings"], node["namespace"]) == ([("map", "/semantic")], "r")
     page = (ROOT / "docs/tutorials/on_a_ros2_robot.md").read_text()
     assert [name for name in arguments if f"`{name}:=" not in page] == []
@@ -269,8 +269,8 @@ def test_the_package_declares_what_it_imports():
     code = "".join(path.read_text() for path in folder.rglob("*.py") if path.name != "setup.py")
     imported = set(re.findall(r"^(?:from|import) (\w+)", code, flags=re.M)) - sys.stdlib_module_names - {"dc2g_jax"}
     packages = {"numpy": "python3-numpy", "tf2_ros": "tf2_ros_py"}
-    declared = {element.text for element in ElementTree.parse(folder / "package.xml").iter("exec_depend")}
-    assert {packages.get(name, name) for name in imported} == declared
+    declared = {each.text for each in ElementTree.parse(folder / "package.xml").iter() if "_depend" in each.tag}
+    assert {packages.get(name, name) for name in imported - {"dc2g_planner"}} == declared - {"python3-pytest"}
 
 
 def test_doors_count_in_the_frame_of_the_map(start):
@@ -456,7 +456,7 @@ def test_the_planner_in_a_process_of_its_own():
     options = {"cell_size": 0.25, "sensing_range": REACH * 0.25, "largest": (18, 18)}
     refusal = functools.partial(refusal_of, Refused)
     refusal(lambda: planner_process.PlannerProcess("/no/python"), "/no/python", "cannot be started")
-    refusal(lambda: planner_process.PlannerProcess("", planner="nobody"), "'nobody'")
+    refusal(lambda: planner_process.PlannerProcess("", **options, planner="nobody"), "'nobody'")
     alone, here = planner_process.PlannerProcess("", **options), InProcess("", **options)
     seen, robot = messages.map_of(map_message(CORRIDOR)), MapPose(*in_map(2, 1, 3), YAW)
     for _ in range(2):

@@ -1,4 +1,4 @@
-"""ROS messages as inputs of the planner, and its decisions as messages. Nothing here needs ROS itself, or `dc2g_jax`."""
+"""ROS messages as inputs of the planner, and its decisions as messages. Nothing here needs ROS or `dc2g_jax`."""
 
 import math
 from collections.abc import Iterable
