@@ -17,8 +17,9 @@ class DatasetOptions(CommandOptions):
     """Houses to run on.
 
     Attributes:
-      dataset: folder of houses, or a name such as `procedural`, see `open_dataset`; by default DC2G_DATA, the
-        cache, or a download.
+      dataset: folder of houses, of maps or of OpenStreetMap extracts; procedural, towns, mazes, halls, offices or
+        floor_plans; package.module:Name for one of your own; the published houses by default, from DC2G_DATA, the
+        cache or a download.
     """
 
     dataset: DatasetOption = None
