@@ -3,6 +3,7 @@
 import importlib.metadata
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -43,10 +44,12 @@ def test_the_list_of_commands_loads_nothing(monkeypatch, capsys):
     assert capsys.readouterr().out == shown
 
 
-@pytest.mark.parametrize("name", ["fig7", "map check"])
-def test_a_command_names_itself_as_it_is_typed(name, monkeypatch, capsys):
+@pytest.mark.parametrize("name", ["fig7", "map check", "train"])
+def test_help_names_the_command_as_it_is_typed_and_machines_last(name, monkeypatch, capsys):
     assert ended(monkeypatch, *name.split(), "--help") == 0
-    assert f"usage: dc2g {name} " in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert f"usage: dc2g {name} " in shown
+    assert "machine" not in re.findall(r"(\w+) options \W", shown)[:-1]
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import tyro
 from dc2g_jax._src.cli.common import DatasetOption, NetworkOption
 from dc2g_jax._src.cli.outputs import CommandOptions, Machines
 from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.tracking import TrackerName
 
 
@@ -80,6 +81,17 @@ class ResumeOptions(SharedOptions):
     """
 
     resume: bool = False
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class DataOptions(CommandOptions):
+    """Data of a training. As the last base of a command's options, it stands before what is said of machines.
+
+    Attributes:
+      data: houses and masks.
+    """
+
+    data: tyro.conf.OmitArgPrefixes[DataConfig] = dataclasses.field(default_factory=DataConfig)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -11,10 +11,9 @@ from typing import Any
 
 import jax
 import numpy as np
-import tyro
 
 from dc2g_jax._src.cli.common import command_line, digests
-from dc2g_jax._src.cli.options import DatasetOptions, TrainingOptions
+from dc2g_jax._src.cli.options import DataOptions, DatasetOptions, TrainingOptions
 from dc2g_jax._src.cli.outputs import number_or_null, output_folder
 from dc2g_jax._src.datasets.houses import open_dataset
 from dc2g_jax._src.datasets.pairs import Pair, TrainingSet
@@ -39,7 +38,7 @@ from dc2g_jax._src.training.cost_to_go import (
     least_memory,
     train_step,
 )
-from dc2g_jax._src.training.cost_to_go_data import DataConfig, Validation, check_houses, validation_pairs
+from dc2g_jax._src.training.cost_to_go_data import Validation, check_houses, validation_pairs
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax._src.training.losses import losses_as_text
 from dc2g_jax._src.training.tracking import Image
@@ -53,11 +52,10 @@ _FIGURES = ("error", "steps_left_out")
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DatasetOptions, TrainingOptions, Pauses):
+class Options(Pauses, DatasetOptions, TrainingOptions, DataOptions):
     """Train every combination of losses, learning rates, widths and seeds, together where shapes allow.
 
     Attributes:
-      data: houses and masks.
       losses: losses to try: quantile, l1, l2, huber, log, package.module:Name for one of your own, or weighted sums of
         them such as quantile=1,log=0.5.
       architecture: compact_unet, or package.module:Name for a network of your own, a subclass of flax.nnx.Module.
@@ -72,7 +70,6 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
         when the sweep is resumed.
     """
 
-    data: tyro.conf.OmitArgPrefixes[DataConfig] = dataclasses.field(default_factory=DataConfig)
     losses: tuple[str, ...] = ("quantile", "l1", "l2", "huber", "log")
     architecture: str = Architecture.network
     learning_rates: tuple[float, ...] = (TrainingConfig.learning_rate,)
