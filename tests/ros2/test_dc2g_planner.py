@@ -414,6 +414,7 @@ def test_it_decides_only_while_it_is_active(start):
     accepted(node, 0, calls)
     node.trigger_deactivate()
     assert calls == ["cancel 0"]
+    assert node.services["~/return_to_start"]().message == "the node is not active"
     at(node, (3, 1, 0))
     node.services["~/pause"](data=False)  # pausing and resuming does not activate
     node.tick()

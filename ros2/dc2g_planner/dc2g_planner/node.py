@@ -170,8 +170,9 @@ class PlannerNode(LifecycleNode):
     def _on_return(self, request: Any, response: Any) -> Any:
         """Pause, and send the robot to where it was at the first decision."""
         del request
-        if self._nav2 is None or self._start is None:
+        if not self._is_active or self._nav2 is None or self._start is None:
             why = "no decision has been made yet" if self._start is None else "the parameter drive is false"
+            why = why if self._is_active else "the node is not active"
             response.success, response.message = False, why
             return response
         with self._changing:
