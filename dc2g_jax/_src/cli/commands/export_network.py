@@ -22,7 +22,7 @@ class Options(CommandOptions):
     """
 
     network: Annotated[
-        tyro.conf.Positional[str | Path | None], tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")
+        tyro.conf.Positional[str | Path | None], tyro.conf.arg(metavar="[FOLDER]", help_behavior_hint="")
     ] = None
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("network.onnx")
 
