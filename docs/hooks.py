@@ -25,8 +25,9 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that lie in the root of the repository; their links and pictures are those of the site."""
+    root = Path(config.config_file_path).parent
     for name, page in _PAGES.items():
-        text = (Path(config.config_file_path).parent / f"{name}.md").read_text(encoding="utf-8").replace("](docs/", "](")
+        text = (root / f"{name}.md").read_text(encoding="utf-8").replace("](docs/", "](")
         for other, its_page in _PAGES.items():
             text = text.replace(f"]({other}.md", f"]({its_page}.md")
         files.append(File.generated(config, f"{page}.md", content=_HEAD + text))
