@@ -214,6 +214,8 @@ def _task(
     pairs = replicate(open_training_set(out, dataset, data, network), mesh)
     rates, picture = learning_rates(config), watching.picture
 
+    validated = [step for step, line in Log(out).by_step().items() if "mean_extra" in line or validation is None]
+
     def init() -> TrainingState:
         state = first_state(config)
         if network is None:
@@ -243,7 +245,7 @@ def _task(
         step=lambda state: supervised_step(state, pairs, hyperparameters, training=training, mesh=mesh),
         place=functools.partial(placed, mesh=mesh),
         validate=validate,
-        validated=[step for step, line in Log(out).by_step().items() if "mean_extra" in line or validation is None],
+        validated=validated if (out / "network").exists() else (),  # else the network is written again
         watch=watch,
         learning_rate=lambda step: rates[step - 1],
         pictures=None if picture is None else lambda state: [picture(_network_of(state, config))],
