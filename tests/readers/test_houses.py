@@ -490,11 +490,11 @@ def test_a_location_that_was_asked_for_is_never_replaced(folder, tmp_path, monke
     refusal(
         lambda: open_dataset(tmp_path / "gone", log=lines.append),
         tmp_path / "gone",
-        "not an existing",
+        "not a folder",
         "give",
     )
     for location in ("", "~nobody-of-this-name/houses", "x" * 5000):
-        refusal(lambda location=location: open_dataset(location), repr(location)[:150], "not an existing", "give")
+        refusal(lambda location=location: open_dataset(location), repr(location)[:150], "not a folder", "give")
     monkeypatch.setenv("DC2G_DATA", str(tmp_path / "gone"))
     refusal(lambda: open_dataset(log=lines.append), tmp_path / "gone", "DC2G_DATA", "give")
     assert lines == []

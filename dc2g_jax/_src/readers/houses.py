@@ -293,7 +293,7 @@ def _open_location(location: str, setting: str, cells: int | None) -> HouseDatas
         found = False
     if not found:
         raise InputError(
-            f"{location!r}: {setting} is not an existing folder; give a dataset's folder, or one of {', '.join(NAMED)}"
+            f"{location!r}: {setting} is not a folder; give a dataset's, or one of {', '.join(NAMED)}"
         )
     if extract_files(folder):
         return extract_dataset(folder)
