@@ -123,9 +123,7 @@ def run_to_end(
       on_progress: called now and then with the number of episodes that have ended.
     """
     mesh = mesh_of()
-    go_on = functools.partial(
-        _go_on, where, not_repeated(count, mesh), sites, components, limit, mesh=mesh, step=step
-    )
+    go_on = functools.partial(_go_on, where, not_repeated(count, mesh), sites, components, limit, mesh=mesh, step=step)
     return serve_paced(robots, go_on, count, on_progress, first_steps=first_steps)
 
 
