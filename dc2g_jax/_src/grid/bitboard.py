@@ -50,10 +50,14 @@ def pack(cells: Bool[Array, "h w *batch"]) -> Board:
 
 def unpack(board: Board, width: int) -> Bool[Array, "h w *batch"]:
     """Unpack a board into a boolean grid of `width` columns."""
-    n_words, height, *batch = board.shape
-    place = jax.lax.broadcasted_iota(jnp.uint32, (height, n_words, WORD_BITS, *batch), 2)
-    bits = (jnp.swapaxes(board, 0, 1)[:, :, None] >> place) & jnp.uint32(1)
-    return bits.reshape(height, n_words * WORD_BITS, *batch)[:, :width].astype(bool)
+
+    def unpacked(board: Board) -> Bool[Array, "h w *batch"]:
+        n_words, height, *batch = board.shape
+        place = jax.lax.broadcasted_iota(jnp.uint32, (height, n_words, WORD_BITS, *batch), 2)
+        bits = (jnp.swapaxes(board, 0, 1)[:, :, None] >> place) & jnp.uint32(1)
+        return bits.reshape(height, n_words * WORD_BITS, *batch)[:, :width].astype(bool)
+
+    return apart(unpacked, board)
 
 
 def full(height: int, width: int) -> UInt32[np.ndarray, "n_words h"]:
