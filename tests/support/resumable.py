@@ -46,8 +46,7 @@ from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts import published
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax._src.rollouts.published import PUBLISHED_GROUPS
-from dc2g_jax._src.training import sweeps, training_sets
-from dc2g_jax._src.training import train as training
+from dc2g_jax._src.training import sweeps, train as training, training_sets
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Task
 from dc2g_jax._src.training.mask_collection import Masks
