@@ -4,6 +4,7 @@ Pieces of work are dealt out round-robin: of n devices, device i gets the pieces
 axis of dealt arrays is that of the devices.
 """
 
+import math
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -17,8 +18,8 @@ from jaxtyping import Array, Bool, Int
 
 from dc2g_jax._src.errors import InputError
 
-#: The mesh's only axis.
-AXIS = "devices"
+#: The mesh's axis, and the one that trainings of several runs have before it.
+AXIS, RUNS = "devices", "runs"
 
 #: A pytree of arrays.
 _State = TypeVar("_State")
@@ -130,9 +131,17 @@ def mesh_of(devices: Sequence[jax.Device] | None = None) -> Mesh:
     return Mesh(np.array(jax.devices() if devices is None else devices), (AXIS,))
 
 
-def mesh_for_batch(size: int) -> Mesh:
-    """All devices of all processes if they can share a batch of this size equally, otherwise one of this process."""
-    return mesh_of(jax.local_devices()[:1] if size % jax.device_count() else None)
+def mesh_for_batch(size: int, runs: int = 1) -> Mesh:
+    """A mesh for training: runs are divided among its first axis, the batch of each run among its second.
+
+    As many devices share a batch of this size as can do so equally, and on a CPU all work on one run. If some device of
+    several processes would be left over, each process works on its own, on one device.
+    """
+    groups = 1 if platform(mesh_of()) == "cpu" else math.gcd(runs, jax.device_count())
+    each = math.gcd(size, jax.device_count() // groups)
+    if jax.process_count() > 1 and groups * each < jax.device_count():
+        return Mesh(np.array(jax.local_devices()[:1]).reshape(1, 1), (RUNS, AXIS))
+    return Mesh(np.array(jax.devices()[: groups * each]).reshape(groups, each), (RUNS, AXIS))
 
 
 def settle(tree: Any) -> None:
