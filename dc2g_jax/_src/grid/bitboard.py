@@ -73,7 +73,7 @@ def complement(board: Board, width: int) -> Board:
 
 
 def word_and_bit(x: Int[Array, "*batch"]) -> tuple[Int[Array, "*batch"], UInt32[Array, "*batch"]]:
-    """Word and bit of a column. Compilers know no sign, so that `//` and `%` take many times as long."""
+    """Word and bit of a column. `//` and `%` also handle signs, which takes many times as long as shift and mask."""
     return x >> (WORD_BITS.bit_length() - 1), (x & (WORD_BITS - 1)).astype(jnp.uint32)
 
 

@@ -292,7 +292,9 @@ def _open_location(location: str, setting: str, cells: int | None) -> HouseDatas
     except (OSError, RuntimeError):
         found = False
     if not found:
-        raise InputError(f"{location!r}: {setting} is not a folder; give a dataset's, or one of {', '.join(NAMED)}")
+        raise InputError(
+            f"{location!r}: {setting} is not a folder; give a dataset's, or one of {', '.join(NAMED)}"
+        )
     if extract_files(folder):
         return extract_dataset(folder)
     return map_dataset(folder) if _is_map_folder(folder) else load_dataset(folder, cells=cells)
