@@ -11,8 +11,6 @@ import jax
 import numpy as np
 
 from dc2g_jax._src.cli.translation import TranslationOptions
-from dc2g_jax._src.datasets.houses import HouseDataset
-from dc2g_jax._src.datasets.starts import published_episodes, sample_starts
 from dc2g_jax._src.objectnav.agent import Agent
 from dc2g_jax._src.objectnav.houses import IndoorHouse, indoor_houses
 from dc2g_jax._src.objectnav.mapping import IndoorMapSettings
@@ -20,6 +18,8 @@ from dc2g_jax._src.objectnav.named import agent_with, open_costs
 from dc2g_jax._src.objectnav.searches import TIME_LIMIT, sample_episodes, search_all
 from dc2g_jax._src.planning.named import FIGURE_PLANNERS
 from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.readers.houses import HouseDataset
+from dc2g_jax._src.readers.starts import published_episodes, sample_starts
 from dc2g_jax._src.rollouts.devices import mesh_for_batch, replicate
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax._src.rollouts.rollout import rollout
@@ -139,16 +139,16 @@ def _translator(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
     config, steps = options.config("l1+gan"), 2 if bench.quick else _STEPS
     data = image_set(dataset, "train", size=options.size, masks=options.masks, per_house=1)
     draw = functools.partial(
-        draw_image_pairs, batch_size=config.batch_size, whole_share=options.whole_share, augment=options.augment
+        draw_image_pairs, batch_size=config.batch_size, whole_share=options.whole_share, augment=not options.no_augment
     )
     mesh = mesh_for_batch(config.batch_size)
     training = TranslatorTraining(config, draw)
-    state, pairs = replicate((first_state(config, seed=0), (run_key(0), data)), mesh)
+    state, pairs = replicate((first_state(config, seed=0), data), mesh)
 
     def train() -> jax.Array:
         nonlocal state
         for _ in range(steps):
-            state, loss = supervised_step(state, pairs, training=training, mesh=mesh)
+            state, loss = supervised_step(state, pairs, run_key(0), training=training, mesh=mesh)
         return loss
 
     measured = bench.measure(train)

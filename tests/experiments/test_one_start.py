@@ -14,9 +14,9 @@ from dc2g_jax._src.cli.commands import (
     explore_map,
     reproduce_fig8,
 )
-from dc2g_jax._src.datasets.houses import map_dataset
 from dc2g_jax._src.files.class_images import write_class_image
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES, FRONT_DOOR, GRASS
+from dc2g_jax._src.readers.houses import map_dataset
 from tests.support import toy
 from tests.support.commands import complaint, run
 from tests.support.maps import drawn
@@ -123,9 +123,9 @@ def test_outcomes_are_told(yard, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("left_out", "written"),
     [
-        ({"figures": False, "record": False}, set()),
-        ({"figures": False}, {"episode.rrd"}),
-        ({"record": False}, {*figure("episode"), *figure("trajectories"), "episode.gif"}),
+        ({"no_figures": True, "no_record": True}, set()),
+        ({"no_figures": True}, {"episode.rrd"}),
+        ({"no_record": True}, {*figure("episode"), *figure("trajectories"), "episode.gif"}),
     ],
 )
 def test_drawing_is_left_out(yard, tmp_path, left_out, written):

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.datasets.pairs import turned
 from dc2g_jax._src.mapping.camera import level_camera
 from dc2g_jax._src.mapping.simulator import cast
 from dc2g_jax._src.objectnav import mapping
@@ -35,6 +34,7 @@ from dc2g_jax._src.objectnav.data import (
 from dc2g_jax._src.objectnav.houses import IndoorHouse
 from dc2g_jax._src.objectnav.midlevel import ConvolutionEncoder
 from dc2g_jax._src.objectnav.worlds import scene
+from dc2g_jax._src.training.pairs import turned
 from tests.support.plans import BED_BOX, PLANT_BOX, plan
 from tests.support.refusals import refusal
 

@@ -13,7 +13,6 @@ from flax import struct
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
-from dc2g_jax._src.estimation.extents import Window, WindowedEstimator
 from dc2g_jax._src.grid.gridworld import belief_from_map
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax._src.grid.terrain import FRONT_DOOR
@@ -25,6 +24,7 @@ from dc2g_jax._src.planning.named import make_planner
 from dc2g_jax._src.planning.online import OnlinePlanner
 from dc2g_jax._src.planning.planners import MODE_NAMES, Frontier
 from dc2g_jax._src.planning.rules import complete_rules
+from experiments.benchmarks.extents import Window, WindowedEstimator
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.exploration import (
@@ -251,6 +251,9 @@ def test_a_reason_shows_how_the_score_comes_about(terms, wanted):
     others = [best, best._replace(x=9, score=40.0)]
     place = "explore: (4, 5) facing east has the lowest score of 2 candidates"
     assert explain("explore", path, others) == f"{place}, {wanted}; next best 40.0 at (9, 5)"
+    for other, shown in ((score, f"{score:.1f}"), (score + 0.02, "0.02 more")):
+        close = [best, best._replace(x=9, score=other)]
+        assert explain("explore", path, close) == f"{place}, {wanted}; next best {shown} at (9, 5)"
 
 
 def test_a_planner_of_ones_own_shows_its_own_candidates_and_scores():

@@ -4,9 +4,8 @@ import dataclasses
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-import tyro
 from tqdm import tqdm
 
 from dc2g_jax._src.cli.common import PlannersOption, check_planners, network_for
@@ -14,19 +13,19 @@ from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.map_options import StartOption
 from dc2g_jax._src.cli.options import NetworkOptions, OutOptions, SharedOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.datasets.houses import House, HouseDataset
-from dc2g_jax._src.datasets.starts import Start
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
+from dc2g_jax._src.figures.animation import animate
+from dc2g_jax._src.figures.episode_figures import plot_episode, plot_trajectories
+from dc2g_jax._src.figures.replay import replay_result
 from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE
-from dc2g_jax._src.inspection.animation import animate
-from dc2g_jax._src.inspection.episode_figures import plot_episode, plot_trajectories
-from dc2g_jax._src.inspection.recording import record_frames
-from dc2g_jax._src.inspection.replay import replay_result
 from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES
 from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.readers.houses import House, HouseDataset
+from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
+from dc2g_jax._src.viewer.recording import record_frames
 
 #: Bytes that the replay of an episode needs per cell and step, and the limit for all replays together.
 _REPLAY_BYTES, _MOST_BYTES = 45, 6e9
@@ -44,8 +43,8 @@ class OneStartOptions(NetworkOptions, OutOptions, SharedOptions):
         own.
       sensing_range: number of cells that a robot sees ahead.
       animation: formats of the animation.
-      figures: draw figures and the animation, which take most of the time on large maps; `--no-figures` turns them off.
-      record: write a rerun recording, which takes most of the space on large maps; `--no-record` turns it off.
+      no_figures: draw no figures and no animation, which take most of the time on large maps.
+      no_record: write no rerun recording, which takes most of the space on large maps.
     """
 
     start: StartOption = None
@@ -53,8 +52,8 @@ class OneStartOptions(NetworkOptions, OutOptions, SharedOptions):
     planner: PlannersOption = ("dc2g", "frontier")
     sensing_range: int = 8
     animation: tuple[Literal["gif", "mp4"], ...] = ("gif",)
-    figures: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
-    record: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
+    no_figures: bool = False
+    no_record: bool = False
 
     def check_sensing_range(self) -> None:
         """Check that the sensing range is supported.
@@ -132,7 +131,7 @@ def _draw(
     network: Estimator | None,
 ) -> None:
     """Write the figures, animations and recording of the episodes in `results`, given by planner."""
-    figures, record = options.figures, options.record
+    figures, record = not options.no_figures, not options.no_record
     if figures:
         plot_trajectories(out / "trajectories", house, results)
     if not (figures or record):

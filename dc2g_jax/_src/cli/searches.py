@@ -10,7 +10,6 @@ import tyro
 
 from dc2g_jax._src.cli.options import OutOptions, ResumeOptions, SharedOptions, require_positive
 from dc2g_jax._src.cli.outputs import print_files
-from dc2g_jax._src.datasets.houses import PROCEDURAL
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.objectnav.agent import CONTROLLER, Agent
@@ -19,6 +18,7 @@ from dc2g_jax._src.objectnav.houses import IndoorHouse, indoor_houses
 from dc2g_jax._src.objectnav.mapping import IndoorMapSettings
 from dc2g_jax._src.objectnav.searches import TIME_LIMIT, Search, sample_episodes, search_all
 from dc2g_jax._src.objectnav.tables import with_interval
+from dc2g_jax._src.readers.houses import PROCEDURAL
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import ResumableTable
 

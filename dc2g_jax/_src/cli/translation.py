@@ -8,17 +8,17 @@ from typing import Annotated, Any, Literal, NamedTuple
 import tyro
 
 from dc2g_jax._src.cli.outputs import command_written, commit, number_or_null
-from dc2g_jax._src.datasets.houses import HouseDataset
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints, newest_step, save_network
 from dc2g_jax._src.estimation.estimators import TranslatorCostToGo
 from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
+from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
 from dc2g_jax._src.training.cost_to_go import check_numbers
 from dc2g_jax._src.training.image_evaluation import metrics_over_pairs
 from dc2g_jax._src.training.image_pairs import ImageSet, MaskKind, draw_image_pairs, image_set
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
-from dc2g_jax._src.training.step import TrainingState, supervised_step
+from dc2g_jax._src.training.step import TrainingState, placed, supervised_step
 from dc2g_jax._src.training.tracking import TrackerName
 from dc2g_jax._src.training.translator import TranslatorConfig, TranslatorTraining, first_state, run_key
 
@@ -37,7 +37,7 @@ class TranslationOptions(Pauses):
       validation_masks: observation masks of each validation house.
       whole_share: share of training pairs with a fully observed map. The paper does not give it; a network that was
         never trained on whole maps predicts them as badly as an untrained one.
-      augment: random shifts, scaling and flips, as in pix2pix; `--no-augment` turns them off.
+      no_augment: train without random shifts, scaling and flips, which pix2pix has.
       steps: total number of optimizer steps.
       batch_size: pairs per step.
       learning_rate: learning rate of Adam.
@@ -50,7 +50,7 @@ class TranslationOptions(Pauses):
     train_masks: int = 256
     validation_masks: int = 80
     whole_share: float = 0.0625
-    augment: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
+    no_augment: bool = False
     steps: int = 20_000
     batch_size: int = TranslatorConfig.batch_size
     learning_rate: float = TranslatorConfig.learning_rate
@@ -125,12 +125,12 @@ def train_translator(
     """
     require_steps(options.steps, out)
     begin, mesh = partial(first_state, seed=seed), mesh_for_batch(config.batch_size)
-    pairs = replicate((run_key(seed), data.train), mesh)
+    pairs, key = replicate((data.train, run_key(seed)), mesh)
     draw = partial(
         draw_image_pairs,
         batch_size=config.batch_size,
         whole_share=options.whole_share,
-        augment=options.augment,
+        augment=not options.no_augment,
     )
 
     training = TranslatorTraining(config, draw)
@@ -139,7 +139,8 @@ def train_translator(
         network = TranslatorCostToGo(weights=first_copy(state.weights["generator"]), architecture=config.architecture)
         card = {
             "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks}), "
-            f"{100 * options.whole_share:g} % of pairs whole" + ", shifted, enlarged and mirrored" * options.augment,
+            f"{100 * options.whole_share:g} % of pairs whole"
+            + ("" if options.no_augment else ", shifted, enlarged and mirrored"),
             "target": "8-connected cost-to-go as a picture, brightest visible pixel 1",
             "loss": config.loss,
             "command": command_written(),
@@ -157,15 +158,15 @@ def train_translator(
     task = Task(
         steps=options.steps,
         init=partial(begin, config),
-        step=lambda state: supervised_step(state, pairs, training=training, mesh=mesh),
+        step=lambda state: supervised_step(state, pairs, key, training=training, mesh=mesh),
         validate=validate,
         validated=Log(out).by_step(),
-        place=partial(replicate, mesh=mesh),
+        place=partial(placed, mesh=mesh),
         name=out.name,
         steps_per_look=_STEPS_PER_LOOK,
         learning_rate=lambda step: config.learning_rate,
     )
-    names = ("masks", "train_masks", "whole_share", "augment")
+    names = ("masks", "train_masks", "whole_share", "no_augment")
     facts = {"seed": seed, "dataset": dataset.name, **{name: getattr(options, name) for name in names}}
     checkpoints = TrainingCheckpoints(out, config, facts, first_state=begin)
     train(task, out, checkpoints, options, track)

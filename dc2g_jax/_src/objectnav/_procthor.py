@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from dc2g_jax._src.datasets.houses import tell_on_stderr
 from dc2g_jax._src.errors import InputError, short
 from dc2g_jax._src.files.reading import opened, parse_json, read_lines, read_object
 from dc2g_jax._src.objectnav._plans import Furniture, HousePlan, Room, Segment
 from dc2g_jax._src.objectnav.classes import OTHER, PROCTHOR_CLASSES, ROOM_NAMES
+from dc2g_jax._src.readers.houses import tell_on_stderr
 
 #: Name of the table of boxes, beside the houses.
 BOXES_FILE = "asset_boxes.json"

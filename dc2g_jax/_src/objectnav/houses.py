@@ -6,9 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from dc2g_jax._src.datasets.houses import PROCEDURAL, House, HouseDataset
-from dc2g_jax._src.datasets.maps import SPLITS
-from dc2g_jax._src.datasets.procedural.plain import with_door
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.digests import arrays_sha256
 from dc2g_jax._src.grid.ground import component_numbers
@@ -19,6 +16,9 @@ from dc2g_jax._src.objectnav.floor_plans.furnishing import furnish
 from dc2g_jax._src.objectnav.floor_plans.layouts import draw_layout
 from dc2g_jax._src.objectnav.floor_plans.placing import CHECK_CELLS, Floor, RoomSketch
 from dc2g_jax._src.objectnav.worlds import IndoorWorld
+from dc2g_jax._src.procedural.plain import with_door
+from dc2g_jax._src.readers.houses import PROCEDURAL, House, HouseDataset
+from dc2g_jax._src.readers.maps import SPLITS
 
 #: File endings of houses.
 _ENDINGS = (".jsonl.gz", ".jsonl")

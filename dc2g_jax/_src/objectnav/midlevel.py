@@ -25,7 +25,7 @@ from dc2g_jax._src.objectnav.classes import OBJECT_CLASSES
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate
 from dc2g_jax._src.training.loop import Losses, Task
-from dc2g_jax._src.training.step import Supervised, TrainingState, state_of, supervised_step
+from dc2g_jax._src.training.step import Supervised, TrainingState, placed, state_of, supervised_step
 
 #: Side of the blocks of pixels for which the default encoder is trained to answer, and rows and columns of them.
 _BLOCK = 4
@@ -222,11 +222,11 @@ class EncoderTraining(Supervised):
         weights = fresh_weights(SmallEncoder, self.architecture, jax.random.key(self.seed))
         return state_of(weights, self.optimizer())
 
-    def optimizer(self) -> optax.GradientTransformation:
+    def optimizer(self, hyperparameters: None = None) -> optax.GradientTransformation:
         """Adam, with a cosine decay of the learning rate to zero."""
         return optax.adam(optax.cosine_decay_schedule(2e-3, max(self.steps, 1)))
 
-    def draw(self, data: CameraView, step: Int[Array, ""]) -> CameraView:
+    def draw(self, data: CameraView, step: Int[Array, ""], hyperparameters: None) -> CameraView:
         """Random images."""
         key = jax.random.fold_in(jax.random.key(self.seed + 1), step)
         chosen = jax.random.randint(key, (self.batch_size,), 0, len(data.image))
@@ -237,7 +237,7 @@ class EncoderTraining(Supervised):
         network = with_weights(SmallEncoder, self.architecture, weights)
         return task_losses(network.answer(network.encode(views.image)), views)
 
-    def gradient(self, state: TrainingState, data: CameraView, batch: CameraView) -> tuple[Float[Array, ""], Any]:
+    def gradient(self, state: TrainingState, batch: CameraView, hyperparameters: None) -> tuple[Float[Array, ""], Any]:
         """The sum of the losses, and its gradient."""
         return jax.value_and_grad(lambda weights: sum(self.losses(weights, batch).values(), jnp.float32(0)))(
             state.weights
@@ -264,6 +264,6 @@ def encoder_task(
 
     validation_views = jax.tree.map(lambda leaf: leaf[:_VALIDATION_VIEWS], views)
     mesh = mesh_for_batch(training.batch_size)
-    views, place = replicate(views, mesh), functools.partial(replicate, mesh=mesh)
+    views, place = replicate(views, mesh), functools.partial(placed, mesh=mesh)
     step = functools.partial(supervised_step, data=views, training=training, mesh=mesh)
     return Task(training.steps, training.first_state, step, validate, place=place, name="encoder")

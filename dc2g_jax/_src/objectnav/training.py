@@ -109,11 +109,11 @@ class CostMapConfig(Supervised):
         recipe, warmup = self.recipe, round(self.recipe.warmup * self.steps)
         return optax.warmup_cosine_decay_schedule(0.0, recipe.peak, warmup, max(self.steps, warmup + 1), recipe.last)
 
-    def optimizer(self) -> optax.GradientTransformation:
+    def optimizer(self, hyperparameters: None = None) -> optax.GradientTransformation:
         """The optimizer of the recipe with its learning rates."""
         return OPTIMIZERS[self.recipe.optimizer](self.learning_rates(), self.recipe.weight_decay)
 
-    def draw(self, data: JourneySet, step: Int[Array, ""]) -> Samples:
+    def draw(self, data: JourneySet, step: Int[Array, ""], hyperparameters: None) -> Samples:
         """The batch of a step, which only depends on the seed and the step."""
         _, batches_key = jax.random.split(jax.random.key(self.seed))
         return draw_samples(
@@ -124,7 +124,7 @@ class CostMapConfig(Supervised):
             normalize=NORMALIZATIONS[self.recipe.normalization],
         )
 
-    def gradient(self, state: TrainingState, data: JourneySet, batch: Samples) -> tuple[Float[Array, ""], Any]:
+    def gradient(self, state: TrainingState, batch: Samples, hyperparameters: None) -> tuple[Float[Array, ""], Any]:
         """The mean loss of a batch, and its gradient."""
         of_weights = jax.value_and_grad(lambda weights: mean_loss(self, weights, batch), has_aux=True)
         (loss, _), gradient = of_weights(state.weights)
