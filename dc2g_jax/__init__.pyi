@@ -15,7 +15,7 @@ from ._src.planning.decisions import Decision as Decision
 from ._src.planning.metric import MetricPlanner as MetricPlanner
 from ._src.planning.metric_map import MetricMap as MetricMap
 from ._src.grid.map_frame import MapFrame as MapFrame
-from ._src.objectnav.online import OnlineSearcher as OnlineSearcher
+from ._src.search_indoors.search.online import OnlineSearcher as OnlineSearcher
 from ._src.environments.task import make_env as make_env
 from ._src.rollouts.devices import use_cores as use_cores
 from ._src.estimation.hub import load as load

@@ -38,9 +38,9 @@ from dc2g_jax._src.estimation.weights import fresh_weights, write_network
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES
 from dc2g_jax._src.mapping.sequences import Shot, read_frame, read_picture, read_sequence, write_sequence
-from dc2g_jax._src.objectnav._procthor import read_procthor
-from dc2g_jax._src.objectnav.midlevel import EncoderArchitecture, SmallEncoder, load_encoder
-from dc2g_jax._src.objectnav.networks import (
+from dc2g_jax._src.search_indoors.houses.procthor import read_procthor
+from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, load_encoder
+from dc2g_jax._src.search_indoors.learning.networks import (
     CostMapArchitecture,
     CostMapEstimator,
     CostMapNetwork,

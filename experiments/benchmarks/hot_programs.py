@@ -17,9 +17,9 @@ from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.grid.world import world_from_terrain
 from dc2g_jax._src.mapping.scene import TILES, Scene
-from dc2g_jax._src.objectnav import searches
-from dc2g_jax._src.objectnav.named import agent_with, open_costs
-from dc2g_jax._src.objectnav.simulation import IndoorSite, leg
+from dc2g_jax._src.search_indoors.search import searches
+from dc2g_jax._src.search_indoors.search.named import agent_with, open_costs
+from dc2g_jax._src.search_indoors.search.simulation import IndoorSite, leg
 from dc2g_jax._src.planning.named import make_planner
 from dc2g_jax._src.planning.planners import Planner
 from dc2g_jax._src.planning.rules import SETTINGS, Rules

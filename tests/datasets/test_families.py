@@ -11,7 +11,7 @@ from dc2g_jax._src.datasets.procedural.plain import PLAIN, plain_maps, with_door
 from dc2g_jax._src.datasets.starts import why_no_episode
 from dc2g_jax._src.grid.ground import connected_to_goal
 from dc2g_jax._src.grid.terrain import FREE, FRONT_DOOR, OCCUPIED, TRAVERSABLE
-from dc2g_jax._src.objectnav import houses as indoor
+from dc2g_jax._src.search_indoors.houses import dataset as indoor
 from tests.support.hamlet import Drawing, hamlet
 from tests.support.maps import drawn
 from tests.support.refusals import refusal

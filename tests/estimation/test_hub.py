@@ -117,7 +117,7 @@ def test_a_folder_travels_with_its_card_and_nothing_else(hub, tmp_path):
 
 
 def test_an_indoor_network_travels_with_its_encoder(hub):
-    from dc2g_jax._src.objectnav.predicted_costs import load_costs
+    from dc2g_jax._src.search_indoors.search.predicted_costs import load_costs
 
     dc2g.push(INDOORS, "hf://someone/indoors")
     costs, own = load_costs(local_folder("hf://someone/indoors")), load_costs(INDOORS)

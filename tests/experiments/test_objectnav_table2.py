@@ -10,17 +10,17 @@ from dc2g_jax._src.cli import searches
 from dc2g_jax._src.cli.commands import objectnav_table2
 from dc2g_jax._src.cli.commands.objectnav_table2 import Options, main
 from dc2g_jax._src.estimation.weights import fresh_weights, write_network
-from dc2g_jax._src.objectnav.metrics import OF_CLASSES
-from dc2g_jax._src.objectnav.midlevel import EncoderArchitecture, SmallEncoder
-from dc2g_jax._src.objectnav.networks import (
+from dc2g_jax._src.search_indoors.learning.metrics import OF_CLASSES
+from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder
+from dc2g_jax._src.search_indoors.learning.networks import (
     ABLATIONS,
     CostMapArchitecture,
     CostMapEstimator,
     CostMapNetwork,
     save_estimator,
 )
-from dc2g_jax._src.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE
-from dc2g_jax._src.objectnav.tables import METRICS
+from dc2g_jax._src.search_indoors.search.predicted_costs import ENCODER_FILE, NETWORK_FILE
+from dc2g_jax._src.search_indoors.search.tables import METRICS
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 

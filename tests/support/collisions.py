@@ -108,8 +108,9 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     from dc2g_jax._src.grid.poses import make_pose
     from dc2g_jax._src.grid.world import world_from_terrain
     from dc2g_jax._src.inspection.replay import replay
-    from dc2g_jax._src.objectnav import guides, searches
-    from dc2g_jax._src.objectnav import training as indoor_training
+    from dc2g_jax._src.search_indoors.search import guides
+    from dc2g_jax._src.search_indoors.search import searches
+    from dc2g_jax._src.search_indoors.learning import training as indoor_training
     from dc2g_jax._src.planning.online import OnlinePlanner
     from dc2g_jax._src.planning.planners import DC2G, Frontier
     from dc2g_jax._src.planning.rules import SETTINGS, complete_rules

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from dc2g_jax._src.objectnav._plans import Furniture, HousePlan, Room, Segment
-from dc2g_jax._src.objectnav.classes import BED, PLANT
+from dc2g_jax._src.search_indoors.houses.plans import Furniture, HousePlan, Room, Segment
+from dc2g_jax._src.search_indoors.maps.classes import BED, PLANT
 
 PLANT_BOX = Furniture(PLANT, 5.5, 0.5, 0.4, 0.4, 0.0, 0.8)
 BED_BOX = Furniture(BED, 1.0, 2.0, 1.0, 1.6, 0.0, 0.6)

@@ -37,11 +37,11 @@ from dc2g_jax._src.datasets.starts import PublishedEpisode, Start
 from dc2g_jax._src.estimation.checkpoints import load_network
 from dc2g_jax._src.estimation.weights import fresh_weights, write_network
 from dc2g_jax._src.grid.terrain import GRASS
-from dc2g_jax._src.objectnav.collecting import CollectionConfig
-from dc2g_jax._src.objectnav.evaluation import SearchResult
-from dc2g_jax._src.objectnav.metrics import OF_CLASSES
-from dc2g_jax._src.objectnav.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
-from dc2g_jax._src.objectnav.tables import METRICS
+from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig
+from dc2g_jax._src.search_indoors.search.evaluation import SearchResult
+from dc2g_jax._src.search_indoors.learning.metrics import OF_CLASSES
+from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
+from dc2g_jax._src.search_indoors.search.tables import METRICS
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts import published
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner

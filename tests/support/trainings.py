@@ -17,9 +17,9 @@ from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.world import world_from_terrain
-from dc2g_jax._src.objectnav.data import JourneySet
-from dc2g_jax._src.objectnav.networks import CostMapArchitecture
-from dc2g_jax._src.objectnav.training import BETTER_RECIPE, CostMapConfig
+from dc2g_jax._src.search_indoors.learning.data import JourneySet
+from dc2g_jax._src.search_indoors.learning.networks import CostMapArchitecture
+from dc2g_jax._src.search_indoors.learning.training import BETTER_RECIPE, CostMapConfig
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.image_pairs import ImageSet, all_pairs, draw_image_pairs
 from dc2g_jax._src.training.translator import TranslatorConfig

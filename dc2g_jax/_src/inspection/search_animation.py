@@ -23,8 +23,8 @@ from dc2g_jax._src.inspection.search_figures import (
     rim_of,
     robots_map,
 )
-from dc2g_jax._src.objectnav.classes import OBJECT_CLASSES
-from dc2g_jax._src.objectnav.worlds import IndoorWorld
+from dc2g_jax._src.search_indoors.maps.classes import OBJECT_CLASSES
+from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
 
 #: Pixels: largest width and height of a panel, gap between panels, space above them; length of the robot's arrow.
 _ROOM, _GAP, _CAPTION, _ARROW = (380, 380), 14, 38, 12
@@ -38,7 +38,7 @@ def search_pictures(
     Args:
       world: the house.
       target: class index of the wanted object.
-      track: the robot's track, see `objectnav.agent.IndoorRobot`, from step 0 on.
+      track: the robot's track, see `search_indoors.search.agent.IndoorRobot`, from step 0 on.
       moments: moments of the search, at least one.
     """
     size, classes = float(world.cell_size), np.asarray(world.classes)

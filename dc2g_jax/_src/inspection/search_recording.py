@@ -19,8 +19,8 @@ from dc2g_jax._src.inspection.search_figures import (
     map_image,
     robots_map,
 )
-from dc2g_jax._src.objectnav.classes import OBJECT_CLASSES
-from dc2g_jax._src.objectnav.worlds import IndoorWorld
+from dc2g_jax._src.search_indoors.maps.classes import OBJECT_CLASSES
+from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
 
 #: Entities of the three maps.
 _MAPS = ("true_map", "robots_map", "costs")
@@ -41,7 +41,7 @@ def record_search(
       name: name of the recording.
       world: the house.
       target: class index of the wanted object.
-      track: the robot's track, see `objectnav.agent.IndoorRobot`, from step 0 on.
+      track: the robot's track, see `search_indoors.search.agent.IndoorRobot`, from step 0 on.
       moments: moments of the search in order, at least one.
 
     Returns:

@@ -23,16 +23,16 @@ from dc2g_jax._src.inspection.search_animation import animate_search
 from dc2g_jax._src.inspection.search_figures import plot_prediction, plot_search
 from dc2g_jax._src.inspection.search_moments import choose_legs, moment_of, prediction_at, run_search
 from dc2g_jax._src.inspection.search_recording import record_search
-from dc2g_jax._src.objectnav.agent import DECLARED
-from dc2g_jax._src.objectnav.classes import GOALS, OBJECT_CLASSES
-from dc2g_jax._src.objectnav.evaluation import results_of
-from dc2g_jax._src.objectnav.guides import TrueCost
-from dc2g_jax._src.objectnav.houses import indoor_house, indoor_houses
-from dc2g_jax._src.objectnav.mapping import IndoorMapSettings
-from dc2g_jax._src.objectnav.named import AgentName, agent_with, costs_for
-from dc2g_jax._src.objectnav.searches import Searches, sample_episodes, search_for
-from dc2g_jax._src.objectnav.simulation import reset, site_of
-from dc2g_jax._src.objectnav.tables import AGENT_TITLES
+from dc2g_jax._src.search_indoors.search.agent import DECLARED
+from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
+from dc2g_jax._src.search_indoors.search.evaluation import results_of
+from dc2g_jax._src.search_indoors.search.guides import TrueCost
+from dc2g_jax._src.search_indoors.houses.dataset import indoor_house, indoor_houses
+from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
+from dc2g_jax._src.search_indoors.search.named import AgentName, agent_with, costs_for
+from dc2g_jax._src.search_indoors.search.searches import Searches, sample_episodes, search_for
+from dc2g_jax._src.search_indoors.search.simulation import reset, site_of
+from dc2g_jax._src.search_indoors.search.tables import AGENT_TITLES
 
 #: Number of moments in the figure.
 _COLUMNS = 5

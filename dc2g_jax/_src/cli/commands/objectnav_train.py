@@ -21,11 +21,11 @@ from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.weights import write_network
 from dc2g_jax._src.files.atomic import replacing
-from dc2g_jax._src.objectnav.collecting import CollectionConfig, collect, random_views
-from dc2g_jax._src.objectnav.data import JourneySet
-from dc2g_jax._src.objectnav.houses import IndoorHouse, houses_sha256, indoor_houses
-from dc2g_jax._src.objectnav.mapping import IndoorMapSettings
-from dc2g_jax._src.objectnav.midlevel import (
+from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig, collect, random_views
+from dc2g_jax._src.search_indoors.learning.data import JourneySet
+from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse, houses_sha256, indoor_houses
+from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
+from dc2g_jax._src.search_indoors.learning.midlevel import (
     EncoderArchitecture,
     EncoderTraining,
     ImageEncoder,
@@ -33,9 +33,9 @@ from dc2g_jax._src.objectnav.midlevel import (
     load_encoder,
     vector_size,
 )
-from dc2g_jax._src.objectnav.networks import ABLATIONS, INPUT_CHANNELS, CostMapArchitecture, CostMapEstimator
-from dc2g_jax._src.objectnav.predicted_costs import ENCODER_FILE, NETWORK_FILE, save_costs
-from dc2g_jax._src.objectnav.training import (
+from dc2g_jax._src.search_indoors.learning.networks import ABLATIONS, INPUT_CHANNELS, CostMapArchitecture, CostMapEstimator
+from dc2g_jax._src.search_indoors.search.predicted_costs import ENCODER_FILE, NETWORK_FILE, save_costs
+from dc2g_jax._src.search_indoors.learning.training import (
     RECIPES,
     CostMapConfig,
     Recipe,

@@ -1,0 +1,157 @@
+"""Houses as grids of cells: free floor, heights, classes and objects, with a scene and colors.
+
+World frame as in `mapping.camera`: x along the columns, y against the rows, both 0 at the outer corner of the
+first cell, which is the upper left one of the plan.
+"""
+
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int16, UInt8
+
+from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.mapping.scene import Scene, scene_from_heights
+from dc2g_jax._src.search_indoors.maps.classes import BATHROOM, BEDROOM, KITCHEN, LIVING_ROOM, OBJECT_COLORS
+
+#: A leaf of one house (NumPy) or of stacked houses (JAX).
+Leaf = np.ndarray | Array
+
+#: Colors of floors by type of room, of walls, and of the outside.
+_FLOORS = {BEDROOM: (196, 170, 140), BATHROOM: (170, 196, 206), KITCHEN: (206, 200, 182), LIVING_ROOM: (158, 120, 88)}
+_WALL, NO_COLOR = (226, 224, 218), (245, 245, 242)
+
+
+@struct.dataclass
+class Objects:
+    """The objects of a house. Objects of class 0 are padding.
+
+    Attributes:
+      classes: class index of each object.
+      rooms: room of each object, an index into `IndoorWorld.room_kinds`.
+      positions: x and y of each object's center in the world, meters.
+    """
+
+    classes: UInt8[Leaf, " object"]
+    rooms: UInt8[Leaf, " object"]
+    positions: Float[Leaf, "object 2"]
+
+
+@struct.dataclass
+class IndoorWorld:
+    """One house. Its leaves are NumPy arrays until houses are stacked.
+
+    Attributes:
+      free: whether a cell is free floor, including open doors.
+      heights: height of each cell above the floor, meters; 0 on free floor and outside.
+      classes: class index of the highest object in each cell, see `search_indoors.maps.classes`; 0 without object, as in
+        walls.
+      instances: index of that object in `objects`, -1 without object.
+      rooms: room of each cell, also below objects; 0 in walls and outside.
+      room_kinds: room -> index into `search_indoors.maps.classes.ROOM_NAMES`; room 0 is the outside.
+      objects: all objects of the house, including those hidden below higher ones.
+      cell_size: side of a cell, meters.
+    """
+
+    free: Bool[Leaf, "h w"]
+    heights: Float[Leaf, "h w"]
+    classes: UInt8[Leaf, "h w"]
+    instances: Int16[Leaf, "h w"]
+    rooms: UInt8[Leaf, "h w"]
+    room_kinds: UInt8[Leaf, " room"]
+    objects: Objects
+    cell_size: Float[Leaf, ""]
+
+    @property
+    def obstacle(self) -> Bool[Leaf, "h w"]:
+        """Cells of walls and objects. The outside is neither free nor an obstacle."""
+        return self.heights > 0
+
+    @property
+    def walls(self) -> Bool[Leaf, "h w"]:
+        """Cells of walls."""
+        return self.obstacle & (self.instances < 0)
+
+    def goals(self, goal: int | Array) -> Bool[Leaf, "h w"]:
+        """The cells whose highest object has this class."""
+        return self.classes == goal
+
+
+def scene(world: IndoorWorld) -> Scene:
+    """The scene of a house for the simulated camera, with one tile per cell. Scenes of equal size can be stacked."""
+    return scene_from_heights(np.asarray(world.heights), np.asarray(world.classes), float(world.cell_size))
+
+
+def painted(world: IndoorWorld, rng: np.random.Generator) -> UInt8[np.ndarray, "h w 3"]:
+    """The color of each cell of a house, which is that of its highest object.
+
+    Houses have no textures. Objects have the colors of their classes with random variation. Floors differ by the type
+    of room, since kitchens and bathrooms have other floors than bedrooms. All walls look alike.
+
+    Args:
+      world: one house.
+      rng: random number generator of the variation between objects.
+    """
+    objects = np.append(OBJECT_COLORS[np.asarray(world.objects.classes)], [_WALL], axis=0)
+    objects = objects + rng.normal(0, 14, objects.shape)
+    kinds = np.asarray(world.room_kinds)
+    floors = np.array([_FLOORS.get(int(kind), NO_COLOR) for kind in kinds]) + rng.normal(0, 10, (len(kinds), 3))
+    cells = np.where(
+        np.asarray(world.obstacle)[..., None], objects[np.asarray(world.instances)], floors[np.asarray(world.rooms)]
+    )
+    return np.clip(np.round(cells), 0, 255).astype(np.uint8)
+
+
+def pad_world(world: IndoorWorld, rows: int, columns: int, rooms: int, objects: int) -> IndoorWorld:
+    """Pad a house below and to the right with outside, so that positions do not change.
+
+    Args:
+      world: one house.
+      rows: rows of the padded grid.
+      columns: columns of the padded grid.
+      rooms: number of rooms after padding, including the outside.
+      objects: number of objects after padding.
+
+    Raises:
+      InputError: the house is larger than that.
+    """
+    height, width = world.free.shape
+    more = rows - height, columns - width, rooms - len(world.room_kinds), objects - len(world.objects.classes)
+    if min(more) < 0:
+        raise InputError(
+            f"a house of {height} x {width} cells, {len(world.room_kinds)} rooms with the outside and "
+            f"{len(world.objects.classes)} objects does not fit into {rows} x {columns}, {rooms} and {objects}; "
+            "give larger numbers"
+        )
+
+    def filled(leaf: np.ndarray, *lacking: int) -> np.ndarray:
+        after = [*lacking, *(0 for _ in range(leaf.ndim - len(lacking)))]
+        nothing = -1 if leaf.dtype == np.int16 else 0
+        return np.pad(leaf, [(0, size) for size in after], constant_values=nothing)
+
+    cells = {
+        name: filled(np.asarray(getattr(world, name)), *more[:2])
+        for name in ("free", "heights", "classes", "instances", "rooms")
+    }
+    return world.replace(  # type: ignore[attr-defined]
+        **cells,
+        room_kinds=filled(np.asarray(world.room_kinds), more[2]),
+        objects=jax.tree.map(lambda leaf: filled(np.asarray(leaf), more[3]), world.objects),
+    )
+
+
+def padded_alike(worlds: Sequence[IndoorWorld]) -> list[IndoorWorld]:
+    """Pad houses to a common size, so that they can be stacked for `jax.vmap` and `jax.lax.map`.
+
+    Args:
+      worlds: at least one house, all with cells of the same size.
+
+    Raises:
+      InputError: there are no houses, or their cell sizes differ.
+    """
+    sizes = sorted({float(world.cell_size) for world in worlds})
+    if len(sizes) != 1:
+        raise InputError(f"houses with cells of {sizes or 'no'} meters cannot be stacked; give houses with equal cells")
+    shapes = [(*world.free.shape, len(world.room_kinds), len(world.objects.classes)) for world in worlds]
+    return [pad_world(world, *np.max(shapes, axis=0).tolist()) for world in worlds]

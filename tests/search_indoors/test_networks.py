@@ -1,0 +1,167 @@
+"""The network that predicts cost maps: what it is shown, where features go, and how it is kept in a file."""
+
+import dataclasses
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dc2g_jax._src.estimation.weights import shapes_of_weights
+from dc2g_jax._src.search_indoors.learning import networks
+from dc2g_jax._src.search_indoors.maps.classes import SEMANTIC_CLASSES
+from dc2g_jax._src.search_indoors.learning.networks import (
+    BINS,
+    MIDLEVEL_ONLY,
+    SEMANTIC_ONLY,
+    CostMapArchitecture,
+    CostMapEstimator,
+    CostMapNetwork,
+    Prediction,
+    bin_regions,
+    fused_cost,
+    heading_bin,
+    load_estimator,
+    oriented_features,
+    save_estimator,
+)
+from tests.support.refusals import refusal
+
+SMALL = CostMapArchitecture(widths=(6, 8), embedding=4, features=5, feature_width=3)
+
+
+@pytest.fixture(scope="module")
+def weights():
+    """Random throughout: fresh ones have layers of zeros, behind which nothing is seen."""
+    rng = np.random.default_rng(1)
+    return jax.tree.map(
+        lambda leaf: rng.normal(0, 0.2, leaf.shape).astype(np.float32), shapes_of_weights(CostMapNetwork, SMALL)
+    )
+
+
+@pytest.fixture(scope="module")
+def question():
+    """Two robots, maps of 20 x 28 cells."""
+    rng = np.random.default_rng(0)
+    maps = rng.integers(0, 2, (2, 36, 20, 28)).astype(np.float32)
+    return maps, np.array([0, 3]), np.float32([0.1, -2.0]), rng.normal(size=(2, 5)).astype(np.float32)
+
+
+@functools.cache
+def apply_with(inputs):
+    return jax.jit(functools.partial(networks.apply, dataclasses.replace(SMALL, inputs=inputs)))
+
+
+def answers(inputs, weights, question, **changed):
+    names = ("maps", "target", "heading", "features")
+    given = dict(zip(names, question, strict=True)) | changed
+    prediction = apply_with(inputs)(weights, *(given[name] for name in names))
+    return np.stack([prediction.occupancy, prediction.cost])
+
+
+def test_a_number_for_each_cell(weights, question):
+    answer = answers(SMALL.inputs, weights, question)
+    assert answer.shape == (2, 2, 20, 28)
+    assert ((answer[0] > 0) & (answer[0] < 1)).all()
+
+
+def test_all_that_is_known_matters(weights, question):
+    answer = answers(SMALL.inputs, weights, question)
+    other = {
+        "maps": question[0][::-1].copy(),
+        "target": question[1] + 1,
+        "heading": question[2] + np.float32(math.pi / 2),
+        "features": -question[3],
+    }
+    for name, value in other.items():
+        assert not np.allclose(answers(SMALL.inputs, weights, question, **{name: value}), answer), name
+
+
+def test_ablations_are_blind_to_what_they_are_not_shown(weights, question):
+    maps = question[0].copy()
+    semantic = np.arange(36) % 18 < SEMANTIC_CLASSES
+    maps[:, semantic] = 1 - maps[:, semantic]
+    other_features = {"features": -question[3], "heading": question[2] + 2}
+    for inputs, unseen, seen in (
+        (SEMANTIC_ONLY, other_features, {"maps": maps}),
+        (MIDLEVEL_ONLY, {"maps": maps}, other_features),
+    ):
+        answer = answers(inputs, weights, question)
+        np.testing.assert_array_equal(answers(inputs, weights, question, **unseen), answer)
+        assert not np.allclose(answers(inputs, weights, question, **seen), answer)
+    # Obstacles and explored cells are shown to all.
+    maps = question[0].copy()
+    maps[:, ~semantic] = 1 - maps[:, ~semantic]
+    assert not np.allclose(
+        answers(MIDLEVEL_ONLY, weights, question, maps=maps), answers(MIDLEVEL_ONLY, weights, question)
+    )
+
+
+def test_features_lie_where_the_robot_looks():
+    degrees = np.array([0, 22, 23, 45, 90, 135, 180, -180, -90, -45, -22, 359, 720])
+    bins = [0, 0, 1, 1, 2, 3, 4, 4, 6, 7, 0, 0, 0]
+    assert heading_bin(jnp.asarray(np.radians(degrees), jnp.float32)).tolist() == bins
+    regions = bin_regions(9, 12)
+    assert regions.sum(axis=(1, 2)).tolist() == [12] * BINS
+    assert not regions.sum(axis=0)[3:6, 4:8].any()  # the middle belongs to none
+    assert regions.sum(axis=0).max() == 1
+    for number in range(BINS):
+        row, column = np.argwhere(regions[number]).mean(axis=0)
+        direction = math.atan2(4 - row, (column - 5.5) * 9 / 12)
+        assert direction == pytest.approx(math.remainder(number * math.pi / 4, math.tau), abs=1e-6) or number == 4
+    north = oriented_features(jnp.asarray([[2.0, 3.0]]), jnp.asarray([math.pi / 2]), 9, 12)
+    np.testing.assert_array_equal(north[0, 0, 5], [2, 3])
+    assert float(jnp.sum(north)) == 12 * 5
+
+
+def test_occupied_cells_lie_over_the_cost():
+    prediction = Prediction(jnp.asarray([[-1.0, 1.0]]), jnp.asarray([[0.3, 0.4]]))
+    occupancy, cost = prediction.occupancy, prediction.cost
+    np.testing.assert_array_equal(fused_cost(occupancy, cost), np.float32([[0.3, np.inf]]))
+    np.testing.assert_array_equal(fused_cost(occupancy, cost, threshold=0.2), np.float32([[np.inf, np.inf]]))
+
+
+def test_the_default_is_small():
+    sizes = [
+        math.prod(leaf.shape) for leaf in jax.tree.leaves(shapes_of_weights(CostMapNetwork, CostMapArchitecture()))
+    ]
+    assert sum(sizes) <= 2_000_000
+
+
+@pytest.mark.parametrize("change", [{"widths": (8,)}, {"widths": (8, 0)}, {"patch": 0}, {"features": 0}])
+def test_numbers_without_sense_are_refused(change):
+    with pytest.raises(ValueError, match="give at least"):
+        dataclasses.replace(SMALL, **change)
+
+
+def test_a_network_comes_back_from_its_file(weights, question, tmp_path):
+    path = tmp_path / "network.safetensors"
+    save_estimator(path, CostMapEstimator(weights=weights, architecture=SMALL), {"houses": "own"})
+    loaded, card = load_estimator(path)
+    assert loaded.architecture == SMALL
+    assert card["houses"] == "own"
+    np.testing.assert_allclose(
+        answers(SMALL.inputs, loaded.weights, question), answers(SMALL.inputs, weights, question), atol=2e-2
+    )
+    maps, target, heading, features = (jnp.asarray(part[1]) for part in question)
+    occupancy, cost = jax.jit(loaded.estimate)(maps, target, features, heading)
+    np.testing.assert_allclose(
+        np.stack([occupancy, cost]), answers(SMALL.inputs, loaded.weights, question)[:, 1], rtol=1e-4, atol=1e-4
+    )
+
+
+def test_files_that_are_no_network_are_refused(weights, tmp_path):
+    from dc2g_jax._src.estimation.weights import read_safetensors, write_safetensors
+
+    path = tmp_path / "network.safetensors"
+    refusal(lambda: load_estimator(path), path, "no such file")
+    save_estimator(path, CostMapEstimator(weights=weights, architecture=SMALL), {})
+    tensors, facts = read_safetensors(path)
+    write_safetensors(path, tensors, {})
+    refusal(lambda: load_estimator(path), path, "no network")
+    write_safetensors(path, tensors, facts | {"card": '{"classes": ["nothing"]}'})
+    refusal(lambda: load_estimator(path), path, "classes")
+    write_safetensors(path, {name: tensors[name] for name in list(tensors)[1:]}, facts)
+    refusal(lambda: load_estimator(path), path, next(iter(tensors)), "none")
