@@ -38,6 +38,8 @@ from dc2g_jax._src.estimation.weights import fresh_weights, write_network
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES
 from dc2g_jax._src.mapping.sequences import Shot, read_frame, read_picture, read_sequence, write_sequence
+from dc2g_jax._src.rollouts.evaluation import EpisodeResult
+from dc2g_jax._src.rollouts.results import ResumableTable, read_rows, write_rows
 from dc2g_jax._src.search_indoors.houses.procthor import read_procthor
 from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, load_encoder
 from dc2g_jax._src.search_indoors.learning.networks import (
@@ -47,8 +49,6 @@ from dc2g_jax._src.search_indoors.learning.networks import (
     load_estimator,
     save_estimator,
 )
-from dc2g_jax._src.rollouts.evaluation import EpisodeResult
-from dc2g_jax._src.rollouts.results import ResumableTable, read_rows, write_rows
 from dc2g_jax._src.training.cost_to_go_data import check_masks
 from dc2g_jax._src.training.loop import Log
 from dc2g_jax._src.training.mask_collection import Masks

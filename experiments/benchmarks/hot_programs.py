@@ -17,15 +17,15 @@ from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.poses import Pose
 from dc2g_jax._src.grid.world import world_from_terrain
 from dc2g_jax._src.mapping.scene import TILES, Scene
-from dc2g_jax._src.search_indoors.search import searches
-from dc2g_jax._src.search_indoors.search.named import agent_with, open_costs
-from dc2g_jax._src.search_indoors.search.simulation import IndoorSite, leg
 from dc2g_jax._src.planning.named import make_planner
 from dc2g_jax._src.planning.planners import Planner
 from dc2g_jax._src.planning.rules import SETTINGS, Rules
 from dc2g_jax._src.rollouts import rollout
 from dc2g_jax._src.rollouts.devices import AXIS
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes
+from dc2g_jax._src.search_indoors.search import searches
+from dc2g_jax._src.search_indoors.search.named import agent_with, open_costs
+from dc2g_jax._src.search_indoors.search.simulation import IndoorSite, leg
 from dc2g_jax._src.training import cost_to_go, translator
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig

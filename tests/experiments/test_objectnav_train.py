@@ -10,8 +10,8 @@ import pytest
 from dc2g_jax._src.cli.commands import objectnav_train
 from dc2g_jax._src.cli.commands.objectnav_train import Options, main
 from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig
 from dc2g_jax._src.search_indoors.houses.dataset import houses_sha256
+from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig
 from dc2g_jax._src.search_indoors.search.predicted_costs import ENCODER_FILE, NETWORK_FILE, load_costs
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms

@@ -12,9 +12,9 @@ from dc2g_jax._src.inspection.search_animation import animate_search, search_pic
 from dc2g_jax._src.inspection.search_figures import PATH_COLOR, ROBOT_COLOR, TARGET_COLOR, SearchMoment, plot_prediction
 from dc2g_jax._src.inspection.search_moments import choose_legs, prediction_at
 from dc2g_jax._src.inspection.search_recording import record_search
+from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
 from dc2g_jax._src.search_indoors.maps.classes import GOALS, PLANT
 from dc2g_jax._src.search_indoors.search.guides import TrueCost
-from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
 from dc2g_jax._src.search_indoors.search.predicted_costs import PredictedCosts
 from dc2g_jax._src.search_indoors.search.simulation import reset, site_of
 from tests.support.recordings import read

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.mapping.camera import intrinsics
+from dc2g_jax._src.search_indoors.maps.classes import BED, GOALS, PLANT
+from dc2g_jax._src.search_indoors.maps.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, IndoorMapSettings
 from dc2g_jax._src.search_indoors.search.agent import (
     DECLARED,
     LIMITS,
@@ -17,7 +19,6 @@ from dc2g_jax._src.search_indoors.search.agent import (
     RandomUntilSeen,
     observed,
 )
-from dc2g_jax._src.search_indoors.maps.classes import BED, GOALS, PLANT
 from dc2g_jax._src.search_indoors.search.guides import (
     GoalReacher,
     NearestFrontier,
@@ -26,7 +27,6 @@ from dc2g_jax._src.search_indoors.search.guides import (
     PromisingFrontier,
     TrueCost,
 )
-from dc2g_jax._src.search_indoors.maps.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, IndoorMapSettings
 from dc2g_jax._src.search_indoors.search.predicted_costs import PredictedCosts
 from dc2g_jax._src.search_indoors.search.simulation import is_active, leg, picture, reset, site_of
 from dc2g_jax._src.vehicles.footprint import Ground

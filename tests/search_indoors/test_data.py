@@ -10,11 +10,9 @@ import pytest
 from dc2g_jax._src.datasets.pairs import turned
 from dc2g_jax._src.mapping.camera import level_camera
 from dc2g_jax._src.mapping.simulator import cast
-from dc2g_jax._src.search_indoors.maps import mapping
-from dc2g_jax._src.search_indoors.learning.exploring import NEVER, visible
+from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
 from dc2g_jax._src.search_indoors.houses.plans import Furniture, world_from_plan
-from dc2g_jax._src.search_indoors.maps.camera import INDOOR_CAMERA_HEIGHT
-from dc2g_jax._src.search_indoors.maps.classes import BED, GOALS, PLANT, TABLE
+from dc2g_jax._src.search_indoors.houses.worlds import scene
 from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig, collect
 from dc2g_jax._src.search_indoors.learning.data import (
     ALL_SYMMETRIES,
@@ -32,9 +30,11 @@ from dc2g_jax._src.search_indoors.learning.data import (
     map_cells,
     turned_heading,
 )
-from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
+from dc2g_jax._src.search_indoors.learning.exploring import NEVER, visible
 from dc2g_jax._src.search_indoors.learning.midlevel import ConvolutionEncoder
-from dc2g_jax._src.search_indoors.houses.worlds import scene
+from dc2g_jax._src.search_indoors.maps import mapping
+from dc2g_jax._src.search_indoors.maps.camera import INDOOR_CAMERA_HEIGHT
+from dc2g_jax._src.search_indoors.maps.classes import BED, GOALS, PLANT, TABLE
 from tests.support.plans import BED_BOX, PLANT_BOX, plan
 from tests.support.refusals import refusal
 

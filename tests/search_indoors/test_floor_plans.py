@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.search_indoors.houses import furnishing, layouts
+from dc2g_jax._src.search_indoors.houses.dataset import draw_plan, indoor_house, indoor_houses
 from dc2g_jax._src.search_indoors.houses.plans import world_from_plan
 from dc2g_jax._src.search_indoors.houses.starts import start_cells
 from dc2g_jax._src.search_indoors.maps.classes import (
@@ -22,8 +24,6 @@ from dc2g_jax._src.search_indoors.maps.classes import (
     SINK,
     TOILET,
 )
-from dc2g_jax._src.search_indoors.houses import furnishing, layouts
-from dc2g_jax._src.search_indoors.houses.dataset import draw_plan, indoor_house, indoor_houses
 from tests.support.rooms import rooms_cut_off
 
 COUNT = 40
@@ -80,11 +80,11 @@ def test_things_stand_where_they_belong(worlds):
     where = {BED: {BEDROOM}, TOILET: {BATHROOM}, COUCH: {LIVING_ROOM}, REFRIGERATOR: {KITCHEN}}
     where |= {SINK: {BATHROOM, KITCHEN}}
     for world in worlds:
-        kinds = world.room_kinds[world.objects.rooms]
+        kinds = world.room_kinds[world.rooms]
         for kind, rooms in where.items():
-            assert set(kinds[world.objects.classes == kind].tolist()) <= rooms
+            assert set(kinds[world.goals(kind)].tolist()) <= rooms
     kinds = np.concatenate([world.room_kinds[1:] for world in worlds])
-    toilets = sum(int(np.sum(world.objects.classes == TOILET)) for world in worlds)
+    toilets = sum(int(np.sum(world.object_kinds == TOILET)) for world in worlds)
     assert toilets >= 0.9 * np.sum(kinds == BATHROOM)
 
 
@@ -105,7 +105,7 @@ def test_doors_stay_free_and_are_wide_enough(plans, worlds):
 
 def test_furniture_stands_in_rooms_and_houses_are_closed(plans, worlds):
     for plan, world in zip(plans, worlds, strict=True):
-        assert len(world.objects.classes) == len(plan.furniture)
+        assert len(world.object_kinds) == len(plan.furniture)
         assert not world.free[[0, 1, -2, -1]].any()
         assert not world.free[:, [0, 1, -2, -1]].any()
 

@@ -5,7 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.search_indoors.learning.losses import LossWeights, cost_loss, direction_loss, gradient, occupancy_loss, total_loss
+from dc2g_jax._src.search_indoors.learning.losses import (
+    LossWeights,
+    cost_loss,
+    direction_loss,
+    gradient,
+    occupancy_loss,
+    total_loss,
+)
 from dc2g_jax._src.search_indoors.learning.networks import Prediction
 
 SHAPE = (7, 9)

@@ -9,10 +9,10 @@ import pytest
 
 from dc2g_jax._src.mapping.camera import intrinsics, level_camera, points
 from dc2g_jax._src.mapping.simulator import render
+from dc2g_jax._src.search_indoors.houses.worlds import scene
 from dc2g_jax._src.search_indoors.maps import mapping
 from dc2g_jax._src.search_indoors.maps.classes import BED
 from dc2g_jax._src.search_indoors.maps.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, IndoorMapSettings
-from dc2g_jax._src.search_indoors.houses.worlds import scene
 from tests.support.refusals import refusal
 from tests.support.two_rooms import two_rooms
 

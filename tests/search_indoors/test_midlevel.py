@@ -8,10 +8,10 @@ import pytest
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.weights import read_safetensors, write_network, write_safetensors
 from dc2g_jax._src.mapping.camera import level_camera
-from dc2g_jax._src.search_indoors.learning import midlevel
+from dc2g_jax._src.rollouts.devices import mesh_of
 from dc2g_jax._src.search_indoors.houses.plans import world_from_plan
-from dc2g_jax._src.search_indoors.maps.camera import VIEW_SIZE, CameraView, view
-from dc2g_jax._src.search_indoors.maps.classes import BED, OBJECT_COLORS
+from dc2g_jax._src.search_indoors.houses.worlds import painted, scene
+from dc2g_jax._src.search_indoors.learning import midlevel
 from dc2g_jax._src.search_indoors.learning.midlevel import (
     Answers,
     EncoderArchitecture,
@@ -22,8 +22,8 @@ from dc2g_jax._src.search_indoors.learning.midlevel import (
     task_losses,
     vector_size,
 )
-from dc2g_jax._src.search_indoors.houses.worlds import painted, scene
-from dc2g_jax._src.rollouts.devices import mesh_of
+from dc2g_jax._src.search_indoors.maps.camera import VIEW_SIZE, CameraView, view
+from dc2g_jax._src.search_indoors.maps.classes import BED, OBJECT_COLORS
 from dc2g_jax._src.training.loop import Pauses, train
 from dc2g_jax._src.training.step import supervised_step
 from tests.support.plans import BED_BOX, plan

@@ -11,7 +11,6 @@ import pytest
 
 from dc2g_jax._src.estimation.weights import shapes_of_weights
 from dc2g_jax._src.search_indoors.learning import networks
-from dc2g_jax._src.search_indoors.maps.classes import SEMANTIC_CLASSES
 from dc2g_jax._src.search_indoors.learning.networks import (
     BINS,
     MIDLEVEL_ONLY,
@@ -27,6 +26,7 @@ from dc2g_jax._src.search_indoors.learning.networks import (
     oriented_features,
     save_estimator,
 )
+from dc2g_jax._src.search_indoors.maps.classes import SEMANTIC_CLASSES
 from tests.support.refusals import refusal
 
 SMALL = CostMapArchitecture(widths=(6, 8), embedding=4, features=5, feature_width=3)

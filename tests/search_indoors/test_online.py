@@ -13,11 +13,11 @@ from flax import struct
 from dc2g_jax._src.estimation.weights import fresh_weights
 from dc2g_jax._src.mapping.camera import Frame
 from dc2g_jax._src.mapping.simulator import render
-from dc2g_jax._src.search_indoors.search.agent import DECLARED, LIMITS, MPC, LookAround
+from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
 from dc2g_jax._src.search_indoors.maps.camera import camera_pose
 from dc2g_jax._src.search_indoors.maps.classes import GOALS, PLANT
+from dc2g_jax._src.search_indoors.search.agent import DECLARED, LIMITS, MPC, LookAround
 from dc2g_jax._src.search_indoors.search.guides import GoalReacher, NearestFrontier, PromisingFrontier, TrueCost
-from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
 from dc2g_jax._src.search_indoors.search.online import OnlineSearcher
 from dc2g_jax._src.search_indoors.search.predicted_costs import PredictedCosts
 from dc2g_jax._src.search_indoors.search.simulation import act, is_active, look_and_decide, picture, reset, site_of

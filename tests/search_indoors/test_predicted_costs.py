@@ -10,7 +10,13 @@ import pytest
 from dc2g_jax._src.estimation.weights import fresh_weights, write_network
 from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, vector_size
-from dc2g_jax._src.search_indoors.learning.networks import BOTH, CostMapArchitecture, CostMapEstimator, CostMapNetwork, save_estimator
+from dc2g_jax._src.search_indoors.learning.networks import (
+    BOTH,
+    CostMapArchitecture,
+    CostMapEstimator,
+    CostMapNetwork,
+    save_estimator,
+)
 from dc2g_jax._src.search_indoors.search.predicted_costs import ENCODER_FILE, NETWORK_FILE, load_costs
 from tests.support.refusals import refusal
 

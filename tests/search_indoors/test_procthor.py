@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.search_indoors.houses.dataset import indoor_houses
 from dc2g_jax._src.search_indoors.houses.plans import MARGIN, world_from_plan
 from dc2g_jax._src.search_indoors.houses.procthor import AssetBox, house_plan, read_procthor
-from dc2g_jax._src.search_indoors.maps.classes import BED, BEDROOM, KITCHEN, OTHER, PLANT, TABLE, TELEVISION
-from dc2g_jax._src.search_indoors.houses.dataset import indoor_houses
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
+from dc2g_jax._src.search_indoors.maps.classes import BED, BEDROOM, KITCHEN, OTHER, PLANT, TABLE, TELEVISION
 from tests.support import house_lines
 from tests.support.rooms import rooms_cut_off
 
@@ -75,7 +75,7 @@ def test_a_thin_television_has_the_cells_of_its_room_beside_the_wall(world):
 
 def test_what_is_left_out(world):
     # The cup, the picture on the wall, and the crate outside.
-    assert sorted(world.objects.classes.tolist()) == sorted([BED, TABLE, PLANT, TELEVISION, OTHER])
+    assert sorted(world.object_kinds.tolist()) == sorted([BED, TABLE, PLANT, TELEVISION, OTHER])
 
 
 def test_rooms_free_floor_and_places(world):
@@ -83,10 +83,11 @@ def test_rooms_free_floor_and_places(world):
     assert set(np.unique(world.rooms[world.free])) == {1, 2}
     np.testing.assert_array_equal(world.free, (world.rooms > 0) & (world.heights == 0))
     assert not (world.free | world.obstacle)[[0, -1]].any()
-    place = dict(zip(world.objects.classes.tolist(), world.objects.positions.tolist(), strict=True))
-    assert place[BED] == pytest.approx([1.05 + MARGIN, 0.55 - 3 - MARGIN], abs=1e-6)
-    assert place[PLANT] == pytest.approx([4.6 + MARGIN, 0.4 - 3 - MARGIN], abs=1e-6)
-    assert world.objects.rooms[world.objects.classes == BED].tolist() == [1]
+    for kind, (x, y) in ((BED, (1.05, 0.55)), (PLANT, (4.6, 0.4))):
+        rows, columns = np.nonzero(world.goals(kind))
+        assert np.mean(columns + 0.5) * 0.1 == pytest.approx(x + MARGIN, abs=0.051)
+        assert np.mean(rows + 0.5) * 0.1 == pytest.approx(3 - y + MARGIN, abs=0.051)
+    assert set(world.rooms[world.goals(BED)].tolist()) == {1}
 
 
 @pytest.mark.parametrize("cell_size", [0.05, 0.07, 0.13])

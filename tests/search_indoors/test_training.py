@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
+from dc2g_jax._src.rollouts.devices import mesh_of, replicate
 from dc2g_jax._src.search_indoors.learning.data import JourneySet
 from dc2g_jax._src.search_indoors.learning.networks import CostMapEstimator
 from dc2g_jax._src.search_indoors.learning.training import (
@@ -17,7 +18,6 @@ from dc2g_jax._src.search_indoors.learning.training import (
     first_state,
     validation_samples,
 )
-from dc2g_jax._src.rollouts.devices import mesh_of, replicate
 from dc2g_jax._src.training.step import supervised_step
 from tests.support.states import assert_same_bits, infinite
 from tests.support.trainings import COST_MAPS as CONFIG

@@ -8,8 +8,8 @@ from dc2g_jax._src.mapping.camera import level_camera
 from dc2g_jax._src.mapping.simulator import cast
 from dc2g_jax._src.search_indoors.houses.plans import Furniture, world_from_plan
 from dc2g_jax._src.search_indoors.houses.starts import approaches, sample_starts, start_cells
-from dc2g_jax._src.search_indoors.maps.classes import BED, CHAIR, GOALS, OBJECT_CLASSES, OBJECT_COLORS, PLANT, TABLE
 from dc2g_jax._src.search_indoors.houses.worlds import pad_world, padded_alike, scene
+from dc2g_jax._src.search_indoors.maps.classes import BED, CHAIR, GOALS, OBJECT_CLASSES, OBJECT_COLORS, PLANT, TABLE
 from tests.support.plans import BED_BOX, PLANT_BOX, plan
 from tests.support.rooms import rooms_cut_off
 
@@ -29,7 +29,7 @@ def test_stacked_houses_keep_their_places():
     np.testing.assert_array_equal(stacked.classes[0, :rows, :columns], small.classes)
     assert not stacked.free[0, :, columns:].any()
     assert (stacked.instances[0, rows:] == -1).all()
-    assert stacked.objects.classes.tolist() == [[BED, 0], [BED, PLANT]]
+    assert stacked.object_kinds.tolist() == [[BED, 0], [BED, PLANT]]
     goals = jax.vmap(lambda world, goal: world.goals(goal).sum())(stacked, jnp.array([BED, PLANT]))
     assert goals.tolist() == [small.goals(BED).sum(), large.goals(PLANT).sum()]
 

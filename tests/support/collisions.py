@@ -108,14 +108,13 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     from dc2g_jax._src.grid.poses import make_pose
     from dc2g_jax._src.grid.world import world_from_terrain
     from dc2g_jax._src.inspection.replay import replay
-    from dc2g_jax._src.search_indoors.search import guides
-    from dc2g_jax._src.search_indoors.search import searches
-    from dc2g_jax._src.search_indoors.learning import training as indoor_training
     from dc2g_jax._src.planning.online import OnlinePlanner
     from dc2g_jax._src.planning.planners import DC2G, Frontier
     from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
     from dc2g_jax._src.rollouts.devices import mesh_of
     from dc2g_jax._src.rollouts.evaluation import Runner, episodes_from
+    from dc2g_jax._src.search_indoors.learning import training as indoor_training
+    from dc2g_jax._src.search_indoors.search import guides, searches
     from dc2g_jax._src.training import cost_to_go, translator
     from dc2g_jax._src.training.image_evaluation import compare
     from dc2g_jax._src.training.mask_collection import collect_masks

@@ -3,12 +3,12 @@
 import numpy as np
 
 from dc2g_jax._src.mapping.camera import intrinsics
-from dc2g_jax._src.search_indoors.houses.plans import Furniture, HousePlan, Room, Segment, world_from_plan
-from dc2g_jax._src.search_indoors.search.agent import LIMITS, MPC, Agent
-from dc2g_jax._src.search_indoors.maps.classes import BED, PLANT
-from dc2g_jax._src.search_indoors.search.guides import GoalReacher, NearestFrontier
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
+from dc2g_jax._src.search_indoors.houses.plans import Furniture, HousePlan, Room, Segment, world_from_plan
+from dc2g_jax._src.search_indoors.maps.classes import BED, PLANT
 from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
+from dc2g_jax._src.search_indoors.search.agent import LIMITS, MPC, Agent
+from dc2g_jax._src.search_indoors.search.guides import GoalReacher, NearestFrontier
 from dc2g_jax._src.vehicles.mppi import MPPISettings
 
 #: An agent with a small camera that samples few controls.

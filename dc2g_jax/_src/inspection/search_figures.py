@@ -21,9 +21,10 @@ from dc2g_jax._src.inspection._sheets import DPI, FONT, cell_rim
 from dc2g_jax._src.inspection.costs import end_of_colors
 from dc2g_jax._src.inspection.driving_figures import ROBOT_ARROW
 from dc2g_jax._src.inspection.figures import PAGE_WIDTH, save_figure
+from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
 from dc2g_jax._src.search_indoors.maps.classes import NO_OBJECT, OBJECT_CLASSES, OBJECT_COLORS, SEMANTIC_CLASSES
+from dc2g_jax._src.search_indoors.maps.cost_maps import Cells
 from dc2g_jax._src.search_indoors.maps.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL
-from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, Leaf
 
 #: Low costs are green and high costs red, as in the paper. Brightness decreases too, so they also differ in grayscale.
 _COSTS = LinearSegmentedColormap.from_list("costs", ["#a8e6a1", "#f5e663", "#f4a13a", "#d3411e", "#7d0d12"])
@@ -76,11 +77,11 @@ class PredictedMap(NamedTuple):
       true_cost: the same in truth; infinite where the robot does not fit and where no path leads to the goal.
     """
 
-    cells: UInt32[Leaf, "n n"]
-    occupied: Bool[Leaf, "n n"]
-    truly_occupied: Bool[Leaf, "n n"]
-    cost: Float[Leaf, "n n"]
-    true_cost: Float[Leaf, "n n"]
+    cells: UInt32[Cells, "n n"]
+    occupied: Bool[Cells, "n n"]
+    truly_occupied: Bool[Cells, "n n"]
+    cost: Float[Cells, "n n"]
+    true_cost: Float[Cells, "n n"]
 
 
 def plot_search(

@@ -9,12 +9,19 @@ from jaxtyping import Array, Bool, Float
 from tqdm import tqdm
 
 from dc2g_jax._src.inspection.search_figures import PredictedMap, SearchMoment
+from dc2g_jax._src.programs import jit
+from dc2g_jax._src.search_indoors.maps.mapping import square, window
 from dc2g_jax._src.search_indoors.search.agent import MPC, Agent, cost_of_pose, observed
 from dc2g_jax._src.search_indoors.search.guides import TrueCost
-from dc2g_jax._src.search_indoors.maps.mapping import square, window
 from dc2g_jax._src.search_indoors.search.predicted_costs import PredictedCosts
-from dc2g_jax._src.search_indoors.search.simulation import IndoorRobot, IndoorSite, act_on, is_active, look_and_decide, picture
-from dc2g_jax._src.programs import jit
+from dc2g_jax._src.search_indoors.search.simulation import (
+    IndoorRobot,
+    IndoorSite,
+    act_on,
+    is_active,
+    look_and_decide,
+    picture,
+)
 
 
 def run_search(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> tuple[list[IndoorRobot], IndoorRobot]:

@@ -19,8 +19,8 @@ from dc2g_jax._src.inspection.search_figures import (
     map_image,
     robots_map,
 )
-from dc2g_jax._src.search_indoors.maps.classes import OBJECT_CLASSES
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
+from dc2g_jax._src.search_indoors.maps.classes import OBJECT_CLASSES
 
 #: Entities of the three maps.
 _MAPS = ("true_map", "robots_map", "costs")

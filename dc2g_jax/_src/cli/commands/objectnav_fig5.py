@@ -23,12 +23,12 @@ from dc2g_jax._src.inspection.search_animation import animate_search
 from dc2g_jax._src.inspection.search_figures import plot_prediction, plot_search
 from dc2g_jax._src.inspection.search_moments import choose_legs, moment_of, prediction_at, run_search
 from dc2g_jax._src.inspection.search_recording import record_search
-from dc2g_jax._src.search_indoors.search.agent import DECLARED
+from dc2g_jax._src.search_indoors.houses.dataset import indoor_house, indoor_houses
 from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
+from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
+from dc2g_jax._src.search_indoors.search.agent import DECLARED
 from dc2g_jax._src.search_indoors.search.evaluation import results_of
 from dc2g_jax._src.search_indoors.search.guides import TrueCost
-from dc2g_jax._src.search_indoors.houses.dataset import indoor_house, indoor_houses
-from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
 from dc2g_jax._src.search_indoors.search.named import AgentName, agent_with, costs_for
 from dc2g_jax._src.search_indoors.search.searches import Searches, sample_episodes, search_for
 from dc2g_jax._src.search_indoors.search.simulation import reset, site_of

@@ -21,10 +21,10 @@ from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.weights import write_network
 from dc2g_jax._src.files.atomic import replacing
+from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
+from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse, houses_sha256, indoor_houses
 from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig, collect, random_views
 from dc2g_jax._src.search_indoors.learning.data import JourneySet
-from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse, houses_sha256, indoor_houses
-from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
 from dc2g_jax._src.search_indoors.learning.midlevel import (
     EncoderArchitecture,
     EncoderTraining,
@@ -33,8 +33,12 @@ from dc2g_jax._src.search_indoors.learning.midlevel import (
     load_encoder,
     vector_size,
 )
-from dc2g_jax._src.search_indoors.learning.networks import ABLATIONS, INPUT_CHANNELS, CostMapArchitecture, CostMapEstimator
-from dc2g_jax._src.search_indoors.search.predicted_costs import ENCODER_FILE, NETWORK_FILE, save_costs
+from dc2g_jax._src.search_indoors.learning.networks import (
+    ABLATIONS,
+    INPUT_CHANNELS,
+    CostMapArchitecture,
+    CostMapEstimator,
+)
 from dc2g_jax._src.search_indoors.learning.training import (
     RECIPES,
     CostMapConfig,
@@ -43,7 +47,8 @@ from dc2g_jax._src.search_indoors.learning.training import (
     first_state,
     validation_samples,
 )
-from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate, require_memory
+from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
+from dc2g_jax._src.search_indoors.search.predicted_costs import ENCODER_FILE, NETWORK_FILE, save_costs
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax._src.training.step import TrainingState, supervised_step
 from dc2g_jax._src.training.training_sets import kept_arrays

@@ -12,13 +12,13 @@ from dc2g_jax._src.datasets.procedural.plain import with_door
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.digests import arrays_sha256
 from dc2g_jax._src.grid.ground import component_numbers
-from dc2g_jax._src.search_indoors.houses.plans import PLAN_CELL_SIZE, HousePlan, world_from_plan
-from dc2g_jax._src.search_indoors.houses.procthor import BOXES_FILE, read_procthor
-from dc2g_jax._src.search_indoors.houses.starts import passable
 from dc2g_jax._src.search_indoors.houses.furnishing import furnish
 from dc2g_jax._src.search_indoors.houses.layouts import draw_layout
 from dc2g_jax._src.search_indoors.houses.placing import CHECK_CELLS, Floor, RoomSketch
+from dc2g_jax._src.search_indoors.houses.plans import PLAN_CELL_SIZE, HousePlan, world_from_plan
+from dc2g_jax._src.search_indoors.houses.procthor import BOXES_FILE, read_procthor
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
+from dc2g_jax._src.search_indoors.maps.cost_maps import ROBOT_RADIUS, inflated
 
 #: File endings of houses.
 _ENDINGS = (".jsonl.gz", ".jsonl")
@@ -71,7 +71,7 @@ def draw_plan(seed: int, split: str, index: int) -> HousePlan:
         for room in rooms:
             furnish(room)
         # An object near a border without wall may cut off a corner of the adjacent room.
-        if component_numbers(passable(floor.free, CHECK_CELLS)).max() == 1:
+        if component_numbers(~inflated(~floor.free, ROBOT_RADIUS, CHECK_CELLS)).max() == 1:
             return dataclasses.replace(layout.plan, furniture=tuple(piece for room in rooms for piece in room.pieces))
     raise RuntimeError(f"no house within {_ATTEMPTS} drawings of seed {seed}, {split}, {index}")
 

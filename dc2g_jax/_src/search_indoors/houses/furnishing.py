@@ -7,9 +7,9 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from dc2g_jax._src.search_indoors.maps import classes
-from dc2g_jax._src.search_indoors.houses.plans import Furniture
 from dc2g_jax._src.search_indoors.houses.placing import RoomSketch, Wall, in_front
+from dc2g_jax._src.search_indoors.houses.plans import Furniture
+from dc2g_jax._src.search_indoors.maps import classes
 
 Limits = tuple[float, float]
 
@@ -18,7 +18,7 @@ class Model(NamedTuple):
     """A kind of furniture in the catalog: its class and the ranges of its size in meters.
 
     Attributes:
-      kind: class index, see `search_indoors.maps.classes`.
+      kind: class index, see `maps.classes`.
       width: range of the extent along its back.
       depth: range of the extent from back to front.
       top: range of the height.

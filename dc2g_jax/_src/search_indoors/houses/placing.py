@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Bool
 
 from dc2g_jax._src.grid.ground import component_numbers
-from dc2g_jax._src.search_indoors.houses.plans import MARGIN, Furniture, Segment, world_from_plan
-from dc2g_jax._src.search_indoors.houses.starts import passable
 from dc2g_jax._src.search_indoors.houses.layouts import Layout
+from dc2g_jax._src.search_indoors.houses.plans import MARGIN, Furniture, Segment, world_from_plan
+from dc2g_jax._src.search_indoors.maps.cost_maps import ROBOT_RADIUS, inflated
 
 #: Side of the cells with which reachability is checked, meters.
 CHECK_CELLS = 0.1
@@ -221,7 +221,9 @@ class RoomSketch:
 
     def _is_one(self) -> bool:
         """Whether a robot can drive between all cells of the room in which it fits, including the doors."""
-        cells: Bool[np.ndarray, "h w"] = passable(self._floor.free[self._window], CHECK_CELLS) & self._inside
+        cells: Bool[np.ndarray, "h w"] = (
+            ~inflated(~self._floor.free[self._window], ROBOT_RADIUS, CHECK_CELLS) & self._inside
+        )
         return int(component_numbers(cells).max()) == 1
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, Objects
+from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
 
 #: Side of a cell, meters: the paper's map of 420 cells is then 21 m wide.
 PLAN_CELL_SIZE = 0.05
@@ -39,7 +39,7 @@ class Room(NamedTuple):
     """A room.
 
     Attributes:
-      kind: index into `search_indoors.maps.classes.ROOM_NAMES`.
+      kind: index into `maps.classes.ROOM_NAMES`.
       outline: corners of its floor in order, [corner 2].
     """
 
@@ -58,7 +58,7 @@ class Furniture(NamedTuple):
     """An object as an upright box.
 
     Attributes:
-      kind: class index, see `search_indoors.maps.classes`.
+      kind: class index, see `maps.classes`.
       x: x of its center, meters.
       y: y of its center, meters.
       width: extent along its own x axis, meters.
@@ -157,11 +157,7 @@ def world_from_plan(plan: HousePlan, cell_size: float = PLAN_CELL_SIZE) -> Indoo
         instances=instances,
         rooms=rooms,
         room_kinds=np.array([0, *(room.kind for room in plan.rooms)], np.uint8),
-        objects=Objects(
-            classes=kinds,
-            rooms=np.array([room for _, room in housed], np.uint8),
-            positions=np.array([(p.x - grid.left, p.y - grid.top) for p, _ in housed], np.float32).reshape(-1, 2),
-        ),
+        object_kinds=kinds,
         cell_size=np.asarray(cell_size, np.float32),
     )
 

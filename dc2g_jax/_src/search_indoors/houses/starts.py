@@ -2,40 +2,23 @@
 
 import math
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.ndimage import distance_transform_edt
 
 from dc2g_jax._src.grid.ground import component_numbers, connected_to
-from dc2g_jax._src.search_indoors.maps.cost_maps import footprint
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
-
-#: Radius of the robot, meters.
-ROBOT_RADIUS = 0.2
-
-#: An object within this distance is reached, meters: the paper's success distance (section III-C).
-REACH = 1.0
+from dc2g_jax._src.search_indoors.maps.cost_maps import REACH
 
 
 def _distance_to(cells: Bool[np.ndarray, "h w"], cell_size: float) -> Float[np.ndarray, "h w"]:
     """Straight-line distance of each cell to the nearest of some cells, meters."""
-    elsewhere = np.where(cells, 0, 1).astype(np.uint8)
-    return cv2.distanceTransform(elsewhere, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * cell_size
-
-
-def passable(free: Bool[np.ndarray, "h w"], cell_size: float) -> Bool[np.ndarray, "h w"]:
-    """The cells in whose center a robot touches no blocked cell: `inflated` on the host, for grids of any size.
-
-    Args:
-      free: cells without obstacles. Space beyond the grid does not count as blocked.
-      cell_size: side of a cell, meters.
-    """
-    return cv2.dilate((~free).astype(np.uint8), footprint(ROBOT_RADIUS, cell_size).astype(np.uint8)) == 0
+    return distance_transform_edt(~cells).astype(np.float32) * cell_size
 
 
 def largest_region(world: IndoorWorld) -> Bool[np.ndarray, "h w"]:
     """The cells of the largest region of a house in which a robot can drive; none if it fits nowhere."""
-    region = component_numbers(passable(np.asarray(world.free), float(world.cell_size)))
+    region = component_numbers(world.fits)
     sizes = np.bincount(region.ravel())
     sizes[0] = 0
     return (region == np.argmax(sizes)) & (region > 0)
@@ -52,7 +35,7 @@ def approaches(world: IndoorWorld, goal: int) -> Bool[np.ndarray, "h w"]:
     goals, near = np.asarray(world.goals(goal)), np.zeros(rooms.shape, bool)
     for room in np.unique(rooms[goals]):
         near |= (rooms == room) & (_distance_to(goals & (rooms == room), cell_size) <= REACH)
-    return near & passable(np.asarray(world.free), cell_size)
+    return near & world.fits
 
 
 def start_cells(world: IndoorWorld, goal: int, *, distance: float) -> Bool[np.ndarray, "h w"]:
@@ -64,7 +47,7 @@ def start_cells(world: IndoorWorld, goal: int, *, distance: float) -> Bool[np.nd
       distance: least straight-line distance to the nearest object of the class, meters.
     """
     cell_size = float(world.cell_size)
-    connected = connected_to(approaches(world, goal), passable(np.asarray(world.free), cell_size))
+    connected = connected_to(approaches(world, goal), world.fits)
     return connected & (_distance_to(np.asarray(world.goals(goal)), cell_size) >= distance)
 
 

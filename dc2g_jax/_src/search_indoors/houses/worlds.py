@@ -6,36 +6,18 @@ first cell, which is the upper left one of the plan.
 
 from collections.abc import Sequence
 
-import jax
 import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int16, UInt8
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.mapping.scene import Scene, scene_from_heights
-from dc2g_jax._src.search_indoors.maps.classes import BATHROOM, BEDROOM, KITCHEN, LIVING_ROOM, OBJECT_COLORS
-
-#: A leaf of one house (NumPy) or of stacked houses (JAX).
-Leaf = np.ndarray | Array
+from dc2g_jax._src.search_indoors.maps.classes import BATHROOM, BEDROOM, KITCHEN, LIVING_ROOM, NO_COLOR, OBJECT_COLORS
+from dc2g_jax._src.search_indoors.maps.cost_maps import ROBOT_RADIUS, Cells, inflated
 
 #: Colors of floors by type of room, of walls, and of the outside.
 _FLOORS = {BEDROOM: (196, 170, 140), BATHROOM: (170, 196, 206), KITCHEN: (206, 200, 182), LIVING_ROOM: (158, 120, 88)}
-_WALL, NO_COLOR = (226, 224, 218), (245, 245, 242)
-
-
-@struct.dataclass
-class Objects:
-    """The objects of a house. Objects of class 0 are padding.
-
-    Attributes:
-      classes: class index of each object.
-      rooms: room of each object, an index into `IndoorWorld.room_kinds`.
-      positions: x and y of each object's center in the world, meters.
-    """
-
-    classes: UInt8[Leaf, " object"]
-    rooms: UInt8[Leaf, " object"]
-    positions: Float[Leaf, "object 2"]
+_WALL = (226, 224, 218)
 
 
 @struct.dataclass
@@ -45,35 +27,40 @@ class IndoorWorld:
     Attributes:
       free: whether a cell is free floor, including open doors.
       heights: height of each cell above the floor, meters; 0 on free floor and outside.
-      classes: class index of the highest object in each cell, see `search_indoors.maps.classes`; 0 without object, as in
+      classes: class index of the highest object in each cell, see `maps.classes`; 0 without object, as in
         walls.
-      instances: index of that object in `objects`, -1 without object.
+      instances: index of that object in `object_kinds`, -1 without object.
       rooms: room of each cell, also below objects; 0 in walls and outside.
-      room_kinds: room -> index into `search_indoors.maps.classes.ROOM_NAMES`; room 0 is the outside.
-      objects: all objects of the house, including those hidden below higher ones.
+      room_kinds: room -> index into `maps.classes.ROOM_NAMES`; room 0 is the outside.
+      object_kinds: class of each object, including those hidden below higher ones; 0 is padding.
       cell_size: side of a cell, meters.
     """
 
-    free: Bool[Leaf, "h w"]
-    heights: Float[Leaf, "h w"]
-    classes: UInt8[Leaf, "h w"]
-    instances: Int16[Leaf, "h w"]
-    rooms: UInt8[Leaf, "h w"]
-    room_kinds: UInt8[Leaf, " room"]
-    objects: Objects
-    cell_size: Float[Leaf, ""]
+    free: Bool[Cells, "h w"]
+    heights: Float[Cells, "h w"]
+    classes: UInt8[Cells, "h w"]
+    instances: Int16[Cells, "h w"]
+    rooms: UInt8[Cells, "h w"]
+    room_kinds: UInt8[Cells, " room"]
+    object_kinds: UInt8[Cells, " object"]
+    cell_size: Float[Cells, ""]
 
     @property
-    def obstacle(self) -> Bool[Leaf, "h w"]:
+    def obstacle(self) -> Bool[Cells, "h w"]:
         """Cells of walls and objects. The outside is neither free nor an obstacle."""
         return self.heights > 0
 
     @property
-    def walls(self) -> Bool[Leaf, "h w"]:
+    def walls(self) -> Bool[Cells, "h w"]:
         """Cells of walls."""
         return self.obstacle & (self.instances < 0)
 
-    def goals(self, goal: int | Array) -> Bool[Leaf, "h w"]:
+    @property
+    def fits(self) -> Bool[np.ndarray, "h w"]:
+        """Cells in whose center a robot touches no blocked cell. Space beyond the grid does not count as blocked."""
+        return ~inflated(~np.asarray(self.free), ROBOT_RADIUS, float(self.cell_size))
+
+    def goals(self, goal: int | Array) -> Bool[Cells, "h w"]:
         """The cells whose highest object has this class."""
         return self.classes == goal
 
@@ -93,7 +80,7 @@ def painted(world: IndoorWorld, rng: np.random.Generator) -> UInt8[np.ndarray, "
       world: one house.
       rng: random number generator of the variation between objects.
     """
-    objects = np.append(OBJECT_COLORS[np.asarray(world.objects.classes)], [_WALL], axis=0)
+    objects = np.append(OBJECT_COLORS[np.asarray(world.object_kinds)], [_WALL], axis=0)
     objects = objects + rng.normal(0, 14, objects.shape)
     kinds = np.asarray(world.room_kinds)
     floors = np.array([_FLOORS.get(int(kind), NO_COLOR) for kind in kinds]) + rng.normal(0, 10, (len(kinds), 3))
@@ -117,11 +104,11 @@ def pad_world(world: IndoorWorld, rows: int, columns: int, rooms: int, objects: 
       InputError: the house is larger than that.
     """
     height, width = world.free.shape
-    more = rows - height, columns - width, rooms - len(world.room_kinds), objects - len(world.objects.classes)
+    more = rows - height, columns - width, rooms - len(world.room_kinds), objects - len(world.object_kinds)
     if min(more) < 0:
         raise InputError(
             f"a house of {height} x {width} cells, {len(world.room_kinds)} rooms with the outside and "
-            f"{len(world.objects.classes)} objects does not fit into {rows} x {columns}, {rooms} and {objects}; "
+            f"{len(world.object_kinds)} objects does not fit into {rows} x {columns}, {rooms} and {objects}; "
             "give larger numbers"
         )
 
@@ -137,7 +124,7 @@ def pad_world(world: IndoorWorld, rows: int, columns: int, rooms: int, objects: 
     return world.replace(  # type: ignore[attr-defined]
         **cells,
         room_kinds=filled(np.asarray(world.room_kinds), more[2]),
-        objects=jax.tree.map(lambda leaf: filled(np.asarray(leaf), more[3]), world.objects),
+        object_kinds=filled(np.asarray(world.object_kinds), more[3]),
     )
 
 
@@ -153,5 +140,5 @@ def padded_alike(worlds: Sequence[IndoorWorld]) -> list[IndoorWorld]:
     sizes = sorted({float(world.cell_size) for world in worlds})
     if len(sizes) != 1:
         raise InputError(f"houses with cells of {sizes or 'no'} meters cannot be stacked; give houses with equal cells")
-    shapes = [(*world.free.shape, len(world.room_kinds), len(world.objects.classes)) for world in worlds]
+    shapes = [(*world.free.shape, len(world.room_kinds), len(world.object_kinds)) for world in worlds]
     return [pad_world(world, *np.max(shapes, axis=0).tolist()) for world in worlds]

@@ -12,17 +12,17 @@ from jaxtyping import Array, Bool, Float, Float16, Int, UInt8, UInt16
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.mapping.scene import Scene
-from dc2g_jax._src.search_indoors.maps.cost_maps import distance_for_vehicle, inflated, with_tight_cells
-from dc2g_jax._src.search_indoors.learning.exploring import NEVER, Journey, explore
-from dc2g_jax._src.search_indoors.houses.starts import ROBOT_RADIUS, largest_region
-from dc2g_jax._src.search_indoors.maps.camera import CameraView, camera_pose, view
-from dc2g_jax._src.search_indoors.maps.classes import GOALS
-from dc2g_jax._src.search_indoors.learning.data import JourneySet, cell_codes, in_millimeters
-from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
-from dc2g_jax._src.search_indoors.learning.midlevel import ImageEncoder
-from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, padded_alike, painted, scene
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.devices import deal, gather, mesh_of, on_each, replicate
+from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
+from dc2g_jax._src.search_indoors.houses.starts import largest_region
+from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, padded_alike, painted, scene
+from dc2g_jax._src.search_indoors.learning.data import JourneySet, cell_codes, in_millimeters
+from dc2g_jax._src.search_indoors.learning.exploring import NEVER, Journey, explore
+from dc2g_jax._src.search_indoors.learning.midlevel import ImageEncoder
+from dc2g_jax._src.search_indoors.maps.camera import CameraView, camera_pose, view
+from dc2g_jax._src.search_indoors.maps.classes import GOALS
+from dc2g_jax._src.search_indoors.maps.cost_maps import ROBOT_RADIUS, distance_for_vehicle, inflated, with_tight_cells
 
 
 @dataclasses.dataclass(frozen=True)

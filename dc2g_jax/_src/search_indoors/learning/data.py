@@ -16,9 +16,10 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Float16, Int, Int16, UInt8, UInt16, UInt32
 
 from dc2g_jax._src.datasets.pairs import turned
+from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
 from dc2g_jax._src.search_indoors.maps.classes import SEMANTIC_CLASSES
+from dc2g_jax._src.search_indoors.maps.cost_maps import Cells
 from dc2g_jax._src.search_indoors.maps.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, IndoorMapSettings, square
-from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, Leaf
 
 #: Sides of the local and the global map in cells (section II-B).
 LOCAL, GLOBAL = IndoorMapSettings.local, IndoorMapSettings.cells
@@ -79,21 +80,21 @@ class JourneySet:
       features: mid-level features of each camera image and of its mirror image.
     """
 
-    cells: UInt8[Leaf, "house h w"]
-    distance: UInt16[Leaf, "house goal h w"]
-    house: Int[Leaf, "journey"]
-    first_seen: UInt8[Leaf, "journey h w"]
-    places: Int16[Leaf, "journey view 2"]
-    headings: Float[Leaf, "journey view"]
-    features: Float16[Leaf, "journey view 2 f"]
+    cells: UInt8[Cells, "house h w"]
+    distance: UInt16[Cells, "house goal h w"]
+    house: Int[Cells, "journey"]
+    first_seen: UInt8[Cells, "journey h w"]
+    places: Int16[Cells, "journey view 2"]
+    headings: Float[Cells, "journey view"]
+    features: Float16[Cells, "journey view 2 f"]
 
 
 @struct.dataclass
 class Samples:
-    """Inputs of a network, see `search_indoors.learning.networks.apply`, and labels.
+    """Inputs of a network, see `learning.networks.apply`, and labels.
 
     Attributes:
-      cells: the robot's map around it, of which `search_indoors.maps.mapping.network_maps` makes the network's maps.
+      cells: the robot's map around it, of which `maps.mapping.network_maps` makes the network's maps.
       target: the wanted class, an index into `GOALS`.
       heading: direction of the camera, radians.
       features: mid-level features.
@@ -124,7 +125,7 @@ def in_millimeters(distance: Float[Array, "*n"]) -> UInt16[Array, "*n"]:
     return jnp.where(distance < _UNREACHABLE / 1000, jnp.round(distance * 1000), _UNREACHABLE).astype(jnp.uint16)
 
 
-#: Code of a cell -> its channels in a robot's map, see `search_indoors.maps.mapping.IndoorMap`.
+#: Code of a cell -> its channels in a robot's map, see `maps.mapping.IndoorMap`.
 _SEEN, _HIT = 1 << EXPLORED_CHANNEL, 1 << OBSTACLE_CHANNEL
 _CHANNELS = np.array([0, _SEEN, _SEEN | _HIT, *(_SEEN | _HIT | 1 << n for n in range(SEMANTIC_CLASSES))], np.uint32)
 

@@ -20,10 +20,10 @@ from jaxtyping import Array, Float, Int, UInt8
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.compact_unet import patches
 from dc2g_jax._src.estimation.weights import fresh_weights, read_network, read_safetensors, with_weights
-from dc2g_jax._src.search_indoors.maps.camera import VIEW_SIZE, CameraView
-from dc2g_jax._src.search_indoors.maps.classes import OBJECT_CLASSES
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate
+from dc2g_jax._src.search_indoors.maps.camera import VIEW_SIZE, CameraView
+from dc2g_jax._src.search_indoors.maps.classes import OBJECT_CLASSES
 from dc2g_jax._src.training.loop import Losses, Task
 from dc2g_jax._src.training.step import Supervised, TrainingState, state_of, supervised_step
 

@@ -4,7 +4,7 @@ It is a U-Net with one encoder and two decoders of the same shape, for occupancy
 bottleneck, the encoder's features are joined by the embedding of the target, the same everywhere, and by the mid-level
 features of the camera image, in the region of the map that the camera looks at (Fig. 3).
 
-The 36 input channels are those of two maps, see `search_indoors.maps.mapping.network_maps`: the local map, and the
+The 36 input channels are those of two maps, see `maps.mapping.network_maps`: the local map, and the
 global map around the same center, averaged over 3x3 cells. Each has 16 semantic classes, then obstacle, then explored.
 """
 
@@ -217,9 +217,9 @@ def apply(
     Args:
       architecture: the network.
       weights: nested dictionary of arrays, converted to float32.
-      maps: maps with north up and the robot in the middle, see `search_indoors.maps.mapping.network_maps`. Sides are
+      maps: maps with north up and the robot in the middle, see `maps.mapping.network_maps`. Sides are
         multiples of the architecture's patch.
-      target: the wanted class, an index into `search_indoors.maps.classes.GOALS`.
+      target: the wanted class, an index into `maps.classes.GOALS`.
       heading: direction of the camera, counter-clockwise from east, radians.
       features: mid-level features of the camera image; ignored by a network without this input.
     """

@@ -12,8 +12,8 @@ import optax
 from jaxtyping import Array, Float, Int
 
 from dc2g_jax._src.estimation.weights import fresh_weights
+from dc2g_jax._src.programs import jit
 from dc2g_jax._src.search_indoors.learning import networks
-from dc2g_jax._src.search_indoors.learning.losses import LossWeights, total_loss
 from dc2g_jax._src.search_indoors.learning.data import (
     ALL_SYMMETRIES,
     LOCAL,
@@ -24,10 +24,16 @@ from dc2g_jax._src.search_indoors.learning.data import (
     Samples,
     draw_samples,
 )
-from dc2g_jax._src.search_indoors.maps.mapping import network_maps
-from dc2g_jax._src.search_indoors.learning.metrics import FIVE_ACTIONS, NINE_ACTIONS, action_accuracy, confusion, occupancy_scores
+from dc2g_jax._src.search_indoors.learning.losses import LossWeights, total_loss
+from dc2g_jax._src.search_indoors.learning.metrics import (
+    FIVE_ACTIONS,
+    NINE_ACTIONS,
+    action_accuracy,
+    confusion,
+    occupancy_scores,
+)
 from dc2g_jax._src.search_indoors.learning.networks import CostMapArchitecture, CostMapEstimator, Prediction, fused_cost
-from dc2g_jax._src.programs import jit
+from dc2g_jax._src.search_indoors.maps.mapping import network_maps
 from dc2g_jax._src.training.cost_to_go import check_numbers
 from dc2g_jax._src.training.step import Supervised, TrainingState, state_of
 
@@ -42,7 +48,7 @@ class Recipe:
       last: learning rate at the end of a cosine decay.
       warmup: share of the steps over which the rate rises to its peak.
       weight_decay: weight decay, see the optimizers.
-      symmetries: probability of each of `search_indoors.learning.data.SYMMETRIES`.
+      symmetries: probability of each of `learning.data.SYMMETRIES`.
       normalization: a name of `NORMALIZATIONS`.
       average_decay: decay of the running average of the weights, which is saved; 0 saves the weights themselves.
     """

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, UInt8
 from dc2g_jax._src.mapping.camera import CameraPose, Intrinsics, intrinsics, level_camera, rays
 from dc2g_jax._src.mapping.scene import Scene
 from dc2g_jax._src.mapping.simulator import cast_all, classes_of
-from dc2g_jax._src.search_indoors.houses.worlds import NO_COLOR
+from dc2g_jax._src.search_indoors.maps.classes import NO_COLOR
 
 #: The camera: height above the floor, meters; angle below the horizon, radians; horizontal field of view, degrees; rows
 #: and columns of its depth image. It is as high as on the usual research robots. Level, it would see no floor nearer
@@ -62,7 +62,7 @@ def view(scene: Scene, paint: UInt8[Array, "h w 3"], pose: CameraPose) -> Camera
 
     Args:
       scene: scene of the house.
-      paint: color of each cell, see `search_indoors.houses.worlds.painted`.
+      paint: color of each cell, see `houses.worlds.painted`.
       pose: pose of the camera.
     """
     hits = cast_all(scene, pose, rays(intrinsics(INDOOR_FIELD_OF_VIEW, *VIEW_SIZE), pose), math.inf)

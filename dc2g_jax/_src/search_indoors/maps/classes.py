@@ -38,6 +38,9 @@ OBJECT_CLASSES: tuple[str, ...] = tuple(_PALETTE)
 #: Class index -> RGB color, uint8 [class 3].
 OBJECT_COLORS = np.array(list(_PALETTE.values()), np.uint8)
 
+#: Color of the outside.
+NO_COLOR = (245, 245, 242)
+
 #: Semantic classes, those of the map's channels: class index `1 + channel`.
 SEMANTIC_CLASSES = len(OBJECT_CLASSES) - 1
 

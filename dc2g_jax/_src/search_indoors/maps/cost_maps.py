@@ -7,6 +7,8 @@ has seen, is that of `distance_to_object` (section II-D, equation 7). Coordinate
 
 import functools
 import math
+import operator
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +19,16 @@ from jaxtyping import Array, Bool, Float
 from dc2g_jax._src.grid.fast_marching import geodesic_distance, travel_cost
 from dc2g_jax._src.grid.shifting import shifted
 from dc2g_jax._src.vehicles.mppi import CostOfPose
+
+#: An array of NumPy, on the host, or of JAX.
+Cells = np.ndarray | Array
+_Cells = TypeVar("_Cells", np.ndarray, Array)
+
+#: Radius of the robot, meters.
+ROBOT_RADIUS = 0.2
+
+#: An object within this distance is reached, meters: the paper's success distance (section III-C).
+REACH = 1.0
 
 #: The path to an object ends at this distance from it, meters between the centers of cells.
 ARM = 0.8
@@ -35,33 +47,21 @@ def without_specks(cells: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
     return cells & (around >= _LEAST_CELLS)
 
 
-def footprint(radius: float, cell_size: float) -> Bool[np.ndarray, "n n"]:
-    """The cells that a round vehicle touches whose center is in the center of the middle cell.
-
-    These are all cells of which some point is nearer than `radius`.
+def inflated(cells: Bool[_Cells, "h w"], radius: float, cell_size: float) -> Bool[_Cells, "h w"]:
+    """Obstacles inflated by a round vehicle: cells in whose center it would touch one, some point of it being nearer.
 
     Args:
+      cells: obstacle cells, an array of NumPy or JAX, as the result will be. Space beyond the grid is free.
       radius: radius of the vehicle, meters.
       cell_size: edge of a cell, meters.
     """
-    reach = math.ceil(radius / cell_size + 0.5)
+    reach, (height, width) = math.ceil(radius / cell_size + 0.5), cells.shape
     gap = np.maximum(np.abs(np.arange(-reach, reach + 1)) - 0.5, 0)
     disc = np.hypot(gap[:, None], gap) * cell_size < radius
     disc[reach, reach] = True
-    return disc
-
-
-def inflated(cells: Bool[Array, "h w"], radius: float, cell_size: float) -> Bool[Array, "h w"]:
-    """Obstacles inflated by the `footprint` of a round vehicle: cells in which its center must not be.
-
-    Args:
-      cells: obstacle cells. Space beyond the grid is free.
-      radius: radius of the vehicle, meters.
-      cell_size: edge of a cell, meters.
-    """
-    disc = jnp.asarray(footprint(radius, cell_size), jnp.float32)
-    touched = jax.lax.conv_general_dilated(cells.astype(jnp.float32)[None, None], disc[None, None], (1, 1), "SAME")
-    return touched[0, 0] > 0.5
+    padded = cells.__array_namespace__().pad(cells, reach)
+    around = (padded[down : down + height, right : right + width] for down, right in np.argwhere(disc).tolist())
+    return functools.reduce(operator.or_, around)
 
 
 def straight_distance(

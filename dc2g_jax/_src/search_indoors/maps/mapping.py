@@ -7,7 +7,7 @@ of its points lies at a height where the robot could hit it, and is explored onc
 in view. These 18 binary channels are stored as bits of one integer per cell and unpacked on demand: 0.7 MB for
 420 x 420 cells, instead of 12.7 MB for 18 channels of floats.
 
-The cells of the map are those of the world's grid (`search_indoors.houses.worlds`). The robot starts in the middle of the
+The cells of the map are those of the world's grid (`houses.worlds`). The robot starts in the middle of the
 map. The map does not rotate with the robot. All functions take one robot; use `jax.vmap` for batches.
 """
 

@@ -1,11 +1,11 @@
 """A robot that searches for an object: camera -> map -> costs -> IT-MPC -> command (Fig. 1 of the dense-cost paper).
 
 The controller plans ten times a second, and the vehicle executes the first command of each plan (`steer`). Every few
-control periods the robot adds a camera frame to its map and asks its guide (`search_indoors.search.guides`) for new costs
+control periods the robot adds a camera frame to its map and asks its guide (`search.guides`) for new costs
 (`look`). The search ends when the guide leads to an object and at most `STOP` meters of the path are left (`arrives`).
 
-Nothing here knows the true house. `search_indoors.search.simulation` simulates a robot in a house, and
-`search_indoors.search.online` runs on a real one. All functions take one robot.
+Nothing here knows the true house. `search.simulation` simulates a robot in a house, and
+`search.online` runs on a real one. All functions take one robot.
 """
 
 import dataclasses
@@ -18,8 +18,8 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
 from dc2g_jax._src.mapping.camera import Frame, Intrinsics
-from dc2g_jax._src.search_indoors.maps.cost_maps import STOP, cost_lookup, dense_costs
-from dc2g_jax._src.search_indoors.houses.starts import ROBOT_RADIUS
+from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
+from dc2g_jax._src.search_indoors.maps.cost_maps import ROBOT_RADIUS, STOP, cost_lookup, dense_costs
 from dc2g_jax._src.search_indoors.maps.mapping import (
     IndoorMap,
     IndoorMapSettings,
@@ -29,7 +29,6 @@ from dc2g_jax._src.search_indoors.maps.mapping import (
     mark_explored,
     square,
 )
-from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
 from dc2g_jax._src.vehicles import mppi
 from dc2g_jax._src.vehicles.mppi import CostOfPose, MPPISettings
 from dc2g_jax._src.vehicles.robot import DRIVING, SimulatedRobot
@@ -63,7 +62,7 @@ class Observation:
     """What a robot knows when it asks its guide: nothing of it comes from the true house.
 
     Attributes:
-      target: the wanted class, an index into `search_indoors.maps.classes.GOALS`.
+      target: the wanted class, an index into `maps.classes.GOALS`.
       vehicle: pose and velocities of the robot.
       map: map of the house so far.
       middle: row and column in the world's grid of the robot's cell. The local map is centered on it: it is at half the
@@ -157,7 +156,7 @@ class Searcher(SimulatedRobot):
     """A robot that searches, as it knows itself. Its status is `DRIVING` or `DECLARED`.
 
     Attributes:
-      target: the wanted class, an index into `search_indoors.maps.classes.GOALS`.
+      target: the wanted class, an index into `maps.classes.GOALS`.
       map: map of the house so far.
       local_middle: row and column in the world's grid of the cell in the middle of the local map, at half its side.
       guidance: last costs of the guide.
@@ -256,7 +255,7 @@ def begin(key: Key[Array, ""], vehicle: VehicleState, target: Int[Array, ""], ag
     Args:
       key: random key of the search.
       vehicle: pose and velocities at the start.
-      target: the wanted class, an index into `search_indoors.maps.classes.GOALS`.
+      target: the wanted class, an index into `maps.classes.GOALS`.
       agent: components of the robot.
     """
     side = agent.mapping.local

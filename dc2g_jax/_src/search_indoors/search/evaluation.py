@@ -20,13 +20,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from dc2g_jax._src.grid.fast_marching import geodesic_distance
-from dc2g_jax._src.search_indoors.maps.cost_maps import straight_distance, with_tight_cells
-from dc2g_jax._src.search_indoors.houses.starts import REACH, passable
-from dc2g_jax._src.search_indoors.maps.classes import NO_OBJECT, OBJECT_CLASSES
-from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
-from dc2g_jax._src.search_indoors.search.searches import Search, Searches
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.statistics import house_bootstrap
+from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
+from dc2g_jax._src.search_indoors.maps.classes import NO_OBJECT, OBJECT_CLASSES
+from dc2g_jax._src.search_indoors.maps.cost_maps import REACH, straight_distance, with_tight_cells
+from dc2g_jax._src.search_indoors.search.searches import Search, Searches
 from dc2g_jax._src.vehicles.footprint import cell_at
 from dc2g_jax._src.vehicles.vehicle import CONTROL_PERIOD
 
@@ -89,7 +88,7 @@ def success_region(house: IndoorHouse, target: str) -> tuple[Float[np.ndarray, "
     world = house.world
     free, classes, cell_size = np.asarray(world.free), np.asarray(world.classes), float(world.cell_size)
     goals, walls = classes == OBJECT_CLASSES.index(target), ~free & (classes == NO_OBJECT)
-    distance, cells = _success_region(goals, walls, free, passable(free, cell_size), cell_size)
+    distance, cells = _success_region(goals, walls, free, world.fits, cell_size)
     return np.asarray(distance), np.asarray(cells)
 
 

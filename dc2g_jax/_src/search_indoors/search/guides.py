@@ -1,4 +1,4 @@
-"""Guides: strategies that direct a robot toward an object (`search_indoors.search.agent`).
+"""Guides: strategies that direct a robot toward an object (`search.agent`).
 
 `GoalReacher` wraps any other guide and takes over once the robot has seen an object of the wanted class.
 """
@@ -15,13 +15,20 @@ from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid.fast_marching import geodesic_distance, travel_cost
 from dc2g_jax._src.grid.search import FOUR_CONNECTED
 from dc2g_jax._src.grid.shifting import shifted
-from dc2g_jax._src.search_indoors.maps.cost_maps import distance_to_object, inflated, without_specks
-from dc2g_jax._src.search_indoors.search.agent import Agent, Guidance, Guide, Observation
-from dc2g_jax._src.search_indoors.maps.classes import GOALS, NO_OBJECT
-from dc2g_jax._src.search_indoors.maps.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, has, has_any_class, square, window
-from dc2g_jax._src.search_indoors.search.predicted_costs import PredictedCosts
-from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
 from dc2g_jax._src.programs import jit
+from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
+from dc2g_jax._src.search_indoors.maps.classes import GOALS, NO_OBJECT
+from dc2g_jax._src.search_indoors.maps.cost_maps import distance_to_object, inflated, without_specks
+from dc2g_jax._src.search_indoors.maps.mapping import (
+    EXPLORED_CHANNEL,
+    OBSTACLE_CHANNEL,
+    has,
+    has_any_class,
+    square,
+    window,
+)
+from dc2g_jax._src.search_indoors.search.agent import Agent, Guidance, Guide, Observation
+from dc2g_jax._src.search_indoors.search.predicted_costs import PredictedCosts
 
 #: A path counts if it begins within this many cells of the robot in rows and columns: a robot that has collided stands
 #: on a cell in which it does not fit.

@@ -8,8 +8,17 @@ from typing import Literal
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.hub import local_folder
 from dc2g_jax._src.files.resources import resource
-from dc2g_jax._src.search_indoors.search.agent import CONTROLLER, MPC, Agent, Guide, LookAround, RandomUntilSeen, Steering
+from dc2g_jax._src.search_indoors.learning.networks import CostMapEstimator
 from dc2g_jax._src.search_indoors.maps.camera import indoor_camera
+from dc2g_jax._src.search_indoors.search.agent import (
+    CONTROLLER,
+    MPC,
+    Agent,
+    Guide,
+    LookAround,
+    RandomUntilSeen,
+    Steering,
+)
 from dc2g_jax._src.search_indoors.search.guides import (
     GoalReacher,
     NearestFrontier,
@@ -18,7 +27,6 @@ from dc2g_jax._src.search_indoors.search.guides import (
     PromisingFrontier,
     TrueCost,
 )
-from dc2g_jax._src.search_indoors.learning.networks import CostMapEstimator
 from dc2g_jax._src.search_indoors.search.predicted_costs import PredictedCosts, load_costs
 
 #: The shipped network and its encoder.

@@ -18,15 +18,15 @@ from jaxtyping import Array, Float, Int, UInt8
 from dc2g_jax._src.errors import InputError, short
 from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.mapping.camera import CameraPose, Frame, Intrinsics
-from dc2g_jax._src.search_indoors.search.agent import DECLARED, Agent, Searcher, arrives, begin, cost_at, look, steer
+from dc2g_jax._src.programs import jit
 from dc2g_jax._src.search_indoors.maps.camera import VIEW_SIZE, camera_pose
 from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
+from dc2g_jax._src.search_indoors.search.agent import DECLARED, Agent, Searcher, arrives, begin, cost_at, look, steer
 from dc2g_jax._src.search_indoors.search.named import agent_with, costs_for
-from dc2g_jax._src.programs import jit
 from dc2g_jax._src.vehicles.robot import DRIVING
 from dc2g_jax._src.vehicles.vehicle import CONTROL_PERIOD, VehicleState, reachable_command
 
-#: Agents that a robot can be. The others of `search_indoors.search.named.AgentName` know the house or drive at random.
+#: Agents that a robot can be. The others of `search.named.AgentName` know the house or drive at random.
 ONLINE_AGENTS = ("promising", "predicted", "frontier")
 
 #: Names of the targets.
@@ -99,7 +99,7 @@ class OnlineSearcher:
       network: folder or place of a trained network for an agent by name, see `estimation.hub.local_folder`;
         `None` for the shipped one.
       camera: intrinsics of the depth images; `None` for the agent's, by default those of the simulated robot,
-        `search_indoors.maps.camera.indoor_camera`.
+        `maps.camera.indoor_camera`.
 
     Attributes:
       agent: components of the robot.
@@ -157,8 +157,8 @@ class OnlineSearcher:
           target: one of `TARGETS`.
           pose: x and y of the robot, meters, and yaw, radians.
           speeds: its forward speed, meters per second, and its turn rate, radians per second.
-          frame: depth image (meters, 0 without return), class image (see `search_indoors.maps.classes`) and pose of the
-            camera, for a robot with the simulated camera `search_indoors.maps.camera.camera_pose`. Simulated robots have
+          frame: depth image (meters, 0 without return), class image (see `maps.classes`) and pose of the
+            camera, for a robot with the simulated camera `maps.camera.camera_pose`. Simulated robots have
             one every `Agent.renewal` (5) periods. `None` between frames, when the robot drives on by its last costs.
           image: the camera's picture of that moment, uint8 `[48 64 3]`, for agents that use one.
 

@@ -10,10 +10,10 @@ from jaxtyping import Array, Float, Int
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.atomic import write_json
-from dc2g_jax._src.search_indoors.search.agent import Agent, Observation
-from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings, network_input
 from dc2g_jax._src.search_indoors.learning.midlevel import ImageEncoder, load_encoder, vector_size
 from dc2g_jax._src.search_indoors.learning.networks import CostMapEstimator, fused_cost, load_estimator, save_estimator
+from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings, network_input
+from dc2g_jax._src.search_indoors.search.agent import Agent, Observation
 
 #: The files of a trained network and of the encoder that it was trained with, in one folder.
 NETWORK_FILE, ENCODER_FILE = "network.safetensors", "encoder.safetensors"
@@ -32,7 +32,7 @@ class _CostEstimator(Protocol):
         """Predict for one robot.
 
         Args:
-          maps: maps of the robot, see `search_indoors.maps.mapping.network_maps`.
+          maps: maps of the robot, see `maps.mapping.network_maps`.
           target: the wanted class, an index into `GOALS`.
           features: mid-level features of the camera image.
           heading: direction of the camera, counter-clockwise from +x, radians.

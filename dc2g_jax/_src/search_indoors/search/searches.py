@@ -1,6 +1,6 @@
 """Many searches for objects at once: where they begin, and what the robots do.
 
-What comes of them is judged in `search_indoors.search.evaluation`.
+What comes of them is judged in `search.evaluation`.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,13 +13,13 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.search_indoors.houses.starts import sample_starts
-from dc2g_jax._src.search_indoors.search.agent import DECLARED, Agent
-from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
-from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
-from dc2g_jax._src.search_indoors.search.simulation import IndoorRobot, IndoorSite, leg, reset, site_of
-from dc2g_jax._src.search_indoors.houses.worlds import pad_world
 from dc2g_jax._src.rollouts.devices import deal, gather, mesh_of, replicate
+from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
+from dc2g_jax._src.search_indoors.houses.starts import sample_starts
+from dc2g_jax._src.search_indoors.houses.worlds import pad_world
+from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
+from dc2g_jax._src.search_indoors.search.agent import DECLARED, Agent
+from dc2g_jax._src.search_indoors.search.simulation import IndoorRobot, IndoorSite, leg, reset, site_of
 from dc2g_jax._src.vehicles.robot import at_starts, run_to_end
 
 #: Control periods of an episode: 50 s (section III-C).
@@ -52,7 +52,7 @@ class Searches:
     """What robots did, in the order of the episodes.
 
     Attributes:
-      track: see `search_indoors.search.simulation.IndoorRobot`.
+      track: see `search.simulation.IndoorRobot`.
       declared: did the robot say that it was there?
       steps: control periods.
       collisions: of these, those in which it ran into something.
@@ -159,7 +159,7 @@ def _sites(agent: Agent, houses: Sequence[IndoorHouse]) -> tuple[IndoorSite, dic
             raise InputError(f"{house.name} has cells of {own:g} m, the agent's map of {size:g} m; make them alike")
     worlds = [house.world for house in houses]
     rows, columns = (max(world.free.shape[axis] for world in worlds) for axis in (0, 1))
-    padded = [pad_world(world, rows, columns, len(world.room_kinds), len(world.objects.classes)) for world in worlds]
+    padded = [pad_world(world, rows, columns, len(world.room_kinds), len(world.object_kinds)) for world in worlds]
     sites = [site_of(world, house.name, agent) for house, world in zip(houses, padded, strict=True)]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sites), {house.name: n for n, house in enumerate(houses)}
 

@@ -1,6 +1,6 @@
 """Simulated robots that search for objects in true houses: the camera, the vehicle, and the end of a search.
 
-All functions take one robot; `search_indoors.search.searches` runs many.
+All functions take one robot; `search.searches` runs many.
 """
 
 import dataclasses
@@ -15,9 +15,9 @@ from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 from dc2g_jax._src.mapping.camera import CameraPose
 from dc2g_jax._src.mapping.scene import Scene
 from dc2g_jax._src.mapping.simulator import render
-from dc2g_jax._src.search_indoors.search.agent import DECLARED, Agent, Searcher, arrives, begin, look, steer
-from dc2g_jax._src.search_indoors.maps.camera import camera_pose, view
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, painted, scene
+from dc2g_jax._src.search_indoors.maps.camera import camera_pose, view
+from dc2g_jax._src.search_indoors.search.agent import DECLARED, Agent, Searcher, arrives, begin, look, steer
 from dc2g_jax._src.vehicles.footprint import Ground
 from dc2g_jax._src.vehicles.robot import is_driving, stopped_by_obstacles
 from dc2g_jax._src.vehicles.vehicle import VehicleState, at_rest, drive
@@ -29,9 +29,9 @@ class IndoorSite:
 
     Attributes:
       scene: scene for the simulated camera.
-      paint: color of each cell, see `search_indoors.houses.worlds.painted`.
+      paint: color of each cell, see `houses.worlds.painted`.
       free: free floor.
-      known: what the agent's guide knows ahead of time, see `search_indoors.search.agent.Guide.init`.
+      known: what the agent's guide knows ahead of time, see `search.agent.Guide.init`.
     """
 
     scene: Scene
@@ -77,7 +77,7 @@ def reset(
     Args:
       key: random key of the episode.
       start: x and y, meters, and yaw, radians.
-      target: the wanted class, an index into `search_indoors.maps.classes.GOALS`.
+      target: the wanted class, an index into `maps.classes.GOALS`.
       agent: components of the robot.
       limit: largest number of control periods.
     """

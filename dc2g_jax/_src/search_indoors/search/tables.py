@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from dc2g_jax._src.search_indoors.search.evaluation import SearchSummary
 from dc2g_jax._src.search_indoors.learning.metrics import OF_CLASSES
+from dc2g_jax._src.search_indoors.search.evaluation import SearchSummary
 
 #: Titles of the agents.
 AGENT_TITLES = {
@@ -15,7 +15,7 @@ AGENT_TITLES = {
     "promising": "predicted, at frontiers",
 }
 
-#: Titles of the inputs of a network, see `search_indoors.learning.networks.ABLATIONS`.
+#: Titles of the inputs of a network, see `learning.networks.ABLATIONS`.
 ABLATION_TITLES = {"both": "both", "semantic": "only semantic map", "midlevel": "only mid-level"}
 
 #: Metrics of the prediction in Table II, in percent.
