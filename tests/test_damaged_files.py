@@ -41,13 +41,13 @@ from dc2g_jax._src.mapping.sequences import Shot, read_frame, read_picture, read
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult
 from dc2g_jax._src.rollouts.results import ResumableTable, read_rows, write_rows
 from dc2g_jax._src.search_indoors.houses.procthor import read_procthor
-from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, load_encoder
+from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder
 from dc2g_jax._src.search_indoors.learning.networks import (
     CostMapArchitecture,
     CostMapEstimator,
     CostMapNetwork,
-    load_estimator,
-    save_estimator,
+    load_costs,
+    save_costs,
 )
 from dc2g_jax._src.training.cost_to_go_data import check_masks
 from dc2g_jax._src.training.loop import Log
@@ -149,13 +149,9 @@ def write_compact(folder: Path) -> None:
 def write_indoor(folder: Path) -> None:
     architecture = CostMapArchitecture(widths=(3, 4), embedding=2, features=3, feature_width=3)
     estimator = CostMapEstimator(fresh_weights(CostMapNetwork, architecture, KEY), architecture)
-    save_estimator(folder / "network.safetensors", estimator, {})
-
-
-def write_encoder(folder: Path) -> None:
-    architecture = EncoderArchitecture((2, 2, 2), features=3)
-    weights = fresh_weights(SmallEncoder, architecture, KEY)
-    write_network(folder / "encoder.safetensors", weights, architecture, {})
+    small = EncoderArchitecture((2, 2, 2), features=3)
+    write_network(folder / "encoder.safetensors", fresh_weights(SmallEncoder, small, KEY), small, {})
+    save_costs(folder, estimator, {})
 
 
 def write_run(folder: Path) -> None:
@@ -239,12 +235,7 @@ READERS = (
     ),
     Reader(("starts.csv",), write_starts, lambda folder: read_starts(folder / "starts.csv", DATASET)),
     Reader(("network.json", "weights.safetensors"), write_compact, load_network, slow=True),
-    Reader(
-        ("network.safetensors",), write_indoor, lambda folder: load_estimator(folder / "network.safetensors"), slow=True
-    ),
-    Reader(
-        ("encoder.safetensors",), write_encoder, lambda folder: load_encoder(folder / "encoder.safetensors"), slow=True
-    ),
+    Reader(("network.safetensors", "encoder.safetensors"), write_indoor, load_costs, slow=True),
     Reader(("run.json",), write_run, _read_run),
     Reader(("log.jsonl",), write_log, lambda folder: Log(folder).by_step(None, ("error",))),
     Reader(("curve.csv",), write_curve, lambda folder: Curve(folder, ("a", "b"))),

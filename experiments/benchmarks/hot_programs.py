@@ -25,7 +25,7 @@ from dc2g_jax._src.rollouts.devices import AXIS
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes
 from dc2g_jax._src.search_indoors.search import searches
 from dc2g_jax._src.search_indoors.search.named import agent_with, open_costs
-from dc2g_jax._src.search_indoors.search.simulation import IndoorSite, leg
+from dc2g_jax._src.search_indoors.search.searches import IndoorSite, leg
 from dc2g_jax._src.training import cost_to_go, translator
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
@@ -190,7 +190,7 @@ def _search_leg(robots: int, mesh: Mesh) -> HotProgram:
         free=_array(houses, side, side, dtype=jnp.bool_),
         known=None,
     )
-    begin = functools.partial(robot.at_starts, mesh=mesh, reset=searches.at_start, number=searches.TIME_LIMIT)
+    begin = functools.partial(robot.at_starts, mesh=mesh, reset=searches.reset, number=searches.TIME_LIMIT)
     starts, each = _array(n, robots, 3, dtype=jnp.float32), _array(n, robots)
     state = jax.eval_shape(begin, _array(n, robots, 2, dtype=jnp.uint32), (starts, each), agent)
     return _robots_steps(leg, each, sites, agent, state, mesh)

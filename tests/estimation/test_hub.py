@@ -117,11 +117,11 @@ def test_a_folder_travels_with_its_card_and_nothing_else(hub, tmp_path):
 
 
 def test_an_indoor_network_travels_with_its_encoder(hub):
-    from dc2g_jax._src.search_indoors.search.predicted_costs import load_costs
+    from dc2g_jax._src.search_indoors.learning.networks import load_costs
 
     dc2g.push(INDOORS, "hf://someone/indoors")
-    costs, own = load_costs(local_folder("hf://someone/indoors")), load_costs(INDOORS)
-    jax.tree.map(np.testing.assert_array_equal, costs.estimator.weights, own.estimator.weights)
+    (costs, _), (own, _) = load_costs(local_folder("hf://someone/indoors")), load_costs(INDOORS)
+    jax.tree.map(np.testing.assert_array_equal, costs.weights, own.weights)
 
 
 def test_what_cannot_be_used_is_refused_in_a_line(hub, tmp_path):

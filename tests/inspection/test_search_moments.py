@@ -14,9 +14,8 @@ from dc2g_jax._src.inspection.search_moments import choose_legs, prediction_at
 from dc2g_jax._src.inspection.search_recording import record_search
 from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
 from dc2g_jax._src.search_indoors.maps.classes import GOALS, PLANT
-from dc2g_jax._src.search_indoors.search.guides import TrueCost
-from dc2g_jax._src.search_indoors.search.predicted_costs import PredictedCosts
-from dc2g_jax._src.search_indoors.search.simulation import reset, site_of
+from dc2g_jax._src.search_indoors.search.guides import PredictedCosts, TrueCost
+from dc2g_jax._src.search_indoors.search.searches import reset, site_of
 from tests.support.recordings import read
 from tests.support.two_rooms import AGENT, two_rooms
 
@@ -40,7 +39,7 @@ class EastIsGood:
 def test_a_prediction_lies_beside_the_truth_of_the_same_cells(tmp_path):
     world, side = two_rooms().world, AGENT.mapping.local
     key, small = jax.random.key(0), EncoderArchitecture((4, 5, 6), features=7)
-    robot = reset(key, jnp.array([2.55, -2.05, 0.0]), jnp.int32(GOALS.index(PLANT)), AGENT, 5)
+    robot = reset(key, (jnp.array([2.55, -2.05, 0.0]), jnp.int32(GOALS.index(PLANT))), AGENT, 5)
     site = site_of(world, "two_rooms", AGENT)
     costs = PredictedCosts(EastIsGood(), TrainedEncoder(fresh_weights(SmallEncoder, small, key), small))
     distances = TrueCost().init(world, 0.2)

@@ -24,11 +24,11 @@ from dc2g_jax._src.search_indoors.search.guides import (
     NearestFrontier,
     NullGuide,
     Predicted,
+    PredictedCosts,
     PromisingFrontier,
     TrueCost,
 )
-from dc2g_jax._src.search_indoors.search.predicted_costs import PredictedCosts
-from dc2g_jax._src.search_indoors.search.simulation import is_active, leg, picture, reset, site_of
+from dc2g_jax._src.search_indoors.search.searches import is_active, leg, picture, reset, site_of
 from dc2g_jax._src.vehicles.footprint import Ground
 from dc2g_jax._src.vehicles.mppi import MPPISettings
 from dc2g_jax._src.vehicles.robot import stopped_by_obstacles
@@ -59,7 +59,8 @@ def agent_with(guide, steering=None):
 
 
 def robot_at(x, y, yaw=0.0, target=PLANT_TARGET, guide=None):
-    return reset(KEY, jnp.array([x, y, yaw], jnp.float32), jnp.int32(target), agent_with(guide or NullGuide()), LIMIT)
+    start = jnp.array([x, y, yaw], jnp.float32)
+    return reset(KEY, (start, jnp.int32(target)), agent_with(guide or NullGuide()), LIMIT)
 
 
 def test_the_distance_to_objects_is_that_of_the_path_around_walls(site):

@@ -13,7 +13,7 @@ from dc2g_jax._src.mapping.simulator import cast
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
 from dc2g_jax._src.search_indoors.houses.plans import Furniture, world_from_plan
 from dc2g_jax._src.search_indoors.houses.worlds import scene
-from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig, collect
+from dc2g_jax._src.search_indoors.learning.collecting import NEVER, CollectionConfig, collect, visible
 from dc2g_jax._src.search_indoors.learning.data import (
     ALL_SYMMETRIES,
     FREE,
@@ -30,7 +30,6 @@ from dc2g_jax._src.search_indoors.learning.data import (
     map_cells,
     turned_heading,
 )
-from dc2g_jax._src.search_indoors.learning.exploring import NEVER, visible
 from dc2g_jax._src.search_indoors.learning.midlevel import ConvolutionEncoder
 from dc2g_jax._src.search_indoors.maps import mapping
 from dc2g_jax._src.search_indoors.maps.camera import INDOOR_CAMERA_HEIGHT

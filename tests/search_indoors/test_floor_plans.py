@@ -11,7 +11,7 @@ from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.search_indoors.houses import furnishing, layouts
 from dc2g_jax._src.search_indoors.houses.dataset import draw_plan, indoor_house, indoor_houses
 from dc2g_jax._src.search_indoors.houses.plans import world_from_plan
-from dc2g_jax._src.search_indoors.houses.starts import start_cells
+from dc2g_jax._src.search_indoors.houses.worlds import start_cells
 from dc2g_jax._src.search_indoors.maps.classes import (
     BATHROOM,
     BED,

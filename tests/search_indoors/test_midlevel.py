@@ -11,17 +11,15 @@ from dc2g_jax._src.mapping.camera import level_camera
 from dc2g_jax._src.rollouts.devices import mesh_of
 from dc2g_jax._src.search_indoors.houses.plans import world_from_plan
 from dc2g_jax._src.search_indoors.houses.worlds import painted, scene
-from dc2g_jax._src.search_indoors.learning import midlevel
+from dc2g_jax._src.search_indoors.learning import training
 from dc2g_jax._src.search_indoors.learning.midlevel import (
     Answers,
     EncoderArchitecture,
-    EncoderTraining,
     TrainedEncoder,
-    encoder_task,
     load_encoder,
-    task_losses,
     vector_size,
 )
+from dc2g_jax._src.search_indoors.learning.training import EncoderTraining, encoder_task, task_losses
 from dc2g_jax._src.search_indoors.maps.camera import VIEW_SIZE, CameraView, view
 from dc2g_jax._src.search_indoors.maps.classes import BED, OBJECT_COLORS
 from dc2g_jax._src.training.loop import Pauses, train
@@ -86,9 +84,9 @@ def test_losses_of_the_three_tasks():
 def train_encoder(views, folder) -> tuple[TrainedEncoder, list]:
     """The encoder after 40 steps, and its losses after every 4."""
     saved = []
-    training = EncoderTraining(ARCHITECTURE, steps=40, batch_size=4)
-    task = encoder_task(training, views, lambda *found: saved.append(found))
-    checkpoints = TrainingCheckpoints(folder, training, first_state=EncoderTraining.first_state)
+    config = EncoderTraining(ARCHITECTURE, steps=40, batch_size=4)
+    task = encoder_task(config, views, lambda *found: saved.append(found))
+    checkpoints = TrainingCheckpoints(folder, config, first_state=EncoderTraining.first_state)
     state = train(task, folder, checkpoints, Pauses(4, np.inf))
     return TrainedEncoder(state.weights, ARCHITECTURE), [losses for _, losses in saved]
 
@@ -112,7 +110,7 @@ def test_the_number_of_devices_changes_a_step_by_rounding_only(views, tmp_path, 
     found, before = [], supervised_step.compiled_count()
     for count in (1, 2):
         mesh = mesh_of(jax.devices()[:count])
-        monkeypatch.setattr(midlevel, "mesh_for_batch", lambda size, mesh=mesh: mesh)
+        monkeypatch.setattr(training, "mesh_for_batch", lambda size, mesh=mesh: mesh)
         found.append(train_encoder(views, tmp_path / str(count)))
         (leaf, *_) = jax.tree.leaves(found[-1][0].weights)
         assert leaf.sharding.device_set == set(mesh.devices.flat)

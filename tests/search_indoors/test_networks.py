@@ -2,6 +2,8 @@
 
 import dataclasses
 import functools
+import hashlib
+import json
 import math
 
 import jax
@@ -9,12 +11,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.estimation.weights import shapes_of_weights
+from dc2g_jax._src.estimation.weights import (
+    fresh_weights,
+    read_safetensors,
+    shapes_of_weights,
+    write_network,
+    write_safetensors,
+)
+from dc2g_jax._src.files.resources import resource
 from dc2g_jax._src.search_indoors.learning import networks
+from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, vector_size
 from dc2g_jax._src.search_indoors.learning.networks import (
+    ABLATIONS,
     BINS,
-    MIDLEVEL_ONLY,
-    SEMANTIC_ONLY,
+    ENCODER_FILE,
+    NETWORK_FILE,
     CostMapArchitecture,
     CostMapEstimator,
     CostMapNetwork,
@@ -22,9 +33,9 @@ from dc2g_jax._src.search_indoors.learning.networks import (
     bin_regions,
     fused_cost,
     heading_bin,
-    load_estimator,
+    load_costs,
     oriented_features,
-    save_estimator,
+    save_costs,
 )
 from dc2g_jax._src.search_indoors.maps.classes import SEMANTIC_CLASSES
 from tests.support.refusals import refusal
@@ -85,8 +96,8 @@ def test_ablations_are_blind_to_what_they_are_not_shown(weights, question):
     maps[:, semantic] = 1 - maps[:, semantic]
     other_features = {"features": -question[3], "heading": question[2] + 2}
     for inputs, unseen, seen in (
-        (SEMANTIC_ONLY, other_features, {"maps": maps}),
-        (MIDLEVEL_ONLY, {"maps": maps}, other_features),
+        (ABLATIONS["semantic"], other_features, {"maps": maps}),
+        (ABLATIONS["midlevel"], {"maps": maps}, other_features),
     ):
         answer = answers(inputs, weights, question)
         np.testing.assert_array_equal(answers(inputs, weights, question, **unseen), answer)
@@ -95,7 +106,8 @@ def test_ablations_are_blind_to_what_they_are_not_shown(weights, question):
     maps = question[0].copy()
     maps[:, ~semantic] = 1 - maps[:, ~semantic]
     assert not np.allclose(
-        answers(MIDLEVEL_ONLY, weights, question, maps=maps), answers(MIDLEVEL_ONLY, weights, question)
+        answers(ABLATIONS["midlevel"], weights, question, maps=maps),
+        answers(ABLATIONS["midlevel"], weights, question),
     )
 
 
@@ -136,12 +148,19 @@ def test_numbers_without_sense_are_refused(change):
         dataclasses.replace(SMALL, **change)
 
 
-def test_a_network_comes_back_from_its_file(weights, question, tmp_path):
-    path = tmp_path / "network.safetensors"
-    save_estimator(path, CostMapEstimator(weights=weights, architecture=SMALL), {"houses": "own"})
-    loaded, card = load_estimator(path)
+@pytest.fixture
+def folder(weights, tmp_path):
+    """A network beside its encoder."""
+    small = EncoderArchitecture((4, 5, 6), features=5)
+    write_network(tmp_path / ENCODER_FILE, fresh_weights(SmallEncoder, small, jax.random.key(0)), small, {})
+    save_costs(tmp_path, CostMapEstimator(weights=weights, architecture=SMALL), {"houses": "own"})
+    return tmp_path
+
+
+def test_a_network_comes_back_from_its_folder(weights, question, folder):
+    loaded, encoder = load_costs(folder)
     assert loaded.architecture == SMALL
-    assert card["houses"] == "own"
+    assert vector_size(encoder) == 5
     np.testing.assert_allclose(
         answers(SMALL.inputs, loaded.weights, question), answers(SMALL.inputs, weights, question), atol=2e-2
     )
@@ -152,16 +171,32 @@ def test_a_network_comes_back_from_its_file(weights, question, tmp_path):
     )
 
 
-def test_files_that_are_no_network_are_refused(weights, tmp_path):
-    from dc2g_jax._src.estimation.weights import read_safetensors, write_safetensors
+@pytest.mark.parametrize("shipped", [True, False])
+def test_the_card_has_the_digests_of_the_files(shipped, folder):
+    folder = resource("weights/cost_maps_indoors") if shipped else folder
+    card = json.loads((folder / "network.json").read_text())
+    assert set(card["sha256"]) == {NETWORK_FILE, ENCODER_FILE}
+    for name, digest in card["sha256"].items():
+        assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest
+    assert load_costs(folder)[0].architecture.inputs == ABLATIONS["both"]
+    assert shipped or card["houses"] == "own"
+    assert sum(path.stat().st_size for path in folder.iterdir()) <= 8e6
 
-    path = tmp_path / "network.safetensors"
-    refusal(lambda: load_estimator(path), path, "no such file")
-    save_estimator(path, CostMapEstimator(weights=weights, architecture=SMALL), {})
+
+def test_files_that_are_no_network_are_refused(weights, folder):
+    path = folder / NETWORK_FILE
     tensors, facts = read_safetensors(path)
-    write_safetensors(path, tensors, {})
-    refusal(lambda: load_estimator(path), path, "no network")
-    write_safetensors(path, tensors, facts | {"card": '{"classes": ["nothing"]}'})
-    refusal(lambda: load_estimator(path), path, "classes")
+    for changed, said in (
+        ({}, "no network"),
+        (facts | {"card": '{"classes": ["nothing"]}'}, "classes"),
+        (facts | {"card": json.dumps(json.loads(facts["card"]) | {"cell_size": 0.05})}, "cells of 0.05 m"),
+    ):
+        write_safetensors(path, tensors, changed)
+        refusal(lambda: load_costs(folder), path, said)
     write_safetensors(path, {name: tensors[name] for name in list(tensors)[1:]}, facts)
-    refusal(lambda: load_estimator(path), path, next(iter(tensors)), "none")
+    refusal(lambda: load_costs(folder), path, next(iter(tensors)), "none")
+    other = dataclasses.replace(SMALL, features=4)
+    save_costs(folder, CostMapEstimator(fresh_weights(CostMapNetwork, other, jax.random.key(0)), other), {})
+    refusal(lambda: load_costs(folder), folder, "5 features", "takes 4", "one folder")
+    (folder / ENCODER_FILE).unlink()
+    refusal(lambda: load_costs(folder), folder, ENCODER_FILE, "dc2g objectnav train")

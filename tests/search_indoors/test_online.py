@@ -17,10 +17,15 @@ from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, 
 from dc2g_jax._src.search_indoors.maps.camera import camera_pose
 from dc2g_jax._src.search_indoors.maps.classes import GOALS, PLANT
 from dc2g_jax._src.search_indoors.search.agent import DECLARED, LIMITS, MPC, LookAround
-from dc2g_jax._src.search_indoors.search.guides import GoalReacher, NearestFrontier, PromisingFrontier, TrueCost
+from dc2g_jax._src.search_indoors.search.guides import (
+    GoalReacher,
+    NearestFrontier,
+    PredictedCosts,
+    PromisingFrontier,
+    TrueCost,
+)
 from dc2g_jax._src.search_indoors.search.online import OnlineSearcher
-from dc2g_jax._src.search_indoors.search.predicted_costs import PredictedCosts
-from dc2g_jax._src.search_indoors.search.simulation import act, is_active, look_and_decide, picture, reset, site_of
+from dc2g_jax._src.search_indoors.search.searches import act, is_active, look_and_decide, picture, reset, site_of
 from tests.support.refusals import refusal
 from tests.support.two_rooms import AGENT, two_rooms
 
@@ -67,7 +72,7 @@ def recording(name: str) -> tuple[list[Moment], np.ndarray]:
     render_at = lambda pose: render(site.scene, agent.camera, pose, agent.mapping.reach)  # noqa: E731
     take, photograph = jax.jit(render_at), jax.jit(lambda robot: picture(robot, site))
     look, drive = (jax.jit(lambda robot, step=step: step(robot, site, agent)) for step in (look_and_decide, act))
-    robot = reset(jax.random.key(SEED), jnp.array(START), jnp.int32(GOALS.index(PLANT)), agent, LIMIT)
+    robot = reset(jax.random.key(SEED), (jnp.array(START), jnp.int32(GOALS.index(PLANT))), agent, LIMIT)
     moments: list[Moment] = []
     while is_active(robot):
         x, y, yaw, *speeds = np.asarray(robot.track[len(moments)])

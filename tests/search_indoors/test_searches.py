@@ -7,8 +7,7 @@ import pytest
 
 from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
-from dc2g_jax._src.search_indoors.search.searches import sample_episodes, search_all
-from dc2g_jax._src.search_indoors.search.simulation import is_active, leg, reset, site_of
+from dc2g_jax._src.search_indoors.search.searches import is_active, leg, reset, sample_episodes, search_all, site_of
 from tests.support.refusals import refusal
 from tests.support.two_rooms import AGENT, two_rooms
 
@@ -38,7 +37,7 @@ def test_robots_in_a_batch_do_what_they_do_one_by_one(found):
     starts = jnp.array([(one.x, one.y, one.yaw) for one in episodes], jnp.float32)
     targets = jnp.array([GOALS.index(OBJECT_CLASSES.index(one.target)) for one in episodes])
     keys = jax.random.split(jax.random.key(0), len(episodes))
-    robots = jax.vmap(lambda key, start, target: reset(key, start, target, AGENT, 12))(keys, starts, targets)
+    robots = jax.vmap(lambda key, search: reset(key, search, AGENT, 12))(keys, (starts, targets))
     site = jax.tree.map(lambda leaf: jnp.asarray(leaf), site_of(house.world, house.name, AGENT))
 
     @jax.jit

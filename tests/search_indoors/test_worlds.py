@@ -7,8 +7,14 @@ from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.mapping.camera import level_camera
 from dc2g_jax._src.mapping.simulator import cast
 from dc2g_jax._src.search_indoors.houses.plans import Furniture, world_from_plan
-from dc2g_jax._src.search_indoors.houses.starts import approaches, sample_starts, start_cells
-from dc2g_jax._src.search_indoors.houses.worlds import pad_world, padded_alike, scene
+from dc2g_jax._src.search_indoors.houses.worlds import (
+    approaches,
+    pad_world,
+    padded_alike,
+    sample_starts,
+    scene,
+    start_cells,
+)
 from dc2g_jax._src.search_indoors.maps.classes import BED, CHAIR, GOALS, OBJECT_CLASSES, OBJECT_COLORS, PLANT, TABLE
 from tests.support.plans import BED_BOX, PLANT_BOX, plan
 from tests.support.rooms import rooms_cut_off

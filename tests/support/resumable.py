@@ -42,10 +42,9 @@ from dc2g_jax._src.rollouts import published
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax._src.rollouts.published import PUBLISHED_GROUPS
 from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig
-from dc2g_jax._src.search_indoors.learning.metrics import OF_CLASSES
+from dc2g_jax._src.search_indoors.learning.losses import OF_CLASSES
 from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
-from dc2g_jax._src.search_indoors.search.evaluation import SearchResult
-from dc2g_jax._src.search_indoors.search.tables import METRICS
+from dc2g_jax._src.search_indoors.search.evaluation import METRICS, SearchResult
 from dc2g_jax._src.training import sweeps, training_sets
 from dc2g_jax._src.training import train as training
 from dc2g_jax._src.training.cost_to_go_data import DataConfig

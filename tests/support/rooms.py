@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from dc2g_jax._src.search_indoors.houses.starts import largest_region
-from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
+from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, largest_region
 
 
 def rooms_cut_off(world: IndoorWorld) -> list[int]:

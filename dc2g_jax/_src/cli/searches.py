@@ -16,9 +16,8 @@ from dc2g_jax._src.rollouts.results import ResumableTable
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse, indoor_houses
 from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
 from dc2g_jax._src.search_indoors.search.agent import CONTROLLER, Agent
-from dc2g_jax._src.search_indoors.search.evaluation import SearchResult, difference, results_of
+from dc2g_jax._src.search_indoors.search.evaluation import SearchResult, difference, results_of, with_interval
 from dc2g_jax._src.search_indoors.search.searches import TIME_LIMIT, Search, sample_episodes, search_all
-from dc2g_jax._src.search_indoors.search.tables import with_interval
 
 #: Printed below every table.
 _CAVEAT = (

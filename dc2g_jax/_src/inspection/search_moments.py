@@ -12,9 +12,8 @@ from dc2g_jax._src.inspection.search_figures import PredictedMap, SearchMoment
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.search_indoors.maps.mapping import square, window
 from dc2g_jax._src.search_indoors.search.agent import MPC, Agent, cost_of_pose, observed
-from dc2g_jax._src.search_indoors.search.guides import TrueCost
-from dc2g_jax._src.search_indoors.search.predicted_costs import PredictedCosts
-from dc2g_jax._src.search_indoors.search.simulation import (
+from dc2g_jax._src.search_indoors.search.guides import PredictedCosts, TrueCost
+from dc2g_jax._src.search_indoors.search.searches import (
     IndoorRobot,
     IndoorSite,
     act_on,

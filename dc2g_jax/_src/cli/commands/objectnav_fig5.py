@@ -27,12 +27,10 @@ from dc2g_jax._src.search_indoors.houses.dataset import indoor_house, indoor_hou
 from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
 from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
 from dc2g_jax._src.search_indoors.search.agent import DECLARED
-from dc2g_jax._src.search_indoors.search.evaluation import results_of
+from dc2g_jax._src.search_indoors.search.evaluation import AGENT_TITLES, results_of
 from dc2g_jax._src.search_indoors.search.guides import TrueCost
 from dc2g_jax._src.search_indoors.search.named import AgentName, agent_with, costs_for
-from dc2g_jax._src.search_indoors.search.searches import Searches, sample_episodes, search_for
-from dc2g_jax._src.search_indoors.search.simulation import reset, site_of
-from dc2g_jax._src.search_indoors.search.tables import AGENT_TITLES
+from dc2g_jax._src.search_indoors.search.searches import Searches, reset, sample_episodes, search_for, site_of
 
 #: Number of moments in the figure.
 _COLUMNS = 5
@@ -73,7 +71,7 @@ def main(options: Options) -> None:
     site = site_of(house.world, house.name, agent)
     target = OBJECT_CLASSES.index(episode.target)
     start, goal = jnp.array([episode.x, episode.y, episode.yaw], jnp.float32), jnp.int32(GOALS.index(target))
-    first = reset(jax.random.key(options.seed), start, goal, agent, options.limit)
+    first = reset(jax.random.key(options.seed), (start, goal), agent, options.limit)
     print("Compiling, half a minute or so; then it searches.", file=sys.stderr)
     begun, robot = run_search(first, site, agent)
 

@@ -19,13 +19,19 @@ from dc2g_jax._src.files.digests import tree_sha256
 from dc2g_jax._src.rollouts.results import ResumableTable
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
 from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig, collect
-from dc2g_jax._src.search_indoors.learning.metrics import OF_CLASSES
+from dc2g_jax._src.search_indoors.learning.losses import OF_CLASSES
 from dc2g_jax._src.search_indoors.learning.networks import ABLATIONS, CostMapEstimator
 from dc2g_jax._src.search_indoors.learning.training import CostMapConfig, figures, validation_samples
-from dc2g_jax._src.search_indoors.search.evaluation import SearchResult, summarize
+from dc2g_jax._src.search_indoors.search.evaluation import (
+    ABLATION_TITLES,
+    METRICS,
+    PAPER_TABLE2,
+    SearchResult,
+    summarize,
+    table2,
+)
+from dc2g_jax._src.search_indoors.search.guides import PredictedCosts
 from dc2g_jax._src.search_indoors.search.named import ON_NETWORK, agent_with, open_costs
-from dc2g_jax._src.search_indoors.search.predicted_costs import PredictedCosts
-from dc2g_jax._src.search_indoors.search.tables import ABLATION_TITLES, METRICS, PAPER_TABLE2, table2
 
 #: Partial maps per prediction.
 _MAPS_A_BATCH = CostMapConfig.batch_size

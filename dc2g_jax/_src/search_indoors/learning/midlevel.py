@@ -6,36 +6,23 @@ feature vector. Other encoders are read from files.
 """
 
 import dataclasses
-import functools
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
-import optax
 from flax import nnx, struct
-from jaxtyping import Array, Float, Int, UInt8
+from jaxtyping import Array, Float, UInt8
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.compact_unet import patches
-from dc2g_jax._src.estimation.weights import fresh_weights, read_network, read_safetensors, with_weights
-from dc2g_jax._src.programs import jit
-from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate
-from dc2g_jax._src.search_indoors.maps.camera import VIEW_SIZE, CameraView
+from dc2g_jax._src.estimation.weights import read_network, read_safetensors, with_weights
+from dc2g_jax._src.search_indoors.maps.camera import VIEW_SIZE
 from dc2g_jax._src.search_indoors.maps.classes import OBJECT_CLASSES
-from dc2g_jax._src.training.loop import Losses, Task
-from dc2g_jax._src.training.step import Supervised, TrainingState, state_of, supervised_step
 
 #: Side of the blocks of pixels for which the default encoder is trained to answer, and rows and columns of them.
-_BLOCK = 4
-_ASKED = (VIEW_SIZE[0] // _BLOCK, VIEW_SIZE[1] // _BLOCK)
-
-#: Least number of pixels of a class that counts as present in an image, and the depth at which errors are cut, meters.
-_PRESENT, _FAR = 12, 10.0
-
-#: Largest number of images for validation.
-_VALIDATION_VIEWS = 512
+BLOCK = 4
+_ASKED = (VIEW_SIZE[0] // BLOCK, VIEW_SIZE[1] // BLOCK)
 
 
 class ImageEncoder(Protocol):
@@ -85,7 +72,7 @@ class SmallEncoder(nnx.Module):
     def __init__(self, architecture: EncoderArchitecture, *, rngs: nnx.Rngs):
         first, second, third = architecture.widths
         rows, columns = _ASKED[0] // 4, _ASKED[1] // 4
-        self.take = nnx.Linear(3 * _BLOCK**2, first, rngs=rngs)
+        self.take = nnx.Linear(3 * BLOCK**2, first, rngs=rngs)
         self.halve = nnx.Conv(first, second, (3, 3), strides=(2, 2), rngs=rngs)
         self.halve_again = nnx.Conv(second, third, (3, 3), strides=(2, 2), rngs=rngs)
         self.vector = nnx.Linear(rows * columns * third, architecture.features, rngs=rngs)
@@ -96,7 +83,7 @@ class SmallEncoder(nnx.Module):
 
     def encode(self, images: UInt8[Array, "b 48 64 3"]) -> Float[Array, "b f"]:
         """The features of images, from -1 to 1."""
-        at = patches(images, _BLOCK).astype(jnp.float32) / 127.5 - 1
+        at = patches(images, BLOCK).astype(jnp.float32) / 127.5 - 1
         for layer in (self.take, self.halve, self.halve_again):
             at = nnx.relu(layer(at))
         return jnp.tanh(self.vector(at.reshape(len(at), -1)))
@@ -186,84 +173,3 @@ def load_encoder(path: str | Path) -> TrainedEncoder | ConvolutionEncoder:
 def _read_architecture(facts: dict[str, Any]) -> EncoderArchitecture:
     """The architecture from JSON, which has lists instead of tuples."""
     return EncoderArchitecture(tuple(facts["widths"]), int(facts["features"]))
-
-
-def task_losses(answers: Answers, views: CameraView) -> dict[str, Float[Array, ""]]:
-    """Mean losses of the three tasks over a batch: cross entropies in nats, error of the depth in tens of meters."""
-    classes = views.classes[:, _BLOCK // 2 :: _BLOCK, _BLOCK // 2 :: _BLOCK]
-    depth = views.depth[:, _BLOCK // 2 :: _BLOCK, _BLOCK // 2 :: _BLOCK]
-    present = jnp.sum(jax.nn.one_hot(views.classes, len(OBJECT_CLASSES)), axis=(1, 2)) >= _PRESENT
-    error = jnp.abs(answers.depth - jnp.minimum(depth, _FAR) / 10)
-    return {
-        "segmentation": jnp.mean(optax.softmax_cross_entropy_with_integer_labels(answers.classes, classes)),
-        "presence": jnp.mean(optax.sigmoid_binary_cross_entropy(answers.presence, present)),
-        "depth": jnp.sum(jnp.where(depth > 0, error, 0)) / jnp.maximum(jnp.sum(depth > 0), 1),
-    }
-
-
-@dataclasses.dataclass(frozen=True)
-class EncoderTraining(Supervised):
-    """Training of the default encoder on images.
-
-    Attributes:
-      architecture: architecture of the encoder.
-      steps: number of optimizer steps.
-      batch_size: images per step.
-      seed: seed of weights and batches.
-    """
-
-    architecture: EncoderArchitecture
-    steps: int
-    batch_size: int = 64
-    seed: int = 0
-
-    def first_state(self) -> TrainingState:
-        """The state before the first step."""
-        weights = fresh_weights(SmallEncoder, self.architecture, jax.random.key(self.seed))
-        return state_of(weights, self.optimizer())
-
-    def optimizer(self) -> optax.GradientTransformation:
-        """Adam, with a cosine decay of the learning rate to zero."""
-        return optax.adam(optax.cosine_decay_schedule(2e-3, max(self.steps, 1)))
-
-    def draw(self, data: CameraView, step: Int[Array, ""]) -> CameraView:
-        """Random images."""
-        key = jax.random.fold_in(jax.random.key(self.seed + 1), step)
-        chosen = jax.random.randint(key, (self.batch_size,), 0, len(data.image))
-        return jax.tree.map(lambda leaf: leaf[chosen], data)
-
-    def losses(self, weights: Any, views: CameraView) -> dict[str, Float[Array, ""]]:
-        """See `task_losses`."""
-        network = with_weights(SmallEncoder, self.architecture, weights)
-        return task_losses(network.answer(network.encode(views.image)), views)
-
-    def gradient(self, state: TrainingState, data: CameraView, batch: CameraView) -> tuple[Float[Array, ""], Any]:
-        """The sum of the losses, and its gradient."""
-        return jax.value_and_grad(lambda weights: sum(self.losses(weights, batch).values(), jnp.float32(0)))(
-            state.weights
-        )
-
-
-def encoder_task(
-    training: EncoderTraining, views: CameraView, save: Callable[[TrainedEncoder, dict[str, float]], None]
-) -> Task[TrainingState]:
-    """The task of training the default encoder. The result is reproducible by seed to the bit.
-
-    Args:
-      training: the training.
-      views: all images.
-      save: called at each validation with the encoder and its losses on the first images.
-    """
-    losses = jit(training.losses)
-
-    def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, float]]:
-        weights = first_copy(state.weights)
-        found = {name: float(loss) for name, loss in losses(weights, validation_views).items()}
-        save(TrainedEncoder(weights=weights, architecture=training.architecture), found)
-        return [{"step": step, **found}]
-
-    validation_views = jax.tree.map(lambda leaf: leaf[:_VALIDATION_VIEWS], views)
-    mesh = mesh_for_batch(training.batch_size)
-    views, place = replicate(views, mesh), functools.partial(replicate, mesh=mesh)
-    step = functools.partial(supervised_step, data=views, training=training, mesh=mesh)
-    return Task(training.steps, training.first_state, step, validate, place=place, name="encoder")

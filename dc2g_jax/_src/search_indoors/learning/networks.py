@@ -9,6 +9,7 @@ global map around the same center, averaged over 3x3 cells. Each has 16 semantic
 """
 
 import dataclasses
+import hashlib
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,8 +24,13 @@ from jaxtyping import Array, Bool, Float, Int, Integer
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.compact_unet import Down, Residual, Up, patches, unpatched
 from dc2g_jax._src.estimation.weights import read_network, with_weights, write_network
+from dc2g_jax._src.files.atomic import write_json
+from dc2g_jax._src.search_indoors.learning.midlevel import ImageEncoder, load_encoder, vector_size
 from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES, SEMANTIC_CLASSES
-from dc2g_jax._src.search_indoors.maps.mapping import MAP_CHANNELS
+from dc2g_jax._src.search_indoors.maps.mapping import MAP_CHANNELS, IndoorMapSettings
+
+#: The files of a trained network and of the encoder that it was trained with, in one folder.
+NETWORK_FILE, ENCODER_FILE = "network.safetensors", "encoder.safetensors"
 
 #: Channels of the network's input: of the local map, then of the global one.
 INPUT_CHANNELS = 2 * MAP_CHANNELS
@@ -45,14 +51,12 @@ class Inputs(NamedTuple):
       features: whether it gets the mid-level features.
     """
 
-    semantics: bool
-    features: bool
+    semantics: bool = True
+    features: bool = True
 
-
-SEMANTIC_ONLY, MIDLEVEL_ONLY, BOTH = Inputs(True, False), Inputs(False, True), Inputs(True, True)
 
 #: Ablations by name (Table II).
-ABLATIONS = {"both": BOTH, "semantic": SEMANTIC_ONLY, "midlevel": MIDLEVEL_ONLY}
+ABLATIONS = {"both": Inputs(), "semantic": Inputs(features=False), "midlevel": Inputs(semantics=False)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,7 +80,7 @@ class CostMapArchitecture:
     embedding: int = 64
     features: int = 64
     feature_width: int = 64
-    inputs: Inputs = BOTH
+    inputs: Inputs = ABLATIONS["both"]
 
     def __post_init__(self) -> None:
         if len(self.widths) < 2 or min(self.widths) < 1:
@@ -253,28 +257,47 @@ class CostMapEstimator:
         return prediction.occupancy[0], prediction.cost[0]
 
 
-def save_estimator(path: str | Path, estimator: CostMapEstimator, card: dict[str, Any]) -> None:
-    """Write a network to a safetensors file.
+def save_costs(folder: Path, estimator: CostMapEstimator, card: dict[str, Any]) -> None:
+    """Save a network beside its encoder, and its card as `network.json` with the SHA-256 of both files.
 
     Args:
-      path: the file; replaced if it exists.
+      folder: folder that the encoder was saved to.
       estimator: the network.
-      card: further facts about the network, as JSON values.
+      card: further facts about it, as JSON values.
     """
     facts = {"channels": INPUT_CHANNELS, "classes": OBJECT_CLASSES, **card}
-    write_network(path, estimator.weights, estimator.architecture, facts)
+    write_network(folder / NETWORK_FILE, estimator.weights, estimator.architecture, facts)
+    digests = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in (NETWORK_FILE, ENCODER_FILE)}
+    write_json(folder / "network.json", {**card, "sha256": digests})
 
 
-def load_estimator(path: str | Path) -> tuple[CostMapEstimator, dict[str, Any]]:
-    """Read a network and its card.
+def load_costs(folder: Path) -> tuple[CostMapEstimator, ImageEncoder]:
+    """Read a trained network and its encoder.
+
+    Args:
+      folder: output folder of `dc2g objectnav train`.
 
     Raises:
-      InputError: the file cannot be read, holds no such network, or one with other classes.
+      InputError: a file is missing or invalid, or the two do not match.
     """
+    for name in (NETWORK_FILE, ENCODER_FILE):
+        if not (folder / name).is_file():
+            raise InputError(f"{folder}: has no {name}; give a folder that `dc2g objectnav train` has written")
+    path, encoder = folder / NETWORK_FILE, load_encoder(folder / ENCODER_FILE)
     weights, architecture, card = read_network(path, CostMapNetwork, _read_architecture)
     if card.get("classes") != list(OBJECT_CLASSES):
         raise InputError(f"{path}: the network was trained on another list of classes; train it anew")
-    return CostMapEstimator(weights=weights, architecture=architecture), card
+    if card.get("cell_size", IndoorMapSettings.cell_size) != IndoorMapSettings.cell_size:
+        raise InputError(
+            f"{path}: the network was trained on cells of {card['cell_size']:g} m, maps here have "
+            f"{IndoorMapSettings.cell_size:g} m; train one anew"
+        )
+    if (size := vector_size(encoder)) != architecture.features:
+        raise InputError(
+            f"{folder}: {ENCODER_FILE} makes {size} features, {NETWORK_FILE} takes {architecture.features}; take both "
+            "from one folder"
+        )
+    return CostMapEstimator(weights=weights, architecture=architecture), encoder
 
 
 def _read_architecture(facts: dict[str, Any]) -> CostMapArchitecture:

@@ -1,4 +1,4 @@
-"""Training of the network that predicts cost maps: recipes, training steps, and validation on unseen houses."""
+"""Training of the network that predicts cost maps, and of the image encoder: recipes, steps, and validation."""
 
 import dataclasses
 import functools
@@ -11,8 +11,9 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int
 
-from dc2g_jax._src.estimation.weights import fresh_weights
+from dc2g_jax._src.estimation.weights import fresh_weights, with_weights
 from dc2g_jax._src.programs import jit
+from dc2g_jax._src.rollouts.devices import first_copy, mesh_for_batch, replicate
 from dc2g_jax._src.search_indoors.learning import networks
 from dc2g_jax._src.search_indoors.learning.data import (
     ALL_SYMMETRIES,
@@ -24,18 +25,35 @@ from dc2g_jax._src.search_indoors.learning.data import (
     Samples,
     draw_samples,
 )
-from dc2g_jax._src.search_indoors.learning.losses import LossWeights, total_loss
-from dc2g_jax._src.search_indoors.learning.metrics import (
+from dc2g_jax._src.search_indoors.learning.losses import (
     FIVE_ACTIONS,
     NINE_ACTIONS,
+    LossWeights,
     action_accuracy,
     confusion,
     occupancy_scores,
+    total_loss,
+)
+from dc2g_jax._src.search_indoors.learning.midlevel import (
+    BLOCK,
+    Answers,
+    EncoderArchitecture,
+    SmallEncoder,
+    TrainedEncoder,
 )
 from dc2g_jax._src.search_indoors.learning.networks import CostMapArchitecture, CostMapEstimator, Prediction, fused_cost
+from dc2g_jax._src.search_indoors.maps.camera import CameraView
+from dc2g_jax._src.search_indoors.maps.classes import OBJECT_CLASSES
 from dc2g_jax._src.search_indoors.maps.mapping import network_maps
 from dc2g_jax._src.training.cost_to_go import check_numbers
-from dc2g_jax._src.training.step import Supervised, TrainingState, state_of
+from dc2g_jax._src.training.loop import Losses, Task
+from dc2g_jax._src.training.step import Supervised, TrainingState, state_of, supervised_step
+
+#: Least number of pixels of a class that counts as present in an image, and the depth at which errors are cut, meters.
+_PRESENT, _FAR = 12, 10.0
+
+#: Largest number of images for validation.
+_VALIDATION_VIEWS = 512
 
 
 @dataclasses.dataclass(frozen=True)
@@ -204,3 +222,84 @@ def figures(estimator: CostMapEstimator, batches: list[Samples], config: CostMap
         **{name: round(value, 4) for name, value in mean.items()},
         **{name: round(100 * float(value), 2) for name, value in percent.items()},
     }
+
+
+def task_losses(answers: Answers, views: CameraView) -> dict[str, Float[Array, ""]]:
+    """Mean losses of the three tasks over a batch: cross entropies in nats, error of the depth in tens of meters."""
+    classes = views.classes[:, BLOCK // 2 :: BLOCK, BLOCK // 2 :: BLOCK]
+    depth = views.depth[:, BLOCK // 2 :: BLOCK, BLOCK // 2 :: BLOCK]
+    present = jnp.sum(jax.nn.one_hot(views.classes, len(OBJECT_CLASSES)), axis=(1, 2)) >= _PRESENT
+    error = jnp.abs(answers.depth - jnp.minimum(depth, _FAR) / 10)
+    return {
+        "segmentation": jnp.mean(optax.softmax_cross_entropy_with_integer_labels(answers.classes, classes)),
+        "presence": jnp.mean(optax.sigmoid_binary_cross_entropy(answers.presence, present)),
+        "depth": jnp.sum(jnp.where(depth > 0, error, 0)) / jnp.maximum(jnp.sum(depth > 0), 1),
+    }
+
+
+@dataclasses.dataclass(frozen=True)
+class EncoderTraining(Supervised):
+    """Training of the default encoder on images.
+
+    Attributes:
+      architecture: architecture of the encoder.
+      steps: number of optimizer steps.
+      batch_size: images per step.
+      seed: seed of weights and batches.
+    """
+
+    architecture: EncoderArchitecture
+    steps: int
+    batch_size: int = 64
+    seed: int = 0
+
+    def first_state(self) -> TrainingState:
+        """The state before the first step."""
+        weights = fresh_weights(SmallEncoder, self.architecture, jax.random.key(self.seed))
+        return state_of(weights, self.optimizer())
+
+    def optimizer(self) -> optax.GradientTransformation:
+        """Adam, with a cosine decay of the learning rate to zero."""
+        return optax.adam(optax.cosine_decay_schedule(2e-3, max(self.steps, 1)))
+
+    def draw(self, data: CameraView, step: Int[Array, ""]) -> CameraView:
+        """Random images."""
+        key = jax.random.fold_in(jax.random.key(self.seed + 1), step)
+        chosen = jax.random.randint(key, (self.batch_size,), 0, len(data.image))
+        return jax.tree.map(lambda leaf: leaf[chosen], data)
+
+    def losses(self, weights: Any, views: CameraView) -> dict[str, Float[Array, ""]]:
+        """See `task_losses`."""
+        network = with_weights(SmallEncoder, self.architecture, weights)
+        return task_losses(network.answer(network.encode(views.image)), views)
+
+    def gradient(self, state: TrainingState, data: CameraView, batch: CameraView) -> tuple[Float[Array, ""], Any]:
+        """The sum of the losses, and its gradient."""
+        return jax.value_and_grad(lambda weights: sum(self.losses(weights, batch).values(), jnp.float32(0)))(
+            state.weights
+        )
+
+
+def encoder_task(
+    training: EncoderTraining, views: CameraView, save: Callable[[TrainedEncoder, dict[str, float]], None]
+) -> Task[TrainingState]:
+    """The task of training the default encoder. The result is reproducible by seed to the bit.
+
+    Args:
+      training: the training.
+      views: all images.
+      save: called at each validation with the encoder and its losses on the first images.
+    """
+    losses = jit(training.losses)
+
+    def validate(state: TrainingState, step: int, loss: Losses | None) -> list[dict[str, float]]:
+        weights = first_copy(state.weights)
+        found = {name: float(loss) for name, loss in losses(weights, validation_views).items()}
+        save(TrainedEncoder(weights=weights, architecture=training.architecture), found)
+        return [{"step": step, **found}]
+
+    validation_views = jax.tree.map(lambda leaf: leaf[:_VALIDATION_VIEWS], views)
+    mesh = mesh_for_batch(training.batch_size)
+    views, place = replicate(views, mesh), functools.partial(replicate, mesh=mesh)
+    step = functools.partial(supervised_step, data=views, training=training, mesh=mesh)
+    return Task(training.steps, training.first_state, step, validate, place=place, name="encoder")

@@ -4,12 +4,12 @@
 """
 
 import functools
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Bool, Float, Key, UInt32
+from jaxtyping import Array, Bool, Float, Int, Key, UInt32
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.grid.fast_marching import geodesic_distance, travel_cost
@@ -17,6 +17,8 @@ from dc2g_jax._src.grid.search import FOUR_CONNECTED
 from dc2g_jax._src.grid.shifting import shifted
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
+from dc2g_jax._src.search_indoors.learning.midlevel import ImageEncoder
+from dc2g_jax._src.search_indoors.learning.networks import fused_cost
 from dc2g_jax._src.search_indoors.maps.classes import GOALS, NO_OBJECT
 from dc2g_jax._src.search_indoors.maps.cost_maps import distance_to_object, inflated, without_specks
 from dc2g_jax._src.search_indoors.maps.mapping import (
@@ -24,15 +26,76 @@ from dc2g_jax._src.search_indoors.maps.mapping import (
     OBSTACLE_CHANNEL,
     has,
     has_any_class,
+    network_input,
     square,
     window,
 )
 from dc2g_jax._src.search_indoors.search.agent import Agent, Guidance, Guide, Observation
-from dc2g_jax._src.search_indoors.search.predicted_costs import PredictedCosts
 
 #: A path counts if it begins within this many cells of the robot in rows and columns: a robot that has collided stands
 #: on a cell in which it does not fit.
 _NEAR = 2
+
+
+class _CostEstimator(Protocol):
+    """Predicts costs from a partial map. Implementations are pytrees."""
+
+    def estimate(
+        self,
+        maps: Float[Array, "36 n n"],
+        target: Int[Array, ""],
+        features: Float[Array, " feature"],
+        heading: Float[Array, ""],
+    ) -> tuple[Float[Array, "n n"], Float[Array, "n n"]]:
+        """Predict for one robot.
+
+        Args:
+          maps: maps of the robot, see `maps.mapping.network_maps`.
+          target: the wanted class, an index into `GOALS`.
+          features: mid-level features of the camera image.
+          heading: direction of the camera, counter-clockwise from +x, radians.
+
+        Returns:
+          For each cell of the local map, the probability that it is not free floor, and the navigation cost.
+        """
+        ...
+
+
+_Estimator = TypeVar("_Estimator", bound=_CostEstimator)
+
+
+@struct.dataclass
+class PredictedCosts(Generic[_Estimator]):
+    """Navigation costs predicted from the map and the camera image of a robot.
+
+    Attributes:
+      estimator: predicts costs.
+      encoder: computes mid-level features of the camera image.
+      meters: distance that corresponds to a cost of 1. A network trained on shares of the longest path
+        (`--recipe paper`) has no such scale and is used as if it had.
+      threshold: cells with a higher probability of being occupied are blocked (the paper's theta_occ).
+    """
+
+    estimator: _Estimator
+    encoder: ImageEncoder
+    meters: float = 10.0
+    threshold: float = 0.5
+
+    def of(self, seen: Observation, agent: Agent) -> Float[Array, "n n"]:
+        """Cost of each cell of the local map relative to the best cell, meters.
+
+        Infinite where a cell is predicted to be occupied.
+
+        Raises:
+          InputError: the camera's picture is missing.
+        """
+        if seen.image is None:
+            raise InputError("predicted costs need the camera's picture, but there is none; give one with each frame")
+        maps = network_input(seen.map, seen.vehicle.position, agent.mapping)
+        features = self.encoder.encode(seen.image[None])[0]
+        occupied, cost = self.estimator.estimate(maps, seen.target, features, seen.vehicle.yaw)
+        fused = fused_cost(occupied, cost, self.threshold)
+        return jnp.where(jnp.isinf(fused), fused, self.meters * (fused - jnp.min(fused)))
 
 
 @struct.dataclass

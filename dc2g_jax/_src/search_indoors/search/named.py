@@ -8,7 +8,7 @@ from typing import Literal
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.hub import local_folder
 from dc2g_jax._src.files.resources import resource
-from dc2g_jax._src.search_indoors.learning.networks import CostMapEstimator
+from dc2g_jax._src.search_indoors.learning.networks import CostMapEstimator, load_costs
 from dc2g_jax._src.search_indoors.maps.camera import indoor_camera
 from dc2g_jax._src.search_indoors.search.agent import (
     CONTROLLER,
@@ -24,10 +24,10 @@ from dc2g_jax._src.search_indoors.search.guides import (
     NearestFrontier,
     NullGuide,
     Predicted,
+    PredictedCosts,
     PromisingFrontier,
     TrueCost,
 )
-from dc2g_jax._src.search_indoors.search.predicted_costs import PredictedCosts, load_costs
 
 #: The shipped network and its encoder.
 _SHIPPED_INDOOR_NETWORK = "weights/cost_maps_indoors"
@@ -41,7 +41,7 @@ ON_NETWORK = ("promising", "predicted")
 
 def open_costs(place: str | Path | None) -> PredictedCosts[CostMapEstimator]:
     """The network in a place, or the shipped one."""
-    return load_costs(resource(_SHIPPED_INDOOR_NETWORK) if place is None else local_folder(place))
+    return PredictedCosts(*load_costs(resource(_SHIPPED_INDOOR_NETWORK) if place is None else local_folder(place)))
 
 
 def costs_for(agents: Iterable[str], place: str | Path | None) -> PredictedCosts[CostMapEstimator] | None:
