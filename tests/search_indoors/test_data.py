@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.datasets.pairs import turned
-from dc2g_jax._src.mapping.camera import level_camera
-from dc2g_jax._src.mapping.simulator import cast
+from dc2g_jax._src.mapping.simulator import render
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
 from dc2g_jax._src.search_indoors.houses.plans import Furniture, world_from_plan
 from dc2g_jax._src.search_indoors.houses.worlds import scene
-from dc2g_jax._src.search_indoors.learning.collecting import NEVER, CollectionConfig, collect, visible
+from dc2g_jax._src.search_indoors.learning.collecting import NEVER, CollectionConfig, collect
 from dc2g_jax._src.search_indoors.learning.data import (
     ALL_SYMMETRIES,
     FREE,
@@ -32,7 +31,7 @@ from dc2g_jax._src.search_indoors.learning.data import (
 )
 from dc2g_jax._src.search_indoors.learning.midlevel import ConvolutionEncoder
 from dc2g_jax._src.search_indoors.maps import mapping
-from dc2g_jax._src.search_indoors.maps.camera import INDOOR_CAMERA_HEIGHT
+from dc2g_jax._src.search_indoors.maps.camera import camera_pose, indoor_camera
 from dc2g_jax._src.search_indoors.maps.classes import BED, GOALS, PLANT, TABLE
 from tests.support.plans import BED_BOX, PLANT_BOX, plan
 from tests.support.refusals import refusal
@@ -56,29 +55,21 @@ def samples(world) -> JourneySet:
     return jax.tree.map(jnp.asarray, made)
 
 
-def test_robots_see_what_rays_meet(world):
-    """Against the camera simulator: whatever a dense fan of its rays meets is seen, and nothing behind the walls."""
-    house, size = scene(world), 0.1
-    cell, heading = np.array([20, 45]), 2.4
-    cells, seen = jax.jit(visible, static_argnums=1)(jnp.asarray(world.heights), size, jnp.asarray(cell), heading)
-    ours = np.zeros(world.free.shape, bool)
-    ours[tuple(np.asarray(cells)[np.asarray(seen)].T)] = True
-    pose = level_camera((cell[1] + 0.5) * size, -(cell[0] + 0.5) * size, INDOOR_CAMERA_HEIGHT, 0.0)
-    bearing, pitch = np.meshgrid(np.linspace(-0.78, 0.78, 150) + heading, np.linspace(-1.4, 0.25, 400))
-    rays = np.stack([np.cos(bearing), np.sin(bearing), pitch], axis=-1).reshape(-1, 3)
-    # No farther than the floor is in view.
-    hits = jax.jit(jax.vmap(lambda ray: cast(house, pose.position, ray, jnp.float32(4.5))))(
-        jnp.asarray(rays, jnp.float32)
-    )
-    met = np.asarray(hits.distance) > 0
-    theirs = np.zeros_like(ours)
-    theirs[np.asarray(hits.row)[met], np.asarray(hits.column)[met]] = True
-    assert theirs.sum() > 200
-    assert np.sum(theirs & ~ours) <= 0.06 * theirs.sum()  # slivers of cells
-    assert np.asarray(world.rooms)[ours].max() == 2
-    west = np.zeros_like(ours)
-    west[:, :32] = True  # the room of the bed, of which the door shows a wedge
-    assert 0 < np.sum(ours & west & np.asarray(world.free)) < 0.5 * np.sum(west & np.asarray(world.free))
+def test_robots_know_what_the_map_of_a_searching_robot_shows(samples, world):
+    """The house seen from the places of a journey, frame by frame, on a map as large as a search's."""
+    settings, camera, house = mapping.IndoorMapSettings(), indoor_camera(), scene(world)
+    known = mapping.IndoorMap(jnp.zeros((settings.cells, settings.cells), jnp.uint32), jnp.array([-80, -90]))
+
+    @jax.jit
+    def look(known, x, y, yaw):
+        frame = render(house, camera, camera_pose(x, y, yaw), settings.reach)
+        return mapping.with_frame(known, frame, jnp.stack([x, y]), camera, settings)
+
+    rows, columns = world.free.shape
+    for view, ((row, column), yaw) in enumerate(zip(samples.places[0], samples.headings[0], strict=True)):
+        known = look(known, 0.1 * (column + 0.5), -0.1 * (row + 0.5), yaw)
+        explored = np.asarray(mapping.has(known.cells, mapping.EXPLORED_CHANNEL))[80 : 80 + rows, 90 : 90 + columns]
+        np.testing.assert_array_equal(np.asarray(samples.first_seen[0]) <= view, explored)
 
 
 def test_journeys_are_through_free_floor_and_reveal_the_house(samples, world):

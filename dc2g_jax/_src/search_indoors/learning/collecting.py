@@ -14,31 +14,18 @@ from jaxtyping import Array, Bool, Float, Float16, Int, UInt8, UInt16
 
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.mapping.scene import Scene
+from dc2g_jax._src.mapping.simulator import render
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.rollouts.devices import deal, gather, mesh_of, on_each, replicate
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, largest_region, padded_alike, painted, scene
 from dc2g_jax._src.search_indoors.learning.data import JourneySet, cell_codes, in_millimeters
 from dc2g_jax._src.search_indoors.learning.midlevel import ImageEncoder
-from dc2g_jax._src.search_indoors.maps.camera import (
-    INDOOR_CAMERA_HEIGHT,
-    INDOOR_CAMERA_PITCH,
-    INDOOR_FIELD_OF_VIEW,
-    INDOOR_IMAGE_SIZE,
-    CameraView,
-    camera_pose,
-    view,
-)
+from dc2g_jax._src.search_indoors.maps.camera import CameraView, camera_over, indoor_camera, view
 from dc2g_jax._src.search_indoors.maps.classes import GOALS
 from dc2g_jax._src.search_indoors.maps.cost_maps import ROBOT_RADIUS, distance_for_vehicle, inflated, with_tight_cells
-from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
+from dc2g_jax._src.search_indoors.maps.mapping import EXPLORED_CHANNEL, IndoorMap, IndoorMapSettings, has, with_frame
 from dc2g_jax._src.vehicles.vehicle import wrapped
-
-#: Range of the robot's camera, meters, and angle of its image's lower edge below the horizon, radians.
-_CAMERA_RANGE = IndoorMapSettings().reach
-_LOWEST_VIEW = INDOOR_CAMERA_PITCH + math.atan(
-    math.tan(math.radians(INDOOR_FIELD_OF_VIEW) / 2) * INDOOR_IMAGE_SIZE[0] / INDOOR_IMAGE_SIZE[1]
-)
 
 #: Stands for the first view of a cell that no view shows.
 NEVER = 255
@@ -83,72 +70,50 @@ class _Robot(NamedTuple):
     stage: Int[Array, ""]
 
 
-def visible(
-    heights: Float[Array, "h w"], cell_size: float, cell: Int[Array, "2"], heading: Float[Array, ""]
-) -> tuple[Int[Array, "ray sample 2"], Bool[Array, "ray sample"]]:
-    """The cells along the rays of a camera, and whether the camera sees them.
-
-    A cell is seen if its top appears above everything in front of it on the ray. The rays are dense enough to miss no
-    cell in view.
-
-    Args:
-      heights: height of each cell, meters.
-      cell_size: edge of a cell, meters.
-      cell: cell of the camera, which is above its center.
-      heading: heading of the camera.
-    """
-    half = math.radians(INDOOR_FIELD_OF_VIEW) / 2
-    bearings = heading + jnp.linspace(-half, half, math.ceil(2 * half * _CAMERA_RANGE / (0.84 * cell_size)))
-    distance = 0.7 * cell_size * (1 + jnp.arange(math.ceil(_CAMERA_RANGE / (0.7 * cell_size))))
-    along = jnp.stack([-jnp.sin(bearings), jnp.cos(bearings)], axis=-1)[:, None] * distance[:, None] / cell_size
-    cells = jnp.floor(cell + 0.5 + along).astype(jnp.int32)
-    inside = jnp.all((cells >= 0) & (cells < jnp.array(heights.shape)), axis=-1)
-    top = heights.at[cells[..., 0], cells[..., 1]].get(mode="clip")
-    slope = (top - INDOOR_CAMERA_HEIGHT) / distance
-    before = jnp.pad(jax.lax.cummax(slope, axis=1)[:, :-1], ((0, 0), (1, 0)), constant_values=-jnp.inf)
-    in_view = inside & (distance <= _CAMERA_RANGE) & (slope >= -math.tan(_LOWEST_VIEW))
-    return cells, in_view & (slope > before)
-
-
 def explore(
-    heights: Float[Array, "h w"],
-    cell_size: float,
+    house: Scene,
     distances: Float[Array, "place h w"],
     start: Int[Array, "2"],
     key: Array,
     *,
+    cell_size: float,
     views: int,
 ) -> Journey:
-    """Simulate a robot that drives from place to place in random order.
+    """Simulate a robot that drives from place to place in random order, and maps what its camera sees.
 
     Args:
-      heights: height of each cell, meters.
-      cell_size: edge of a cell, meters.
+      house: the house.
       distances: remaining distance to each place, meters; infinite where the robot must not be. Unreachable places are
         skipped.
       start: row and column of the start; the initial heading is random.
       key: random key.
+      cell_size: edge of a cell, meters.
       views: number of views, less than `NEVER`.
     """
+    height, width = distances.shape[1:]
+    side, camera, drive = max(height, width), indoor_camera(), max(round(_DRIVE_A_VIEW / cell_size), 1)
+    settings = IndoorMapSettings(cells=side, local=side, cell_size=cell_size)
     order_key, way_key = jax.random.split(key)
     places = jax.random.randint(order_key, (_STAGES,), 0, len(distances))
     first_key, views_key = jax.random.split(way_key)
     begin = _Robot(start, jax.random.uniform(first_key, minval=-math.pi, maxval=math.pi), jnp.int32(0))
+    nothing = IndoorMap(jnp.zeros((side, side), jnp.uint32), jnp.zeros(2, jnp.int32))
 
-    def look(carry: tuple[_Robot, Array], seed: tuple[Array, Array]) -> tuple[tuple[_Robot, Array], tuple]:
-        (robot, first_seen), (number, view_key) = carry, seed
+    def look(carry: tuple[_Robot, IndoorMap, Array], seed: tuple[Array, Array]) -> tuple[tuple, tuple]:
+        (robot, known, first_seen), (number, view_key) = carry, seed
         glance_key, chance_key = jax.random.split(view_key)
         glances = jax.random.bernoulli(chance_key, 0.25)
-        heading = robot.heading + jnp.where(glances, _GLANCE * jax.random.normal(glance_key), 0)
-        cells, seen = visible(heights, cell_size, robot.cell, heading)
-        time = jnp.where(seen, number, NEVER).astype(jnp.uint8)
-        first_seen = first_seen.at[cells[..., 0], cells[..., 1]].min(time, mode="drop")
-        drive = max(round(_DRIVE_A_VIEW / cell_size), 1)
-        return (_driven(robot, distances, places, drive), first_seen), (robot.cell, wrapped(heading))
+        heading = wrapped(robot.heading + jnp.where(glances, _GLANCE * jax.random.normal(glance_key), 0))
+        pose = camera_over(robot.cell, heading, cell_size)
+        frame = render(house, camera, pose, settings.reach)
+        known = with_frame(known, frame, pose.position[:2], camera, settings)
+        explored = has(known.cells, EXPLORED_CHANNEL)[:height, :width]
+        first_seen = jnp.minimum(first_seen, jnp.where(explored, number, NEVER).astype(jnp.uint8))
+        return (_driven(robot, distances, places, drive), known, first_seen), (robot.cell, heading)
 
-    never = jnp.full(heights.shape, NEVER, jnp.uint8)
-    (_, first_seen), (cells, headings) = jax.lax.scan(
-        look, (begin, never), (jnp.arange(views), jax.random.split(views_key, views))
+    never = jnp.full((height, width), NEVER, jnp.uint8)
+    (_, _, first_seen), (cells, headings) = jax.lax.scan(
+        look, (begin, nothing, never), (jnp.arange(views), jax.random.split(views_key, views))
     )
     return Journey(cells, headings, first_seen)
 
@@ -259,8 +224,7 @@ def _views(
     """What robots' cameras see of one house."""
 
     def one(pose: tuple[Array, Array]) -> CameraView:
-        (row, column), heading = (pose[0] + 0.5) * house.tile_size, pose[1]
-        return view(house, paint, camera_pose(column, -row, heading))
+        return view(house, paint, camera_over(*pose, house.tile_size))
 
     return jax.lax.map(one, (cells, headings))
 
@@ -284,7 +248,7 @@ def _collect_houses(
         labels, distances = _distances(world.free, world.classes, places, cell_size)
         keys = jax.random.split(jax.random.wrap_key_data(key), len(starts))
         journeys = jax.lax.map(
-            lambda robot: explore(world.heights, cell_size, distances, *robot, views=views), (starts, keys)
+            lambda robot: explore(house, distances, *robot, cell_size=cell_size, views=views), (starts, keys)
         )
         cells, headings = journeys.cells.reshape(-1, 2), journeys.headings.reshape(-1)
         images = _views(house, paint, cells, headings).image

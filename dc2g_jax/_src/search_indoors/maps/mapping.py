@@ -29,6 +29,9 @@ from dc2g_jax._src.vehicles.footprint import cell_at
 #: Channels of a map: the classes (class index 1 + channel), then obstacles, then explored cells.
 OBSTACLE_CHANNEL, EXPLORED_CHANNEL = SEMANTIC_CLASSES, SEMANTIC_CLASSES + 1
 MAP_CHANNELS = SEMANTIC_CLASSES + 2
+#: Floor within this distance counts as explored, meters. The camera never sees it, and robots would return to look.
+FOOTROOM = 0.6
+
 if MAP_CHANNELS > 32:
     raise ValueError(
         f"{SEMANTIC_CLASSES} indoor classes: a cell of the map has 32 bits, so merge some, 30 are possible"
@@ -113,6 +116,13 @@ def has(cells: UInt32[Array, "h w"], channel: ArrayLike) -> Bool[Array, "h w"]:
 def has_any_class(cells: UInt32[Array, "h w"]) -> Bool[Array, "h w"]:
     """Cells in which any class has been seen. Obstacles without class are walls."""
     return cells & jnp.uint32((1 << SEMANTIC_CLASSES) - 1) > 0
+
+
+def with_frame(
+    indoor_map: IndoorMap, frame: Frame, position: Float[Array, "2"], camera: Intrinsics, settings: IndoorMapSettings
+) -> IndoorMap:
+    """The map of a robot at a position (x and y, meters) after one more frame, see `integrate` and `mark_explored`."""
+    return mark_explored(integrate(indoor_map, frame, camera, settings), position, FOOTROOM, settings)
 
 
 def integrate(indoor_map: IndoorMap, frame: Frame, intrinsics: Intrinsics, settings: IndoorMapSettings) -> IndoorMap:

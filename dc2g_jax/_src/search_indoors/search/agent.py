@@ -25,17 +25,13 @@ from dc2g_jax._src.search_indoors.maps.mapping import (
     IndoorMapSettings,
     empty_map,
     grid_cell,
-    integrate,
-    mark_explored,
     square,
+    with_frame,
 )
 from dc2g_jax._src.vehicles import mppi
 from dc2g_jax._src.vehicles.mppi import CostOfPose, MPPISettings
 from dc2g_jax._src.vehicles.robot import DRIVING, SimulatedRobot
 from dc2g_jax._src.vehicles.vehicle import CONTROL_PERIOD, VehicleLimits, VehicleState, drive, wrapped
-
-#: Floor within this distance counts as explored, meters. The camera never sees it, and robots would return to look.
-_FOOTROOM = 0.6
 
 #: Limits of an indoor robot, about the speed of a person in a room.
 LIMITS = VehicleLimits(
@@ -289,12 +285,11 @@ def look(robot: _Robot, frame: Frame, image: UInt8[Array, "48 64 3"] | None, kno
       agent: components of the robot.
     """
     position, cell_size = robot.vehicle.position, agent.mapping.cell_size
-    seen = integrate(robot.map, frame, agent.camera, agent.mapping)
     key, own_key = jax.random.split(robot.key)
     robot = dataclasses.replace(
         robot,
         key=key,
-        map=mark_explored(seen, position, _FOOTROOM, agent.mapping),
+        map=with_frame(robot.map, frame, position, agent.camera, agent.mapping),
         local_middle=grid_cell(position, cell_size),
     )
     guidance = agent.guide.guide(own_key, observed(robot, image), known, agent)
