@@ -23,26 +23,22 @@ from jaxtyping import Array, Bool, Float, Int, UInt8
 from optax import softmax_cross_entropy_with_integer_labels as cross_entropy
 from tqdm import tqdm
 
-from dc2g_jax._src.datasets.houses import House, stack_worlds
-from dc2g_jax._src.datasets.procedural import STYLES, draw_house, training_house_seed
-from dc2g_jax._src.datasets.starts import sample_starts, why_no_episode
-from dc2g_jax._src.environments.functional import FrontDoor, Observation, Params, State, egocentric, front_door, observe
-from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.weights import (
-    read_safetensors,
-    read_weights,
-    shapes_of_weights,
-    with_weights,
-    write_safetensors,
+from dc2g_jax import InputError
+from dc2g_jax.datasets import (
+    STYLES,
+    House,
+    draw_house,
+    sample_starts,
+    stack_worlds,
+    training_house_seed,
+    why_no_episode,
 )
-from dc2g_jax._src.grid.poses import FORWARD_ACTION
-from dc2g_jax._src.grid.sampling import sample_grid
-from dc2g_jax._src.grid.terrain import CLASS_NAMES, TRAVERSABLE
-from dc2g_jax._src.inspection.training_figures import save_learning_curve
-from dc2g_jax._src.planning.planners import Frontier, Oracle
-from dc2g_jax._src.planning.rules import complete_rules
-from dc2g_jax._src.rollouts.evaluation import episodes_from
-from dc2g_jax._src.rollouts.rollout import Episodes, rollout
+from dc2g_jax.environments import FrontDoor, Observation, Params, State, egocentric, front_door, observe
+from dc2g_jax.estimation import read_safetensors, read_weights, shapes_of_weights, with_weights, write_safetensors
+from dc2g_jax.grid import CLASS_NAMES, FORWARD_ACTION, TRAVERSABLE, sample_grid
+from dc2g_jax.inspection import save_learning_curve
+from dc2g_jax.planning import Frontier, Oracle, complete_rules
+from dc2g_jax.rollouts import Episodes, episodes_from, rollout
 
 DISCOUNT, GAE_DECAY = 0.99, 0.95
 CLIP, ENTROPY_WEIGHT, VALUE_WEIGHT, MAX_GRADIENT_NORM = 0.2, 0.01, 0.5, 0.5

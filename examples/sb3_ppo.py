@@ -27,9 +27,9 @@ except ModuleNotFoundError as error:
     sys.exit(f'error: {error.name} is not installed; run: pip install -e ".[sb3]"')
 
 import dc2g_jax as dc2g
-from dc2g_jax._src.environments.gymnasium_wrappers import EgocentricObservation
-from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.inspection.training_figures import save_learning_curve
+from dc2g_jax import InputError
+from dc2g_jax.gymnasium import EgocentricObservation
+from dc2g_jax.inspection import save_learning_curve
 
 REWARD_SCALE = 0.05  # Scales a step's reward of -1, so that values stay around one.
 CELLS, TASK = 16, {"sensing_range": 4, "step_limit": 200}

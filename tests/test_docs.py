@@ -102,7 +102,7 @@ def test_tests_exist(page):
 def test_every_module_is_in_the_reference():
     text = "".join(page.read_text() for page in (ROOT / "docs" / "reference").glob("*.md"))
     shown = tuple(name + suffix for name in re.findall(r"^::: ([\w.]+)$", text, flags=re.M) for suffix in ("", ".*"))
-    files = [path for path in (ROOT / "dc2g_jax").rglob("*.py") if path.stem != "__init__"]
+    files = [path for path in (ROOT / "dc2g_jax/_src").rglob("*.py") if path.stem != "__init__"]
     modules = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in files]
     assert [name for name in modules if not any(fnmatch.fnmatch(name, one) for one in shown)] == []
 

@@ -1,5 +1,6 @@
 """The package's front door: public names, imported when they are asked for."""
 
+import importlib
 import re
 import subprocess
 import sys
@@ -83,6 +84,26 @@ def test_the_reference_lists_every_name():
     page = (ROOT / "docs" / "reference" / "public_names.md").read_text()
     shown = set(re.findall(r"\[dc2g_jax\.[\w.]+\.(\w+)\]", page))
     assert shown == set(dc2g_jax.__all__) - {"__version__"}
+
+
+MODULES = sorted(path.stem for path in (ROOT / "dc2g_jax").glob("[!_]*.py"))
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_the_reference_lists_the_names_of_every_module(name):
+    module = importlib.import_module(f"dc2g_jax.{name}")
+    page = (ROOT / "docs" / "reference" / "public_names.md").read_text()
+    row = re.search(rf"^\| `dc2g_jax\.{name}` \| (.*) \|$", page, flags=re.M)
+    assert row is not None
+    names = {one for one in vars(module) if not one.startswith("_")} - {"jaxtyping"}  # which checks shapes in tests
+    assert set(re.findall(r"`(\w+)`", row[1])) == names
+
+
+def test_users_are_shown_public_names_only():
+    pages = [ROOT / "README.md", *(ROOT / "docs" / "tutorials").glob("*.md"), *(ROOT / "notebooks").glob("*.ipynb")]
+    code = [*(ROOT / "examples").glob("*.py"), *(ROOT / "ros2").rglob("*.py")]
+    shown = {path.name: re.findall(r"(?:from|import) dc2g_jax\._src.*", path.read_text()) for path in [*pages, *code]}
+    assert not {name: lines for name, lines in shown.items() if lines}
 
 
 def test_the_version_is_that_of_the_package():

@@ -6,8 +6,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
-from jax.sharding import Mesh
-from jax.sharding import PartitionSpec as P
+from jax.sharding import Mesh, PartitionSpec as P
 
 from dc2g_jax._src.cli.driving import DrivingOptions, equipment
 from dc2g_jax._src.cli.translation import TranslationOptions

@@ -8,8 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from dc2g_jax._src.datasets import houses as houses_module
 from dc2g_jax._src.datasets._download import NetworkUnavailable

@@ -7,8 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from dc2g_jax._src.datasets import houses as houses_module
-from dc2g_jax._src.datasets import procedural
+from dc2g_jax._src.datasets import houses as houses_module, procedural
 from dc2g_jax._src.datasets.houses import group_of, open_dataset
 from dc2g_jax._src.datasets.procedural import (
     PROCEDURAL_SPLIT,

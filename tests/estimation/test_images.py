@@ -5,8 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from dc2g_jax._src.estimation import images
 from dc2g_jax._src.files.class_images import read_class_image, read_palette, write_class_image

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from dc2g_jax._src.cli import translation
-from dc2g_jax._src.cli.commands import reproduce_fig4, reproduce_fig5
-from dc2g_jax._src.cli.commands import train_translator as train_translator_command
+from dc2g_jax._src.cli.commands import reproduce_fig4, reproduce_fig5, train_translator as train_translator_command
 from dc2g_jax._src.cli.translation import TranslationOptions, train_translator, translation_data
 from dc2g_jax._src.datasets.houses import HouseDataset
 from dc2g_jax._src.errors import InputError

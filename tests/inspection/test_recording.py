@@ -16,8 +16,7 @@ from dc2g_jax._src.estimation.estimators import ExactCostToGo, world_cost_to_go
 from dc2g_jax._src.grid.poses import FORWARD, make_pose
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax._src.grid.world import world_from_terrain
-from dc2g_jax._src.inspection import _legend as legend
-from dc2g_jax._src.inspection import replay as replaying
+from dc2g_jax._src.inspection import _legend as legend, replay as replaying
 from dc2g_jax._src.inspection.figures import PLANNER_STYLES
 from dc2g_jax._src.inspection.recording import record_episode, record_frames
 from dc2g_jax._src.inspection.replay import actions_from_letters, replay, replay_result, running_extra_steps

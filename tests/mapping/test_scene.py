@@ -1,8 +1,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, TRAVERSABLE
 from dc2g_jax._src.mapping.scene import LEAF_HEIGHT, SHAPES, TILES, Scene, scene_from_heights, scene_from_terrain

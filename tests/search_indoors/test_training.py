@@ -20,8 +20,7 @@ from dc2g_jax._src.search_indoors.learning.training import (
 )
 from dc2g_jax._src.training.step import supervised_step
 from tests.support.states import assert_same_bits, infinite
-from tests.support.trainings import COST_MAPS as CONFIG
-from tests.support.trainings import journeys
+from tests.support.trainings import COST_MAPS as CONFIG, journeys
 
 
 @pytest.fixture(scope="module")

@@ -45,8 +45,7 @@ from dc2g_jax._src.search_indoors.learning.collecting import CollectionConfig
 from dc2g_jax._src.search_indoors.learning.losses import OF_CLASSES
 from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
 from dc2g_jax._src.search_indoors.search.evaluation import METRICS, SearchResult
-from dc2g_jax._src.training import sweeps, training_sets
-from dc2g_jax._src.training import train as training
+from dc2g_jax._src.training import sweeps, train as training, training_sets
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.loop import Task
 from dc2g_jax._src.training.mask_collection import Masks

@@ -18,9 +18,7 @@ from dc2g_jax._src.training import cost_to_go
 from dc2g_jax._src.training.cost_to_go import TrainingConfig, first_state, train_step
 from dc2g_jax._src.training.translator import TranslatorConfig
 from tests.support.states import assert_same_bits, infinite
-from tests.support.trainings import COST_TO_GO as CONFIG
-from tests.support.trainings import DRAW_PAIRS as DRAW
-from tests.support.trainings import training_set
+from tests.support.trainings import COST_TO_GO as CONFIG, DRAW_PAIRS as DRAW, training_set
 
 
 @pytest.fixture(scope="module")

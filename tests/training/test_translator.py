@@ -25,9 +25,7 @@ from dc2g_jax._src.training.translator import (
     run_key,
 )
 from tests.support.states import assert_same_bits, infinite
-from tests.support.trainings import DRAW_IMAGES as DRAW
-from tests.support.trainings import TRANSLATOR as CONFIG
-from tests.support.trainings import image_set
+from tests.support.trainings import DRAW_IMAGES as DRAW, TRANSLATOR as CONFIG, image_set
 
 STEPS = 30
 

@@ -2,8 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from dc2g_jax._src.vehicles.vehicle import VehicleLimits, VehicleState, at_rest, drive
 from tests.oracles.vehicle_oracle import driven

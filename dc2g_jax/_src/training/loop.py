@@ -18,8 +18,7 @@ from jaxtyping import Array, Float
 from tqdm import tqdm
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.files.reading import number as as_number
-from dc2g_jax._src.files.reading import opened, parse_json, read_lines, whole_number
+from dc2g_jax._src.files.reading import number as as_number, opened, parse_json, read_lines, whole_number
 from dc2g_jax._src.rollouts.devices import fetch, in_any_process, settle
 from dc2g_jax._src.training.tracking import Curve, Image, TrackerName
 

@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from dc2g_jax._src.errors import InputError, short
-from dc2g_jax._src.grid.map_frame import MapFrame
-from dc2g_jax._src.planning.metric import MetricDecision
-from dc2g_jax._src.planning.metric_map import MetricMap, MetricPose
+from dc2g_jax import InputError
+from dc2g_jax.grid import MapFrame
+from dc2g_jax.planning import MetricDecision, MetricMap, MetricPose
 
 #: Colors of the best and the worst candidate and of the subgoal; red, green, blue.
 _BEST, _WORST, _SUBGOAL = (0.1, 0.8, 0.2), (0.9, 0.4, 0.1), (0.1, 0.3, 1.0)
@@ -63,7 +62,7 @@ def labels_of(lines: Iterable[str]) -> dict[int, str] | None:
     for line in filter(None, lines):
         value, colon, name = line.partition(":")
         if not (colon and value.strip().isdecimal()):
-            raise InputError(f"labels: {short(line)}; write VALUE:CLASS, such as 1:road")
+            raise InputError(f"labels: {line!r}; write VALUE:CLASS, such as 1:road")
         labels[int(value)] = name.strip()
     return labels or None
 

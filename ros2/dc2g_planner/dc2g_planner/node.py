@@ -27,10 +27,8 @@ from std_srvs.srv import SetBool, Trigger
 from tf2_ros import Buffer, TransformException, TransformListener
 from visualization_msgs.msg import Marker, MarkerArray
 
-from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.planning.metric import MetricDecision, MetricPlanner
-from dc2g_jax._src.planning.metric_map import MetricPose
-from dc2g_jax._src.planning.planners import EXPLORE, MODE_NAMES
+from dc2g_jax import InputError
+from dc2g_jax.planning import EXPLORE, MODE_NAMES, MetricDecision, MetricPlanner, MetricPose
 
 from .messages import Outgoing, doors_of, labels_of, map_of, place_to_drive_to, pose_of
 

@@ -1,0 +1,23 @@
+"""Estimators of the cost-to-go, networks and their files."""
+
+from dc2g_jax._src.estimation.checkpoints import load_network as load_network
+from dc2g_jax._src.estimation.compact_unet import Architecture as Architecture, CompactUNet as CompactUNet
+from dc2g_jax._src.estimation.estimators import (
+    Estimator as Estimator,
+    ExactCostToGo as ExactCostToGo,
+    NetworkCostToGo as NetworkCostToGo,
+    world_cost_to_go as world_cost_to_go,
+)
+from dc2g_jax._src.estimation.extents import (
+    CroppedEstimator as CroppedEstimator,
+    WindowedEstimator as WindowedEstimator,
+)
+from dc2g_jax._src.estimation.hub import load as load, push as push
+from dc2g_jax._src.estimation.weights import (
+    read_safetensors as read_safetensors,
+    read_weights as read_weights,
+    shapes_of_weights as shapes_of_weights,
+    with_weights as with_weights,
+    write_safetensors as write_safetensors,
+)
+from dc2g_jax._src.files.resources import resource as resource

@@ -1,0 +1,31 @@
+"""Planners, their rules, and the planner on a robot."""
+
+from dc2g_jax._src.planning import frontiers as frontiers
+from dc2g_jax._src.planning.decisions import Decision as Decision
+from dc2g_jax._src.planning.guarantee import Guaranteed as Guaranteed
+from dc2g_jax._src.planning.metric import MetricDecision as MetricDecision, MetricPlanner as MetricPlanner
+from dc2g_jax._src.planning.metric_map import MetricMap as MetricMap, MetricPose as MetricPose
+from dc2g_jax._src.planning.named import PLANNERS as PLANNERS, make as make, make_planner as make_planner
+from dc2g_jax._src.planning.online import OnlinePlanner as OnlinePlanner
+from dc2g_jax._src.planning.planners import (
+    DC2G as DC2G,
+    EXPLORE as EXPLORE,
+    GAVE_UP as GAVE_UP,
+    MODE_NAMES as MODE_NAMES,
+    TO_GOAL as TO_GOAL,
+    Frontier as Frontier,
+    Oracle as Oracle,
+    Plan as Plan,
+    Planner as Planner,
+    reachable_cells as reachable_cells,
+)
+from dc2g_jax._src.planning.rules import (
+    SETTINGS as SETTINGS,
+    Rules as Rules,
+    Settings as Settings,
+    complete_rules as complete_rules,
+    first_goal as first_goal,
+)
+from dc2g_jax._src.planning.selection import ExpectedCost as ExpectedCost, QuantileCost as QuantileCost
+from dc2g_jax._src.programs import jit as jit
+from dc2g_jax._src.rivals.choosing import ChoosingPlanner as ChoosingPlanner
