@@ -139,9 +139,9 @@ def summarize_drives(drives: Sequence[DriveResult], oracle: Sequence[DriveResult
       oracle: drives from the same starts with a known map.
     """
     extra = [100 * (one.seconds / knowing.seconds - 1) for one, knowing in zip(drives, oracle, strict=True)]
-    low, high = house_bootstrap(extra, [one.house for one in drives], resamples=2000, seed=0)
+    mean, low, high = house_bootstrap(extra, [one.house for one in drives], resamples=2000, seed=0)
     return {
-        "extra": float(np.mean(extra)),
+        "extra": mean,
         "extra_low": low,
         "extra_high": high,
         "median_extra": float(np.median(extra)),

@@ -139,17 +139,14 @@ def conclude(
     gains = {name: difference(results[last], results[name], resamples=options.resamples) for name in others}
     print(f"\n{table}\n{_CAVEAT}")
     for name, gain in gains.items():
-        success, spl = (
-            with_interval(value, interval, "+")
-            for value, interval in ((gain.success, gain.success_interval), (gain.spl, gain.spl_interval))
-        )
+        success, spl = (with_interval(value, "+") for value in gain.values())
         print(f"{titles[last]} against {titles[name]}: success {success}, SPL {spl}")
     found = {
         "houses": [house.name for house in houses],
         "split": options.split,
         "note": _CAVEAT,
         **facts,
-        "differences": {name: gain._asdict() for name, gain in gains.items()},
+        "differences": gains,
     }
     write_json(out / "results.json", found)
     print_files(out)

@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float
 
 from dc2g_jax._src.grid.fast_marching import geodesic_distance
 from dc2g_jax._src.programs import jit
-from dc2g_jax._src.rollouts.statistics import house_bootstrap
+from dc2g_jax._src.rollouts.statistics import Mean, house_bootstrap
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
 from dc2g_jax._src.search_indoors.learning.losses import OF_CLASSES
 from dc2g_jax._src.search_indoors.maps.classes import NO_OBJECT, OBJECT_CLASSES
@@ -154,14 +154,12 @@ def _mean_rate(speeds: Float[np.ndarray, "time 2"], order: int) -> tuple[float, 
 
 
 class SearchSummary(NamedTuple):
-    """A line of Table I: means over episodes, and 95 % bootstrap intervals over houses.
+    """A line of Table I: means over episodes, of shares with 95 % bootstrap intervals over houses.
 
     Attributes:
       episodes: number of episodes.
       success: success rate (SR).
-      success_interval: its interval.
       spl: success weighted by path length.
-      spl_interval: its interval.
       distance: distance to success (DTS), meters.
       steps: control periods (Time).
       acceleration: meters per second squared, and radians per second squared.
@@ -171,10 +169,8 @@ class SearchSummary(NamedTuple):
     """
 
     episodes: int
-    success: float
-    success_interval: tuple[float, float]
-    spl: float
-    spl_interval: tuple[float, float]
+    success: Mean
+    spl: Mean
     distance: float
     steps: float
     acceleration: tuple[float, float]
@@ -190,48 +186,21 @@ def summarize(results: Sequence[SearchResult], *, resamples: int = 10_000) -> Se
       results: at least one result.
       resamples: number of bootstrap samples of houses.
     """
-    houses = [result.house for result in results]
-
-    def mean(name: str) -> float:
-        return float(np.mean([getattr(result, name) for result in results]))
-
-    def interval(name: str) -> tuple[float, float]:
-        values = [float(getattr(result, name)) for result in results]
-        return house_bootstrap(values, houses, resamples=resamples, seed=0)
-
-    return SearchSummary(
-        episodes=len(results),
-        success=mean("success"),
-        success_interval=interval("success"),
-        spl=mean("spl"),
-        spl_interval=interval("spl"),
-        distance=mean("distance"),
-        steps=mean("steps"),
-        acceleration=(mean("acceleration"), mean("turn_acceleration")),
-        jerk=(mean("jerk"), mean("turn_jerk")),
-        declared=mean("declared"),
-        collisions=mean("collisions"),
+    columns = dict(zip(SearchResult._fields, zip(*results, strict=True), strict=True))
+    mean = {name: float(np.mean(values)) for name, values in columns.items() if not isinstance(values[0], str)}
+    success, spl = (
+        house_bootstrap(np.array(columns[name], float), columns["house"], resamples=resamples, seed=0)
+        for name in ("success", "spl")
     )
+    acceleration, jerk = ((mean[name], mean[f"turn_{name}"]) for name in ("acceleration", "jerk"))
+    same = {name: mean[name] for name in ("distance", "steps", "declared", "collisions")}
+    return SearchSummary(len(results), success, spl, acceleration=acceleration, jerk=jerk, **same)
 
 
-class Difference(NamedTuple):
-    """Differences between two agents in the same searches, with intervals as in `SearchSummary`.
-
-    Attributes:
-      success: difference of the success rates.
-      success_interval: its interval.
-      spl: difference of the success weighted by path length.
-      spl_interval: its interval.
-    """
-
-    success: float
-    success_interval: tuple[float, float]
-    spl: float
-    spl_interval: tuple[float, float]
-
-
-def difference(better: Sequence[SearchResult], worse: Sequence[SearchResult], *, resamples: int = 10_000) -> Difference:
-    """Compare two agents search by search.
+def difference(
+    better: Sequence[SearchResult], worse: Sequence[SearchResult], *, resamples: int = 10_000
+) -> dict[str, Mean]:
+    """Differences of `success` and `spl` between two agents in the same searches, with intervals as in `SearchSummary`.
 
     Args:
       better: results of one agent.
@@ -241,18 +210,14 @@ def difference(better: Sequence[SearchResult], worse: Sequence[SearchResult], *,
     Raises:
       ValueError: the searches differ.
     """
-    pairs = list(zip(better, worse, strict=True))
-    if any(
-        (one.house, one.target, one.x, one.y) != (other.house, other.target, other.x, other.y) for one, other in pairs
-    ):
+    if [one[:5] for one in better] != [one[:5] for one in worse]:
         raise ValueError("the two agents made different searches")
-    houses = [one.house for one in better]
 
-    def gain(name: str) -> tuple[float, tuple[float, float]]:
-        gains = [float(getattr(one, name)) - float(getattr(other, name)) for one, other in pairs]
-        return float(np.mean(gains)), house_bootstrap(gains, houses, resamples=resamples, seed=0)
+    def gain(name: str) -> Mean:
+        gains = [float(getattr(one, name)) - float(getattr(two, name)) for one, two in zip(better, worse, strict=True)]
+        return house_bootstrap(gains, [one.house for one in better], resamples=resamples, seed=0)
 
-    return Difference(*gain("success"), *gain("spl"))
+    return {name: gain(name) for name in ("success", "spl")}
 
 
 #: Titles of the agents.
@@ -309,9 +274,9 @@ PAPER_TABLE2 = {
 _PAPER_OF_CLASSES = (71.08, 80.68, 56.79, 69.06)
 
 
-def with_interval(value: float, interval: tuple[float, float], sign: str = "") -> str:
-    """A value with its interval; with a sign if `sign` is `+`."""
-    middle, low, high = (f"{one:{sign}.3f}" for one in (value, *interval))
+def with_interval(value: Mean, sign: str = "") -> str:
+    """A mean with its interval; with a sign if `sign` is `+`."""
+    middle, low, high = (f"{one:{sign}.3f}" for one in value)
     return f"{middle} ({low} to {high})"
 
 
@@ -328,8 +293,7 @@ def table1(summaries: Mapping[str, SearchSummary]) -> str:
 
     rows = [["", "success (95 %)", "SPL (95 %)", "DTS m", "steps", "acc m/s2, rad/s2", "jerk m/s3, rad/s3"]]
     for name, one in summaries.items():
-        shares = with_interval(one.success, one.success_interval), with_interval(one.spl, one.spl_interval)
-        rows.append([AGENT_TITLES[name], *shares, *figures(one)])
+        rows.append([AGENT_TITLES[name], with_interval(one.success), with_interval(one.spl), *figures(one)])
         if name in PAPER_TABLE1:
             paper = PAPER_TABLE1[name]
             rows.append(["the paper's", f"{paper.success:.3f}", f"{paper.spl:.3f}", *figures(paper)])
@@ -346,7 +310,9 @@ def table2(metrics: Mapping[str, Mapping[str, float]], summaries: Mapping[str, S
     rows = [["", *(f"{name} %" for name in METRICS), "success", "SPL", "DTS m"]]
     for name, one in summaries.items():
         paper = PAPER_TABLE2[name]
-        ours = _Table2Line(tuple(metrics[name][metric] for metric in METRICS), one.success, one.spl, one.distance)
+        ours = _Table2Line(
+            tuple(metrics[name][metric] for metric in METRICS), one.success.mean, one.spl.mean, one.distance
+        )
         for title, line in ((ABLATION_TITLES[name], ours), ("the paper's", paper)):
             found = (f"{value:.2f}" for value in line.metrics)
             rows.append([title, *found, f"{line.success:.3f}", f"{line.spl:.3f}", f"{line.distance:.2f}"])
