@@ -44,6 +44,7 @@ sys.modules.update(dict.fromkeys({modules}))  # so that their import fails
 import numpy as np
 import dc2g_jax as dc2g
 import dc2g_jax._src.vehicles.fleet
+import dc2g_jax._src.search_indoors.search.online
 from dc2g_jax._src.cli import commands
 
 env, params = dc2g.make_env("FrontDoor-v0", dataset="procedural", split="val")
