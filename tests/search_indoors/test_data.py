@@ -33,8 +33,8 @@ from dc2g_jax._src.search_indoors.learning.midlevel import ConvolutionEncoder
 from dc2g_jax._src.search_indoors.maps import mapping
 from dc2g_jax._src.search_indoors.maps.camera import camera_pose, indoor_camera
 from dc2g_jax._src.search_indoors.maps.classes import BED, GOALS, PLANT, TABLE
-from tests.support.plans import BED_BOX, PLANT_BOX, plan
 from tests.support.refusals import refusal
+from tests.support.two_rooms import BED_BOX, PLANT_BOX, plan
 
 #: A table in the room of the plant, to be looked over; a bed in the other.
 TABLE_BOX = Furniture(TABLE, 4.5, 2.0, 0.8, 0.4, 0.0, 0.7)

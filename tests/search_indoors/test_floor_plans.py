@@ -24,7 +24,7 @@ from dc2g_jax._src.search_indoors.maps.classes import (
     SINK,
     TOILET,
 )
-from tests.support.rooms import rooms_cut_off
+from tests.support.two_rooms import rooms_cut_off
 
 COUNT = 40
 

@@ -24,8 +24,8 @@ from dc2g_jax._src.search_indoors.maps.camera import VIEW_SIZE, CameraView, view
 from dc2g_jax._src.search_indoors.maps.classes import BED, OBJECT_COLORS
 from dc2g_jax._src.training.loop import Pauses, train
 from dc2g_jax._src.training.step import supervised_step
-from tests.support.plans import BED_BOX, plan
 from tests.support.refusals import refusal
+from tests.support.two_rooms import BED_BOX, plan
 
 ARCHITECTURE = EncoderArchitecture(widths=(4, 6, 8), features=5)
 

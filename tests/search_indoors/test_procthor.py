@@ -11,7 +11,7 @@ from dc2g_jax._src.search_indoors.houses.procthor import AssetBox, house_plan, r
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
 from dc2g_jax._src.search_indoors.maps.classes import BED, BEDROOM, KITCHEN, OTHER, PLANT, TABLE, TELEVISION
 from tests.support import house_lines
-from tests.support.rooms import rooms_cut_off
+from tests.support.two_rooms import rooms_cut_off
 
 BOXES = {asset: AssetBox(entry["type"], *entry["box"]) for asset, entry in house_lines.BOXES.items()}
 

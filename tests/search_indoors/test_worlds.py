@@ -16,8 +16,7 @@ from dc2g_jax._src.search_indoors.houses.worlds import (
     start_cells,
 )
 from dc2g_jax._src.search_indoors.maps.classes import BED, CHAIR, GOALS, OBJECT_CLASSES, OBJECT_COLORS, PLANT, TABLE
-from tests.support.plans import BED_BOX, PLANT_BOX, plan
-from tests.support.rooms import rooms_cut_off
+from tests.support.two_rooms import BED_BOX, PLANT_BOX, plan, rooms_cut_off
 
 
 def test_classes_are_named_and_colored_once():

@@ -91,7 +91,7 @@ class JourneySet:
 
 @struct.dataclass
 class Samples:
-    """Inputs of a network, see `learning.networks.apply`, and labels.
+    """Inputs of a network, see `learning.networks.CostMapNetwork`, and labels.
 
     Attributes:
       cells: the robot's map around it, of which `maps.mapping.network_maps` makes the network's maps.

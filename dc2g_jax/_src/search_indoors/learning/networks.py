@@ -187,7 +187,15 @@ class CostMapNetwork(nnx.Module):
         heading: Float[Array, "b"],
         features: Float[Array, "b f"],
     ) -> Prediction:
-        """Predict for a batch; see `apply`."""
+        """Predict for a batch.
+
+        Args:
+          maps: maps with north up and the robot in the middle, see `maps.mapping.network_maps`. Sides are multiples of
+            the architecture's patch.
+          target: the wanted class, an index into `maps.classes.GOALS`.
+          heading: direction of the camera, counter-clockwise from east, radians.
+          features: mid-level features of the camera image; ignored by a network without this input.
+        """
         inputs = self.architecture.inputs
         if not inputs.semantics:
             semantic = np.arange(INPUT_CHANNELS) % MAP_CHANNELS < SEMANTIC_CLASSES
@@ -199,7 +207,7 @@ class CostMapNetwork(nnx.Module):
             skipped.append(at)
         batch, height, width, _ = at.shape
         goal = jnp.broadcast_to(self.target(target)[:, None, None], (batch, height, width, self.architecture.embedding))
-        view = oriented_features(nnx.relu(self.view(features)), heading, height, width)
+        view = oriented_features(nnx.relu(self.view(features.astype(jnp.float32))), heading, height, width)
         bottleneck = jnp.concatenate([nnx.relu(at), goal, view if inputs.features else jnp.zeros_like(view)], axis=-1)
         local = jnp.einsum("bchw,c->bhw", maps[:, :MAP_CHANNELS], self.cell[...])
         return Prediction(
@@ -208,28 +216,10 @@ class CostMapNetwork(nnx.Module):
         )
 
 
-def apply(
-    architecture: CostMapArchitecture,
-    weights: dict[str, Any],
-    maps: Float[Array, "b 36 h w"],
-    target: Integer[Array, "b"],
-    heading: Float[Array, "b"],
-    features: Float[Array, "b f"],
-) -> Prediction:
-    """Run the network on a batch.
-
-    Args:
-      architecture: the network.
-      weights: nested dictionary of arrays, converted to float32.
-      maps: maps with north up and the robot in the middle, see `maps.mapping.network_maps`. Sides are
-        multiples of the architecture's patch.
-      target: the wanted class, an index into `maps.classes.GOALS`.
-      heading: direction of the camera, counter-clockwise from east, radians.
-      features: mid-level features of the camera image; ignored by a network without this input.
-    """
+def apply(architecture: CostMapArchitecture, weights: dict[str, Any], *inputs: Array) -> Prediction:
+    """Run the network on a batch; see `CostMapNetwork`. Weights are converted to float32."""
     weights = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), weights)
-    network = with_weights(CostMapNetwork, architecture, weights)
-    return network(maps, target, heading, features.astype(jnp.float32))
+    return with_weights(CostMapNetwork, architecture, weights)(*inputs)
 
 
 @struct.dataclass
@@ -251,7 +241,10 @@ class CostMapEstimator:
         features: Float[Array, "f"],
         heading: Float[Array, ""],
     ) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
-        """Probability of occupancy and navigation cost for one robot; see `apply`."""
+        """For each cell of the local map, the probability that it is not free floor, and the navigation cost.
+
+        The arguments are those of `CostMapNetwork` for one robot, without the axis of the batch.
+        """
         one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (maps, target, heading, features))
         prediction = apply(self.architecture, self.weights, *one)
         return prediction.occupancy[0], prediction.cost[0]

@@ -41,23 +41,10 @@ class _CostEstimator(Protocol):
     """Predicts costs from a partial map. Implementations are pytrees."""
 
     def estimate(
-        self,
-        maps: Float[Array, "36 n n"],
-        target: Int[Array, ""],
-        features: Float[Array, " feature"],
+        self, maps: Float[Array, "36 n n"], target: Int[Array, ""], features: Float[Array, " f"],
         heading: Float[Array, ""],
-    ) -> tuple[Float[Array, "n n"], Float[Array, "n n"]]:
-        """Predict for one robot.
-
-        Args:
-          maps: maps of the robot, see `maps.mapping.network_maps`.
-          target: the wanted class, an index into `GOALS`.
-          features: mid-level features of the camera image.
-          heading: direction of the camera, counter-clockwise from +x, radians.
-
-        Returns:
-          For each cell of the local map, the probability that it is not free floor, and the navigation cost.
-        """
+    ) -> tuple[Float[Array, "n n"], Float[Array, "n n"]]:  # fmt: skip
+        """See `learning.networks.CostMapEstimator.estimate`."""
         ...
 
 
