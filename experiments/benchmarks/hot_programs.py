@@ -187,7 +187,7 @@ def _search_leg(robots: int, mesh: Mesh) -> HotProgram:
         scene=_scene(houses, side),
         paint=_array(houses, side, side, 3, dtype=jnp.uint8),
         free=_array(houses, side, side, dtype=jnp.bool_),
-        known=None,
+        guide=None,
     )
     begin = functools.partial(robot.at_starts, mesh=mesh, reset=searches.reset, number=searches.TIME_LIMIT)
     starts, each = _array(n, robots, 3, dtype=jnp.float32), _array(n, robots)

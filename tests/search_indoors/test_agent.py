@@ -43,7 +43,7 @@ KEY = jax.random.key(0)
 
 @pytest.fixture(scope="module")
 def site():
-    """The house; its `known` are the true distances."""
+    """The house, and the guide that knows it."""
     return site_of(two_rooms().world, two_rooms().name, agent_with(TrueCost()))
 
 
@@ -66,11 +66,11 @@ def robot_at(x, y, yaw=0.0, target=PLANT_TARGET, guide=None):
 def test_the_distance_to_objects_is_that_of_the_path_around_walls(site):
     # From the far end of the bedroom to the plant: through the door.
     row, column = 28, 6
-    assert 3.5 < float(site.known[PLANT_TARGET, row, column]) < 5.5
-    assert float(site.known[BED_TARGET, row, column]) < 1
-    assert np.isinf(np.asarray(site.known)[:, ~np.asarray(site.free)]).all()
+    assert 3.5 < float(site.guide.distance[PLANT_TARGET, row, column]) < 5.5
+    assert float(site.guide.distance[BED_TARGET, row, column]) < 1
+    assert np.isinf(np.asarray(site.guide.distance)[:, ~np.asarray(site.free)]).all()
     # There is no couch.
-    assert np.isinf(np.asarray(site.known)[GOALS.index(5)]).all()
+    assert np.isinf(np.asarray(site.guide.distance)[GOALS.index(5)]).all()
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_a_robot_with_true_costs_reaches_the_object(journey, site):
     assert int(last.status) == DECLARED
     assert 40 < steps < LIMIT
     track = np.asarray(last.track)
-    shortest = float(site.known[PLANT_TARGET, 29, 6])
+    shortest = float(site.guide.distance[PLANT_TARGET, 29, 6])
     assert np.hypot(*np.diff(track[:, :2], axis=0).T).sum() < 1.25 * shortest
     # The plant's cells have their middles from x = 4.7 to 5.0 and y = -2.7 to -3.0.
     off = np.maximum(np.abs(track[steps, :2] - (4.85, -2.85)) - 0.2, 0)
@@ -157,15 +157,15 @@ def guided(site):
     def guide_one(robot, guide):
         """What the guide says that is given a picture only if it asks for one, and nothing of the house."""
         image = picture(robot, site) if guide.uses_image else None
-        return guide.guide(KEY, observed(robot, image), None, agent_with(guide))
+        return guide.guide(KEY, observed(robot, image), agent_with(guide))
 
     return guide_one
 
 
 def test_the_true_costs_lie_around_the_robot(site):
     robot = robot_at(2.05, -1.55)
-    distance = np.asarray(TrueCost().guide(KEY, observed(robot, None), site.known, agent_with(TrueCost())).distance)
-    world = np.asarray(site.known[PLANT_TARGET])
+    distance = np.asarray(site.guide.guide(KEY, observed(robot, None), agent_with(TrueCost())).distance)
+    world = np.asarray(site.guide.distance[PLANT_TARGET])
     # The robot is in row 15 and column 20; the local map begins 30 cells before.
     np.testing.assert_array_equal(distance[15 : 15 + world.shape[0], 10 : 10 + world.shape[1]], world[:45, :50])
     assert np.isinf(distance[:15]).all()
@@ -257,22 +257,19 @@ def test_the_promising_frontier_weighs_distance_and_predicted_costs(guided):
     np.testing.assert_allclose(far[31, 30] - far.min(), 2.5, atol=0.1)
 
 
-def test_only_the_privileged_guide_keeps_something_of_the_house():
-    costs = PredictedCosts(Flat(), Mean())
+def test_only_the_privileged_guide_is_told_the_house():
+    costs, world = PredictedCosts(Flat(), Mean()), two_rooms().world
     for guide in (NullGuide(), NearestFrontier(), Predicted(costs), PromisingFrontier(costs)):
-        assert guide.init(two_rooms().world, 0.2) is None
-        assert GoalReacher(guide).init(two_rooms().world, 0.2) is None
+        assert guide.of_house(world, 0.2) is GoalReacher(guide).of_house(world, 0.2) is None
         assert GoalReacher(guide).uses_image == guide.uses_image == hasattr(guide, "costs")
-    np.testing.assert_array_equal(
-        *(guide.init(two_rooms().world, 0.2) for guide in (TrueCost(), GoalReacher(TrueCost())))
-    )
+    assert GoalReacher(TrueCost()).of_house(world, 0.2) is None
 
 
 def test_what_a_robot_does_not_have_is_refused():
     seen, agent = observed(robot_at(2.05, -1.55), None), agent_with(NullGuide())
-    refusal(lambda: TrueCost().guide(KEY, seen, None, agent), "TrueCost", "ahead of time", "another guide")
+    refusal(lambda: TrueCost().guide(KEY, seen, agent), "TrueCost", "ahead of time", "another guide")
     blind = Predicted(PredictedCosts(Flat(), Mean()))
-    refusal(lambda: blind.guide(KEY, seen, None, agent), "the camera's picture", "give one with each frame")
+    refusal(lambda: blind.guide(KEY, seen, agent), "the camera's picture", "give one with each frame")
 
 
 def test_a_robot_looks_around_at_the_start():

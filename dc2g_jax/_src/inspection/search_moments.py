@@ -84,20 +84,20 @@ def moment_of(robot: IndoorRobot, agent: Agent, name: str) -> SearchMoment:
 
 @jit
 def prediction_at(
-    robot: IndoorRobot, site: IndoorSite, distances: Float[Array, "goal h w"], agent: Agent, costs: PredictedCosts
+    robot: IndoorRobot, site: IndoorSite, truth: TrueCost, agent: Agent, costs: PredictedCosts
 ) -> PredictedMap:
     """What a network predicts for a robot's local map, and the truth there.
 
     Args:
       robot: the robot.
       site: the house.
-      distances: true distances in the house, see `TrueCost.init`.
+      truth: the guide that knows the house.
       agent: components of the robot.
       costs: the prediction.
     """
     side, seen = agent.mapping.local, observed(robot, picture(robot, site))
     free = square(site.free, robot.local_middle - side // 2, side, False)
-    true = TrueCost().guide(robot.key, seen, distances, agent).distance
+    true = truth.guide(robot.key, seen, agent).distance
     predicted = costs.of(seen, agent)
     return PredictedMap(
         cells=window(robot.map, robot.local_middle, side),

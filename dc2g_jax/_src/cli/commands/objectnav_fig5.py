@@ -85,8 +85,8 @@ def main(options: Options) -> None:
     search_name = f"{house.name}, {episode.target}, {AGENT_TITLES[options.agent]}"
     if costs is not None:
         last = begun[max(np.flatnonzero(~to_goal), default=0)]
-        distances = TrueCost().init(house.world, agent.controller.limits.radius)
-        prediction = prediction_at(last, site, distances, agent, costs)
+        truth = TrueCost().of_house(house.world, agent.controller.limits.radius)
+        prediction = prediction_at(last, site, truth, agent, costs)
         plot_prediction(out / "fig4", prediction, f"{search_name}, step {int(last.periods)}")
     animate_search(out / "search.gif", house.world, target, track, every)
     record_search(out / "search.rrd", search_name, house.world, target, track, every)

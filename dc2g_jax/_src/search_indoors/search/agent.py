@@ -10,7 +10,7 @@ Nothing here knows the true house. `search.simulation` simulates a robot in a ho
 
 import dataclasses
 import math
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -94,10 +94,8 @@ class Guide(Protocol):
         """Whether the guide uses the camera's picture. It does not unless a subclass says so."""
         return False
 
-    def init(self, world: IndoorWorld, radius: float) -> Any:
-        """What the guide knows before the search: `None` unless a privileged subclass defines it.
-
-        Only guides that know the house ahead of time may read it. On a real robot this is never called.
+    def of_house(self, world: IndoorWorld, radius: float) -> "Guide | None":
+        """This guide with knowledge of a simulated house, if it is a privileged one; `None` for all others.
 
         Args:
           world: the true house.
@@ -106,13 +104,12 @@ class Guide(Protocol):
         del world, radius
         return None
 
-    def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: "Agent") -> Guidance:
+    def guide(self, key: Key[Array, ""], seen: Observation, agent: "Agent") -> Guidance:
         """Costs of the cells of the robot's local map.
 
         Args:
           key: random key.
           seen: what the robot knows.
-          known: result of `init`; `None` on a real robot.
           agent: components of the robot.
         """
         ...
@@ -274,14 +271,13 @@ def observed(robot: Searcher, image: UInt8[Array, "48 64 3"] | None) -> Observat
     return Observation(robot.target, robot.vehicle, robot.map, robot.local_middle, image)
 
 
-def look(robot: _Robot, frame: Frame, image: UInt8[Array, "48 64 3"] | None, known: Any, agent: Agent) -> _Robot:
+def look(robot: _Robot, frame: Frame, image: UInt8[Array, "48 64 3"] | None, agent: Agent) -> _Robot:
     """Add a camera frame to the map, and ask the guide for new costs.
 
     Args:
       robot: the robot.
       frame: depth, classes and pose of its camera.
       image: the camera's picture; `None` if the guide does not use it.
-      known: what the guide knew before the search, see `Guide.init`.
       agent: components of the robot.
     """
     position, cell_size = robot.vehicle.position, agent.mapping.cell_size
@@ -292,7 +288,7 @@ def look(robot: _Robot, frame: Frame, image: UInt8[Array, "48 64 3"] | None, kno
         map=with_frame(robot.map, frame, position, agent.camera, agent.mapping),
         local_middle=grid_cell(position, cell_size),
     )
-    guidance = agent.guide.guide(own_key, observed(robot, image), known, agent)
+    guidance = agent.guide.guide(own_key, observed(robot, image), agent)
     return dataclasses.replace(robot, guidance=guidance, costs=_filled_costs(guidance.distance, cell_size))
 
 

@@ -4,7 +4,7 @@
 """
 
 import functools
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -90,32 +90,35 @@ class TrueCost(Guide):
     """Guide with the exact distance to the nearest object, which also knows when the robot has arrived.
 
     The paper's agent with exact costs ends an episode when the goal is visible.
+
+    Attributes:
+      distance: distance that the robot's center has to drive until an object of each of `GOALS` is at arm's length,
+        meters; infinite where the robot does not fit or no path leads there. `None` before it is told the house.
     """
 
-    def init(self, world: IndoorWorld, radius: float) -> Float[Array, "goal h w"]:
-        """Distance that the robot's center has to drive until an object of each of `GOALS` is at arm's length, meters.
+    distance: Float[Array, "goal h w"] | None = None
 
-        Infinite where the robot does not fit or no path leads there.
-        """
-        return _object_distances(world.free, world.classes, radius, float(world.cell_size))
+    def of_house(self, world: IndoorWorld, radius: float) -> "TrueCost":
+        """See `Guide`."""
+        return TrueCost(_object_distances(world.free, world.classes, radius, float(world.cell_size)))
 
-    def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: Agent) -> Guidance:
+    def guide(self, key: Key[Array, ""], seen: Observation, agent: Agent) -> Guidance:
         """See `Guide`."""
         del key
-        if known is None:
+        if self.distance is None:
             raise InputError("TrueCost knows the house ahead of time, but none is given; use another guide on a robot")
         side = agent.mapping.local
         first = seen.middle - side // 2
-        return Guidance(square(known[seen.target], first, side, jnp.inf), jnp.bool_(True))
+        return Guidance(square(self.distance[seen.target], first, side, jnp.inf), jnp.bool_(True))
 
 
 @struct.dataclass
 class NullGuide(Guide):
     """Guide without information, for steering that does not use a guide."""
 
-    def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: Agent) -> Guidance:
+    def guide(self, key: Key[Array, ""], seen: Observation, agent: Agent) -> Guidance:
         """See `Guide`."""
-        del key, seen, known
+        del key, seen
         side = agent.mapping.local
         return Guidance(jnp.full((side, side), jnp.inf, jnp.float32), jnp.bool_(False))
 
@@ -127,9 +130,9 @@ class NearestFrontier(Guide):
     Small specks of unseen floor count only if nothing else is left.
     """
 
-    def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: Agent) -> Guidance:
+    def guide(self, key: Key[Array, ""], seen: Observation, agent: Agent) -> Guidance:
         """See `Guide`."""
-        del key, known
+        del key
         side, cells = agent.mapping.local, seen.map.cells.shape[0]
         ground, beyond = _ground(window(seen.map, seen.middle, side), agent)
         near = geodesic_distance(ground, without_specks(beyond), agent.mapping.cell_size)
@@ -154,9 +157,9 @@ class Predicted(Guide):
     costs: PredictedCosts
     uses_image = True
 
-    def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: Agent) -> Guidance:
+    def guide(self, key: Key[Array, ""], seen: Observation, agent: Agent) -> Guidance:
         """See `Guide`."""
-        del key, known
+        del key
         cells = window(seen.map, seen.middle, agent.mapping.local)
         closed = inflated(has(cells, OBSTACLE_CHANNEL), agent.controller.limits.radius, agent.mapping.cell_size)
         return Guidance(jnp.where(closed, jnp.inf, self.costs.of(seen, agent)), jnp.bool_(False))
@@ -178,7 +181,7 @@ class PromisingFrontier(Guide):
     weight: float = 2.0
     uses_image = True
 
-    def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: Agent) -> Guidance:
+    def guide(self, key: Key[Array, ""], seen: Observation, agent: Agent) -> Guidance:
         """See `Guide`."""
         ground, beyond = _ground(window(seen.map, seen.middle, agent.mapping.local), agent)
         promised = jnp.where(without_specks(beyond), self.weight * self.costs.of(seen, agent), jnp.inf)
@@ -187,7 +190,7 @@ class PromisingFrontier(Guide):
         return jax.lax.cond(
             _begins_here(distance),
             lambda: Guidance(distance, jnp.bool_(False)),
-            lambda: NearestFrontier().guide(key, seen, known, agent),
+            lambda: NearestFrontier().guide(key, seen, agent),
         )
 
 
@@ -208,11 +211,7 @@ class GoalReacher(Guide):
         """See `Guide`."""
         return self.explorer.uses_image
 
-    def init(self, world: IndoorWorld, radius: float) -> Any:
-        """See `Guide`."""
-        return self.explorer.init(world, radius)
-
-    def guide(self, key: Key[Array, ""], seen: Observation, known: Any, agent: Agent) -> Guidance:
+    def guide(self, key: Key[Array, ""], seen: Observation, agent: Agent) -> Guidance:
         """See `Guide`."""
         cells = window(seen.map, seen.middle, agent.mapping.local)
         goals = without_specks(has(cells, jnp.asarray(GOALS)[seen.target] - 1))
@@ -227,7 +226,7 @@ class GoalReacher(Guide):
         return jax.lax.cond(
             _begins_here(distance),
             lambda: Guidance(distance, jnp.bool_(True)),
-            lambda: self.explorer.guide(key, seen, known, agent),
+            lambda: self.explorer.guide(key, seen, agent),
         )
 
 

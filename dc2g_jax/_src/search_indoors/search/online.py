@@ -66,7 +66,7 @@ def _move(robot: Searcher, vehicle: VehicleState, target: Int[Array, ""], agent:
 
 @jit
 def _look(robot: Searcher, frame: Frame, image: UInt8[Array, "48 64 3"] | None, agent: Agent) -> Searcher:
-    return look(robot, frame, image, None, agent)
+    return look(robot, frame, image, agent)
 
 
 @jit

@@ -5,7 +5,7 @@ Results are in `search.evaluation`.
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,7 @@ from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld, pad_world, painted, sample_starts, scene
 from dc2g_jax._src.search_indoors.maps.camera import camera_pose, view
 from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
-from dc2g_jax._src.search_indoors.search.agent import DECLARED, Agent, Searcher, arrives, begin, look, steer
+from dc2g_jax._src.search_indoors.search.agent import DECLARED, Agent, Guide, Searcher, arrives, begin, look, steer
 from dc2g_jax._src.vehicles.footprint import Ground
 from dc2g_jax._src.vehicles.robot import at_starts, is_driving, run_to_end, stopped_by_obstacles
 from dc2g_jax._src.vehicles.vehicle import VehicleState, at_rest, drive
@@ -42,13 +42,13 @@ class IndoorSite:
       scene: scene for the simulated camera.
       paint: color of each cell, see `houses.worlds.painted`.
       free: free floor.
-      known: what the agent's guide knows ahead of time, see `search.agent.Guide.init`.
+      guide: the guide that knows this house, of privileged agents; `None` for all others.
     """
 
     scene: Scene
     paint: UInt8[Array, "h w 3"]
     free: Bool[Array, "h w"]
-    known: Any
+    guide: Guide | None
 
 
 @struct.dataclass
@@ -76,7 +76,7 @@ def site_of(world: IndoorWorld, name: str, agent: Agent) -> IndoorSite:
         scene=scene(world),
         paint=jnp.asarray(painted(world, np.random.default_rng([*name.encode()]))),
         free=jnp.asarray(world.free),
-        known=agent.guide.init(world, agent.controller.limits.radius),
+        guide=agent.guide.of_house(world, agent.controller.limits.radius),
     )
 
 
@@ -110,9 +110,10 @@ def picture(robot: Searcher, site: IndoorSite) -> UInt8[Array, "48 64 3"]:
 
 def look_and_decide(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
     """The first part of a leg: add a camera frame to the map, and ask the guide for new costs."""
+    agent = agent if site.guide is None else dataclasses.replace(agent, guide=site.guide)
     frame = render(site.scene, agent.camera, _camera_of(robot), agent.mapping.reach)
     image = picture(robot, site) if agent.guide.uses_image else None
-    return look(robot, frame, image, site.known, agent)
+    return look(robot, frame, image, agent)
 
 
 def act(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> IndoorRobot:
