@@ -9,7 +9,7 @@ from ._src.rollouts.evaluation import EpisodeResult as EpisodeResult
 from ._src.training.train import train as train
 from ._src.training.cost_to_go import TrainingConfig as TrainingConfig
 from ._src.training.cost_to_go_data import DataConfig as DataConfig
-from ._src.inspection.figures import plot_results as plot_results
+from ._src.figures.results_figures import plot_results as plot_results
 from ._src.planning.online import OnlinePlanner as OnlinePlanner
 from ._src.planning.decisions import Decision as Decision
 from ._src.planning.metric import MetricPlanner as MetricPlanner
@@ -32,13 +32,13 @@ from ._src.planning.rules import SETTINGS as SETTINGS
 from ._src.programs import jit as jit
 
 # Houses and starts.
-from ._src.datasets.houses import open_dataset as open_dataset
-from ._src.datasets.houses import procedural_dataset as procedural_dataset
-from ._src.datasets.maps import read_map as read_map
-from ._src.datasets.starts import sample_starts as sample_starts
-from ._src.datasets.houses import HouseDataset as HouseDataset
-from ._src.datasets.houses import House as House
-from ._src.datasets.starts import Start as Start
+from ._src.readers.houses import open_dataset as open_dataset
+from ._src.readers.houses import procedural_dataset as procedural_dataset
+from ._src.readers.maps import read_map as read_map
+from ._src.readers.starts import sample_starts as sample_starts
+from ._src.readers.houses import HouseDataset as HouseDataset
+from ._src.readers.houses import House as House
+from ._src.readers.starts import Start as Start
 
 # The gridworld.
 from ._src.grid.world import World as World

@@ -8,10 +8,6 @@ from dc2g_jax._src.estimation.estimators import (
     NetworkCostToGo as NetworkCostToGo,
     world_cost_to_go as world_cost_to_go,
 )
-from dc2g_jax._src.estimation.extents import (
-    CroppedEstimator as CroppedEstimator,
-    WindowedEstimator as WindowedEstimator,
-)
 from dc2g_jax._src.estimation.hub import load as load, push as push
 from dc2g_jax._src.estimation.weights import (
     read_safetensors as read_safetensors,

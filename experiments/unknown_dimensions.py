@@ -15,24 +15,24 @@ from dc2g_jax._src.cli.common import command_line, digests
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, ResumeOptions, StepLimitOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
-from dc2g_jax._src.datasets.houses import House, HouseDataset, open_dataset
-from dc2g_jax._src.datasets.procedural import draw_neighborhood
-from dc2g_jax._src.datasets.procedural.suburbs import SUBURBS
-from dc2g_jax._src.datasets.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
-from dc2g_jax._src.estimation.extents import CroppedEstimator, Window, WindowedEstimator
 from dc2g_jax._src.estimation.hub import load
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.grid.terrain import UNKNOWN
 from dc2g_jax._src.planning.named import make_planner
 from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.procedural import draw_neighborhood
+from dc2g_jax._src.procedural.suburbs import SUBURBS
+from dc2g_jax._src.readers.houses import House, HouseDataset, open_dataset
+from dc2g_jax._src.readers.starts import Start, sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import PlannerSource, Runner
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.statistics import summarize
 from dc2g_jax._src.training.cost_to_go_data import drawn_houses
 
 from .benchmarks.decisions import milliseconds
+from .benchmarks.extents import CroppedEstimator, Window, WindowedEstimator
 
 #: Seeds of the procedural houses and neighborhoods of a split. Training uses smaller ones.
 SEEDS = {"val": 10_000, "test": 10_001}

@@ -24,12 +24,6 @@ from hypothesis import HealthCheck, given, settings
 from PIL import Image
 
 from dc2g_jax._src.cli.outputs import _read_run
-from dc2g_jax._src.datasets._download import read_manifest
-from dc2g_jax._src.datasets.houses import load_dataset, map_dataset
-from dc2g_jax._src.datasets.maps import Goal, read_map
-from dc2g_jax._src.datasets.osm.extract import read_extract
-from dc2g_jax._src.datasets.osm.neighborhood import Neighborhood
-from dc2g_jax._src.datasets.starts import read_starts
 from dc2g_jax._src.errors import LONGEST_MESSAGE, InputError
 from dc2g_jax._src.estimation.checkpoints import load_network, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
@@ -38,6 +32,12 @@ from dc2g_jax._src.estimation.weights import fresh_weights, write_network
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.grid.terrain import CLASS_COLORS, CLASS_NAMES
 from dc2g_jax._src.mapping.sequences import Shot, read_frame, read_picture, read_sequence, write_sequence
+from dc2g_jax._src.osm.extract import read_extract
+from dc2g_jax._src.osm.neighborhood import Neighborhood
+from dc2g_jax._src.readers._download import read_manifest
+from dc2g_jax._src.readers.houses import load_dataset, map_dataset
+from dc2g_jax._src.readers.maps import Goal, read_map
+from dc2g_jax._src.readers.starts import read_starts
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult
 from dc2g_jax._src.rollouts.results import ResumableTable, read_rows, write_rows
 from dc2g_jax._src.search_indoors.houses.procthor import read_procthor

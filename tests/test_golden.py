@@ -7,8 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.datasets.houses import House, HouseDataset
-from dc2g_jax._src.datasets.starts import Start, published_episodes
 from dc2g_jax._src.estimation.estimators import ExactCostToGo
 from dc2g_jax._src.grid import bitboard, poses
 from dc2g_jax._src.grid.gridworld import belief_of
@@ -17,6 +15,8 @@ from dc2g_jax._src.grid.search import EIGHT_CONNECTED
 from dc2g_jax._src.grid.world import world_from_terrain
 from dc2g_jax._src.planning.planners import DC2G, Frontier
 from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.readers.houses import House, HouseDataset
+from dc2g_jax._src.readers.starts import Start, published_episodes
 from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.statistics import extra_steps
 

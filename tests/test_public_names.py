@@ -66,7 +66,7 @@ def test_planners_environments_and_the_network_come_without_the_extra():
     assert done.stdout.splitlines() == [
         "4",
         "gave_up 2",
-        'cv2, matplotlib, rerun: not installed; run: pip install "dc2g_jax[all]"',
+        'cv2, matplotlib: not installed; run: pip install "dc2g_jax[all]"',
     ]
     assert (
         done.stderr == 'error: cv2, matplotlib, orbax, rerun, tyro: not installed; run: pip install "dc2g_jax[all]"\n'

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
-from dc2g_jax._src.datasets.houses import House
 from dc2g_jax._src.estimation.estimators import Estimator, extent_of
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, make_pose
@@ -19,6 +18,7 @@ from dc2g_jax._src.grid.sensing import field_of_view
 from dc2g_jax._src.grid.world import world_from_terrain
 from dc2g_jax._src.planning.online import OnlinePlanner
 from dc2g_jax._src.programs import jit
+from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT
 
 from .timing import measure

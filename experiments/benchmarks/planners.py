@@ -15,8 +15,8 @@ import numpy as np
 from flax import struct
 
 from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
+from dc2g_jax._src.figures.replay import actions_from_letters
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.inspection.replay import actions_from_letters
 from dc2g_jax._src.planning.named import make_planner
 from dc2g_jax._src.rollouts.devices import cores
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, rollout

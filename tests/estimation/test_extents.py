@@ -9,13 +9,14 @@ import pytest
 from flax import struct
 
 from dc2g_jax._src.estimation.estimators import WHOLE_MAP, extent_of
-from dc2g_jax._src.estimation.extents import CroppedEstimator, Surroundings, Window, WindowedEstimator
+from dc2g_jax._src.estimation.extents import Surroundings
 from dc2g_jax._src.grid import gridworld
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.sampling import nearest_pixel
 from dc2g_jax._src.grid.world import world_from_terrain
 from dc2g_jax._src.planning.planners import DC2G
 from dc2g_jax._src.planning.rules import complete_rules
+from experiments.benchmarks.extents import CroppedEstimator, Window, WindowedEstimator
 from tests.support import maps
 
 SHAPE = (9, 31)

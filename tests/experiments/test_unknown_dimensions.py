@@ -5,15 +5,15 @@ import json
 import numpy as np
 import pytest
 
-from dc2g_jax._src.datasets.houses import House
-from dc2g_jax._src.datasets.starts import Start
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import load_network
 from dc2g_jax._src.estimation.estimators import WHOLE_MAP, ExactCostToGo, extent_of
-from dc2g_jax._src.estimation.extents import Window, WindowedEstimator
+from dc2g_jax._src.readers.houses import House
+from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult
 from dc2g_jax._src.rollouts.results import read_rows
 from experiments import unknown_dimensions
+from experiments.benchmarks.extents import Window, WindowedEstimator
 from experiments.unknown_dimensions import (
     Options,
     Worlds,

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import dc2g_jax as dc2g
-from dc2g_jax._src.datasets.procedural import PROCEDURAL_SPLIT
+from dc2g_jax._src.figures.replay import Frames, replay
 from dc2g_jax._src.grid.poses import ACTION_LETTERS
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, ROAD
-from dc2g_jax._src.inspection.replay import Frames, replay
 from dc2g_jax._src.planning.planners import MODE_NAMES
+from dc2g_jax._src.procedural import PROCEDURAL_SPLIT
 from tests.oracles import numpy_gridworld as oracle
 from tests.support.places import ROOT
 

@@ -6,7 +6,6 @@ import pytest
 
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import ExactCostToGo, NetworkCostToGo, TranslatorCostToGo
-from dc2g_jax._src.estimation.extents import CroppedEstimator, WindowedEstimator
 from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax._src.planning.guarantee import CautiousDC2G, Guaranteed
 from dc2g_jax._src.planning.named import (
@@ -20,6 +19,7 @@ from dc2g_jax._src.planning.named import (
 from dc2g_jax._src.planning.planners import DC2G, Frontier, Oracle, any_heading
 from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
 from dc2g_jax._src.planning.selection import ENDLESS, ExpectedCost, QuantileCost
+from experiments.benchmarks.extents import CroppedEstimator, WindowedEstimator
 from tests.support.refusals import refusal
 
 RULES = complete_rules(4)

@@ -13,7 +13,6 @@ from flax import struct
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import Estimator, NetworkCostToGo
-from dc2g_jax._src.estimation.extents import Window, WindowedEstimator
 from dc2g_jax._src.grid.gridworld import belief_from_map
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, make_pose
 from dc2g_jax._src.grid.terrain import FRONT_DOOR
@@ -25,6 +24,7 @@ from dc2g_jax._src.planning.named import make_planner
 from dc2g_jax._src.planning.online import OnlinePlanner
 from dc2g_jax._src.planning.planners import MODE_NAMES, Frontier
 from dc2g_jax._src.planning.rules import complete_rules
+from experiments.benchmarks.extents import Window, WindowedEstimator
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps
 from tests.support.exploration import (

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from flax import struct
 
-from dc2g_jax._src.datasets.houses import House, HouseDataset
-from dc2g_jax._src.datasets.starts import Start
 from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax._src.estimation.estimators import ExactCostToGo, NetworkCostToGo
 from dc2g_jax._src.grid.terrain import FRONT_DOOR, HOUSE, ROAD
 from dc2g_jax._src.planning.named import make
 from dc2g_jax._src.planning.planners import DC2G, Frontier
 from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
+from dc2g_jax._src.readers.houses import House, HouseDataset
+from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Results, Runner, episodes_from, evaluate
 from tests.oracles import numpy_gridworld as oracle
 from tests.support.refusals import refusal, refusal_of

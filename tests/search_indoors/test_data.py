@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dc2g_jax._src.datasets.pairs import turned
 from dc2g_jax._src.mapping.simulator import render
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse
 from dc2g_jax._src.search_indoors.houses.plans import Furniture, world_from_plan
@@ -33,6 +32,7 @@ from dc2g_jax._src.search_indoors.learning.midlevel import ConvolutionEncoder
 from dc2g_jax._src.search_indoors.maps import mapping
 from dc2g_jax._src.search_indoors.maps.camera import camera_pose, indoor_camera
 from dc2g_jax._src.search_indoors.maps.classes import BED, GOALS, PLANT, TABLE
+from dc2g_jax._src.training.pairs import turned
 from tests.support.refusals import refusal
 from tests.support.two_rooms import BED_BOX, PLANT_BOX, plan
 

@@ -23,7 +23,7 @@ from dc2g_jax._src.search_indoors.learning.training import EncoderTraining, enco
 from dc2g_jax._src.search_indoors.maps.camera import VIEW_SIZE, CameraView, view
 from dc2g_jax._src.search_indoors.maps.classes import BED, OBJECT_COLORS
 from dc2g_jax._src.training.loop import Pauses, train
-from dc2g_jax._src.training.step import supervised_step
+from dc2g_jax._src.training.step import learn
 from tests.support.refusals import refusal
 from tests.support.two_rooms import BED_BOX, plan
 
@@ -107,14 +107,14 @@ def test_the_encoder_learns_and_is_the_same_for_a_seed(views, trained, tmp_path)
 def test_the_number_of_devices_changes_a_step_by_rounding_only(views, tmp_path, monkeypatch):
     """Each number of devices compiles the step once. 40 steps move half of the weights by 1e-2 or more."""
     jax.clear_caches()  # one of the two may have been compiled for other tests
-    found, before = [], supervised_step.compiled_count()
+    found, before = [], learn.compiled_count()
     for count in (1, 2):
         mesh = mesh_of(jax.devices()[:count])
         monkeypatch.setattr(training, "mesh_for_batch", lambda size, mesh=mesh: mesh)
         found.append(train_encoder(views, tmp_path / str(count)))
         (leaf, *_) = jax.tree.leaves(found[-1][0].weights)
         assert leaf.sharding.device_set == set(mesh.devices.flat)
-    assert supervised_step.compiled_count() == before + 2
+    assert learn.compiled_count() == before + 2
     (one, losses), (two, others) = found
     for name, loss in losses[-1].items():
         assert others[-1][name] == pytest.approx(loss, rel=1e-5)

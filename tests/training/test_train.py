@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import dc2g_jax as dc2g
-from dc2g_jax._src.datasets.houses import HouseDataset
 from dc2g_jax._src.estimation.compact_unet import Architecture
+from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.training.loop import Pauses
 from tests.support.houses import STREET, house
 from tests.support.refusals import refusal

@@ -18,13 +18,13 @@ from jax.experimental import multihost_utils
 from tqdm import tqdm
 
 from dc2g_jax._src.cli.outputs import RUN_FILE, CommandOptions, folder_in_use, program
-from dc2g_jax._src.datasets.houses import HouseDataset
 from dc2g_jax._src.errors import InputError, drop_output, reader_may_leave
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.estimation.hub import load
 from dc2g_jax._src.files.cache import keep_compiled_programs
 from dc2g_jax._src.files.digests import tree_sha256
 from dc2g_jax._src.planning.named import NETWORK_PLANNERS, check_names
+from dc2g_jax._src.readers.houses import HouseDataset
 from dc2g_jax._src.rollouts.devices import join_processes, use_devices
 from dc2g_jax._src.training.tracking import check_tracker
 

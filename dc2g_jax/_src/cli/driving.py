@@ -8,8 +8,6 @@ import numpy as np
 
 from dc2g_jax._src.cli.common import ImageSizeOption
 from dc2g_jax._src.cli.options import SharedOptions
-from dc2g_jax._src.datasets.houses import House
-from dc2g_jax._src.datasets.starts import Start
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.grid.sensing import line_of_sight
@@ -20,6 +18,8 @@ from dc2g_jax._src.mapping.semantic_map import MapSettings
 from dc2g_jax._src.planning.named import make_planner
 from dc2g_jax._src.planning.rules import complete_rules
 from dc2g_jax._src.planning.selection import ENDLESS
+from dc2g_jax._src.readers.houses import House
+from dc2g_jax._src.readers.starts import Start
 from dc2g_jax._src.rollouts.evaluation import episodes_from
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.statistics import house_bootstrap

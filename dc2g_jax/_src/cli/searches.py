@@ -9,8 +9,8 @@ import tyro
 
 from dc2g_jax._src.cli.options import OutOptions, ResumeOptions, SharedOptions, require_positive
 from dc2g_jax._src.cli.outputs import print_files
-from dc2g_jax._src.datasets.houses import PROCEDURAL
 from dc2g_jax._src.files.atomic import write_json
+from dc2g_jax._src.readers.houses import PROCEDURAL
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import ResumableTable
 from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse, indoor_houses

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dc2g_jax._src.datasets.families import family_of
+from dc2g_jax._src.readers.families import family_of
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult
 from dc2g_jax._src.rollouts.statistics import house_bootstrap
 

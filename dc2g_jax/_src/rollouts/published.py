@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from dc2g_jax._src.datasets.starts import PublishedEpisode, published_episodes
+from dc2g_jax._src.readers.starts import PublishedEpisode, published_episodes
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT
 from dc2g_jax._src.rollouts.statistics import ExtraSteps, extra_steps, house_bootstrap

@@ -8,12 +8,12 @@ from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.map_options import MapOptions, doubts_about, terrain_of
 from dc2g_jax._src.cli.options import OutOptions
 from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.datasets.map_report import map_report, map_warnings
-from dc2g_jax._src.datasets.maps import require_path_to_goal
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
+from dc2g_jax._src.figures.map_figures import plot_map
 from dc2g_jax._src.files.class_images import read_palette
 from dc2g_jax._src.grid.world import world_from_terrain
-from dc2g_jax._src.inspection.map_figures import plot_map
+from dc2g_jax._src.readers.map_report import map_report, map_warnings
+from dc2g_jax._src.readers.maps import require_path_to_goal
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,7 +13,7 @@ from dc2g_jax._src.cli.common import DatasetOption, PlannersOption, check_planne
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions
 from dc2g_jax._src.errors import require_extra
 from dc2g_jax._src.estimation.hub import load
-from dc2g_jax._src.inspection.demo import open_maps
+from dc2g_jax._src.figures.demo import open_maps
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,16 +13,16 @@ from dc2g_jax._src.cli.driving import DriveResult, DrivingOptions, drive, equipm
 from dc2g_jax._src.cli.episodes import EpisodeTable
 from dc2g_jax._src.cli.options import DatasetOptions, OutOptions, ResumeOptions
 from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.datasets.houses import open_dataset
-from dc2g_jax._src.datasets.starts import sample_starts, usable_houses
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.checkpoints import SHIPPED_NOISY_NETWORK
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.estimation.hub import load
+from dc2g_jax._src.figures.driving_figures import plot_noise
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.files.resources import resource
-from dc2g_jax._src.inspection.driving_figures import plot_noise
 from dc2g_jax._src.planning.rules import SETTINGS
+from dc2g_jax._src.readers.houses import open_dataset
+from dc2g_jax._src.readers.starts import sample_starts, usable_houses
 from dc2g_jax._src.rollouts.evaluation import Runner
 from dc2g_jax._src.rollouts.progress import EpisodeProgress
 from dc2g_jax._src.rollouts.results import ResumableTable

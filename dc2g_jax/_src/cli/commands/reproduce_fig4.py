@@ -11,11 +11,11 @@ import numpy as np
 from dc2g_jax._src.cli.common import command_line
 from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions, SharedOptions, require_positive
 from dc2g_jax._src.cli.outputs import output_folder
-from dc2g_jax._src.datasets.drawn_masks import VARIANTS, drawn_masks
-from dc2g_jax._src.datasets.houses import House, open_dataset
 from dc2g_jax._src.estimation.estimators import Estimator
 from dc2g_jax._src.estimation.hub import load
-from dc2g_jax._src.inspection.image_figures import Example, plot_translations
+from dc2g_jax._src.figures.image_figures import Example, plot_translations
+from dc2g_jax._src.readers.houses import House, open_dataset
+from dc2g_jax._src.training.drawn_masks import VARIANTS, drawn_masks
 from dc2g_jax._src.training.image_evaluation import compare, map_for
 from dc2g_jax._src.training.image_pairs import MASK_SEEDS, houses_with_door
 

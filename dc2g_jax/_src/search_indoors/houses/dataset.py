@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from dc2g_jax._src.datasets.houses import PROCEDURAL, House, HouseDataset
-from dc2g_jax._src.datasets.maps import SPLITS
-from dc2g_jax._src.datasets.procedural.plain import with_door
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.files.digests import arrays_sha256
 from dc2g_jax._src.grid.ground import component_numbers
+from dc2g_jax._src.procedural.plain import with_door
+from dc2g_jax._src.readers.houses import PROCEDURAL, House, HouseDataset
+from dc2g_jax._src.readers.maps import SPLITS
 from dc2g_jax._src.search_indoors.houses.furnishing import furnish
 from dc2g_jax._src.search_indoors.houses.layouts import draw_layout
 from dc2g_jax._src.search_indoors.houses.placing import CHECK_CELLS, Floor, RoomSketch

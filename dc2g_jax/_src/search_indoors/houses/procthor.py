@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from dc2g_jax._src.datasets.houses import tell_on_stderr
 from dc2g_jax._src.errors import InputError, short
 from dc2g_jax._src.files.reading import opened, parse_json, read_lines, read_object
+from dc2g_jax._src.readers.houses import tell_on_stderr
 from dc2g_jax._src.search_indoors.houses.plans import Furniture, HousePlan, Room, Segment
 from dc2g_jax._src.search_indoors.maps.classes import OTHER, PROCTHOR_CLASSES, ROOM_NAMES
 

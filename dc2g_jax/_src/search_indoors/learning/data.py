@@ -15,11 +15,11 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Float16, Int, Int16, UInt8, UInt16, UInt32
 
-from dc2g_jax._src.datasets.pairs import turned
 from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
 from dc2g_jax._src.search_indoors.maps.classes import SEMANTIC_CLASSES
 from dc2g_jax._src.search_indoors.maps.cost_maps import Cells
 from dc2g_jax._src.search_indoors.maps.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL, IndoorMapSettings, square
+from dc2g_jax._src.training.pairs import turned
 
 #: Sides of the local and the global map in cells (section II-B).
 LOCAL, GLOBAL = IndoorMapSettings.local, IndoorMapSettings.cells
@@ -30,7 +30,7 @@ UNEXPLORED, FREE, OBSTACLE = 0, 1, 2
 #: Stands for an infinite distance. Distances are stored in whole millimeters.
 _UNREACHABLE = np.iinfo(np.uint16).max
 
-#: Symmetries of a map, see `datasets.pairs.turned`. The first four are rotations by 0, 90, 180 and 270 degrees
+#: Symmetries of a map, see `training.pairs.turned`. The first four are rotations by 0, 90, 180 and 270 degrees
 #: counter-clockwise.
 SYMMETRIES = (0, 5, 3, 6, 1, 2, 4, 7)
 

@@ -47,7 +47,7 @@ from dc2g_jax._src.search_indoors.maps.classes import OBJECT_CLASSES
 from dc2g_jax._src.search_indoors.maps.mapping import network_maps
 from dc2g_jax._src.training.cost_to_go import check_numbers
 from dc2g_jax._src.training.loop import Losses, Task
-from dc2g_jax._src.training.step import Supervised, TrainingState, state_of, supervised_step
+from dc2g_jax._src.training.step import Supervised, TrainingState, placed, state_of, supervised_step
 
 #: Least number of pixels of a class that counts as present in an image, and the depth at which errors are cut, meters.
 _PRESENT, _FAR = 12, 10.0
@@ -133,11 +133,11 @@ class CostMapConfig(Supervised):
         recipe, warmup = self.recipe, round(self.recipe.warmup * self.steps)
         return optax.warmup_cosine_decay_schedule(0.0, recipe.peak, warmup, max(self.steps, warmup + 1), recipe.last)
 
-    def optimizer(self) -> optax.GradientTransformation:
+    def optimizer(self, hyperparameters: None = None) -> optax.GradientTransformation:
         """The optimizer of the recipe with its learning rates."""
         return OPTIMIZERS[self.recipe.optimizer](self.learning_rates(), self.recipe.weight_decay)
 
-    def draw(self, data: JourneySet, step: Int[Array, ""]) -> Samples:
+    def draw(self, data: JourneySet, step: Int[Array, ""], hyperparameters: None) -> Samples:
         """The batch of a step, which only depends on the seed and the step."""
         _, batches_key = jax.random.split(jax.random.key(self.seed))
         return draw_samples(
@@ -148,7 +148,7 @@ class CostMapConfig(Supervised):
             normalize=NORMALIZATIONS[self.recipe.normalization],
         )
 
-    def gradient(self, state: TrainingState, data: JourneySet, batch: Samples) -> tuple[Float[Array, ""], Any]:
+    def gradient(self, state: TrainingState, batch: Samples, hyperparameters: None) -> tuple[Float[Array, ""], Any]:
         """The mean loss of a batch, and its gradient."""
         of_weights = jax.value_and_grad(lambda weights: mean_loss(self, weights, batch), has_aux=True)
         (loss, _), gradient = of_weights(state.weights)
@@ -258,11 +258,11 @@ class EncoderTraining(Supervised):
         weights = fresh_weights(SmallEncoder, self.architecture, jax.random.key(self.seed))
         return state_of(weights, self.optimizer())
 
-    def optimizer(self) -> optax.GradientTransformation:
+    def optimizer(self, hyperparameters: None = None) -> optax.GradientTransformation:
         """Adam, with a cosine decay of the learning rate to zero."""
         return optax.adam(optax.cosine_decay_schedule(2e-3, max(self.steps, 1)))
 
-    def draw(self, data: CameraView, step: Int[Array, ""]) -> CameraView:
+    def draw(self, data: CameraView, step: Int[Array, ""], hyperparameters: None) -> CameraView:
         """Random images."""
         key = jax.random.fold_in(jax.random.key(self.seed + 1), step)
         chosen = jax.random.randint(key, (self.batch_size,), 0, len(data.image))
@@ -273,7 +273,7 @@ class EncoderTraining(Supervised):
         network = with_weights(SmallEncoder, self.architecture, weights)
         return task_losses(network.answer(network.encode(views.image)), views)
 
-    def gradient(self, state: TrainingState, data: CameraView, batch: CameraView) -> tuple[Float[Array, ""], Any]:
+    def gradient(self, state: TrainingState, batch: CameraView, hyperparameters: None) -> tuple[Float[Array, ""], Any]:
         """The sum of the losses, and its gradient."""
         return jax.value_and_grad(lambda weights: sum(self.losses(weights, batch).values(), jnp.float32(0)))(
             state.weights
@@ -300,6 +300,6 @@ def encoder_task(
 
     validation_views = jax.tree.map(lambda leaf: leaf[:_VALIDATION_VIEWS], views)
     mesh = mesh_for_batch(training.batch_size)
-    views, place = replicate(views, mesh), functools.partial(replicate, mesh=mesh)
+    views, place = replicate(views, mesh), functools.partial(placed, mesh=mesh)
     step = functools.partial(supervised_step, data=views, training=training, mesh=mesh)
     return Task(training.steps, training.first_state, step, validate, place=place, name="encoder")
