@@ -9,7 +9,14 @@ from PIL import Image
 
 from dc2g_jax._src.estimation.weights import fresh_weights
 from dc2g_jax._src.figures.search_animation import animate_search, search_pictures
-from dc2g_jax._src.figures.search_figures import PATH_COLOR, ROBOT_COLOR, TARGET_COLOR, SearchMoment, plot_prediction
+from dc2g_jax._src.figures.search_figures import (
+    PATH_COLOR,
+    ROBOT_COLOR,
+    TARGET_COLOR,
+    Search,
+    SearchMoment,
+    plot_prediction,
+)
 from dc2g_jax._src.figures.search_moments import choose_legs, prediction_at
 from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
 from dc2g_jax._src.search_indoors.maps.classes import GOALS, PLANT

@@ -18,6 +18,7 @@ from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.world import world_from_terrain
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.rollouts.devices import mesh_of, replicate
+from dc2g_jax._src.search_indoors.learning import training as cost_maps
 from dc2g_jax._src.search_indoors.learning.data import JourneySet
 from dc2g_jax._src.search_indoors.learning.networks import CostMapArchitecture
 from dc2g_jax._src.search_indoors.learning.training import BETTER_RECIPE, CostMapConfig
