@@ -25,7 +25,7 @@ from PIL import Image
 
 from dc2g_jax._src.cli.outputs import _read_run
 from dc2g_jax._src.errors import LONGEST_MESSAGE, InputError
-from dc2g_jax._src.estimation.checkpoints import load_network, save_network
+from dc2g_jax._src.estimation.checkpoints import network_in_folder, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture, init_weights
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.estimation.weights import fresh_weights, write_network
@@ -234,7 +234,7 @@ READERS = (
         read_recording,
     ),
     Reader(("starts.csv",), write_starts, lambda folder: read_starts(folder / "starts.csv", DATASET)),
-    Reader(("network.json", "weights.safetensors"), write_compact, load_network, slow=True),
+    Reader(("network.json", "weights.safetensors"), write_compact, network_in_folder, slow=True),
     Reader(("network.safetensors", "encoder.safetensors"), write_indoor, load_costs, slow=True),
     Reader(("run.json",), write_run, _read_run),
     Reader(("log.jsonl",), write_log, lambda folder: Log(folder).by_step(None, ("error",))),

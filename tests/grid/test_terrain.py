@@ -63,7 +63,7 @@ def test_a_semantic_map_takes_two_bytes_a_voxel():
 def test_a_world_holds_every_class(number, monkeypatch):
     with_classes(number, monkeypatch)
     classes = np.arange(number, dtype=np.uint8)[None]
-    world = loaded(dc2g_jax._src.grid.world, monkeypatch).world_from_terrain(classes)
+    world = loaded(dc2g_jax._src.grid.world, monkeypatch).World.from_terrain(classes)
     np.testing.assert_array_equal(world.terrain, classes)
     opaque = np.isin(classes, np.flatnonzero(terrain.OPAQUE))
     np.testing.assert_array_equal(bitboard.unpack(world.opaque, number), opaque)
