@@ -56,7 +56,7 @@ def test_planners_on_a_network_have_the_parameters_that_were_chosen():
     assert guarded == Guaranteed(alone, alone.rules, factor=2.0, slack=3.0)
     # Where a decision is not an action, there is no bound on actions.
     assert type(NETWORK_PLANNERS["dc2g"](ExactCostToGo(), RULES, ENDLESS)) is DC2G
-    assert (dc2g.rim_width, dc2g.views, dc2g.gain_weight, dc2g.enough_news) == (1, ((), (1,)), 3.0, 1 / 3)
+    assert (dc2g.rim_width, dc2g.views, dc2g.gain_weight, dc2g.replan_fraction) == (1, ((), (1,)), 3.0, 1 / 3)
 
 
 def test_planners_on_a_network_head_for_the_nearest_door_whatever_the_rules():
@@ -81,7 +81,7 @@ def test_the_papers_planner_is_that_of_the_paper():
         gain_weight=0.0,
         headings=any_heading,
         patience=ENDLESS,
-        enough_news=0.0,
+        replan_fraction=0.0,
     )
 
 

@@ -106,9 +106,9 @@ def test_the_papers_planner_is_algorithm_2_decided_anew_at_every_step(rules):
     terrains, starts = random_worlds((11, 33), 1500)
     done = run(planner_with("dc2g_paper", RULES[rules], Scattered()), terrains, starts)
     cost_to_go = {"cost_to_go": lambda index: scattered}
-    check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, enough_news=0)
+    check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, replan_fraction=0)
     with pytest.raises(AssertionError):
-        check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, enough_news=7)
+        check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, replan_fraction=7)
 
 
 @both_rules
@@ -147,9 +147,9 @@ def test_dc2g_is_drawn_to_where_much_would_be_new(rules):
 def test_dc2g_keeps_to_its_choice_until_much_is_new(rules):
     terrains, starts = random_worlds((11, 33), 1300)
     in_view = len(field_of_view(SENSING).offsets[0])
-    done = run(DC2G(Scattered(), RULES[rules], enough_news=7 / in_view), terrains, starts)
+    done = run(DC2G(Scattered(), RULES[rules], replan_fraction=7 / in_view), terrains, starts)
     cost_to_go = {"cost_to_go": lambda index: scattered}
-    check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, enough_news=7)
+    check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go, replan_fraction=7)
     with pytest.raises(AssertionError):
         check_against_oracle(done, terrains, starts, "dc2g", rules, **cost_to_go)
 

@@ -102,7 +102,7 @@ CHOOSING = {
     "random": (RandomFrontier(RULES), random_score),
     "hysteresis": (Hysteresis(RULES, margin=3.0), hysteresis_score),
     "utility": (CostUtility(RULES, beta=0.25), utility_score),
-    "view": (NextBestView(RULES, enough_news=0.5, discount=0.1), view_score),
+    "view": (NextBestView(RULES, replan_fraction=0.5, discount=0.1), view_score),
     "potential": (FrontierPotential(RULES, estimator=Scattered(), farthest=10.0), potential_score),
     "uncertainty": (VisibleUncertainty(RULES, estimator=Scattered()), uncertainty_score),
 }
@@ -194,7 +194,7 @@ def check_episodes(planner, episode, first_seed):
 @pytest.mark.parametrize("name", CHOOSING)
 def test_episodes_of_rivals_that_choose(name):
     planner, score = CHOOSING[name]
-    enough = planner.enough_news * FIELD_OF_VIEW
+    enough = planner.replan_fraction * FIELD_OF_VIEW
     check_episodes(planner, lambda terrain, pose: choosing_episode(terrain, pose, score, enough), 2000)
 
 
@@ -311,4 +311,4 @@ def test_a_network_without_cells_cannot_lead_a_rival():
 def test_names_are_those_of_classes():
     assert planner_with("next_best_view", RULES) == NextBestView(RULES)
     assert len({type(planner_with(name, RULES)) for name in RIVALS}) == len(RIVALS)
-    assert math.isinf(planner_with("random_frontier", RULES).enough_news)
+    assert math.isinf(planner_with("random_frontier", RULES).replan_fraction)

@@ -17,7 +17,7 @@ from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.decisions import shortest_plan
 from dc2g_jax._src.planning.frontiers import frontier_cells
 from dc2g_jax._src.planning.named import planner_with
-from dc2g_jax._src.planning.planners import EXPLORE, Planner, assess, measured, reachable_cells
+from dc2g_jax._src.planning.planners import EXPLORE, Planner, assess, distances_and_scores, reachable_cells
 from dc2g_jax._src.planning.rules import Rules
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import House
@@ -87,7 +87,7 @@ def _frame(belief: Belief, state: Any, world: World, planner: Planner, rules: Ru
     assessment, state = assess(planner, belief, state, rules)
     plan = assessment.plan
     way_home = search.first_action(pose, every_heading(world.goals), world.traversable)
-    distance, score = measured(belief, assessment)
+    distance, score = distances_and_scores(belief, assessment)
     nearest = poses.pack(distance == plan.length) & plan.subgoals
     boards = {
         "seen": belief.seen,

@@ -44,7 +44,7 @@ def _on_network(
         gain_weight=3.0,
         headings=facing_most,
         patience=patience,
-        enough_news=1 / 3,
+        replan_fraction=1 / 3,
         magnifies=isinstance(estimator, NetworkCostToGo),
     )
 

@@ -28,7 +28,7 @@ from dc2g_jax._src.grid.terrain import CLASS_NAMES, FREE, OUTSIDE, TRAVERSABLE, 
 from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.decisions import Decision, RobotPose, View, decide
 from dc2g_jax._src.planning.named import make_planner
-from dc2g_jax._src.planning.planners import Assessment, Planner, assess, measured, memoryless
+from dc2g_jax._src.planning.planners import Assessment, Planner, assess, distances_and_scores, memoryless
 from dc2g_jax._src.planning.rules import Rules, complete_rules
 from dc2g_jax._src.programs import ONE_OPERATION_OPTIONS, jit, one_operation
 
@@ -45,7 +45,7 @@ _OPEN_MARGIN = 24
 
 def view_fields(belief: Belief, assessment: Assessment) -> tuple[Any, ...]:
     """The fields of a `View` of one robot, for use in compiled functions."""
-    distance, score = measured(belief, assessment)
+    distance, score = distances_and_scores(belief, assessment)
     subgoals, candidates = (
         poses.unpack(these, belief.width) for these in (assessment.plan.subgoals, assessment.candidates)
     )
