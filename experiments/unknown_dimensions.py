@@ -17,10 +17,10 @@ from dc2g_jax._src.cli.options import DatasetOptions, NetworkOptions, OutOptions
 from dc2g_jax._src.cli.outputs import output_folder, print_files
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.estimation.estimators import Estimator
-from dc2g_jax._src.estimation.hub import load
+from dc2g_jax._src.estimation.hub import load_network
 from dc2g_jax._src.files.atomic import write_json
 from dc2g_jax._src.grid.terrain import UNKNOWN
-from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.procedural import draw_neighborhood
 from dc2g_jax._src.procedural.suburbs import SUBURBS
@@ -121,14 +121,14 @@ def main(options: Options) -> None:
         raise InputError("give --starts-per-house, --doors and --windows of at least 1, and --cells of at least 50")
     if min(options.drawn, options.rows) < 0:
         raise InputError(f"--drawn {options.drawn}, --rows {options.rows}: give 0 or more maps")
-    network = load(options.network)
+    network = load_network(options.network)
     estimators = estimators_by_planner(network, options.windows)
     dataset = open_dataset(options.dataset)
     worlds = all_worlds(options, dataset)
     out = output_folder(options, "unknown_dimensions", inputs=digests(dataset, network=network))
     table = EpisodeTable(out / "episodes.csv")
     planners: dict[str, PlannerSource] = {"frontier": "frontier"}
-    planners |= {name: functools.partial(make_planner, "dc2g", estimator=one) for name, one in estimators.items()}
+    planners |= {name: functools.partial(planner_with, "dc2g", estimator=one) for name, one in estimators.items()}
     facts: dict[str, dict[str, Any]] = {}
     for name, (houses, starts) in worlds.items():
         maps = HouseDataset(name, "folder", tuple(houses))

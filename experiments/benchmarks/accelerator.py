@@ -11,11 +11,6 @@ import jax
 import numpy as np
 
 from dc2g_jax._src.cli.translation import TranslationOptions
-from dc2g_jax._src.objectnav.agent import Agent
-from dc2g_jax._src.objectnav.houses import IndoorHouse, indoor_houses
-from dc2g_jax._src.objectnav.mapping import IndoorMapSettings
-from dc2g_jax._src.objectnav.named import agent_with, open_costs
-from dc2g_jax._src.objectnav.searches import TIME_LIMIT, sample_episodes, search_all
 from dc2g_jax._src.planning.named import FIGURE_PLANNERS
 from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.readers.houses import HouseDataset
@@ -23,6 +18,11 @@ from dc2g_jax._src.readers.starts import published_episodes, sample_starts
 from dc2g_jax._src.rollouts.devices import mesh_for_batch, replicate
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
 from dc2g_jax._src.rollouts.rollout import rollout
+from dc2g_jax._src.search_indoors.houses.dataset import IndoorHouse, indoor_houses
+from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
+from dc2g_jax._src.search_indoors.search.agent import Agent
+from dc2g_jax._src.search_indoors.search.named import agent_with, open_costs
+from dc2g_jax._src.search_indoors.search.searches import TIME_LIMIT, sample_episodes, search_all
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
 from dc2g_jax._src.training.image_pairs import draw_image_pairs, image_set
 from dc2g_jax._src.training.step import supervised_step

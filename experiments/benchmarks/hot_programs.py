@@ -11,20 +11,20 @@ from jax.sharding import Mesh, PartitionSpec as P
 
 from dc2g_jax._src.cli.driving import DrivingOptions, equipment
 from dc2g_jax._src.cli.translation import TranslationOptions
-from dc2g_jax._src.estimation.checkpoints import load_network
+from dc2g_jax._src.estimation.checkpoints import network_in_folder
 from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.poses import Pose
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.mapping.scene import TILES, Scene
-from dc2g_jax._src.objectnav import searches
-from dc2g_jax._src.objectnav.named import agent_with, open_costs
-from dc2g_jax._src.objectnav.simulation import IndoorSite, leg
-from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.planners import Planner
 from dc2g_jax._src.planning.rules import SETTINGS, Rules
 from dc2g_jax._src.rollouts import rollout
 from dc2g_jax._src.rollouts.devices import AXIS, RUNS
 from dc2g_jax._src.rollouts.rollout import STEP_LIMIT, Episodes
+from dc2g_jax._src.search_indoors.search import searches
+from dc2g_jax._src.search_indoors.search.named import agent_with, open_costs
+from dc2g_jax._src.search_indoors.search.searches import IndoorSite, leg
 from dc2g_jax._src.training import cost_to_go, translator
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig
 from dc2g_jax._src.training.cost_to_go_data import DataConfig
@@ -86,7 +86,7 @@ def rollout_loop(
       cells: side of the houses.
       houses: how many.
     """
-    worlds = jax.eval_shape(world_from_terrain, _array(cells, cells, houses, dtype=jnp.uint8))
+    worlds = jax.eval_shape(World.from_terrain, _array(cells, cells, houses, dtype=jnp.uint8))
     each, static = _array(mesh.size, robots), {"mesh": mesh, "sensing": rules.sensing}
     first = functools.partial(rollout._first_states, n_slots=robots, kept_steps=STEP_LIMIT, **static)
     queues, states = jax.eval_shape(first, planner, worlds, Episodes(each, Pose(each, each, each)), _array(mesh.size))
@@ -103,7 +103,7 @@ def rollout_loop(
 
 def _rollout(name: str, robots: int, mesh: Mesh) -> HotProgram:
     rules = SETTINGS["paper"].rules()
-    return rollout_loop(make_planner(name, rules, load_network(None)), rules, robots, mesh)
+    return rollout_loop(planner_with(name, rules, network_in_folder(None)), rules, robots, mesh)
 
 
 def _step_program(
@@ -185,16 +185,16 @@ def _search_leg(robots: int, mesh: Mesh) -> HotProgram:
         scene=_scene(houses, side),
         paint=_array(houses, side, side, 3, dtype=jnp.uint8),
         free=_array(houses, side, side, dtype=jnp.bool_),
-        known=None,
+        guide=None,
     )
-    begin = functools.partial(robot.at_starts, mesh=mesh, reset=searches.at_start, number=searches.TIME_LIMIT)
+    begin = functools.partial(robot.at_starts, mesh=mesh, reset=searches.reset, number=searches.TIME_LIMIT)
     starts, each = _array(n, robots, 3, dtype=jnp.float32), _array(n, robots)
     state = jax.eval_shape(begin, _array(n, robots, 2, dtype=jnp.uint32), (starts, each), agent)
     return _robots_steps(leg, each, sites, agent, state, mesh)
 
 
 def _drive_step(robots: int, mesh: Mesh) -> HotProgram:
-    equipped, n = equipment("dc2g", load_network(None), (_CELLS, _CELLS), 1.0, DrivingOptions()), mesh.size
+    equipped, n = equipment("dc2g", network_in_folder(None), (_CELLS, _CELLS), 1.0, DrivingOptions()), mesh.size
     sites = Site(_array(_HOUSES, _CELLS, _CELLS, dtype=jnp.uint8), _scene(_HOUSES, _CELLS * TILES))
     each = _array(n, robots)
     begin = functools.partial(robot.at_starts, mesh=mesh, reset=fleet.at_start, number=0)

@@ -15,7 +15,7 @@ from dc2g_jax._src.figures.demo import Demo, Walk, cost_picture, map_picture, op
 from dc2g_jax._src.files.class_images import write_class_image
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FIGURE_COLORS, FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
 from dc2g_jax._src.planning.decisions import RobotPose
-from dc2g_jax._src.planning.named import make
+from dc2g_jax._src.planning.named import make_planner
 from dc2g_jax._src.planning.online import OnlinePlanner
 from dc2g_jax._src.planning.rules import complete_rules
 from tests.oracles import numpy_gridworld as oracle
@@ -41,7 +41,7 @@ def demo() -> Demo:
 
 
 def walked(name: str) -> Walk:
-    walk = Walk(make(name, sensing_range=SENSING), HOUSE.terrain, START, complete_rules(SENSING))
+    walk = Walk(make_planner(name, sensing_range=SENSING), HOUSE.terrain, START, complete_rules(SENSING))
     while not walk.over:
         walk.step()
     walk.step()  # nothing happens after the end

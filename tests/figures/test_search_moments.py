@@ -18,11 +18,10 @@ from dc2g_jax._src.figures.search_figures import (
     plot_prediction,
 )
 from dc2g_jax._src.figures.search_moments import choose_legs, prediction_at
-from dc2g_jax._src.objectnav.classes import GOALS, PLANT
-from dc2g_jax._src.objectnav.guides import TrueCost
-from dc2g_jax._src.objectnav.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
-from dc2g_jax._src.objectnav.predicted_costs import PredictedCosts
-from dc2g_jax._src.objectnav.simulation import reset, site_of
+from dc2g_jax._src.search_indoors.learning.midlevel import EncoderArchitecture, SmallEncoder, TrainedEncoder
+from dc2g_jax._src.search_indoors.maps.classes import GOALS, PLANT
+from dc2g_jax._src.search_indoors.search.guides import PredictedCosts, TrueCost
+from dc2g_jax._src.search_indoors.search.searches import reset, site_of
 from dc2g_jax._src.viewer.search_recording import record_search
 from tests.support.recordings import read
 from tests.support.two_rooms import AGENT, two_rooms
@@ -47,11 +46,11 @@ class EastIsGood:
 def test_a_prediction_lies_beside_the_truth_of_the_same_cells(tmp_path):
     world, side = two_rooms().world, AGENT.mapping.local
     key, small = jax.random.key(0), EncoderArchitecture((4, 5, 6), features=7)
-    robot = reset(key, jnp.array([2.55, -2.05, 0.0]), jnp.int32(GOALS.index(PLANT)), AGENT, 5)
+    robot = reset(key, (jnp.array([2.55, -2.05, 0.0]), jnp.int32(GOALS.index(PLANT))), AGENT, 5)
     site = site_of(world, "two_rooms", AGENT)
     costs = PredictedCosts(EastIsGood(), TrainedEncoder(fresh_weights(SmallEncoder, small, key), small))
-    distances = TrueCost().init(world, 0.2)
-    found = jax.tree.map(np.asarray, prediction_at(robot, site, distances, AGENT, costs))
+    truth = TrueCost().of_house(world, 0.2)
+    found = jax.tree.map(np.asarray, prediction_at(robot, site, truth, AGENT, costs))
     assert found.occupied[0].all()
     assert not found.occupied[1:].any()
     np.testing.assert_allclose(found.cost[1:], np.broadcast_to(np.arange(side)[::-1], (side - 1, side)), atol=1e-4)
@@ -60,7 +59,7 @@ def test_a_prediction_lies_beside_the_truth_of_the_same_cells(tmp_path):
     row, column = rows + side // 2 - 20, columns + side // 2 - 25
     assert not found.truly_occupied[row, column].any()
     assert (~found.truly_occupied).sum() == len(rows)
-    distance = distances[robot.target][rows, columns]
+    distance = truth.distance[robot.target][rows, columns]
     np.testing.assert_allclose(found.true_cost[row, column], distance - distance.min(), atol=1e-5)
     for path in plot_prediction(tmp_path / "fig4", found, "plant"):
         assert path.stat().st_size > 5_000

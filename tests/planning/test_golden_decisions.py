@@ -46,7 +46,7 @@ def walk(house: str) -> tuple[oracle.Pose, np.ndarray]:
 
     No planner decides them, so a planner that changes does not change what is observed.
     """
-    terrain = dc2g.procedural_dataset().house(house).terrain
+    terrain = dc2g.datasets.procedural_dataset().house(house).terrain
     rng = np.random.default_rng(HOUSES.index(house))
     free = np.isin(terrain, oracle.TRAVERSABLE_CLASSES)
     y, x = np.nonzero(terrain == ROAD)
@@ -83,11 +83,11 @@ def decision(frames: Frames, moment: int) -> Decision:
 
 def decisions(name: str, settings: str) -> list[Decision]:
     """The decisions of one planner in all houses."""
-    planner, rules = dc2g.make(name, settings=settings), dc2g.SETTINGS[settings].rules()
+    planner, rules = dc2g.make_planner(name, settings=settings), dc2g.SETTINGS[settings].rules()
     made = []
     for house in HOUSES:
         start, actions = walk(house)
-        world = dc2g.world_from_terrain(dc2g.procedural_dataset().house(house).terrain)
+        world = dc2g.World.from_terrain(dc2g.datasets.procedural_dataset().house(house).terrain)
         frames = replay(world, dc2g.make_pose(*start), actions, planner=planner, rules=rules)
         moments = np.linspace(0, len(actions) - 1, MOMENTS).astype(int).tolist()
         head = {"planner": name, "rules": settings, "house": house}

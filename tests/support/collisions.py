@@ -105,8 +105,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     from dc2g_jax._src.estimation.estimators import ExactCostToGo
     from dc2g_jax._src.figures.replay import replay
     from dc2g_jax._src.grid.poses import make_pose
-    from dc2g_jax._src.grid.world import world_from_terrain
-    from dc2g_jax._src.objectnav import guides, searches, training as indoor_training
+    from dc2g_jax._src.grid.world import World
     from dc2g_jax._src.planning.online import OnlinePlanner
     from dc2g_jax._src.planning.planners import DC2G, Frontier
     from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
@@ -114,6 +113,8 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     from dc2g_jax._src.readers.starts import Start
     from dc2g_jax._src.rollouts.devices import mesh_for_batch, mesh_of
     from dc2g_jax._src.rollouts.evaluation import Runner, episodes_from
+    from dc2g_jax._src.search_indoors.learning import training as indoor_training
+    from dc2g_jax._src.search_indoors.search import guides, searches
     from dc2g_jax._src.training import cost_to_go, translator
     from dc2g_jax._src.training.image_evaluation import compare
     from dc2g_jax._src.training.mask_collection import collect_masks
@@ -127,7 +128,7 @@ def boundaries() -> dict[str, tuple[Callable[[type], Any], tuple[type, type]]]:
     rules = complete_rules(4)
     start = Start("street", 0, 4, 0)
     runner = Runner(HouseDataset("street", "toy", DATASET.houses[:1]), SETTINGS["paper"], step_limit=20)
-    world = world_from_terrain(STREET)
+    world = World.from_terrain(STREET)
     batch = jax.tree.map(lambda leaf: leaf[..., None], world)
     episodes = episodes_from([start], {"street": 0})
     house = two_rooms()

@@ -15,13 +15,13 @@ from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.estimation.pix2pix import TranslatorArchitecture
 from dc2g_jax._src.grid import bitboard
-from dc2g_jax._src.grid.world import world_from_terrain
-from dc2g_jax._src.objectnav import training as cost_maps
-from dc2g_jax._src.objectnav.data import JourneySet
-from dc2g_jax._src.objectnav.networks import CostMapArchitecture
-from dc2g_jax._src.objectnav.training import BETTER_RECIPE, CostMapConfig
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.readers.houses import House
 from dc2g_jax._src.rollouts.devices import mesh_of, replicate
+from dc2g_jax._src.search_indoors.learning import training as cost_maps
+from dc2g_jax._src.search_indoors.learning.data import JourneySet
+from dc2g_jax._src.search_indoors.learning.networks import CostMapArchitecture
+from dc2g_jax._src.search_indoors.learning.training import BETTER_RECIPE, CostMapConfig
 from dc2g_jax._src.training import cost_to_go, translator
 from dc2g_jax._src.training.cost_to_go import CostToGoTraining, TrainingConfig
 from dc2g_jax._src.training.drawn_masks import drawn_masks
@@ -60,7 +60,7 @@ def training_set() -> TrainingSet:
     seen = np.stack([maps.random_cells(seed, shape, 0.8) for seed in range(6)])
     return TrainingSet(
         terrain=jnp.asarray(terrains),
-        cost_to_go=jnp.stack([world_cost_to_go(world_from_terrain(terrain)) for terrain in terrains]),
+        cost_to_go=jnp.stack([world_cost_to_go(World.from_terrain(terrain)) for terrain in terrains]),
         masks=jax.vmap(bitboard.pack)(jnp.asarray(seen)),
         mask_world=jnp.arange(6, dtype=jnp.int32) % 3,
         n_own=jnp.int32(6),

@@ -12,7 +12,7 @@ from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.grid import bitboard, gridworld
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.sensing import field_of_view, line_of_sight
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.planners import Frontier
 from dc2g_jax._src.planning.rules import complete_rules
 from dc2g_jax._src.rollouts.devices import mesh_of
@@ -35,7 +35,7 @@ def training_set(shape: tuple[int, int]) -> tuple[TrainingSet, np.ndarray]:
     seen = np.stack([maps.random_cells(seed, shape, (0.3, 0.7, 0.97)[seed % 3]) for seed in range(N_MASKS)])
     data = TrainingSet(
         terrain=jnp.asarray(terrains),
-        cost_to_go=jnp.stack([world_cost_to_go(world_from_terrain(terrain)) for terrain in terrains]),
+        cost_to_go=jnp.stack([world_cost_to_go(World.from_terrain(terrain)) for terrain in terrains]),
         masks=jax.vmap(bitboard.pack)(jnp.asarray(seen)),
         mask_world=jnp.asarray(owners, jnp.int32),
         n_own=jnp.int32(N_OWN),
@@ -89,7 +89,7 @@ def test_cells_far_from_a_goal_count_less():
 
 def test_labels_do_not_depend_on_what_is_hidden(street):
     """The cost is of the hidden map, so a visible cell keeps its label under every mask."""
-    cost = np.asarray(world_cost_to_go(world_from_terrain(street)))
+    cost = np.asarray(world_cost_to_go(World.from_terrain(street)))
     masks = np.stack([maps.random_cells(seed, street.shape, 0.5) for seed in range(8)])
     data = TrainingSet(
         terrain=jnp.asarray(street)[None],
@@ -138,7 +138,7 @@ def test_cost_to_go_of_a_turned_map_is_the_turned_cost_to_go():
         n_own=jnp.int32(1),
     )
     pairs = pair_maker()(full, jnp.zeros(SYMMETRY_COUNT, jnp.int32), jnp.arange(SYMMETRY_COUNT))
-    costs = jax.jit(world_cost_to_go)(world_from_terrain(jnp.moveaxis(pairs.terrain, 0, -1)))
+    costs = jax.jit(world_cost_to_go)(World.from_terrain(jnp.moveaxis(pairs.terrain, 0, -1)))
     np.testing.assert_array_equal(jnp.moveaxis(costs, -1, 0), pairs.target)
 
 
@@ -235,7 +235,7 @@ def test_moments_equal_stepping_the_gridworld(shape, view):
     exploring = []
     for seed in range(6):
         terrain = maps.random_terrain(seed, shape, 0.85, doors=4)
-        world = world_from_terrain(terrain)
+        world = World.from_terrain(terrain)
         pose = maps.random_pose(seed, np.isin(terrain, oracle.TRAVERSABLE_CLASSES))
         actions = np.random.default_rng(seed).choice([0, 0, 0, 1, 2], 20).astype(np.int8)
         times = np.array([0, 20, 7, 7, 1, 19])
@@ -257,7 +257,7 @@ def test_moments_equal_stepping_the_gridworld(shape, view):
 def test_masks_collected_along_paths(street, island, monkeypatch):
     rules = complete_rules(2)
     planner = Frontier(rules)
-    worlds = world_from_terrain(np.stack([street, island], axis=-1))
+    worlds = World.from_terrain(np.stack([street, island], axis=-1))
     # More episodes than are looked at in one call.
     count = 130
     index = np.arange(count) % 2

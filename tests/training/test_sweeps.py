@@ -14,7 +14,7 @@ from dc2g_jax._src.estimation.checkpoints import TrainingCheckpoints
 from dc2g_jax._src.estimation.compact_unet import Architecture
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.grid import bitboard
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.rollouts import devices
 from dc2g_jax._src.rollouts.devices import mesh_for_batch, replicate
 from dc2g_jax._src.training import step
@@ -43,7 +43,7 @@ def data() -> TrainingSet:
     seen = np.stack([maps.random_cells(seed, (12, 12), 0.8) for seed in range(3)])
     return TrainingSet(
         terrain=jnp.asarray(terrain)[None],
-        cost_to_go=world_cost_to_go(world_from_terrain(terrain))[None],
+        cost_to_go=world_cost_to_go(World.from_terrain(terrain))[None],
         masks=jax.vmap(bitboard.pack)(jnp.asarray(seen)),
         mask_world=jnp.zeros(3, jnp.int32),
         n_own=jnp.int32(3),

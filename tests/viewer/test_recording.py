@@ -16,8 +16,8 @@ from dc2g_jax._src.figures.replay import actions_from_letters, replay, replay_re
 from dc2g_jax._src.figures.results_figures import PLANNER_STYLES
 from dc2g_jax._src.grid.poses import FORWARD, make_pose
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, FRONT_DOOR, GRASS, ROAD, TRAVERSABLE
-from dc2g_jax._src.grid.world import world_from_terrain
-from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.grid.world import World
+from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.planners import DC2G, EXPLORE, MODE_NAMES
 from dc2g_jax._src.planning.rules import SETTINGS
 from dc2g_jax._src.planning.selection import ExpectedCost, Patience
@@ -83,10 +83,10 @@ def results():
 def frames(results):
     return {
         name: replay(
-            world_from_terrain(_TERRAIN),
+            World.from_terrain(_TERRAIN),
             make_pose(_START.x, _START.y, _START.heading),
             actions_from_letters(result.actions),
-            planner=make_planner(name, _RULES, _ESTIMATOR),
+            planner=planner_with(name, _RULES, _ESTIMATOR),
             rules=_RULES,
         )
         for name, result in results.items()
@@ -164,13 +164,13 @@ def test_frames_fit_together(frames):
 
 def test_estimates_are_those_of_the_planner(frames):
     assert frames["frontier"].cost_to_go is None
-    exact = np.asarray(world_cost_to_go(world_from_terrain(_TERRAIN)))
+    exact = np.asarray(world_cost_to_go(World.from_terrain(_TERRAIN)))
     estimated = frames["true_cost_to_go"].cost_to_go
     np.testing.assert_array_equal(estimated, np.broadcast_to(exact, estimated.shape))
 
 
 def test_frontier_candidates_and_plans_are_those_of_the_plain_oracle(frames):
-    exact = np.asarray(world_cost_to_go(world_from_terrain(_TERRAIN)))
+    exact = np.asarray(world_cost_to_go(World.from_terrain(_TERRAIN)))
     for name, found in frames.items():
         for step in range(len(found)):
             pose = tuple(int(part[step]) for part in (found.pose.x, found.pose.y, found.pose.heading))
@@ -217,7 +217,7 @@ def test_scores_are_those_the_planner_goes_by():
     gain_weight = 0.25 * len(_RULES.sensing.offsets[0])
     planner = DC2G(_Slope(), _RULES, selection, rim_width=1, views=views, gain_weight=gain_weight, patience=patience)
     actions = actions_from_letters("LLFFFFFLRFFFFFFFFFFFFF")
-    world = world_from_terrain(_TERRAIN)
+    world = World.from_terrain(_TERRAIN)
     found = replay(world, make_pose(*_START[1:4]), actions, planner=planner, rules=_RULES)
     height, width = _TERRAIN.shape
     from_left = np.broadcast_to(np.arange(width, dtype=np.float32), (height, width))
@@ -250,7 +250,7 @@ def test_scores_are_those_the_planner_goes_by():
 
 
 def test_estimates_stand_once_the_planner_no_longer_explores():
-    world, planner = world_from_terrain(_TERRAIN), DC2G(_Slope(), _RULES)
+    world, planner = World.from_terrain(_TERRAIN), DC2G(_Slope(), _RULES)
     actions = actions_from_letters(_ACTIONS["true_cost_to_go"])
     found = replay(world, make_pose(*_START[1:4]), actions, planner=planner, rules=_RULES)
     last = np.flatnonzero(found.mode == EXPLORE)[-1]
@@ -263,7 +263,7 @@ def test_estimates_stand_once_the_planner_no_longer_explores():
 
 def test_a_planner_of_ones_own_is_shown_with_its_own_scores(results, frames):
     wanted, result = frames["frontier"], results["frontier"]
-    world, start, actions = world_from_terrain(_TERRAIN), make_pose(*_START[1:4]), actions_from_letters(result.actions)
+    world, start, actions = World.from_terrain(_TERRAIN), make_pose(*_START[1:4]), actions_from_letters(result.actions)
     alone = replay(world, start, actions, planner=PlanAlone(_RULES), rules=_RULES)
     jax.tree.map(np.testing.assert_array_equal, alone, wanted)
     lowest = replay(world, start, actions, planner=LowestColumn(_RULES), rules=_RULES)
@@ -274,7 +274,7 @@ def test_a_planner_of_ones_own_is_shown_with_its_own_scores(results, frames):
 def test_plans_of_the_oracle_lead_over_ground_that_nobody_has_seen(results):
     start = make_pose(*_START[1:4])
     found = replay(
-        world_from_terrain(_TERRAIN), start, np.zeros(0, np.int8), planner=make_planner("oracle", _RULES), rules=_RULES
+        World.from_terrain(_TERRAIN), start, np.zeros(0, np.int8), planner=planner_with("oracle", _RULES), rules=_RULES
     )
     goals = np.stack([_TERRAIN == FRONT_DOOR] * 4)
     plan = oracle.shortest_actions(TRAVERSABLE[_TERRAIN], tuple(_START[1:4]), goals)
@@ -324,8 +324,8 @@ def test_extra_steps_never_fall_and_end_at_the_result(results, frames):
 
 
 def test_length_of_an_episode_changes_nothing_before_its_end():
-    arguments = {"planner": make_planner("frontier", _RULES), "rules": _RULES}
-    world, start = world_from_terrain(_TERRAIN), make_pose(*_START[1:4])
+    arguments = {"planner": planner_with("frontier", _RULES), "rules": _RULES}
+    world, start = World.from_terrain(_TERRAIN), make_pose(*_START[1:4])
     actions = actions_from_letters("LFRRFL" * 12)
     compiled = replaying._replay_chunk.compiled_count()
     long = replay(world, start, actions, **arguments)

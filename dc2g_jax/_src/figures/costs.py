@@ -10,7 +10,7 @@ from matplotlib.colors import to_rgb
 from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.figures.replay import Frames
 from dc2g_jax._src.grid.terrain import TRAVERSABLE
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import House
 
@@ -25,7 +25,7 @@ _solve = jit(world_cost_to_go)
 
 def exact_cost_to_go(house: House) -> Float[np.ndarray, "h w"]:
     """Exact cost-to-go of a house in cells; infinity where a robot cannot drive or cannot reach a goal."""
-    return np.asarray(_solve(world_from_terrain(house.terrain)))
+    return np.asarray(_solve(World.from_terrain(house.terrain)))
 
 
 def end_of_colors(costs: Sequence[Float[np.ndarray, "..."]]) -> float:

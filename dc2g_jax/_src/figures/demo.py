@@ -31,9 +31,9 @@ from dc2g_jax._src.grid import bitboard, gridworld, search
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import HEADINGS, every_heading, make_pose
 from dc2g_jax._src.grid.terrain import CLASS_NAMES, GRASS, ROAD, TRAVERSABLE
-from dc2g_jax._src.grid.world import World, world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.decisions import Decision, RobotPose, View, decide
-from dc2g_jax._src.planning.named import NETWORK_PLANNERS, make_planner
+from dc2g_jax._src.planning.named import NETWORK_PLANNERS, planner_with
 from dc2g_jax._src.planning.online import view_fields
 from dc2g_jax._src.planning.planners import Planner, assess
 from dc2g_jax._src.planning.rules import SETTINGS, Rules
@@ -95,7 +95,7 @@ class Walk:
     def __init__(self, planner: Planner, terrain: UInt8[np.ndarray, "h w"], start: RobotPose, rules: Rules):
         self.moments: list[Moment] = []
         self.in_cells = answers_in_cells(getattr(planner, "estimator", None))
-        self._planner, self._rules, self._world = planner, rules, world_from_terrain(terrain)
+        self._planner, self._rules, self._world = planner, rules, World.from_terrain(terrain)
         self._carry = first_carry(self._world, make_pose(*start), planner, rules=rules)
 
     @property
@@ -154,7 +154,7 @@ class Demo:
     def __init__(self, maps: dict[str, UInt8[np.ndarray, "h w"]], planners: Sequence[str], estimator: Estimator):
         self.maps, self.planners, self._estimator = maps, list(planners), estimator
         self.sensing_range = SETTINGS["paper"].sensing_range
-        usual: Any = make_planner("dc2g", self._rules, estimator)
+        usual: Any = planner_with("dc2g", self._rules, estimator)
         self.distance_weight, self.gain_weight = usual.selection.distance_weight, usual.gain_weight
         self.walks: dict[str, Walk] = {}
         self._kept: list[tuple[UInt8[np.ndarray, "h w"], RobotPose]] = []
@@ -255,7 +255,7 @@ class Demo:
 
     def _planner(self, name: str) -> Planner:
         """A planner, with the chosen weights if its name stands for such weights and costs are in cells."""
-        planner: Any = make_planner(name, self._rules, self._estimator)
+        planner: Any = planner_with(name, self._rules, self._estimator)
         if name not in NETWORK_PLANNERS or not getattr(planner, "gain_weight", 0.0):
             return planner
         selection = dataclasses.replace(planner.selection, distance_weight=self.distance_weight)

@@ -13,11 +13,11 @@ from dc2g_jax._src.estimation.estimators import Estimator, answers_in_cells
 from dc2g_jax._src.grid import bitboard, gridworld, poses, search
 from dc2g_jax._src.grid.gridworld import Belief
 from dc2g_jax._src.grid.poses import ACTION_LETTERS, Pose, every_heading, make_pose
-from dc2g_jax._src.grid.world import World, world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.planning.decisions import shortest_plan
 from dc2g_jax._src.planning.frontiers import frontier_cells
-from dc2g_jax._src.planning.named import make_planner
-from dc2g_jax._src.planning.planners import EXPLORE, Planner, assess, measured, reachable_cells
+from dc2g_jax._src.planning.named import planner_with
+from dc2g_jax._src.planning.planners import EXPLORE, Planner, assess, distances_and_scores, reachable_cells
 from dc2g_jax._src.planning.rules import Rules
 from dc2g_jax._src.programs import jit
 from dc2g_jax._src.readers.houses import House
@@ -87,7 +87,7 @@ def _frame(belief: Belief, state: Any, world: World, planner: Planner, rules: Ru
     assessment, state = assess(planner, belief, state, rules)
     plan = assessment.plan
     way_home = search.first_action(pose, every_heading(world.goals), world.traversable)
-    distance, score = measured(belief, assessment)
+    distance, score = distances_and_scores(belief, assessment)
     nearest = poses.pack(distance == plan.length) & plan.subgoals
     boards = {
         "seen": belief.seen,
@@ -214,10 +214,10 @@ def replay_result(result: EpisodeResult, house: House, rules: Rules, estimator: 
       ValueError: if the actions do not end as the result says, or for `dc2g` without an estimator.
     """
     frames = replay(
-        world_from_terrain(house.terrain),
+        World.from_terrain(house.terrain),
         make_pose(result.x, result.y, result.heading),
         actions_from_letters(result.actions),
-        planner=make_planner(result.planner, rules, estimator),
+        planner=planner_with(result.planner, rules, estimator),
         rules=rules,
     )
     if (frames.to_goal[-1] == 0) != result.success:

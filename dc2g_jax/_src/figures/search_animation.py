@@ -21,7 +21,7 @@ from dc2g_jax._src.figures.search_figures import (
     rim_of,
     robots_map,
 )
-from dc2g_jax._src.objectnav.classes import OBJECT_CLASSES
+from dc2g_jax._src.search_indoors.maps.classes import OBJECT_CLASSES
 
 #: Pixels: largest width and height of a panel, gap between panels, space above them; length of the robot's arrow.
 _ROOM, _GAP, _CAPTION, _ARROW = (380, 380), 14, 38, 12

@@ -21,9 +21,10 @@ from dc2g_jax._src.figures._sheets import DPI, FONT, cell_rim
 from dc2g_jax._src.figures.costs import end_of_colors
 from dc2g_jax._src.figures.driving_figures import ROBOT_ARROW
 from dc2g_jax._src.figures.results_figures import PAGE_WIDTH, save_figure
-from dc2g_jax._src.objectnav.classes import NO_OBJECT, OBJECT_CLASSES, OBJECT_COLORS, SEMANTIC_CLASSES
-from dc2g_jax._src.objectnav.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL
-from dc2g_jax._src.objectnav.worlds import IndoorWorld, Leaf
+from dc2g_jax._src.search_indoors.houses.worlds import IndoorWorld
+from dc2g_jax._src.search_indoors.maps.classes import NO_OBJECT, OBJECT_CLASSES, OBJECT_COLORS, SEMANTIC_CLASSES
+from dc2g_jax._src.search_indoors.maps.cost_maps import Cells
+from dc2g_jax._src.search_indoors.maps.mapping import EXPLORED_CHANNEL, OBSTACLE_CHANNEL
 
 #: Low costs are green and high costs red, as in the paper. Brightness decreases too, so they also differ in grayscale.
 _COSTS = LinearSegmentedColormap.from_list("costs", ["#a8e6a1", "#f5e663", "#f4a13a", "#d3411e", "#7d0d12"])
@@ -49,7 +50,7 @@ class SearchMoment(NamedTuple):
     Attributes:
       step: control periods since the start.
       doing: current activity in words.
-      cells: the robot's map, see `objectnav.mapping.IndoorMap`.
+      cells: the robot's map, see `search_indoors.maps.mapping.IndoorMap`.
       origin: row and column of the map's first cell in the world's grid.
       costs: costs around the robot, meters; infinite where it must not be.
       corner: row and column of the first cell of the costs in the world's grid.
@@ -71,7 +72,7 @@ class Search(NamedTuple):
     Attributes:
       world: the house.
       target: class index of the wanted object.
-      track: the robot's track, see `objectnav.agent.IndoorRobot`, from step 0 on.
+      track: the robot's track, see `search_indoors.search.agent.IndoorRobot`, from step 0 on.
       moments: moments of the search in order, at least one.
     """
 
@@ -122,18 +123,18 @@ class PredictedMap(NamedTuple):
     """A network's prediction for a robot's local map, and the truth.
 
     Attributes:
-      cells: the robot's map, see `objectnav.mapping.IndoorMap`.
+      cells: the robot's map, see `search_indoors.maps.mapping.IndoorMap`.
       occupied: cells predicted to be occupied.
       truly_occupied: cells that are not free floor.
       cost: predicted cost, meters beyond that of the best cell; infinite where predicted to be occupied.
       true_cost: the same in truth; infinite where the robot does not fit and where no path leads to the goal.
     """
 
-    cells: UInt32[Leaf, "n n"]
-    occupied: Bool[Leaf, "n n"]
-    truly_occupied: Bool[Leaf, "n n"]
-    cost: Float[Leaf, "n n"]
-    true_cost: Float[Leaf, "n n"]
+    cells: UInt32[Cells, "n n"]
+    occupied: Bool[Cells, "n n"]
+    truly_occupied: Bool[Cells, "n n"]
+    cost: Float[Cells, "n n"]
+    true_cost: Float[Cells, "n n"]
 
 
 def plot_search(path: str | Path, search: Search) -> list[Path]:

@@ -10,12 +10,18 @@ from tqdm import tqdm
 
 from dc2g_jax._src.figures._sheets import spread
 from dc2g_jax._src.figures.search_figures import PredictedMap, SearchMoment
-from dc2g_jax._src.objectnav.agent import MPC, Agent, cost_of_pose, observed
-from dc2g_jax._src.objectnav.guides import TrueCost
-from dc2g_jax._src.objectnav.mapping import square, window
-from dc2g_jax._src.objectnav.predicted_costs import PredictedCosts
-from dc2g_jax._src.objectnav.simulation import IndoorRobot, IndoorSite, act_on, is_active, look_and_decide, picture
 from dc2g_jax._src.programs import jit
+from dc2g_jax._src.search_indoors.maps.mapping import square, window
+from dc2g_jax._src.search_indoors.search.agent import MPC, Agent, cost_of_pose, observed
+from dc2g_jax._src.search_indoors.search.guides import PredictedCosts, TrueCost
+from dc2g_jax._src.search_indoors.search.searches import (
+    IndoorRobot,
+    IndoorSite,
+    act_on,
+    is_active,
+    look_and_decide,
+    picture,
+)
 
 
 def run_search(robot: IndoorRobot, site: IndoorSite, agent: Agent) -> tuple[list[IndoorRobot], IndoorRobot]:
@@ -77,20 +83,20 @@ def moment_of(robot: IndoorRobot, agent: Agent, name: str) -> SearchMoment:
 
 @jit
 def prediction_at(
-    robot: IndoorRobot, site: IndoorSite, distances: Float[Array, "goal h w"], agent: Agent, costs: PredictedCosts
+    robot: IndoorRobot, site: IndoorSite, truth: TrueCost, agent: Agent, costs: PredictedCosts
 ) -> PredictedMap:
     """What a network predicts for a robot's local map, and the truth there.
 
     Args:
       robot: the robot.
       site: the house.
-      distances: true distances in the house, see `TrueCost.init`.
+      truth: the guide that knows the house.
       agent: components of the robot.
       costs: the prediction.
     """
     side, seen = agent.mapping.local, observed(robot, picture(robot, site))
     free = square(site.free, robot.local_middle - side // 2, side, False)
-    true = TrueCost().guide(robot.key, seen, distances, agent).distance
+    true = truth.guide(robot.key, seen, agent).distance
     predicted = costs.of(seen, agent)
     return PredictedMap(
         cells=window(robot.map, robot.local_middle, side),

@@ -20,7 +20,7 @@ from dc2g_jax._src.files.class_images import (
     read_palette,
 )
 from dc2g_jax._src.files.tables import read_table
-from dc2g_jax._src.grid.world import World, world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.osm.neighborhood import drawn_extracts, extract_files
 from dc2g_jax._src.own_parts import is_own_part, own_part
 from dc2g_jax._src.procedural import procedural_houses
@@ -37,7 +37,7 @@ _PUBLISHED_NAME = "driveways_bing_iros19"
 PROCEDURAL, TOWNS = "procedural", "towns"
 
 #: Words for datasets that are made in rooms above, which are imported when they are asked for.
-_MADE_ABOVE = {"floor_plans": "dc2g_jax._src.objectnav.houses:floor_plan_dataset"}
+_MADE_ABOVE = {"floor_plans": "dc2g_jax._src.search_indoors.houses.dataset:floor_plan_dataset"}
 
 #: Locations that are words instead of folders.
 NAMED = (PROCEDURAL, TOWNS, *PLAIN, *_MADE_ABOVE)
@@ -128,7 +128,7 @@ def stack_worlds(houses: Iterable[House]) -> World:
                 f"{' cells, '.join(sizes)}: houses that are run together need one size; sample all to one, such as "
                 f"{columns} x {rows}, by the lines 'columns,rows' and '{columns},{rows}' in {CELLS_FILE} of the dataset"
             )
-    return world_from_terrain(np.stack([house.terrain for house in houses], axis=-1))
+    return World.from_terrain(np.stack([house.terrain for house in houses], axis=-1))
 
 
 def group_of(house: House) -> str | None:

@@ -21,7 +21,7 @@ from dc2g_jax._src.grid.poses import ACTION_LETTERS, HEADINGS, Pose, make_pose
 from dc2g_jax._src.grid.sensing import Kernel
 from dc2g_jax._src.grid.terrain import FRONT_DOOR
 from dc2g_jax._src.grid.world import World
-from dc2g_jax._src.planning.named import NETWORK_PLANNERS, check_names, make_planner, open_estimator
+from dc2g_jax._src.planning.named import NETWORK_PLANNERS, check_names, open_estimator, planner_with
 from dc2g_jax._src.planning.planners import GAVE_UP, MODE_NAMES, Mode, Oracle, Planner
 from dc2g_jax._src.planning.rules import Rules, Settings, named_settings
 from dc2g_jax._src.readers.houses import (
@@ -50,7 +50,7 @@ _ROUNDING = 0.1
 #: A planner's name, a planner, or a class or function that makes one from the rules of an episode.
 PlannerSource = str | Planner | Callable[[Rules], Planner]
 
-#: Names for `make_planner`; or a mapping from a name of your choice to one of these, or to another source.
+#: Names for `planner_with`; or a mapping from a name of your choice to one of these, or to another source.
 Planners = Iterable[str] | Mapping[str, PlannerSource]
 
 
@@ -441,7 +441,7 @@ def evaluate(
 def _made(name: str, source: PlannerSource, rules: Rules, estimator: Estimator | None) -> Planner:
     """Make a planner and check that it uses the episodes' field of view."""
     if isinstance(source, str):
-        return make_planner(source, rules, estimator)
+        return planner_with(source, rules, estimator)
     ready = hasattr(source, "plan") and not isinstance(source, type)
     planner: Any = source if ready else source(rules)  # type: ignore[operator]
     sensing = getattr(planner, "rules", rules).sensing

@@ -109,7 +109,7 @@ def compare(pairs: Sequence[EpisodePair], *, resamples: int, seed: int) -> dict[
     shorter, longer = int(np.sum(ours < authors)), int(np.sum(ours > authors))
 
     def interval(values: np.ndarray) -> list[float]:
-        return [round(bound, 4) for bound in house_bootstrap(values, houses, resamples=resamples, seed=seed)]
+        return [round(bound, 4) for bound in house_bootstrap(values, houses, resamples=resamples, seed=seed)[1:]]
 
     faster, authors_faster = _frontier_over_dc2g(pairs)
     return {

@@ -16,7 +16,7 @@ from dc2g_jax._src.grid import bitboard
 from dc2g_jax._src.grid.sampling import sample_grid
 from dc2g_jax._src.grid.sensing import MAX_SENSING_RANGE
 from dc2g_jax._src.mapping.noise import IN_MAPS, noisy_map, scaled
-from dc2g_jax._src.planning.named import make_planner
+from dc2g_jax._src.planning.named import planner_with
 from dc2g_jax._src.planning.rules import SETTINGS, complete_rules
 from dc2g_jax._src.procedural import procedural_training_houses
 from dc2g_jax._src.programs import jit
@@ -192,7 +192,7 @@ def observation_masks(
         if network is None:
             leaders = leading_planners(rules, *houses[0].terrain.shape, seed=config.data_seed)
         else:
-            leaders = [make_planner("dc2g", rules, network)]
+            leaders = [planner_with("dc2g", rules, network)]
         for turn, planner in enumerate(leaders):
             seed = (config.data_seed * len(config.ranges) + place) * LEADERS + turn
             starts = sample_starts(houses[:n_own], config.starts_per_house, seed=seed)

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from dc2g_jax._src.errors import InputError
-from dc2g_jax._src.estimation.checkpoints import CARD, TrainingCheckpoints, load_network, save_network
+from dc2g_jax._src.estimation.checkpoints import CARD, TrainingCheckpoints, network_in_folder, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture, check_network
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.estimation.hub import local_folder
@@ -104,7 +104,7 @@ def _network_to_begin_with(
       InputError: the network has another architecture.
     """
     folder = local_folder(place)
-    network = load_network(folder)
+    network = network_in_folder(folder)
     if not isinstance(network, NetworkCostToGo) or network.architecture != architecture:
         raise InputError(
             f"{place}: is a network of another architecture; give --architecture, --patch, --embedding, --widths and "

@@ -7,7 +7,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from dc2g_jax._src.figures.search_figures import ROWS, Search, cost_image, robots_map
-from dc2g_jax._src.objectnav.classes import OBJECT_CLASSES
+from dc2g_jax._src.search_indoors.maps.classes import OBJECT_CLASSES
 from dc2g_jax._src.viewer import _legend
 from dc2g_jax._src.viewer.columns import SO_FAR, first_view, open_recording, send_curve, send_track
 

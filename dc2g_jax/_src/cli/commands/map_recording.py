@@ -19,7 +19,7 @@ from dc2g_jax._src.estimation.estimators import world_cost_to_go
 from dc2g_jax._src.figures.map_figures import plot_map
 from dc2g_jax._src.grid.poses import make_pose
 from dc2g_jax._src.grid.terrain import UNKNOWN
-from dc2g_jax._src.grid.world import world_from_terrain
+from dc2g_jax._src.grid.world import World
 from dc2g_jax._src.mapping import sequences
 from dc2g_jax._src.mapping.camera import intrinsics
 from dc2g_jax._src.mapping.scene import CELL_SIZE
@@ -92,7 +92,7 @@ def main(options: Options) -> None:
     terrain, wrong = record_mapping(out / "recording.rrd", sequence, settings, name)
     np.save(out / "map.npy", terrain)
     title = f"{name}: {len(sequence.moments) - wrong} frames, {settings.columns} x {settings.rows} cells"
-    plot_map(out / "map", title, terrain, np.asarray(world_cost_to_go(world_from_terrain(terrain))))
+    plot_map(out / "map", title, terrain, np.asarray(world_cost_to_go(World.from_terrain(terrain))))
     known = terrain != UNKNOWN
     print(f"{title}; {np.sum(known):,} cells known")
     if sequence.skipped or wrong:

@@ -22,16 +22,14 @@ from dc2g_jax._src.figures.search_animation import animate_search
 from dc2g_jax._src.figures.search_figures import Search, plot_prediction, plot_search
 from dc2g_jax._src.figures.search_moments import choose_legs, moment_of, prediction_at, run_search
 from dc2g_jax._src.files.atomic import write_json
-from dc2g_jax._src.objectnav.agent import DECLARED
-from dc2g_jax._src.objectnav.classes import GOALS, OBJECT_CLASSES
-from dc2g_jax._src.objectnav.evaluation import results_of
-from dc2g_jax._src.objectnav.guides import TrueCost
-from dc2g_jax._src.objectnav.houses import indoor_house, indoor_houses
-from dc2g_jax._src.objectnav.mapping import IndoorMapSettings
-from dc2g_jax._src.objectnav.named import AgentName, agent_with, costs_for
-from dc2g_jax._src.objectnav.searches import Searches, sample_episodes, search_for
-from dc2g_jax._src.objectnav.simulation import reset, site_of
-from dc2g_jax._src.objectnav.tables import AGENT_TITLES
+from dc2g_jax._src.search_indoors.houses.dataset import indoor_house, indoor_houses
+from dc2g_jax._src.search_indoors.maps.classes import GOALS, OBJECT_CLASSES
+from dc2g_jax._src.search_indoors.maps.mapping import IndoorMapSettings
+from dc2g_jax._src.search_indoors.search.agent import DECLARED
+from dc2g_jax._src.search_indoors.search.evaluation import AGENT_TITLES, results_of
+from dc2g_jax._src.search_indoors.search.guides import TrueCost
+from dc2g_jax._src.search_indoors.search.named import AgentName, agent_with, costs_for
+from dc2g_jax._src.search_indoors.search.searches import Searches, reset, sample_episodes, search_for, site_of
 from dc2g_jax._src.viewer.search_recording import record_search
 
 #: Number of moments in the figure.
@@ -73,7 +71,7 @@ def main(options: Options) -> None:
     site = site_of(house.world, house.name, agent)
     target = OBJECT_CLASSES.index(episode.target)
     start, goal = jnp.array([episode.x, episode.y, episode.yaw], jnp.float32), jnp.int32(GOALS.index(target))
-    first = reset(jax.random.key(options.seed), start, goal, agent, options.limit)
+    first = reset(jax.random.key(options.seed), (start, goal), agent, options.limit)
     print("Compiling, half a minute or so; then it searches.", file=sys.stderr)
     begun, robot = run_search(first, site, agent)
 
@@ -88,8 +86,8 @@ def main(options: Options) -> None:
     search_name = f"{house.name}, {episode.target}, {AGENT_TITLES[options.agent]}"
     if costs is not None:
         last = begun[max(np.flatnonzero(~to_goal), default=0)]
-        distances = TrueCost().init(house.world, agent.controller.limits.radius)
-        prediction = prediction_at(last, site, distances, agent, costs)
+        truth = TrueCost().of_house(house.world, agent.controller.limits.radius)
+        prediction = prediction_at(last, site, truth, agent, costs)
         plot_prediction(out / "fig4", prediction, f"{search_name}, step {int(last.periods)}")
     animate_search(out / "search.gif", search)
     record_search(out / "search.rrd", search_name, search)

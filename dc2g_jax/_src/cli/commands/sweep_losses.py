@@ -17,7 +17,7 @@ from dc2g_jax._src.cli.common import command_line, digests
 from dc2g_jax._src.cli.options import DataOptions, DatasetOptions, TrainingOptions
 from dc2g_jax._src.cli.outputs import number_or_null, output_folder
 from dc2g_jax._src.errors import InputError, short
-from dc2g_jax._src.estimation.checkpoints import CARD, TrainingCheckpoints, load_network, save_network
+from dc2g_jax._src.estimation.checkpoints import CARD, TrainingCheckpoints, network_in_folder, save_network
 from dc2g_jax._src.estimation.compact_unet import Architecture, check_network, multiply_accumulates
 from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.figures.training_figures import plot_sweep
@@ -222,7 +222,7 @@ def run_episodes(validation: Validation, runs: Collection[str], out: Path) -> di
             raise InputError(f"{path}: {run} has {short(found[run])}, no figures; {remedy}")
         if run not in found:
             print(f"episodes in validation houses: {run} ({number} of {len(runs)})", flush=True)
-            found[run] = validation.figures(load_network(network_folder(out, run)))
+            found[run] = validation.figures(network_in_folder(network_folder(out, run)))
             write_json(path, found)
     return found
 
