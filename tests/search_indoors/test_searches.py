@@ -58,7 +58,7 @@ def test_drift_moves_where_a_robot_believes_to_be_and_not_where_it_is(found):
     site = site_of(house.world, house.name, AGENT)
     next_leg = jax.jit(lambda robot, noise: leg(robot, site, AGENT.replace(noise=noise)))
     for noise in (NoiseLevels(0.0), NoiseLevels(0.0, position_drift=0.3, yaw_drift=0.1)):
-        first = reset(jax.random.key(0), start, target, AGENT, 30)
+        first = reset(jax.random.key(0), (start, target), AGENT, 30)
         robot = next_leg(next_leg(next_leg(first, noise), noise), noise)
         drift = jnp.stack([robot.drift.x, robot.drift.y, robot.drift.yaw])
         assert np.any(drift != 0) == np.any(noise.position_drift != 0)
