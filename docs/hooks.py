@@ -7,6 +7,8 @@ from pathlib import Path
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
+#: Pages beside the README, which is the first one, and their names on the site.
+_PAGES = {"README": "index", "BENCHMARKS": "benchmarks", "CONTRIBUTING": "contributing", "CHANGELOG": "changelog"}
 #: Leaves the width of the page to the tables.
 _HEAD = "---\nhide: [navigation]\n---\n\n"
 
@@ -22,7 +24,11 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add BENCHMARKS.md, which lies beside the README, as a page; its pictures are those of the site."""
-    text = (Path(config.config_file_path).parent / "BENCHMARKS.md").read_text(encoding="utf-8")
-    files.append(File.generated(config, "benchmarks.md", content=_HEAD + text.replace("](docs/", "](")))
+    """Add the pages that lie in the root of the repository; their links and pictures are those of the site."""
+    root = Path(config.config_file_path).parent
+    for name, page in _PAGES.items():
+        text = (root / f"{name}.md").read_text(encoding="utf-8").replace("](docs/", "](")
+        for other, its_page in _PAGES.items():
+            text = text.replace(f"]({other}.md", f"]({its_page}.md")
+        files.append(File.generated(config, f"{page}.md", content=_HEAD + text))
     return files

@@ -12,7 +12,6 @@ import pytest
 from hypothesis import settings
 from jax._src import compiler  # no public option chooses the emitters of programs that are compiled from here on
 
-from tests.support import typechecking
 from tests.support.places import PUBLISHED, ROOT, SHARED
 
 CACHE = ROOT / ".pytest_cache"
@@ -40,9 +39,13 @@ jax.config.update("jax_disable_most_optimizations", True)
 # Work is divided among two devices, so that every test of it covers the division.
 jax.config.update("jax_num_cpu_devices", 2)
 
-# Shapes and dtypes of the package's functions are checked while they are traced. Must precede their import.
-jaxtyping.jaxtyped = typechecking.jaxtyped
-jaxtyping.install_import_hook("dc2g_jax", f"{typechecking.__name__}.check")
+# Shapes and dtypes of the package's functions are checked while they are traced, which takes a sixth of the time:
+# `.ci/run` asks for it. Must precede their import.
+if os.environ.get("DC2G_CHECK_SHAPES"):
+    from tests.support import typechecking
+
+    jaxtyping.jaxtyped = typechecking.jaxtyped
+    jaxtyping.install_import_hook("dc2g_jax", f"{typechecking.__name__}.check")
 
 settings.register_profile("tests", derandomize=True, deadline=None)
 settings.load_profile("tests")

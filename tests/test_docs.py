@@ -14,6 +14,7 @@ import jax
 import pytest
 import tyro
 
+from dc2g_jax._src.cli.commands import COMMANDS
 from dc2g_jax._src.rollouts import devices
 from tests.support.places import ROOT
 
@@ -25,7 +26,9 @@ OPTIONAL = ("gymnasium", "stable_baselines3", "torch")
 #: A Python example, the file that it is to be saved as, if any, and what it prints, where a block of text follows it.
 _EXAMPLE = re.compile(r'^```python(?: title="(\w+\.py)")?\n(.*?)^```\n(?:\s*^```text\n(.*?)^```\n)?', flags=re.S | re.M)
 _SHELL = re.compile(r"^```bash\n(.*?)^```", flags=re.S | re.M)
-_COMMAND = re.compile(r"python (-m experiments\.\w+\b(?!\.)|examples/\w+\.py)([^`\n|&#]*)")
+_COMMAND = re.compile(
+    rf"(?:python|\bdc2g) (-m experiments\.\w+\b(?!\.)|examples/\w+\.py|(?:{'|'.join(COMMANDS)})(?![\w-]))([^`\n|&#$]*)"
+)
 _NAME = re.compile(r"\bdc2g_jax(?:\.\w+)+")
 
 
@@ -115,7 +118,9 @@ def test_a_name_that_does_not_exist_is_noticed():
 
 @functools.cache
 def options_of(program: str) -> Any:
-    """The options dataclass of a command, `-m experiments.NAME` or `examples/NAME.py`."""
+    """The options dataclass of a command: one of `dc2g`, `-m experiments.NAME` or `examples/NAME.py`."""
+    if program in COMMANDS:
+        return importlib.import_module(f"experiments.{COMMANDS[program][0]}").Options
     if program.startswith("-m "):
         return importlib.import_module(program[3:]).Options
     spec = importlib.util.spec_from_file_location(Path(program).stem, ROOT / program)

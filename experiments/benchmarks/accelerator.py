@@ -139,7 +139,7 @@ def _translator(bench: Bench, dataset: HouseDataset) -> Iterator[Row]:
     config, steps = options.config("l1+gan"), 2 if bench.quick else _STEPS
     data = image_set(dataset, "train", size=options.size, masks=options.masks, per_house=1)
     draw = functools.partial(
-        draw_image_pairs, batch_size=config.batch_size, whole_share=options.whole_share, augment=options.augment
+        draw_image_pairs, batch_size=config.batch_size, whole_share=options.whole_share, augment=not options.no_augment
     )
     mesh = mesh_for_batch(config.batch_size)
     training = TranslatorTraining(config, draw)

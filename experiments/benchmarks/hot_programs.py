@@ -161,7 +161,7 @@ def _translator_step(mesh: Mesh) -> HotProgram:
         pair_mask=pairs,
     )
     draw = functools.partial(
-        draw_image_pairs, batch_size=config.batch_size, whole_share=options.whole_share, augment=options.augment
+        draw_image_pairs, batch_size=config.batch_size, whole_share=options.whole_share, augment=not options.no_augment
     )
     state = jax.eval_shape(functools.partial(translator.first_state, config, seed=0))
     key = jax.eval_shape(functools.partial(translator.run_key, 0))

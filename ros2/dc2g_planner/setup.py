@@ -15,6 +15,7 @@ setup(
         (f"share/{NAME}/config", [f"config/{NAME}.yaml", f"config/{NAME}.rviz"]),
     ],
     install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
     zip_safe=True,
     description="Exploration toward a door in unknown environments, with the planners of dc2g_jax.",
     license="MIT",

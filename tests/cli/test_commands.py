@@ -3,6 +3,7 @@
 import importlib.metadata
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -43,16 +44,19 @@ def test_the_list_of_commands_loads_nothing(monkeypatch, capsys):
     assert capsys.readouterr().out == shown
 
 
-@pytest.mark.parametrize("name", ["fig7", "map check"])
-def test_a_command_names_itself_as_it_is_typed(name, monkeypatch, capsys):
+@pytest.mark.parametrize("name", ["fig7", "map check", "train"])
+def test_help_names_the_command_as_it_is_typed_and_machines_last(name, monkeypatch, capsys):
     assert ended(monkeypatch, *name.split(), "--help") == 0
-    assert f"usage: dc2g {name} " in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert f"usage: dc2g {name} " in shown
+    assert "machine" not in re.findall(r"(\w+) options \W", shown)[:-1]
 
 
 @pytest.mark.parametrize(
     ("words", "meant"),
     [
-        (["fig77"], "dc2g fig7"),
+        (["fig77"], "dc2g fig7?"),
+        (["map", "exploer"], "did you mean dc2g map explore?"),
         (["map", "--dataset"], "dc2g map check or dc2g map explore"),
         (["xyzzy"], "dc2g --help lists all"),
     ],

@@ -299,8 +299,10 @@ def page() -> Iterator[Any]:
 
 
 @pytest.mark.slow
-def test_a_browser_plays_and_paints(page, address):
+def test_a_browser_plays_paints_and_keeps_what_was_drawn(page, address, tmp_path):
     """It asks nobody but this machine."""
+    dropped = tmp_path / "dropped.npy"
+    np.save(dropped, HOUSE.terrain[:, ::-1])
     asked: list[str] = []
     told: list[str] = []
     page.on("request", lambda request: asked.append(request.url))
@@ -315,7 +317,20 @@ def test_a_browser_plays_and_paints(page, address):
     canvas = page.locator(".canvas img")
     before = canvas.get_attribute("src")
     canvas.click(position={"x": 5, "y": 5})
-    page.wait_for_function("src => document.querySelector('.canvas img').src != src", arg=before)
+    differs = "src => document.querySelector('.canvas img').src != src"
+    page.wait_for_function(differs, arg=before)
+    painted = canvas.get_attribute("src")
+    page.get_by_role("tab", name="Watch").click()
+    page.wait_for_function("() => location.search.startsWith('?map=')")
+    page.reload()
+    page.get_by_role("tab", name="Draw").click()
+    page.wait_for_function("src => document.querySelector('.canvas img')?.src == src", arg=painted)
+    canvas.click(position={"x": 120, "y": 120})
+    page.wait_for_function(differs, arg=painted)
+    page.get_by_role("button", name="Undo").click()
+    page.wait_for_function("src => document.querySelector('.canvas img').src == src", arg=painted)
+    page.locator("input[type=file]").set_input_files(dropped)
+    page.wait_for_function(differs, arg=painted)
     page.get_by_role("tab", name="Watch").click()
     page.get_by_text("step 0:").wait_for()
     assert {url.split("/")[2] for url in asked if not url.startswith("data:")} == {address}

@@ -58,7 +58,7 @@ def test_a_map_with_little_ground_is_no_map():
 
 def test_floor_plans(monkeypatch):
     monkeypatch.setattr(indoor, "_MAPS", {"val": 2, "test": 1})
-    dataset = indoor.floor_plan_dataset()
+    dataset = open_dataset("floor_plans")
     assert [(house.split, house.terrain.shape) for house in dataset.houses] == [
         ("val", (50, 50)),
         ("val", (50, 50)),

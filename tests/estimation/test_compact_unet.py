@@ -217,6 +217,12 @@ class Dropping(Own):
         self.drop = nnx.Dropout(0.5, rngs=rngs)
 
 
+class Normalized(Own):
+    def __init__(self, architecture, *, rngs):
+        super().__init__(architecture, rngs=rngs)
+        self.norm = nnx.BatchNorm(len(architecture.quantiles), rngs=rngs)
+
+
 OWN = Architecture(network=f"{__name__}:Own")
 
 
@@ -231,6 +237,7 @@ OWN = Architecture(network=f"{__name__}:Own")
         (f"{__name__}:Mismatched", ["Mismatched'", "50 x 50 cells", "3 // 1 != 16"]),
         (f"{__name__}:Twofold", ["Twofold'", "answers with a tuple", "one array"]),
         (f"{__name__}:Dropping", ["Dropping'", "drop.rngs.count is uint32", "Dropout"]),
+        (f"{__name__}:Normalized", ["Normalized'", "norm.mean is a BatchStat", "GroupNorm in place of BatchNorm"]),
     ],
 )
 def test_what_is_no_network_is_refused(name, words):

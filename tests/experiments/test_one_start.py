@@ -123,9 +123,9 @@ def test_outcomes_are_told(yard, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("left_out", "written"),
     [
-        ({"figures": False, "record": False}, set()),
-        ({"figures": False}, {"episode.rrd"}),
-        ({"record": False}, {*figure("episode"), *figure("trajectories"), "episode.gif"}),
+        ({"no_figures": True, "no_record": True}, set()),
+        ({"no_figures": True}, {"episode.rrd"}),
+        ({"no_record": True}, {*figure("episode"), *figure("trajectories"), "episode.gif"}),
     ],
 )
 def test_drawing_is_left_out(yard, tmp_path, left_out, written):

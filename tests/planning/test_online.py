@@ -251,6 +251,9 @@ def test_a_reason_shows_how_the_score_comes_about(terms, wanted):
     others = [best, best._replace(x=9, score=40.0)]
     place = "explore: (4, 5) facing east has the lowest score of 2 candidates"
     assert explain("explore", path, others) == f"{place}, {wanted}; next best 40.0 at (9, 5)"
+    for other, shown in ((score, f"{score:.1f}"), (score + 0.02, "0.02 more")):
+        close = [best, best._replace(x=9, score=other)]
+        assert explain("explore", path, close) == f"{place}, {wanted}; next best {shown} at (9, 5)"
 
 
 def test_a_planner_of_ones_own_shows_its_own_candidates_and_scores():

@@ -1,6 +1,7 @@
 """Planners compared in families: ratios, who is first, and the page."""
 
 import math
+import re
 
 import pytest
 
@@ -52,10 +53,10 @@ def test_who_is_first():
 
 def test_the_page_says_where_a_planner_is_first_and_where_not():
     table = standings(RESULTS, LIMIT)
-    first = leaders(RESULTS, LIMIT, table, "fast")
-    text = page(
-        table, first, "fast", maps={"mazes": 2, "houses": 1}, settings="Rules.", how="By hand.", figure="a.png"
-    )  # fmt: skip
+    first = {name: leaders(RESULTS, LIMIT, table, name) for name in ("fast", "slow")}
+    text = page(table, first, maps={"mazes": 2, "houses": 1}, settings="Rules.", how="By hand.", figure="a.png")
+    assert re.findall("## Where `(.*)` is first", text) == ["fast", "slow"]
+    assert "- **mazes**: not first; 4.00 (4.00 to 4.00) times the steps of `fast`." in text
     assert "| planner | all | mazes (2) | houses (1) |" in text
     assert "| `fast` | 0.77 | **0.50** | 1.20 |" in text
     assert "| *`oracle`* | 0.40 | 0.40 | 0.40 |" in text

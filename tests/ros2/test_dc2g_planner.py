@@ -1,27 +1,30 @@
 """The node of ROS 2: real messages as CDR and in a bag, and its callbacks with a stand-in for rclpy."""
 
+import ast
+import functools
 import importlib
 import math
 import re
 import runpy
 import sys
+import threading
 from types import ModuleType, SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import yaml
-from dc2g_planner import messages
+from dc2g_planner import messages, planner_process
+from dc2g_planner.planner_process import Decision, MapPose, Planner, Refused
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Writer
 
-from dc2g_jax._src.planning.metric import MetricPlanner
-from dc2g_jax._src.planning.metric_map import MetricPose
+from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.planning.online import OnlinePlanner
 from tests.oracles import numpy_gridworld as oracle
 from tests.support import maps, ros
 from tests.support.places import ROOT
-from tests.support.refusals import refusal
+from tests.support.refusals import refusal_of
 
 ROAD, HOUSE = 3, 7
 M = ros.MESSAGES
@@ -53,6 +56,22 @@ def map_message(terrain: np.ndarray):
 def transform_of(pose, rows: int):
     x, y = in_map(pose[0], pose[1], rows)
     return M.Transform(translation=M.Vector3(x=x, y=y, z=0.0), rotation=quaternion(YAW - pose[2] * math.pi / 2))
+
+
+class InProcess(planner_process.PlannerProcess):
+    """The planner of the node without a process of its own, which would take seconds to start."""
+
+    def __init__(self, python: str, **options):
+        try:
+            self.planner = Planner(**options)
+        except InputError as error:
+            raise Refused(str(error)) from None
+
+    def _ask(self, name, arguments):
+        return getattr(self.planner, name)(*arguments)
+
+    def close(self):
+        del self.planner
 
 
 def run(seed: int, steps: int = 12):
@@ -92,8 +111,9 @@ def test_a_bag_leads_to_the_subgoals_of_the_planner_in_cells(tmp_path):
                 robot = messages.pose_of(message.transforms[0].transform)
                 continue
             terrain, pose = next(moments)
-            planner = MetricPlanner(cell_size=0.25, sensing_range=REACH * 0.25, largest=(18, 18))
-            decision = planner.plan(messages.map_of(message), robot)
+            decision = InProcess("", cell_size=0.25, sensing_range=REACH * 0.25, largest=(18, 18)).plan(
+                messages.map_of(message), robot, []
+            )
             grid = np.where(np.isin(terrain, (0, *oracle.TRAVERSABLE_CLASSES)), np.where(terrain, ROAD, 0), HOUSE)
             wanted = in_cells.plan(grid.astype(np.uint8), pose)
             explored += wanted.mode == "explore"
@@ -117,6 +137,7 @@ def test_a_bag_leads_to_the_subgoals_of_the_planner_in_cells(tmp_path):
 def test_what_a_message_says_that_cannot_be():
     message = map_message(np.full((3, 4), ROAD))
     message.info.width = 5
+    refusal = functools.partial(refusal_of, Refused)
     refusal(lambda: messages.map_of(message), "12 cells", "5 x 3")
     doors = M.PoseArray(header=M.Header(frame_id="odom"), poses=[M.Pose()])
     refusal(lambda: messages.doors_of(doors, "map"), "'odom'", "'map'")
@@ -138,12 +159,15 @@ def start(monkeypatch):
     ros.install(monkeypatch)
     monkeypatch.delitem(sys.modules, "dc2g_planner.node", raising=False)
     node = importlib.import_module("dc2g_planner.node")
-    monkeypatch.setattr(node.gc, "freeze", lambda: None)
+    monkeypatch.setattr(node, "PlannerProcess", InProcess)
 
     def started(**parameters):
         sizes = {"cell_size": 0.25, "sensing_range": REACH * 0.25, "largest": [18, 18]}
-        monkeypatch.setattr(ros.Node, "parameters", {**sizes, **parameters})
-        return node.PlannerNode()
+        monkeypatch.setattr(ros.LifecycleNode, "parameters", {**sizes, **parameters})
+        made = node.PlannerNode()
+        made.trigger_configure()
+        made.trigger_activate()
+        return made
 
     return started
 
@@ -233,8 +257,8 @@ def test_arguments_of_the_launch_file(monkeypatch):
     node, arguments = launched(monkeypatch)
     file = "/share/dc2g_planner/config/dc2g_planner.yaml"
     assert (node["parameters"], node["remappings"], node["namespace"]) == ([file], [("map", "map")], "")
-    node, _ = launched(monkeypatch, drive="true", use_sim_time="false", map="/semantic", namespace="r", params_file="p")
-    assert node["parameters"] == ["p", {"drive": True, "use_sim_time": False}]
+    node, _ = launched(monkeypatch, drive="true", python="/py", map="/semantic", namespace="r", params_file="p")
+    assert node["parameters"] == ["p", {"drive": True, "python": "/py"}]
     assert (node["remappings"], node["namespace"]) == ([("map", "/semantic")], "r")
     page = (ROOT / "docs/tutorials/on_a_ros2_robot.md").read_text()
     assert [name for name in arguments if f"`{name}:=" not in page] == []
@@ -245,8 +269,8 @@ def test_the_package_declares_what_it_imports():
     code = "".join(path.read_text() for path in folder.rglob("*.py") if path.name != "setup.py")
     imported = set(re.findall(r"^(?:from|import) (\w+)", code, flags=re.M)) - sys.stdlib_module_names - {"dc2g_jax"}
     packages = {"numpy": "python3-numpy", "tf2_ros": "tf2_ros_py"}
-    declared = {element.text for element in ElementTree.parse(folder / "package.xml").iter("exec_depend")}
-    assert {packages.get(name, name) for name in imported} == declared
+    declared = {each.text for each in ElementTree.parse(folder / "package.xml").iter() if "_depend" in each.tag}
+    assert {packages.get(name, name) for name in imported - {"dc2g_planner"}} == declared - {"python3-pytest"}
 
 
 def test_doors_count_in_the_frame_of_the_map(start):
@@ -345,7 +369,7 @@ def test_the_way_to_a_door_is_tried_again(start, status, warning):
 
 def test_a_parameter_of_another_type_is_one_line(start, monkeypatch):
     main = sys.modules["dc2g_planner.node"].main
-    monkeypatch.setattr(ros.Node, "parameters", {"sensing_range": 3})
+    monkeypatch.setattr(ros.LifecycleNode, "parameters", {"sensing_range": 3})
     with pytest.raises(SystemExit, match=r"^error: parameter 'sensing_range' is '3', expecting type 'float'$"):
         main()
 
@@ -382,6 +406,77 @@ def accepted(node, number: int, calls: list) -> ros.Future:
 
     node._nav2.goals[number][1].happens(accepted=True, get_result_async=lambda: result, cancel_goal_async=cancel)
     return result
+
+
+def test_it_decides_only_while_it_is_active(start):
+    node, calls = start(drive=True), []
+    at(node, (2, 1, 0))
+    accepted(node, 0, calls)
+    node.trigger_deactivate()
+    assert calls == ["cancel 0"]
+    assert node.services["~/return_to_start"]().message == "the node is not active"
+    at(node, (3, 1, 0))
+    node.services["~/pause"](data=False)  # pausing and resuming does not activate
+    node.tick()
+    assert len(node._nav2.goals) == 1
+    node.trigger_activate()
+    node.tick()
+    assert len(node._nav2.goals) == 2
+    node.trigger_deactivate()
+    node.trigger_cleanup()
+    node.trigger_activate()
+    node.tick()
+    assert (node._planner, node.warnings) == (None, [])
+
+
+def test_what_comes_while_it_decides_waits_for_nobody(start, monkeypatch):
+    node, plan = start(drive=True), InProcess.plan
+
+    def paused(self, *arguments):
+        pausing = threading.Thread(target=lambda: node.services["~/pause"](data=True))
+        pausing.start()
+        pausing.join(timeout=20)
+        assert not pausing.is_alive()
+        return plan(self, *arguments)
+
+    monkeypatch.setattr(InProcess, "plan", paused)
+    at(node, (2, 1, 0))
+    assert (node.published, node._nav2.goals) == ({}, [])
+
+
+def test_a_parameter_that_the_planner_refuses_is_logged(start, monkeypatch):
+    node = start(planner="nobody")
+    assert "'nobody'" in node.errors[0]
+    assert node._planner is None
+    monkeypatch.setattr(ros.LifecycleNode, "parameters", {"planner": "nobody"})
+    with pytest.raises(SystemExit, match=r"^error: the node cannot start; its log says why$"):
+        sys.modules["dc2g_planner.node"].main()
+
+
+def test_the_planner_in_a_process_of_its_own():
+    options = {"cell_size": 0.25, "sensing_range": REACH * 0.25, "largest": (18, 18)}
+    refusal = functools.partial(refusal_of, Refused)
+    refusal(lambda: planner_process.PlannerProcess("/no/python"), "/no/python", "cannot be started")
+    refusal(lambda: planner_process.PlannerProcess("", **options, planner="nobody"), "'nobody'")
+    alone, here = planner_process.PlannerProcess("", **options), InProcess("", **options)
+    seen, robot = messages.map_of(map_message(CORRIDOR)), MapPose(*in_map(2, 1, 3), YAW)
+    for _ in range(2):
+        found, expected = (planner.plan(seen, robot, []) for planner in (alone, here))
+        assert found == expected
+        if found.subgoal:
+            alone.set_aside(found.subgoal)
+            here.set_aside(found.subgoal)
+    assert (type(found), found.mode) == (Decision, "gave_up")
+    refusal(lambda: alone.plan(seen, MapPose(99.0, 99.0, 0.0), []), "off the map")
+    alone.close()
+    refusal(lambda: alone.plan(seen, robot, []), "has ended")
+
+
+def test_the_node_runs_in_the_python_of_ros():
+    """Python 3.10 of ROS 2 Humble compiles its files, which import no `dc2g_jax` outside the planner's process."""
+    for path in (ROOT / "ros2/dc2g_planner/dc2g_planner").glob("*.py"):
+        ast.parse(path.read_text(), feature_version=(3, 10))
+        assert re.findall(r"^(?:from|import) dc2g_jax", path.read_text(), flags=re.M) == [], path.name
 
 
 def test_a_pause_stops_the_robot_until_it_is_resumed(start):
@@ -451,12 +546,12 @@ def test_a_rejected_subgoal_is_sent_again_and_an_old_one_forgotten(start):
 def test_the_robot_stops_in_front_of_the_door():
     wall = np.full((3, 6), HOUSE, np.uint8)
     wall[1, 1:5], wall[1, 5] = ROAD, 1
-    planner = MetricPlanner(cell_size=0.25, sensing_range=1.0, largest=(18, 18))
+    planner = InProcess("", cell_size=0.25, sensing_range=1.0, largest=(18, 18))
     door, (x, y) = in_map(5, 1, 3), in_map(4, 1, 3)
 
     def place(column):
-        robot = MetricPose(*in_map(column, 1, 3), YAW)
-        return messages.place_to_drive_to(planner.plan(messages.map_of(map_message(wall)), robot, doors=[door]))
+        robot = MapPose(*in_map(column, 1, 3), YAW)
+        return messages.place_to_drive_to(planner.plan(messages.map_of(map_message(wall)), robot, [door]))
 
     assert place(1) == pytest.approx((x, y, YAW))
     assert place(4) is None

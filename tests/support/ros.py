@@ -56,13 +56,14 @@ def copied(message: Any) -> Any:
     return STORE.deserialize_cdr(STORE.serialize_cdr(message, kind), kind)
 
 
-class Node:
+class LifecycleNode:
     """A node whose topics are attributes. Tests call its callbacks."""
 
     parameters: dict[str, Any] = {}  # noqa: RUF012
 
     def __init__(self, name: str):
-        self.warnings, self.published, self.subscribed, self.declared, self.services = [], {}, {}, set(), {}
+        self.warnings, self.errors, self.published, self.subscribed = [], [], {}, {}
+        self.declared, self.services = set(), {}
 
     def declare_parameter(self, name, default, descriptor):
         assert descriptor.description
@@ -88,8 +89,18 @@ class Node:
     def create_service(self, kind, name, callback):
         self.services[name] = lambda **request: callback(SimpleNamespace(**request), SimpleNamespace())
 
+    def _succeeds(self, state):
+        return "success"
+
+    on_configure = on_activate = on_deactivate = on_cleanup = on_shutdown = _succeeds
+
+    def __getattr__(self, name):
+        if not name.startswith("trigger_"):
+            raise AttributeError(name)
+        return lambda: getattr(self, name.replace("trigger_", "on_"))(None)
+
     def get_logger(self):
-        return SimpleNamespace(warning=self.warnings.append)
+        return SimpleNamespace(warning=self.warnings.append, error=self.errors.append)
 
     def get_clock(self):
         return SimpleNamespace(now=lambda: SimpleNamespace(to_msg=lambda: MESSAGES.Time(sec=7, nanosec=8)))
@@ -175,7 +186,10 @@ def install(patch) -> None:
             "ExternalShutdownException": ExternalShutdownException,
             "MultiThreadedExecutor": MultiThreadedExecutor,
         },
-        "rclpy.node": {"Node": Node},
+        "rclpy.lifecycle": {
+            "LifecycleNode": LifecycleNode,
+            "TransitionCallbackReturn": SimpleNamespace(SUCCESS="success", FAILURE="failure"),
+        },
         "rclpy.qos": {
             "QoSProfile": SimpleNamespace,
             "DurabilityPolicy": SimpleNamespace(TRANSIENT_LOCAL="transient local"),

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 
 import jax
 import numpy as np
@@ -33,6 +34,9 @@ def test_houses_become_a_network_that_is_evaluated_and_kept(tmp_path):
     again = dc2g.train(tmp_path, DATASET, config=CONFIG, data=DATA, pauses=RARELY, split=None)
     assert again.results is None
     jax.tree.map(np.testing.assert_array_equal, again.network.weights, trained.network.weights)
+    assert (tmp_path / "network" / "network.json").read_bytes() == written
+    shutil.rmtree(tmp_path / "network")
+    dc2g.train(tmp_path, DATASET, config=CONFIG, data=DATA, pauses=RARELY, split=None)
     assert (tmp_path / "network" / "network.json").read_bytes() == written
     other = dataclasses.replace(CONFIG, seed=1)
     refusal(lambda: dc2g.train(tmp_path, DATASET, config=other, data=DATA, pauses=RARELY), "seed was 0", "now 1")

@@ -36,7 +36,7 @@ NetworkOption = Annotated[str | Path | None, tyro.conf.arg(metavar="FOLDER", hel
 
 #: One planner and several: names in `planning.named.PLANNERS`, or `package.module:Name`.
 PlannerOption = Annotated[str, tyro.conf.arg(metavar="NAME")]
-PlannersOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME")]
+PlannersOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")]
 
 #: Rules: a name in `planning.rules.SETTINGS`, or `package.module:Name`.
 SettingsOption = Annotated[str, tyro.conf.arg(metavar="NAME")]

@@ -4,9 +4,8 @@ import dataclasses
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-import tyro
 from tqdm import tqdm
 
 from dc2g_jax._src.cli.common import PlannersOption, check_planners, network_for
@@ -44,8 +43,8 @@ class OneStartOptions(NetworkOptions, OutOptions, SharedOptions):
         own.
       sensing_range: number of cells that a robot sees ahead.
       animation: formats of the animation.
-      figures: draw figures and the animation, which take most of the time on large maps; `--no-figures` turns them off.
-      record: write a rerun recording, which takes most of the space on large maps; `--no-record` turns it off.
+      no_figures: draw no figures and no animation, which take most of the time on large maps.
+      no_record: write no rerun recording, which takes most of the space on large maps.
     """
 
     start: StartOption = None
@@ -53,8 +52,8 @@ class OneStartOptions(NetworkOptions, OutOptions, SharedOptions):
     planner: PlannersOption = ("dc2g", "frontier")
     sensing_range: int = 8
     animation: tuple[Literal["gif", "mp4"], ...] = ("gif",)
-    figures: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
-    record: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
+    no_figures: bool = False
+    no_record: bool = False
 
     def check_sensing_range(self) -> None:
         """Check that the sensing range is supported.
@@ -132,7 +131,7 @@ def _draw(
     network: Estimator | None,
 ) -> None:
     """Write the figures, animations and recording of the episodes in `results`, given by planner."""
-    figures, record = options.figures, options.record
+    figures, record = not options.no_figures, not options.no_record
     if figures:
         plot_trajectories(out / "trajectories", house, results)
     if not (figures or record):

@@ -9,6 +9,7 @@ import tyro
 from dc2g_jax._src.cli.common import DatasetOption, NetworkOption
 from dc2g_jax._src.cli.outputs import CommandOptions, Machines
 from dc2g_jax._src.errors import InputError
+from dc2g_jax._src.training.cost_to_go_data import DataConfig
 from dc2g_jax._src.training.tracking import TrackerName
 
 
@@ -17,8 +18,9 @@ class DatasetOptions(CommandOptions):
     """Houses to run on.
 
     Attributes:
-      dataset: folder of houses, or a name such as `procedural`, see `open_dataset`; by default DC2G_DATA, the
-        cache, or a download.
+      dataset: folder of houses, of maps or of OpenStreetMap extracts; procedural, towns, mazes, halls, offices or
+        floor_plans; package.module:Name for one of your own; the published houses by default, from DC2G_DATA, the
+        cache or a download.
     """
 
     dataset: DatasetOption = None
@@ -82,16 +84,27 @@ class ResumeOptions(SharedOptions):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class DataOptions(CommandOptions):
+    """Data of a training. As the last base of a command's options, it stands before what is said of machines.
+
+    Attributes:
+      data: houses and masks.
+    """
+
+    data: tyro.conf.OmitArgPrefixes[DataConfig] = dataclasses.field(default_factory=DataConfig)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class TrainingOptions(ResumeOptions):
     """Training runs.
 
     Attributes:
       out: folder for checkpoints, networks, logs and figures.
-      track: tracker to send curves and pictures to.
+      track: tracker to send curves and pictures to: tensorboard, wandb or trackio; none by default.
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
-    track: Annotated[TrackerName | None, tyro.conf.arg(help_behavior_hint="")] = None
+    track: Annotated[TrackerName | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
 
 
 def require_positive(options: object, *names: str) -> None:

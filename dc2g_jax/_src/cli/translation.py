@@ -37,7 +37,7 @@ class TranslationOptions(Pauses):
       validation_masks: observation masks of each validation house.
       whole_share: share of training pairs with a fully observed map. The paper does not give it; a network that was
         never trained on whole maps predicts them as badly as an untrained one.
-      augment: random shifts, scaling and flips, as in pix2pix; `--no-augment` turns them off.
+      no_augment: train without random shifts, scaling and flips, which pix2pix has.
       steps: total number of optimizer steps.
       batch_size: pairs per step.
       learning_rate: learning rate of Adam.
@@ -50,7 +50,7 @@ class TranslationOptions(Pauses):
     train_masks: int = 256
     validation_masks: int = 80
     whole_share: float = 0.0625
-    augment: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
+    no_augment: bool = False
     steps: int = 20_000
     batch_size: int = TranslatorConfig.batch_size
     learning_rate: float = TranslatorConfig.learning_rate
@@ -130,7 +130,7 @@ def train_translator(
         draw_image_pairs,
         batch_size=config.batch_size,
         whole_share=options.whole_share,
-        augment=options.augment,
+        augment=not options.no_augment,
     )
 
     training = TranslatorTraining(config, draw)
@@ -139,7 +139,8 @@ def train_translator(
         network = TranslatorCostToGo(weights=first_copy(state.weights["generator"]), architecture=config.architecture)
         card = {
             "data": f"{dataset.name}, training split, {options.train_masks} masks a house ({options.masks}), "
-            f"{100 * options.whole_share:g} % of pairs whole" + ", shifted, enlarged and mirrored" * options.augment,
+            f"{100 * options.whole_share:g} % of pairs whole"
+            + ("" if options.no_augment else ", shifted, enlarged and mirrored"),
             "target": "8-connected cost-to-go as a picture, brightest visible pixel 1",
             "loss": config.loss,
             "command": command_written(),
@@ -165,7 +166,7 @@ def train_translator(
         steps_per_look=_STEPS_PER_LOOK,
         learning_rate=lambda step: config.learning_rate,
     )
-    names = ("masks", "train_masks", "whole_share", "augment")
+    names = ("masks", "train_masks", "whole_share", "no_augment")
     facts = {"seed": seed, "dataset": dataset.name, **{name: getattr(options, name) for name in names}}
     checkpoints = TrainingCheckpoints(out, config, facts, first_state=begin)
     train(task, out, checkpoints, options, track)

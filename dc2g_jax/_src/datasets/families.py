@@ -14,7 +14,7 @@ from dc2g_jax._src.errors import InputError
 PUBLISHED = "published"
 
 #: Families of `dc2g compare` unless others are chosen. Those of extracts need their files.
-FAMILIES: tuple[str, ...] = (PUBLISHED, *NAMED, "dc2g_jax._src.objectnav.houses:floor_plan_dataset")
+FAMILIES: tuple[str, ...] = (PUBLISHED, *NAMED)
 
 
 def family_of(house: str) -> str:

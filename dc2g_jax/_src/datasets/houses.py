@@ -36,8 +36,11 @@ _PUBLISHED_NAME = "driveways_bing_iros19"
 #: Locations that stand for the procedural houses, and for the drawn towns.
 PROCEDURAL, TOWNS = "procedural", "towns"
 
+#: Words for datasets that are made in rooms above, which are imported when they are asked for.
+_MADE_ABOVE = {"floor_plans": "dc2g_jax._src.objectnav.houses:floor_plan_dataset"}
+
 #: Locations that are words instead of folders.
-NAMED = (PROCEDURAL, TOWNS, *PLAIN)
+NAMED = (PROCEDURAL, TOWNS, *PLAIN, *_MADE_ABOVE)
 
 _TEST_GROUPS = {"001": "same_neighborhood", "002": "new_neighborhood", "004": "urban"}
 
@@ -262,8 +265,8 @@ def open_dataset(
 
     Args:
         location: a folder in the published layout, of maps, or of OpenStreetMap extracts; one of the words
-            'procedural', 'towns', 'mazes', 'halls' and 'offices'; or `package.module:Name` for a `HouseDataset` of
-            your own, or a function that returns one.
+            'procedural', 'towns', 'mazes', 'halls', 'offices' and 'floor_plans'; or `package.module:Name` for a
+            `HouseDataset` of your own, or a function that returns one.
         cells: side of the square grids of published and procedural houses; `None` for no sampling.
         log: receives the line about the fallback.
 
@@ -294,6 +297,7 @@ def _open_location(location: str, setting: str, cells: int | None) -> HouseDatas
         return town_dataset()
     if location in PLAIN:
         return plain_dataset(location)
+    location = _MADE_ABOVE.get(location, location)
     if is_own_part(location):
         return _own_dataset(location)
     try:

@@ -10,7 +10,7 @@ from flax import nnx
 from jaxtyping import Array, Float, Int, Shaped, UInt8
 
 from dc2g_jax._src.errors import InputError, short
-from dc2g_jax._src.estimation.weights import fresh_weights, shapes_of_weights, with_weights
+from dc2g_jax._src.estimation.weights import fresh_weights, no_weights, shapes_of_weights, with_weights
 from dc2g_jax._src.grid.terrain import CLASS_NAMES
 from dc2g_jax._src.own_parts import own_part
 from dc2g_jax._src.programs import jit
@@ -251,6 +251,11 @@ def check_network(architecture: Architecture) -> None:
                 f"network {name!r}: its weight {jax.tree_util.keystr(path, simple=True, separator='.')} is "
                 f"{leaf.dtype}; use floating-point weights only, and no layers with random keys, such as Dropout"
             )
+    for part, kind in no_weights(network, architecture).items():
+        raise InputError(
+            f"network {name!r}: {part} is a {kind}, which is not trained; use layers of nnx.Param alone, such as "
+            "GroupNorm in place of BatchNorm"
+        )
     wanted = (1, side, side, len(architecture.quantiles))
     if not isinstance(answer, jax.ShapeDtypeStruct):
         raise InputError(f"network {name!r}: answers with a {type(answer).__name__}; expected one array")

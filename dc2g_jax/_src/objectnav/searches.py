@@ -104,6 +104,8 @@ def search_for(house: IndoorHouse, target: str, *, seed: int = 0) -> Search:
     rng = np.random.default_rng([seed, *house.name.encode()])
     starts = {OBJECT_CLASSES[goal]: sample_starts(house.world, goal, 1, rng=rng) for goal in GOALS}
     there = [name for name, drawn in starts.items() if len(drawn)]
+    if target not in starts:
+        raise InputError(f"--target {target}: is no class of object to search for; give one of: {', '.join(starts)}")
     if target not in there:
         raise InputError(
             f"--target {target}: cannot be searched for in {house.name}; give one of: {', '.join(there)}; or another "

@@ -240,5 +240,8 @@ def explain(
     second = others[0]
     if second.score < best.score:
         what = "is the planner's choice"
-    next_best = f"next best {second.score:.{digits}f} at {words(*second[:3])[0]}"
+    first_shown, shown = (f"{one.score:.{digits}f}" for one in (best, second))
+    if shown == first_shown and second.score != best.score:  # no tie but for rounding
+        shown = f"{abs(second.score - best.score):.1g} {'more' if second.score > best.score else 'less'}"
+    next_best = f"next best {shown} at {words(*second[:3])[0]}"
     return f"{subgoal} {what} of {len(candidates)} candidates, {details}; {next_best}"

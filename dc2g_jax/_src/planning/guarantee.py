@@ -2,7 +2,7 @@
 
 A virtual robot, the shadow, explores as `Frontier` does. It moves for free as long as the robot has already seen what
 it would see. The robot follows any planner until it can only just afford to return to the shadow. The proof of the
-bound is in docs/how_it_works/planner.md.
+bound is in docs/notebook/guarantee.md.
 """
 
 import dataclasses

@@ -165,8 +165,6 @@ Nothing of the package was chosen on the split `test`. What each planner does: [
 
 Dots are the means of the table, lines their 95 % intervals over maps.
 
-## Where `{planner}` is first, and where not
-
 {sentences}
 
 In parentheses: the 95 % interval over maps, paired by start.
@@ -195,21 +193,20 @@ Choose and tune with `--split val`.
 
 
 def page(
-    table: Standings, first: Sequence[Leader], planner: str, *, maps: Mapping[str, int], settings: str, how: str,
+    table: Standings, first: Mapping[str, Sequence[Leader]], *, maps: Mapping[str, int], settings: str, how: str,
     figure: str,
 ) -> str:  # fmt: skip
     """The page `leaderboard.md`.
 
     Args:
       table: the standings.
-      first: the best planners, see `leaders`.
-      planner: the planner that `first` is about.
+      first: planner that the page tells about, one at least -> the best ones beside it, see `leaders`.
       maps: number of maps of each family.
       settings: the rules and the field of view, in words.
       how: how many episodes ran, how long and by which command, in words.
       figure: path of the figure, relative to the page.
     """
-    leader = {one.family: one.leader for one in first}
+    leader = {one.family: one.leader for one in next(iter(first.values()))}
     rows = [f"| planner | all | {' | '.join(f'{family} ({maps[family]})' for family in leader)} |"]
     rows.append(f"|---|{'---|' * (len(leader) + 1)}")
     for name in in_order(table):
@@ -219,7 +216,8 @@ def page(
             failed = f" ({100 * (1 - own.success):.0f} % fail)" if own.success < 1 else ""
             cells.append((f"**{own.ratio:.2f}**" if best == name else f"{own.ratio:.2f}") + failed)
         rows.append(f"| {f'*`{name}`*' if name in PRIVILEGED else f'`{name}`'} | {' | '.join(cells)} |")
-    sentences = "\n".join(_sentence(one, planner) for one in first)
-    return _PAGE.format(
-        settings=settings, table="\n".join(rows), figure=figure, planner=planner, sentences=sentences, how=how
+    sentences = "\n\n".join(
+        "\n".join([f"## Where `{planner}` is first, and where not\n", *(_sentence(one, planner) for one in each)])
+        for planner, each in first.items()
     )
+    return _PAGE.format(settings=settings, table="\n".join(rows), figure=figure, sentences=sentences, how=how)

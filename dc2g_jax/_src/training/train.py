@@ -214,6 +214,8 @@ def _task(
     pairs = replicate(open_training_set(out, dataset, data, network), mesh_of())
     rates, picture = learning_rates(config), watching.picture
 
+    validated = [step for step, line in Log(out).by_step().items() if "mean_extra" in line or validation is None]
+
     def init() -> TrainingState:
         state = first_state(config)
         if network is None:
@@ -242,7 +244,7 @@ def _task(
         init=init,
         step=lambda state: train_step(state, hyperparameters, pairs, recipe=recipe, draw_batch=draw),
         validate=validate,
-        validated=[step for step, line in Log(out).by_step().items() if "mean_extra" in line or validation is None],
+        validated=validated if (out / "network").exists() else (),  # else the network is written again
         watch=watch,
         learning_rate=lambda step: rates[step - 1],
         pictures=None if picture is None else lambda state: [picture(_network_of(state, config))],

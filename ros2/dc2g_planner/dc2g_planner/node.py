@@ -1,7 +1,6 @@
 """The node: it reads a map and the robot's pose, and publishes subgoal, path and ranked frontiers."""
 
 import functools
-import gc
 import signal
 import sys
 import threading
@@ -18,7 +17,7 @@ from rclpy.action import ActionClient
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
-from rclpy.node import Node
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
@@ -27,10 +26,8 @@ from std_srvs.srv import SetBool, Trigger
 from tf2_ros import Buffer, TransformException, TransformListener
 from visualization_msgs.msg import Marker, MarkerArray
 
-from dc2g_jax import InputError
-from dc2g_jax.planning import EXPLORE, MODE_NAMES, MetricDecision, MetricPlanner, MetricPose
-
 from .messages import Outgoing, doors_of, labels_of, map_of, place_to_drive_to, pose_of
+from .planner_process import Decision, MapPose, PlannerProcess, Refused
 
 _TYPES = SimpleNamespace(
     ColorRGBA=ColorRGBA, Header=Header, Marker=Marker, MarkerArray=MarkerArray, Path=Path, Point=Point, Pose=Pose,
@@ -43,6 +40,8 @@ _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: Default of each parameter, and what it is; all are read once, at the start.
 _PARAMETERS: dict[str, tuple[Any, str]] = {
     "planner": ("", "frontier, dc2g or dc2g_uncertain; empty: dc2g if there are labels, else frontier"),
+    "python": ("", "path of a Python that has dc2g_jax; empty: that of the node"),
+    "autostart": (True, "whether the node configures and activates itself, without a lifecycle manager"),
     "network": ("", "folder of a trained network; empty: the shipped one"),
     "cell_size": (0.25, "side of the planner's cells, meters"),
     "smallest_cell": (0.0, "side of the smallest cells after halving, meters; 0: a quarter of cell_size"),
@@ -61,37 +60,29 @@ _SECONDS_TO_CANCEL = 1.0
 _SAME = 0.01
 
 
-class PlannerNode(Node):
-    """Decides after each new map, and drives if the parameter `drive` says so."""
+class PlannerNode(LifecycleNode):
+    """While it is active, decides after each new map, and drives if the parameter `drive` says so."""
 
     def __init__(self) -> None:
         super().__init__("dc2g_planner")
-        given = {
+        self.given = given = {
             name: self.declare_parameter(name, default, ParameterDescriptor(description=words, read_only=True)).value
             for name, (default, words) in _PARAMETERS.items()
         }
-        self._planner = MetricPlanner(
-            given["planner"] or None,
-            cell_size=given["cell_size"],
-            smallest_cell=given["smallest_cell"] or None,
-            sensing_range=given["sensing_range"],
-            labels=labels_of(given["labels"]),
-            network=given["network"] or None,
-            largest=tuple(given["largest"]),
-        )
-        gc.freeze()  # a full collection would delay some decision by a tenth of a second
+        self._planner: PlannerProcess | None = None
         self._base_frame = given["base_frame"]
         self._map: OccupancyGrid | None = None
         self._doors = PoseArray()
         self._is_news = False
-        self._goal: MetricPose | None = None
-        self._aborted: list[MetricPose] = []
+        self._goal: MapPose | None = None
+        self._aborted: list[MapPose] = []
+        self._to_set_aside: list[MapPose] = []
         self._has_arrived = False
-        self._is_paused = False
-        self._start: tuple[str, MetricPose] | None = None
+        self._is_active = self._is_paused = False
+        self._start: tuple[str, MapPose] | None = None
         self._handle: Any = None
-        # Decisions take their time; maps, transforms and services are served meanwhile by other threads.
-        self._deciding = threading.RLock()
+        # What is above is changed by several threads; while the planner decides, none holds it.
+        self._changing = threading.RLock()
         self._tf = Buffer()
         self._listener = TransformListener(self._tf, self)
         self._nav2 = ActionClient(self, NavigateToPose, "navigate_to_pose") if given["drive"] else None
@@ -109,31 +100,83 @@ class PlannerNode(Node):
         self.create_timer(given["period"], self._decide, callback_group=MutuallyExclusiveCallbackGroup())
 
     def _on_map(self, message: OccupancyGrid) -> None:
-        self._map, self._is_news = message, True
+        with self._changing:
+            self._map, self._is_news = message, True
 
     def _on_doors(self, message: PoseArray) -> None:
-        self._doors, self._is_news = message, True
+        with self._changing:
+            self._doors, self._is_news = message, True
+
+    def on_configure(self, state: Any) -> TransitionCallbackReturn:
+        """Start the planner's process, which compiles its programs or loads them."""
+        given = self.given
+        try:
+            self._planner = PlannerProcess(
+                given["python"],
+                planner=given["planner"] or None,
+                cell_size=given["cell_size"],
+                smallest_cell=given["smallest_cell"] or None,
+                sensing_range=given["sensing_range"],
+                labels=labels_of(given["labels"]),
+                network=given["network"] or None,
+                largest=tuple(given["largest"]),
+            )
+        except Refused as error:
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        return super().on_configure(state)
+
+    def on_activate(self, state: Any) -> TransitionCallbackReturn:
+        """Decide on the latest map, and on each new one."""
+        self._is_active = self._is_news = True
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: Any) -> TransitionCallbackReturn:
+        """Stop the robot, and decide nothing."""
+        self._is_active = False
+        self.stop()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: Any) -> TransitionCallbackReturn:
+        """End the planner's process, and with it what was set aside."""
+        self.end_planner()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: Any) -> TransitionCallbackReturn:
+        """Stop the robot, and end the planner's process."""
+        self._is_active = False
+        self.stop()
+        self.end_planner()
+        return super().on_shutdown(state)
+
+    def end_planner(self) -> None:
+        """End the planner's process, if it runs."""
+        planner, self._planner = self._planner, None
+        if planner is not None:
+            planner.close()
+
+    @property
+    def _rests(self) -> bool:
+        return self._is_paused or not self._is_active
 
     def _on_pause(self, request: Any, response: Any) -> Any:
         """Stop the robot and decide nothing, or go on with the latest map."""
-        self._is_paused = request.data
-        with self._deciding:
-            if request.data:
-                self.stop()
-            else:
-                self._is_news = True
+        self._is_paused, self._is_news = request.data, True
+        if request.data:
+            self.stop()
         response.success, response.message = True, "paused" if request.data else "goes on"
         return response
 
     def _on_return(self, request: Any, response: Any) -> Any:
         """Pause, and send the robot to where it was at the first decision."""
         del request
-        if self._nav2 is None or self._start is None:
+        if not self._is_active or self._nav2 is None or self._start is None:
             why = "no decision has been made yet" if self._start is None else "the parameter drive is false"
+            why = why if self._is_active else "the node is not active"
             response.success, response.message = False, why
             return response
-        self._is_paused = True
-        with self._deciding:
+        with self._changing:
+            self._is_paused = True
             frame, place = self._start
             self._send(Outgoing(_TYPES, frame, self.get_clock().now().to_msg()).stamped(place), place, None)
         response.success, response.message = True, "returns to the start; ~/pause with data: false explores again"
@@ -141,30 +184,36 @@ class PlannerNode(Node):
 
     def stop(self) -> Any:
         """Cancel the goal that Nav2 has from this node. Returns the future of that; `None` if there is no goal."""
-        handle, self._handle, self._goal = self._handle, None, None
+        with self._changing:
+            handle, self._handle, self._goal = self._handle, None, None
         return None if handle is None else handle.cancel_goal_async()
 
     def _decide(self) -> None:
         """If anything is new, decide on the latest map and publish the decision."""
-        with self._deciding:
-            if self._map is not None and self._is_news and not self._is_paused:
-                self._is_news = False
-                self._decide_on(self._map)
-
-    def _decide_on(self, latest: OccupancyGrid) -> None:
+        with self._changing:
+            latest, found, planner = self._map, self._doors, self._planner
+            if latest is None or planner is None or self._rests or not self._is_news:
+                return
+            self._is_news = False
+            aside, self._to_set_aside = self._to_set_aside, []
         frame = latest.header.frame_id
         try:
-            transform = self._tf.lookup_transform(frame, self._base_frame, Time()).transform
-            doors = doors_of(self._doors, frame) if self._doors.poses else []
-            pose = pose_of(transform)
-            decision = self._planner.plan(map_of(latest), pose, doors=doors)
-        except (InputError, TransformException) as error:
+            for place in aside:
+                planner.set_aside(place)
+            pose = pose_of(self._tf.lookup_transform(frame, self._base_frame, Time()).transform)
+            doors = doors_of(found, frame) if found.poses else []
+            decision = planner.plan(map_of(latest), pose, doors)
+        except (Refused, TransformException) as error:
             self.get_logger().warning(f"no decision: {error}")
             self._is_news = True
             return
-        if self._is_paused:  # meanwhile
-            return
-        self._start = self._start or (frame, pose)
+        with self._changing:
+            if not self._rests:  # meanwhile
+                self._start = self._start or (frame, pose)
+                self._tell(frame, decision)
+
+    def _tell(self, frame: str, decision: Decision) -> None:
+        """Publish a decision and follow it."""
         out = Outgoing(_TYPES, frame, self.get_clock().now().to_msg())
         for name in ("frontiers", "path", "markers", "why", "mode"):
             self._out[name].publish(getattr(out, name)(decision))
@@ -172,7 +221,7 @@ class PlannerNode(Node):
             self._out["subgoal"].publish(out.stamped(decision.subgoal))
         self._drive(out, decision)
 
-    def _drive(self, out: Outgoing, decision: MetricDecision) -> None:
+    def _drive(self, out: Outgoing, decision: Decision) -> None:
         """Send the robot where the decision says, unless it is already going there. Nav2 then drops its last goal."""
         place = place_to_drive_to(decision)
         if self._nav2 is None or place is None:
@@ -187,7 +236,7 @@ class PlannerNode(Node):
             return
         self._send(out.stamped(place), place, decision)
 
-    def _send(self, stamped: PoseStamped, place: MetricPose, decision: MetricDecision | None) -> None:
+    def _send(self, stamped: PoseStamped, place: MapPose, decision: Decision | None) -> None:
         """Send a goal to Nav2; without a decision, the robot only drives there."""
         assert self._nav2 is not None
         self._goal, self._has_arrived = place, False
@@ -195,13 +244,13 @@ class PlannerNode(Node):
         goal.pose = stamped
         self._nav2.send_goal_async(goal).add_done_callback(functools.partial(self._on_answer, place, decision))
 
-    def _on_answer(self, place: MetricPose, decision: MetricDecision | None, future: Any) -> None:
-        with self._deciding:
+    def _on_answer(self, place: MapPose, decision: Decision | None, future: Any) -> None:
+        with self._changing:
             self._answered(place, decision, future.result())
 
-    def _answered(self, place: MetricPose, decision: MetricDecision | None, handle: Any) -> None:
+    def _answered(self, place: MapPose, decision: Decision | None, handle: Any) -> None:
         """Nav2 has accepted or rejected a goal."""
-        if handle.accepted and place != self._goal and self._is_paused:
+        if handle.accepted and place != self._goal and self._rests:
             handle.cancel_goal_async()  # paused before Nav2 answered
         elif handle.accepted:
             self._handle = handle
@@ -210,12 +259,12 @@ class PlannerNode(Node):
             self.get_logger().warning("Nav2 rejected the subgoal")
             self._goal, self._is_news = None, True
 
-    def _on_result(self, place: MetricPose, decision: MetricDecision | None, future: Any) -> None:
-        with self._deciding:
+    def _on_result(self, place: MapPose, decision: Decision | None, future: Any) -> None:
+        with self._changing:
             if place == self._goal:
                 self._ended(place, decision, future.result().status)
 
-    def _ended(self, place: MetricPose, decision: MetricDecision | None, status: int) -> None:
+    def _ended(self, place: MapPose, decision: Decision | None, status: int) -> None:
         """Decide again at the subgoal. Short of it, wait for the next map: Nav2 also aborts for someone else's goal."""
         self._handle = None
         if status == GoalStatus.STATUS_SUCCEEDED:
@@ -232,16 +281,16 @@ class PlannerNode(Node):
             f"Nav2 ended short of ({place.x:.2f}, {place.y:.2f}) m with status {status}; the next map decides"
         )
 
-    def _drop(self, place: MetricPose, decision: MetricDecision, why: str) -> None:
+    def _drop(self, place: MapPose, decision: Decision, why: str) -> None:
         """Set aside what would be seen from a subgoal. The way to a door is tried again with the next map."""
         self._goal = None
-        if decision.mode == MODE_NAMES[EXPLORE]:
-            self._planner.set_aside(place)
+        if decision.mode == "explore":
+            self._to_set_aside.append(place)
             self._is_news = True
         self.get_logger().warning(f"{why} ({place.x:.2f}, {place.y:.2f}) m")
 
 
-def _is_same(one: MetricPose, other: MetricPose) -> bool:
+def _is_same(one: MapPose, other: MapPose) -> bool:
     return max(abs(a - b) for a, b in zip(one, other, strict=True)) < _SAME
 
 
@@ -253,14 +302,20 @@ def main() -> None:
     node = None
     try:
         node = PlannerNode()
+        if node.given["autostart"]:
+            for transition in (node.trigger_configure, node.trigger_activate):
+                if transition() != TransitionCallbackReturn.SUCCESS:
+                    sys.exit("error: the node cannot start; its log says why")
         executor = MultiThreadedExecutor(num_threads=4)
         executor.add_node(node)
         executor.spin()
-    except (InputError, ParameterException) as error:
+    except ParameterException as error:
         sys.exit(f"error: {error}")
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
-        if node is not None and (canceled := node.stop()) is not None:
-            rclpy.spin_until_future_complete(node, canceled, timeout_sec=_SECONDS_TO_CANCEL)
+        if node is not None:
+            if (canceled := node.stop()) is not None:
+                rclpy.spin_until_future_complete(node, canceled, timeout_sec=_SECONDS_TO_CANCEL)
+            node.end_planner()
         rclpy.try_shutdown()

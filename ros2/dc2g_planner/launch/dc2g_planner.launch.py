@@ -21,6 +21,7 @@ def generate_launch_description() -> LaunchDescription:
             *(DeclareLaunchArgument(name, default_value="", choices=["", "true", "false"]) for name in _SWITCHES),
             DeclareLaunchArgument("map", default_value="map", description="Topic of the map."),
             DeclareLaunchArgument("namespace", default_value=""),
+            DeclareLaunchArgument("python", default_value="", description="A Python that has dc2g_jax."),
             OpaqueFunction(function=_nodes),
         ]
     )
@@ -32,7 +33,9 @@ def _nodes(context: LaunchContext) -> list[Node]:
     def value(name: str) -> str:
         return LaunchConfiguration(name).perform(context)
 
-    given = {name: value(name) == "true" for name in _SWITCHES if value(name)}
+    given: dict[str, bool | str] = {name: value(name) == "true" for name in _SWITCHES if value(name)}
+    if value("python"):
+        given["python"] = value("python")
     return [
         Node(
             package="dc2g_planner",

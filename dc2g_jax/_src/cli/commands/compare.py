@@ -17,6 +17,7 @@ from dc2g_jax._src.datasets.houses import House, HouseDataset
 from dc2g_jax._src.datasets.starts import Start, sample_starts
 from dc2g_jax._src.errors import InputError
 from dc2g_jax._src.inspection.figures import plot_leaderboard
+from dc2g_jax._src.own_parts import is_own_part
 from dc2g_jax._src.planning.named import NETWORK_RIVALS, RIVALS
 from dc2g_jax._src.planning.rules import named_settings
 from dc2g_jax._src.rollouts.evaluation import EpisodeResult, Runner
@@ -31,13 +32,14 @@ class Options(NetworkOptions, OutOptions, ResumeOptions):
     """Run planners from the same starts in families of maps; write a table, a figure and the page `leaderboard.md`.
 
     Attributes:
-      planner: planners to compare, frontier among them; package.module:Name for one of your own.
-      family: families of maps: `published` for the published houses, `procedural`, `towns`, `mazes`, `halls`,
-        `offices`, a folder of maps or of OpenStreetMap extracts; package.module:name for a `HouseDataset` of your
-        own, or a function that returns one.
+      planner: planners to compare, frontier among them; package.module:Name for one of your own, which
+        dc2g_jax.check_planner should have passed.
+      family: families of maps: `published` for the published houses, a folder of maps or of OpenStreetMap extracts,
+        package.module:name for a `HouseDataset` of your own or a function that returns one, or a word; by default
+        `published` and all words: `procedural`, `towns`, `mazes`, `halls`, `offices`, `floor_plans`.
       split: split of the maps. Choose and tune on `val`.
       maps: largest number of maps of a family.
-      starts: sampled starts in a family, at least; each of its maps has as many.
+      starts: least number of sampled starts in a family; each of its maps gets the same number.
       most_cells: largest number of cells of a map. Of a family with maps of several sizes, those of the largest size
         are taken.
       settings: rules, see `run`.
@@ -45,7 +47,7 @@ class Options(NetworkOptions, OutOptions, ResumeOptions):
     """
 
     planner: PlannersOption = ("oracle", _REFERENCE, "dc2g", "dc2g_paper", *RIVALS, *NETWORK_RIVALS)
-    family: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = FAMILIES
+    family: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...", help_behavior_hint="")] = FAMILIES
     split: Literal["val", "test"] = "test"
     maps: int = 56
     starts: int = 112
@@ -91,15 +93,14 @@ def main(options: Options) -> None:
     spent = f"{(time.monotonic() - began) / 60:.1f} minutes, {(time.process_time() - used) / 60:.1f} minutes of CPU"
 
     standing = standings(results, limit, _REFERENCE)
-    about = "dc2g" if "dc2g" in compared else compared[-1]
-    first = leaders(results, limit, standing, about)
+    about = [*filter(is_own_part, compared)] or [name for name in compared if name == "dc2g"] or compared
+    first = {planner: leaders(results, limit, standing, planner) for planner in about}
     (out / "images").mkdir(exist_ok=True)
     plot_leaderboard(out / "images" / "leaderboard", standing)
     (out / "leaderboard.md").write_text(
         page(
             standing,
             first,
-            about,
             maps=maps,
             settings=f"Settings `{options.settings}`,\n{settings.sensing_range}-cell sensing, split `{options.split}`.",
             how=f"{len(results):,} episodes of {len(options.planner)} planners, {' + '.join(maps)}: "

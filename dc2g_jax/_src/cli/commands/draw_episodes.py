@@ -33,7 +33,7 @@ class Options(DatasetOptions, OutOptions):
     """
 
     episodes: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CSV")]
-    planner: PlannersOption = ()
+    planner: Annotated[PlannersOption, tyro.conf.arg(metavar="NAME ...", help_behavior_hint="")] = ()
     house: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...", help_behavior_hint="")] = ()
 
 

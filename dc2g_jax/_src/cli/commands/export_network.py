@@ -21,7 +21,9 @@ class Options(CommandOptions):
       out: file to write.
     """
 
-    network: Annotated[tyro.conf.Positional[str | Path | None], tyro.conf.arg(metavar="FOLDER")] = None
+    network: Annotated[
+        tyro.conf.Positional[str | Path | None], tyro.conf.arg(metavar="[FOLDER]", help_behavior_hint="")
+    ] = None
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("network.onnx")
 
 

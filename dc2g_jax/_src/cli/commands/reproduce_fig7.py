@@ -43,7 +43,8 @@ class Options(DatasetOptions, NetworkOptions, StepLimitOptions, OutOptions, Resu
     Attributes:
       settings: `published` runs the paper's 400 episodes (5-cell sensing; published dataset only), `paper` runs
         sampled starts in every test house with 8-cell sensing, `both` runs both.
-      planner: planners to compare; package.module:Name for one of your own.
+      planner: planners to compare; package.module:Name for one of your own, which dc2g_jax.check_planner should have
+        passed.
       starts_per_house: sampled starts in each test house.
       seed: seed of the sampled starts.
       record: write rerun recordings (.rrd) and figures of three episodes of each setting.

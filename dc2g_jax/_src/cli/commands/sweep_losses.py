@@ -7,14 +7,13 @@ After an interruption, --resume continues where it stopped.
 import dataclasses
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import jax
 import numpy as np
-import tyro
 
 from dc2g_jax._src.cli.common import command_line, digests
-from dc2g_jax._src.cli.options import DatasetOptions, TrainingOptions
+from dc2g_jax._src.cli.options import DataOptions, DatasetOptions, TrainingOptions
 from dc2g_jax._src.cli.outputs import number_or_null, output_folder
 from dc2g_jax._src.datasets.houses import open_dataset
 from dc2g_jax._src.datasets.pairs import Pair, TrainingSet
@@ -39,7 +38,7 @@ from dc2g_jax._src.training.cost_to_go import (
     least_memory,
     train_step,
 )
-from dc2g_jax._src.training.cost_to_go_data import DataConfig, Validation, check_houses, validation_pairs
+from dc2g_jax._src.training.cost_to_go_data import Validation, check_houses, validation_pairs
 from dc2g_jax._src.training.loop import Log, Losses, Pauses, Task, train
 from dc2g_jax._src.training.losses import losses_as_text
 from dc2g_jax._src.training.tracking import Image
@@ -53,11 +52,10 @@ _FIGURES = ("error", "steps_left_out")
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DatasetOptions, TrainingOptions, Pauses):
+class Options(Pauses, DatasetOptions, TrainingOptions, DataOptions):
     """Train every combination of losses, learning rates, widths and seeds, together where shapes allow.
 
     Attributes:
-      data: houses and masks.
       losses: losses to try: quantile, l1, l2, huber, log, package.module:Name for one of your own, or weighted sums of
         them such as quantile=1,log=0.5.
       architecture: compact_unet, or package.module:Name for a network of your own, a subclass of flax.nnx.Module.
@@ -67,12 +65,11 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
       steps: optimizer steps of each run.
       batch_size: pairs per step of each run.
       validate_every: steps between validations on pairs; the last step is validated too. 0 for the last step only.
-      episodes: run the planner in validation houses with every network at the end; `--no-episodes` turns it off.
+      no_episodes: do not run the planner in validation houses with every network at the end.
       runs_at_once: largest number of runs to train together; best a multiple of the number of devices. It may change
         when the sweep is resumed.
     """
 
-    data: tyro.conf.OmitArgPrefixes[DataConfig] = dataclasses.field(default_factory=DataConfig)
     losses: tuple[str, ...] = ("quantile", "l1", "l2", "huber", "log")
     architecture: str = Architecture.network
     learning_rates: tuple[float, ...] = (TrainingConfig.learning_rate,)
@@ -81,7 +78,7 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
     steps: int = 2000
     batch_size: int = TrainingConfig.batch_size
     validate_every: int = 200
-    episodes: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
+    no_episodes: bool = False
     runs_at_once: int = 64
 
     def runs(self, side: int) -> dict[str, TrainingConfig]:
@@ -236,14 +233,15 @@ def main(options: Options) -> None:
         check_network(config.architecture)
     groups = sweeps.group_by_shape(runs)
     turns = [turn for group in groups for turn in sweeps.in_turns(group, options.runs_at_once)]
-    check_houses(dataset, extra=options.data.extra_houses, drawn=options.episodes, validated=True)
+    check_houses(dataset, extra=options.data.extra_houses, drawn=not options.no_episodes, validated=True)
     largest = max(sum(least_memory(config, height, width) for config in turn.values()) for turn in turns)
     require_memory(largest, f"--batch-size {options.batch_size} or --runs-at-once {options.runs_at_once}")
     output_folder(options, "sweep_losses", free=("minutes_per_checkpoint", "runs_at_once"), inputs=digests(dataset))
     facts = {"data": dataclasses.asdict(options.data), "dataset": dataset.name}
     # These raise for unsuitable houses before minutes of data collection.
     pairs = validation_pairs(dataset, count=_PAIRS, edge_weight=options.data.edge_weight)
-    validation = Validation(dataset, drawn=16, progress=EpisodeProgress(leave=False)) if options.episodes else None
+    progress = EpisodeProgress(leave=False)
+    validation = None if options.no_episodes else Validation(dataset, drawn=16, progress=progress)
     data = replicate(open_training_set(options.out, dataset, options.data), mesh_of())
     log = Log(options.out)
     print(f"runs: {len(runs)}; shapes of networks: {len(groups)}; turns: {len(turns)}")

@@ -11,7 +11,7 @@ import numpy as np
 import tyro
 
 from dc2g_jax._src.cli.common import NetworkOption, command_line, digests
-from dc2g_jax._src.cli.options import DatasetOptions, TrainingOptions
+from dc2g_jax._src.cli.options import DataOptions, DatasetOptions, TrainingOptions
 from dc2g_jax._src.cli.outputs import command_written, commit, output_folder
 from dc2g_jax._src.datasets.houses import HouseDataset, open_dataset
 from dc2g_jax._src.errors import InputError
@@ -21,7 +21,7 @@ from dc2g_jax._src.estimation.estimators import NetworkCostToGo
 from dc2g_jax._src.inspection.columns import viewer_sink
 from dc2g_jax._src.inspection.training_recording import TrainingRecording, maps_to_watch, next_file, prediction_picture
 from dc2g_jax._src.training.cost_to_go import TrainingConfig
-from dc2g_jax._src.training.cost_to_go_data import DataConfig, check_houses
+from dc2g_jax._src.training.cost_to_go_data import check_houses
 from dc2g_jax._src.training.loop import Pauses
 from dc2g_jax._src.training.losses import parse_losses
 from dc2g_jax._src.training.train import PAUSES, Watching, train
@@ -31,11 +31,10 @@ _MAPS_SHOWN = 6
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(DatasetOptions, TrainingOptions, Pauses):
+class Options(Pauses, DatasetOptions, TrainingOptions, DataOptions):
     """Train the cost-to-go network on training houses, with pairs of partial maps and exact cost-to-go (Algorithm 1).
 
     Attributes:
-      data: houses and masks.
       after: folder of a trained network, or hf://owner/name, to start from: training begins with its weights, and masks
         of robots that it leads are added to the others (DAgger).
       loss: quantile, l1, l2, huber or log, or package.module:Name for one of your own; or a weighted sum of them such
@@ -56,7 +55,6 @@ class Options(DatasetOptions, TrainingOptions, Pauses):
       connect: address of a running rerun viewer to send the training to, such as rerun+http://127.0.0.1:9876/proxy.
     """
 
-    data: tyro.conf.OmitArgPrefixes[DataConfig] = dataclasses.field(default_factory=DataConfig)
     after: NetworkOption = None
     loss: str = "quantile"
     architecture: str = Architecture.network
